@@ -1,0 +1,44 @@
+"""The application: its commands in the order of a day at the bench."""
+
+from typing import Annotated
+
+import typer
+
+from labrun.cli import bench, data, experiment, fit, workspace
+
+app = typer.Typer(
+    name="labrun",
+    help="Run experiments on a robot bench, or without one (--dry-run): settled and repeated trials by sweep\n"
+    "or CMA-ES, every sample kept, models fitted with their uncertainty.\n\n"
+    "Start with:  labrun cmaes turn-torque --dry-run",
+    no_args_is_help=True,
+    rich_markup_mode=None,  # rich would cost half of the time that --help may take
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from labrun import __version__
+
+        typer.echo(f"labrun {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+for module in (workspace, experiment, fit, data, bench):
+    module.register(app)
+
+
+def main() -> None:
+    """Run the command line."""
+    app()

@@ -1,0 +1,156 @@
+"""`labrun check`, `run`, `sweep`, `cmaes`, `resume`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from labrun.cli import options
+from labrun.cli.output import print_json, reported, to_terminal
+
+if TYPE_CHECKING:
+    from labrun.runner.progress import Progress
+    from labrun.search.execute import RunResult
+
+
+def check(
+    name: options.Name,
+    dry_run: options.DryRun = False,
+    overrides: options.Overrides = None,
+    as_json: options.Json = False,
+) -> None:
+    """Validate the whole plan: trials, time, disk, limits. Nothing moves.
+
+    Example:  labrun check fin-params --set trial.repeats=5
+    """
+    with reported(as_json):
+        from labrun.search.execute import check as check_plan
+        from labrun.spec.loading import load_named
+
+        report = check_plan(load_named(name, Path.cwd(), overrides or ()), dry_run=dry_run).report()
+        if as_json:
+            print_json(report.to_json())
+        else:
+            typer.echo(report.to_text())
+        report.raise_for_excesses()
+
+
+def run(
+    name: options.Name,
+    dry_run: options.DryRun = False,
+    overrides: options.Overrides = None,
+    seed: options.Seed = None,
+    limit: options.Limit = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Run an experiment of any kind, as its file says.
+
+    Example:  labrun run hinge --dry-run
+    """
+    _execute(name, None, dry_run, overrides, seed, limit, results, as_json)
+
+
+def sweep(
+    name: options.Name,
+    dry_run: options.DryRun = False,
+    overrides: options.Overrides = None,
+    seed: options.Seed = None,
+    limit: options.Limit = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Measure every condition of a sweep, in shuffled blocks.
+
+    Example:  labrun sweep fin-params --dry-run
+    """
+    _execute(name, "sweep", dry_run, overrides, seed, limit, results, as_json)
+
+
+def cmaes(
+    name: options.Name,
+    dry_run: options.DryRun = False,
+    overrides: options.Overrides = None,
+    seed: options.Seed = None,
+    limit: options.Limit = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Search by CMA-ES; the winner is confirmed by fresh repeats.
+
+    Example:  labrun cmaes turn-torque --dry-run
+    """
+    _execute(name, "cmaes", dry_run, overrides, seed, limit, results, as_json)
+
+
+def resume(
+    run: Annotated[
+        str | None, typer.Argument(help="Run folder; the latest unfinished run if not given.")
+    ] = None,
+    limit: options.Limit = None,
+    results: options.Results = options.RESULTS,
+    accept_changed_spec: Annotated[
+        bool,
+        typer.Option("--accept-changed-spec", help="Go on although the experiment file has changed since."),
+    ] = False,
+    as_json: options.Json = False,
+) -> None:
+    """Go on with an interrupted run, to the same final result.
+
+    Example:  labrun resume
+    """
+    with reported(as_json):
+        from labrun.search.resume import resume as resume_run
+        from labrun.store.locate import find_unfinished
+
+        folder = find_unfinished(run, results)
+        with _progress() as progress:
+            result = resume_run(
+                folder, progress=progress, accept_changed_spec=accept_changed_spec, limit=limit
+            )
+        _print_result(result, as_json)
+
+
+def _execute(
+    name: str,
+    kind: str | None,
+    dry_run: bool,
+    overrides: list[str] | None,
+    seed: int | None,
+    limit: int | None,
+    results: Path,
+    as_json: bool,
+) -> None:
+    with reported(as_json):
+        from labrun.search.execute import execute
+        from labrun.spec.loading import load_named
+
+        loaded = load_named(name, Path.cwd(), overrides or (), kind=kind)
+        with _progress() as progress:
+            result = execute(
+                loaded, results=results, dry_run=dry_run, seed=seed, limit=limit, progress=progress
+            )
+        _print_result(result, as_json)
+
+
+def _progress() -> "Progress":
+    if to_terminal():
+        from labrun.report.progress import LiveProgress
+
+        return LiveProgress()
+    from labrun.runner.progress import SilentProgress
+
+    return SilentProgress()
+
+
+def _print_result(result: "RunResult", as_json: bool) -> None:
+    if as_json:
+        print_json(result.to_json())
+    else:
+        typer.echo(result.to_text())
+
+
+def register(app: typer.Typer) -> None:
+    """Add this module's commands."""
+    for command in (check, run, sweep, cmaes, resume):
+        app.command()(command)

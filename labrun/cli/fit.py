@@ -1,0 +1,49 @@
+"""`labrun fit`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from labrun.cli import options
+from labrun.cli.output import print_json, reported
+
+
+def fit(
+    target: options.Target,
+    recording: Annotated[
+        str | None,
+        typer.Argument(help="A run or recording to fit in the way the experiment TARGET declares."),
+    ] = None,
+    model: Annotated[
+        str | None, typer.Option(help="Model: a TOML file, a plugin, or package.module:object.")
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="First make a dry run of the experiment, then fit that.")
+    ] = False,
+    seed: options.Seed = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Fit a model to a run or a recording.
+
+    Prints parameters with 95 % intervals, the error per channel, and the path of a figure.
+
+    Example:  labrun fit hinge
+    Example:  labrun fit recordings/ring-down --model recordings/ring-down/model.toml
+    """
+    with reported(as_json):
+        from labrun.fit.request import fit_request
+
+        result = fit_request(
+            target, recording, model=model, dry_run=dry_run, seed=seed, results=results, workspace=Path.cwd()
+        )
+        if as_json:
+            print_json(result.to_json())
+        else:
+            typer.echo(result.to_text())
+
+
+def register(app: typer.Typer) -> None:
+    """Add this module's command."""
+    app.command()(fit)

@@ -1,0 +1,44 @@
+"""What a command prints, and how it ends: 0 done, 1 the experiment failed, 2 the request was wrong."""
+
+import json
+import math
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import typer
+
+from labrun.errors import LabrunError, RequestError
+
+
+@contextmanager
+def reported(as_json: bool) -> Iterator[None]:
+    """Turn an error labrun can explain into its message and its exit code."""
+    try:
+        yield
+    except LabrunError as error:
+        if as_json:
+            print_json({"error": str(error.args[0]), "hint": error.hint})
+        typer.echo(f"labrun: {error}", err=True)
+        raise typer.Exit(2 if isinstance(error, RequestError) else 1) from None
+
+
+def print_json(value: Any) -> None:
+    """Print one JSON object; a number that does not exist is null, never NaN."""
+    typer.echo(json.dumps(_finite(value), default=str, allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return value
+
+
+def to_terminal() -> bool:
+    """Tell whether a person is watching: progress goes to standard error."""
+    return sys.stderr.isatty()

@@ -1,0 +1,98 @@
+"""Limits of a device: declared in the file, checked on the plan, and again on every command and sample."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from labrun.devices.samples import Channel, FloatArray
+from labrun.devices.trajectory import Trajectory
+
+_TOLERANCE = 1e-9
+"""Relative: a command of exactly 60 deg is inside a limit of 60 deg after conversion to radians."""
+
+Positive = Annotated[float, Field(gt=0)]
+
+
+@dataclass(frozen=True, slots=True)
+class Excess:
+    """A limit that something leaves: what, by how much, in the unit the person typed."""
+
+    quantity: str
+    value: float
+    bound: float
+    unit: str
+    time_s: float
+
+    def __str__(self) -> str:
+        side = "above" if self.value > self.bound else "below"
+        return f"{self.quantity} {self.value:.4g} {self.unit} is {side} the limit of {self.bound:.4g} {self.unit}"
+
+
+class Limits(BaseModel):
+    """What a device may be asked to do, and what it may feel. An absent limit is not checked."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    angle_deg: tuple[float, float] | None = None
+    speed_deg_s: Positive | None = None
+    force_n: Positive | None = None
+    torque_n_m: Positive | None = None
+    temperature_c: float | None = None
+    speed_m_s: Positive | None = None
+    travel_m: tuple[float, float] | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "Limits":
+        for name in ("angle_deg", "travel_m"):
+            pair = getattr(self, name)
+            if pair is not None and not pair[0] < pair[1]:
+                raise ValueError(f"{name} is [low, high]; {pair[0]:g} is not below {pair[1]:g}")
+        return self
+
+    def trajectory_excess(self, trajectory: Trajectory) -> Iterator[Excess]:
+        """Yield what a motion would break: one item per joint and limit, at its worst moment."""
+        for joint, angle_rad in zip(trajectory.joints, trajectory.angle_rad.T, strict=True):
+            angle_deg = np.degrees(angle_rad)
+            if self.angle_deg is not None:
+                yield from _outside(f"angle of {joint}", angle_deg, self.angle_deg, "deg", trajectory.time_s)
+            if self.speed_deg_s is not None and len(angle_deg) > 1:
+                speed = np.diff(angle_deg) / np.diff(trajectory.time_s)
+                bounds = (-self.speed_deg_s, self.speed_deg_s)
+                yield from _outside(f"speed of {joint}", speed, bounds, "deg/s", trajectory.time_s[:-1])
+
+    def sample_excess(
+        self, channels: tuple[Channel, ...], time_s: FloatArray, values: FloatArray
+    ) -> Iterator[Excess]:
+        """Yield what samples of a sensor break: forces and torques by their unit, at their worst sample."""
+        if len(values) == 0:
+            return
+        bounds = {"N": self.force_n, "N m": self.torque_n_m, "degC": self.temperature_c}
+        for channel, column in zip(channels, values.T, strict=True):
+            bound = bounds.get(channel.unit)
+            if bound is not None:
+                yield from _outside(channel.name, column, (-bound, bound), channel.unit, time_s)
+
+    def travel_excess(self, to_m: float, speed_m_s: float) -> Iterator[Excess]:
+        """Yield what a carriage move would break."""
+        if self.travel_m is not None:
+            yield from _outside("travel", np.array([to_m]), self.travel_m, "m", np.zeros(1))
+        if self.speed_m_s is not None:
+            yield from _outside(
+                "speed", np.array([speed_m_s]), (-self.speed_m_s, self.speed_m_s), "m/s", np.zeros(1)
+            )
+
+
+def _outside(
+    quantity: str, values: FloatArray, bounds: tuple[float, float], unit: str, time_s: FloatArray
+) -> Iterator[Excess]:
+    low, high = bounds
+    slack = _TOLERANCE * max(abs(low), abs(high))
+    excess = np.maximum(values - high, low - values)
+    worst = int(np.argmax(np.where(np.isnan(excess), -math.inf, excess)))
+    if excess[worst] > slack:
+        value = float(values[worst])
+        yield Excess(quantity, value, high if value > high else low, unit, float(time_s[worst]))

@@ -1,0 +1,83 @@
+"""The one tree of exceptions. Each message is for the person at the bench."""
+
+
+class LabrunError(Exception):
+    """Something labrun can explain.
+
+    Parameters
+    ----------
+    message
+        What was found, where, and what was expected.
+    hint
+        What to do next; printed on a line of its own.
+    """
+
+    def __init__(self, message: str, *, hint: str | None = None) -> None:
+        super().__init__(message)
+        self.hint = hint
+
+    def __str__(self) -> str:
+        message = super().__str__()
+        return f"{message}\n  {self.hint}" if self.hint else message
+
+
+class RequestError(LabrunError):
+    """The request itself was wrong: nothing moved, nothing was written (exit code 2)."""
+
+
+class SpecError(RequestError):
+    """An experiment file, or an override of it, does not hold."""
+
+
+class PluginError(RequestError):
+    """A plugin is unknown, or fails to import."""
+
+
+class PlanError(RequestError):
+    """The plan would leave a limit, or leaves nothing to run."""
+
+
+class RecordingError(RequestError):
+    """A recording or a stored run cannot be read as what it claims to be."""
+
+
+class RigBusyError(RequestError):
+    """Another run holds this rig or this run folder."""
+
+
+class ExperimentError(LabrunError):
+    """The experiment failed while it ran; what was saved stays (exit code 1)."""
+
+
+class DeviceError(ExperimentError):
+    """A device did not do what it should.
+
+    Parameters
+    ----------
+    device
+        Its name in the experiment file.
+    message
+        What happened.
+    hint
+        The next thing to try.
+    """
+
+    def __init__(self, device: str, message: str, *, hint: str | None = None) -> None:
+        super().__init__(f"device {device}: {message}", hint=hint)
+        self.device = device
+
+
+class LimitExceededError(DeviceError):
+    """A sample or a command left its limit while the rig was moving."""
+
+
+class SettleError(ExperimentError):
+    """The bench did not come to rest in the time the file allows."""
+
+
+class StoreError(ExperimentError):
+    """Data could not be written safely."""
+
+
+class FitError(LabrunError):
+    """A model cannot be fitted to this data."""

@@ -1,0 +1,131 @@
+"""Plugins by name: entry points of six groups, or "package.module:Class"."""
+
+import difflib
+import importlib
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from labrun.errors import PluginError
+
+GROUPS = (
+    "labrun.devices",
+    "labrun.gaits",
+    "labrun.objectives",
+    "labrun.models",
+    "labrun.effects",
+    "labrun.scenes",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PluginEntry:
+    """One plugin that is installed, whether it imports or not."""
+
+    group: str
+    name: str
+    target: str
+    origin: str
+    """Distribution and version that brings it."""
+
+
+@lru_cache(maxsize=len(GROUPS))
+def _entries(group: str) -> dict[str, EntryPoint]:
+    return {entry.name: entry for entry in entry_points(group=group)}
+
+
+def installed(group: str) -> list[PluginEntry]:
+    """Return the plugins of a group, sorted by name; imports none of them."""
+    found = []
+    for name, entry in sorted(_entries(group).items()):
+        origin = f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else "unknown"
+        found.append(PluginEntry(group, name, entry.value, origin))
+    return found
+
+
+def names(group: str) -> list[str]:
+    """Return the names of a group's plugins."""
+    return sorted(_entries(group))
+
+
+def is_installed(group: str, name: str) -> bool:
+    """Tell whether an entry point of that name exists."""
+    return name in _entries(group)
+
+
+def load(group: str, name: str) -> Any:
+    """Return the object a plugin names.
+
+    Parameters
+    ----------
+    group
+        One of `GROUPS`.
+    name
+        An entry point's name, or a dotted name ``"package.module:Object"``.
+
+    Raises
+    ------
+    PluginError
+        Unknown name (with the nearest one), or a failing import (with its cause).
+    """
+    kind = group.removeprefix("labrun.").removesuffix("s")
+    if ":" in name:
+        return _load_dotted(kind, name)
+    entry = _entries(group).get(name)
+    if entry is None:
+        near = difflib.get_close_matches(name, names(group), n=1)
+        known = ", ".join(names(group)) or "none"
+        hint = f"did you mean {near[0]!r}?" if near else f"installed: {known}"
+        raise PluginError(f"unknown {kind} plugin {name!r}", hint=hint)
+    try:
+        return entry.load()
+    except Exception as error:  # whatever a third party's module raises while it is imported
+        origin = entry.dist.name if entry.dist is not None else entry.value
+        raise PluginError(
+            f"{kind} plugin {name!r} of {origin} cannot be imported: {type(error).__name__}: {error}",
+            hint=f"python -c 'import {entry.module}' shows the whole cause",
+        ) from error
+
+
+def _load_dotted(kind: str, name: str) -> Any:
+    module_name, _, attribute = name.partition(":")
+    try:
+        target = importlib.import_module(module_name)
+        for part in attribute.split("."):
+            target = getattr(target, part)
+    except Exception as error:
+        raise PluginError(
+            f"{kind} plugin {name!r} cannot be imported: {type(error).__name__}: {error}",
+            hint='a dotted name is "package.module:Class"; the package must be importable from here',
+        ) from error
+    return target
+
+
+@dataclass(frozen=True, slots=True)
+class PluginState:
+    """One installed plugin after an attempt to import it; `cause` is empty if it works."""
+
+    group: str
+    name: str
+    target: str
+    origin: str
+    cause: str
+
+    def to_json(self) -> dict[str, str]:
+        """Return the fields by name."""
+        return {field: getattr(self, field) for field in self.__slots__}
+
+
+def inspect_all() -> list[PluginState]:
+    """Import every installed plugin of every group, and say which of them fail and why."""
+    states = []
+    for group in GROUPS:
+        for entry in installed(group):
+            cause = ""
+            try:
+                load(group, entry.name)
+            except PluginError as error:
+                cause = str(error.args[0])
+            states.append(PluginState(group, entry.name, entry.target, entry.origin, cause))
+    return states

@@ -1,0 +1,154 @@
+"""A recording: `recording.toml` beside CSV files, measured by anyone. Read whole, or refused with every fault."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.errors import RecordingError
+from labrun.store._recording_csv import read_columns
+from labrun.store._recording_toml import ChannelEntry, TrialEntry, read_toml
+
+FloatArray = NDArray[np.float64]
+Between = Literal["linear", "hold", "band-limited"]
+_SHOWN_FAULTS = 25
+
+
+@dataclass(frozen=True, slots=True)
+class SignalInfo:
+    """One channel of a recording.
+
+    Attributes
+    ----------
+    between
+        How an input runs between its samples; always "linear" for an output, where it means nothing.
+    """
+
+    name: str
+    unit: str
+    between: Between = "linear"
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedTrial:
+    """One trial of a recording.
+
+    Attributes
+    ----------
+    condition
+        Numbers and words that tell this trial from the others.
+    repeat
+        From 1; trials of equal condition differ in it.
+    time_s : (n,)
+        Strictly increasing.
+    inputs : (n, k)
+        In the order of the recording's `inputs`, in their units.
+    outputs : (n, m)
+        In the order of the recording's `outputs`, in their units.
+    """
+
+    condition: Mapping[str, float | str]
+    repeat: int
+    time_s: FloatArray
+    inputs: FloatArray
+    outputs: FloatArray
+    source_file: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A whole recording, checked."""
+
+    name: str
+    inputs: tuple[SignalInfo, ...]
+    outputs: tuple[SignalInfo, ...]
+    trials: tuple[RecordedTrial, ...]
+
+
+def is_recording(folder: Path) -> bool:
+    """Tell whether a folder claims to be a recording."""
+    return (folder / "recording.toml").is_file()
+
+
+def read_recording(folder: Path) -> Recording:
+    """Read a recording, checking all of it.
+
+    Parameters
+    ----------
+    folder
+        The folder that holds `recording.toml` and its CSV files.
+
+    Raises
+    ------
+    RecordingError
+        With every fault of the recording, each with file and line: a key of `recording.toml` that is unknown,
+        missing or has an impossible value; a file that is missing, empty or no text; a column that is missing (with
+        the nearest name there is) or ends early; a row of another length; a cell that is blank, no number or not
+        finite; time that does not increase.
+    """
+    folder = Path(folder)
+    path = folder / "recording.toml"
+    if not path.is_file():
+        raise RecordingError(
+            f"{folder} is not a recording: it has no recording.toml",
+            hint="a recording is a folder with recording.toml and one CSV file per trial",
+        )
+    contents, faults = read_toml(path)
+    names = [channel.name for channel in contents.channels]
+    inputs = [channel for channel in contents.channels if channel.kind == "input"]
+    outputs = [channel for channel in contents.channels if channel.kind == "output"]
+    trials = []
+    for entry in contents.trials:
+        columns, found = read_columns(folder / entry.file, ["time_s", *names], f"{path}:{entry.line}")
+        faults += found
+        if columns is not None:
+            trials.append(_trial(entry, columns, inputs, outputs, folder / entry.file))
+    if faults:
+        raise RecordingError(_report(folder, faults), hint="nothing was read; the files are left as they are")
+    return Recording(contents.name, _signals(inputs), _signals(outputs), tuple(trials))
+
+
+def _trial(
+    entry: TrialEntry,
+    columns: Mapping[str, FloatArray],
+    inputs: list[ChannelEntry],
+    outputs: list[ChannelEntry],
+    source_file: Path,
+) -> RecordedTrial:
+    time_s = columns["time_s"]
+
+    def table(channels: list[ChannelEntry]) -> FloatArray:
+        return np.stack([columns[channel.name] for channel in channels], axis=1) if channels else np.empty((len(time_s), 0))
+
+    return RecordedTrial(entry.condition, entry.repeat, time_s, table(inputs), table(outputs), source_file)
+
+
+def _signals(channels: list[ChannelEntry]) -> tuple[SignalInfo, ...]:
+    return tuple(SignalInfo(channel.name, channel.unit, channel.between) for channel in channels)
+
+
+def _report(folder: Path, faults: list[str]) -> str:
+    number = f"{len(faults)} faults" if len(faults) > 1 else "a fault"
+    shown = [f"  {fault}" for fault in faults[:_SHOWN_FAULTS]]
+    if len(faults) > _SHOWN_FAULTS:
+        shown.append(f"  and {len(faults) - _SHOWN_FAULTS} more")
+    return "\n".join([f"recording {folder} has {number}:", *shown])
+
+
+def condition_label(condition: Mapping[str, float | str]) -> str:
+    """Return a condition as a person would write it: ``"kp = 100, trajectory = sin-sin"``."""
+    parts = [f"{name} = {value:g}" if isinstance(value, float | int) else f"{name} = {value}" for name, value in condition.items()]
+    return ", ".join(parts)
+
+
+def condition_key(condition: Mapping[str, float | str]) -> tuple[tuple[str, float | str], ...]:
+    """Return a hashable form in which equal conditions are equal, whatever the order of their names."""
+    return tuple(sorted((name, _plain(value)) for name, value in condition.items()))
+
+
+def _plain(value: float | str) -> float | str:
+    return value if isinstance(value, str) or math.isnan(value) else float(value)
