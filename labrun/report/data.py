@@ -1,0 +1,180 @@
+"""A stored run as figures and findings need it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.search.leaders import condition_key, t_interval
+from labrun.search.result import Best
+from labrun.spec.experiment import Experiment, Value
+from labrun.store.trial import SettleCurve, Stream, TrialOutcome
+
+FloatArray = NDArray[np.float64]
+
+
+class StoredRun(Protocol):
+    """What is needed of `labrun.store.reading.Run`."""
+
+    @property
+    def name(self) -> str:
+        """The experiment's name."""
+        ...
+
+    @property
+    def outcomes(self) -> Sequence[TrialOutcome]:
+        """All trials, in the order they ran."""
+        ...
+
+    def streams(self, index: int) -> Mapping[str, Stream]:
+        """Return a trial's streams by device."""
+        ...
+
+    def settle_curve(self, index: int) -> SettleCurve | None:
+        """Return how the bench came to rest before a trial."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """All accepted values of one objective at one condition."""
+
+    condition: Mapping[str, Value]
+    values: FloatArray
+    trials: tuple[TrialOutcome, ...]
+
+    @property
+    def mean(self) -> float:
+        """Mean of the values."""
+        return float(self.values.mean())
+
+    @property
+    def ci95(self) -> tuple[float, float] | None:
+        """95 % t-interval of the mean; None for a single value."""
+        return t_interval(self.values)
+
+
+@dataclass(frozen=True)
+class RunView:
+    """A run with its experiment and its honest best, as one reads it.
+
+    Attributes
+    ----------
+    run
+        Open for reading.
+    experiment
+        What it did.
+    best
+        Of the whole run; None without a goal.
+    """
+
+    run: StoredRun
+    experiment: Experiment
+    best: Best | None
+
+    @cached_property
+    def objective(self) -> str | None:
+        """The objective with a goal, or the first there is."""
+        goal = self.experiment.goal
+        return goal[0] if goal is not None else next(iter(self.experiment.objectives), None)
+
+    @cached_property
+    def unit(self) -> str:
+        """Unit of the objective."""
+        if self.best is not None:
+            return self.best.unit
+        return self.unit_of(self.objective) if self.objective is not None else ""
+
+    def unit_of(self, objective: str) -> str:
+        """Return the unit of an objective, from that of its channel in the first trial that has it."""
+        from labrun.objectives import make_objective
+
+        table = self.experiment.objectives[objective]
+        return make_objective(objective, table).unit(self.channel_unit(table.channel))
+
+    @cached_property
+    def channel(self) -> str | None:
+        """The channel to show: the objective's, the first that is fitted, or the first that was recorded."""
+        table = self.experiment.objectives.get(self.objective or "")
+        if table is not None and table.channel is not None:
+            return table.channel
+        if self.experiment.fit is not None and self.experiment.fit.signals:
+            return next(iter(self.experiment.fit.signals.values()))
+        for outcome in self.run.outcomes:
+            for name, stream in self.run.streams(outcome.index).items():
+                if stream.channels:
+                    return f"{name}.{stream.channels[0].name}"
+        return None
+
+    def channel_unit(self, channel: str | None) -> str:
+        """Return the SI unit of a channel, empty if it was never recorded."""
+        device, _, name = (channel or "").partition(".")
+        for outcome in self.run.outcomes:
+            if outcome.status == "failed":
+                continue
+            stream = self.run.streams(outcome.index).get(device)
+            if stream is not None:
+                return next((item.unit for item in stream.channels if item.name == name), "")
+        return ""
+
+    @cached_property
+    def trace_factor(self) -> float | None:
+        """What the shown channel is multiplied by to be in the objective's unit; None to show it as recorded."""
+        table = self.experiment.objectives.get(self.objective or "")
+        if table is None or table.channel is None:
+            return None
+        scale, length_m = table.settings.get("scale", 1.0), table.settings.get("divide_by_m", 1.0)
+        return None if scale == length_m == 1.0 else float(scale) / float(length_m)
+
+    @property
+    def trace_label(self) -> str:
+        """Axis label of traces: the objective's quantity over time, or the channel."""
+        channel = self.channel or ""
+        if self.trace_factor is not None:
+            return f"{self.objective} ({self.unit})" if self.unit else str(self.objective)
+        name, unit = channel.partition(".")[2].replace("_", " "), self.channel_unit(channel)
+        return f"{name} ({unit})" if unit else name
+
+    def trace(self, outcome: TrialOutcome, channel: str) -> tuple[FloatArray, FloatArray] | None:
+        """Return time and values of a channel during a trial's motion; None if it was not recorded.
+
+        Tared, and in the objective's unit where the objective scales its channel.
+        """
+        device, _, name = channel.partition(".")
+        stream = self.run.streams(outcome.index).get(device)
+        if stream is None or name not in {item.name for item in stream.channels}:
+            return None
+        inside = (stream.time_s >= 0) & (stream.time_s <= outcome.duration_s)
+        values = stream.column(name)[inside] - outcome.tare.get(channel, stream.tare.get(name, 0.0))
+        return stream.time_s[inside], values * (self.trace_factor or 1.0)
+
+    def points(
+        self, objective: str, *, roles: Sequence[str] = ("measure", "fresh", "confirm")
+    ) -> list[Point]:
+        """Return every distinct condition with its accepted values, in the order of first measurement."""
+        groups: dict[object, list[TrialOutcome]] = {}
+        for outcome in self.run.outcomes:
+            if outcome.status == "done" and outcome.role in roles and objective in outcome.objectives:
+                groups.setdefault(condition_key(outcome.condition), []).append(outcome)
+        return [
+            Point(
+                trials[0].condition,
+                np.array([trial.objectives[objective] for trial in trials]),
+                tuple(trials),
+            )
+            for trials in groups.values()
+        ]
+
+    def trials_at(self, condition: Mapping[str, Value]) -> list[TrialOutcome]:
+        """Return the accepted trials of one condition, all roles but references."""
+        key = condition_key(condition)
+        return [
+            outcome
+            for outcome in self.run.outcomes
+            if outcome.status == "done"
+            and outcome.role != "reference"
+            and condition_key(outcome.condition) == key
+        ]

@@ -1,0 +1,154 @@
+"""What `labrun show` tells of a run."""
+
+from collections import Counter
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from labrun.report.data import RunView
+from labrun.report.statistics import (
+    Drift,
+    Repeatability,
+    Settling,
+    StreamHealth,
+    as_json,
+    drift,
+    repeatability,
+    settling,
+    stream_health,
+)
+from labrun.search.engine import stored_result
+from labrun.search.result import Best
+from labrun.spec.loading import loads_experiment
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from labrun.store.reading import Run
+
+_STREAMS_LOOKED_AT = 40
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What a run found, and how far it can be trusted.
+
+    Attributes
+    ----------
+    run, experiment, title, kind
+        Which run, of what.
+    seed, dry_run
+        As stored with it.
+    finished
+        Whether it came to its end.
+    trials
+        Number of trials by role and status: ``{"measure": {"done": 64}}``.
+    spoiled
+        Reasons of rejected and failed trials, with their number, most frequent first.
+    bench_time_s
+        From the first trial's start to the last one's end, by the run's clock.
+    figure
+        The picture, if there is one.
+    streams_of
+        How many trials the health of the streams was taken from, evenly over the run.
+    faults
+        What was found damaged on disk.
+    """
+
+    run: Path
+    experiment: str
+    title: str
+    kind: str
+    seed: int | None
+    dry_run: bool | None
+    finished: bool
+    trials: dict[str, dict[str, int]]
+    spoiled: dict[str, int]
+    bench_time_s: float
+    best: Best | None
+    figure: Path | None
+    repeatability: list[Repeatability]
+    drift: list[Drift]
+    settling: Settling | None
+    streams: list[StreamHealth]
+    streams_of: int
+    faults: list[str]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return everything, JSON-ready."""
+        return {
+            "run": str(self.run),
+            "experiment": self.experiment,
+            "title": self.title,
+            "kind": self.kind,
+            "seed": self.seed,
+            "dry_run": self.dry_run,
+            "finished": self.finished,
+            "trials": self.trials,
+            "rejected_and_failed": self.spoiled,
+            "bench_time_s": self.bench_time_s,
+            "best": None if self.best is None else self.best.to_json(),
+            "figure": None if self.figure is None else str(self.figure),
+            "repeatability": as_json(self.repeatability),
+            "drift": as_json(self.drift),
+            "settling": None if self.settling is None else asdict(self.settling),
+            "streams": as_json(self.streams),
+            "streams_from_trials": self.streams_of,
+            "faults": self.faults,
+        }
+
+    def print(self, console: "Console | None" = None) -> None:
+        """Print it for a person; to standard output if no console is given."""
+        from labrun.report.tables import print_findings
+
+        print_findings(self, console)
+
+
+def findings(run: "Run") -> Findings:
+    """Read what a run found.
+
+    Parameters
+    ----------
+    run
+        Open for reading; finished or not.
+    """
+    experiment = loads_experiment(run.experiment_toml, run.name).experiment
+    folder = run.path if run.path.is_dir() else run.path.parent
+    result = stored_result(folder)
+    best = result.best if result is not None else None
+    view = RunView(run, experiment, best)
+    looked_at = _evenly([outcome.index for outcome in run.outcomes], _STREAMS_LOOKED_AT)
+    ends = [outcome.started_s + outcome.duration_s for outcome in run.outcomes]
+    reasons = Counter(f"{o.status}: {o.reason}" for o in run.outcomes if o.status != "done")
+    trials: dict[str, dict[str, int]] = {}
+    for outcome in run.outcomes:
+        by_status = trials.setdefault(outcome.role, {})
+        by_status[outcome.status] = by_status.get(outcome.status, 0) + 1
+    return Findings(
+        run=run.path,
+        experiment=run.name,
+        title=experiment.title,
+        kind=experiment.kind,
+        seed=run.provenance.get("seed"),
+        dry_run=run.provenance.get("dry_run"),
+        finished=result is not None,
+        trials=trials,
+        spoiled=dict(reasons.most_common()),
+        bench_time_s=max(ends) - run.outcomes[0].started_s if ends else 0.0,
+        best=best,
+        figure=result.figure if result is not None else None,
+        repeatability=repeatability(view),
+        drift=drift(view),
+        settling=settling(run.outcomes),
+        streams=stream_health(view, looked_at),
+        streams_of=len(looked_at),
+        faults=list(run.faults),
+    )
+
+
+def _evenly(items: list[int], most: int) -> list[int]:
+    if len(items) <= most:
+        return items
+    return [items[k] for k in np.linspace(0, len(items) - 1, most).round().astype(int)]

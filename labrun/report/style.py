@@ -1,0 +1,106 @@
+"""How figures look: one style for all, readable in print, safe for colour-blind eyes."""
+
+import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+INK = "#1a1a1a"
+SOFT = "#8a8a8a"
+FAINT = "#d9d9d9"
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#6a51a3", "#000000")
+"""Okabe & Ito (2008), told apart by all common kinds of colour vision; yellow, too light for lines, is replaced."""
+DIVERGING = "RdBu_r"
+BEST = "#111111"
+DPI = 160
+_HEADING_IN = 0.46
+_LINE_IN = 0.155
+_CHARACTERS_PER_IN = 12.8
+
+_RC: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "text.color": INK,
+    "axes.edgecolor": "#555555",
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 6.0,
+    "axes.labelsize": 9.0,
+    "axes.unicode_minus": True,
+    "xtick.color": "#555555",
+    "ytick.color": "#555555",
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "xtick.major.width": 0.7,
+    "ytick.major.width": 0.7,
+    "xtick.major.size": 3.0,
+    "ytick.major.size": 3.0,
+    "legend.fontsize": 8.0,
+    "legend.frameon": False,
+    "lines.linewidth": 1.3,
+    "lines.solid_capstyle": "round",
+    "hatch.linewidth": 0.5,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+}
+
+
+@contextmanager
+def new_figure(width_in: float, height_in: float) -> "Iterator[Figure]":
+    """Make a figure in labrun's style; draw on it inside the context."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    with rc_context(_RC):
+        layout = ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.06, wspace=0.03, hspace=0.03)
+        figure = Figure(figsize=(width_in, height_in), layout=layout)
+        FigureCanvasAgg(figure)
+        yield figure
+
+
+def save(figure: "Figure", path: Path) -> Path:
+    """Write a figure as PNG; whole or not at all."""
+    temporary = path.with_name(f".{path.name}.partial")
+    figure.savefig(temporary, dpi=DPI, format="png")
+    temporary.replace(path)
+    return path
+
+
+def heading(figure: "Figure", title: str, subtitle: str) -> None:
+    """Put the title, and below it what the reader has to know, over the whole figure."""
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    width, height = (float(side) for side in figure.get_size_inches())
+    whole = subtitle.replace(" = ", "\u00a0=\u00a0")  # a line never ends between a name and its value
+    lines = textwrap.wrap(whole, int(width * _CHARACTERS_PER_IN), break_on_hyphens=False)
+    band = (_HEADING_IN + _LINE_IN * len(lines)) / height
+    engine = figure.get_layout_engine()
+    if isinstance(engine, ConstrainedLayoutEngine):
+        engine.set(rect=(0.0, 0.0, 1.0, 1.0 - band))
+    figure.text(0.012, 1 - 0.10 / height, title, ha="left", va="top", fontsize=12.5, fontweight="bold")
+    figure.text(0.012, 1 - 0.36 / height, "\n".join(lines), ha="left", va="top", fontsize=9, color="#444444")
+
+
+def zero_line(axes: "Axes") -> None:
+    """Mark zero if it lies within the axes."""
+    low, high = axes.get_ylim()
+    if low < 0 < high:
+        axes.axhline(0, color=SOFT, linewidth=0.7, zorder=0)
+
+
+def panel_letter(axes: "Axes", letter: str, title: str) -> None:
+    """Name a panel: bold letter, then what it shows."""
+    axes.set_title(rf"$\bf{{{letter}}}$   {title}")

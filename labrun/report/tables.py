@@ -1,0 +1,121 @@
+"""Findings as tables in a terminal."""
+
+from typing import TYPE_CHECKING
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from labrun.report.words import condition_text, duration_text, interval_text, quantity_text
+
+if TYPE_CHECKING:
+    from labrun.report.findings import Findings
+
+_MOST_REASONS = 6
+_STATUSES = ("done", "rejected", "failed")
+
+
+def print_findings(found: "Findings", console: Console | None = None) -> None:
+    """Print findings: what the run was, its best, and what speaks for and against trusting it."""
+    console = console or Console()
+    console.print(Text(found.title, style="bold"))
+    state = "finished" if found.finished else f"not finished; labrun resume {found.run}"
+    dry = "dry run, " if found.dry_run else ""
+    console.print(
+        Text(
+            f"{found.experiment}, {found.kind}, {dry}{duration_text(found.bench_time_s)} of bench time, {state}"
+        ),
+        highlight=False,
+    )
+    for fault in found.faults:
+        console.print(Text(f"damaged: {fault}", style="yellow"))
+    _print_best(found, console)
+    console.print(_trials(found))
+    for reason, count in list(found.spoiled.items())[:_MOST_REASONS]:
+        console.print(Text(f"  {count} x {reason}", style="yellow"), highlight=False)
+    if found.repeatability:
+        console.print(_repeatability(found))
+    if found.drift:
+        console.print(_drift(found))
+    if found.settling is not None:
+        reasons = ", ".join(f"{count} {reason}" for reason, count in found.settling.reasons.items())
+        longest = f"longest {duration_text(found.settling.longest_s)}"
+        text = f"settling: {reasons}; median {found.settling.median_s:.1f} s, {longest}"
+        console.print(Text(text), highlight=False)
+    if found.streams:
+        console.print(_streams(found))
+    for name, path in (("run", found.run), ("figure", found.figure)):
+        if path is not None:
+            console.print(Text(f"{name:<7} {path}"), highlight=False, soft_wrap=True)
+
+
+def _print_best(found: "Findings", console: Console) -> None:
+    best = found.best
+    if best is None:
+        return
+    value = interval_text(best.value, best.ci95, best.unit)
+    console.print(
+        Text.assemble(
+            ("best ", "bold"),
+            f"{best.objective_name} = ",
+            (value, "bold green"),
+            f" (95 % interval, {best.trials} confirming trials)\n",
+            f"  at {condition_text(best.parameters)}\n",
+            (f"  luckiest single trial {quantity_text(best.luckiest, best.unit)}", "dim"),
+        ),
+        highlight=False,
+    )
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    for number, column in enumerate(columns):
+        table.add_column(column, justify="left" if number == 0 else "right")
+    return table
+
+
+def _trials(found: "Findings") -> Table:
+    table = _table("trials", "role", *_STATUSES)
+    for role, counts in found.trials.items():
+        table.add_row(role, *(str(counts.get(status, 0)) for status in _STATUSES))
+    return table
+
+
+def _repeatability(found: "Findings") -> Table:
+    table = _table("repeatability", "objective", "sd within a condition", "sd between conditions", "freedom")
+    for item in found.repeatability:
+        between = "" if item.between_sd is None else quantity_text(item.between_sd, item.unit)
+        table.add_row(
+            item.objective, quantity_text(item.sd, item.unit), between, str(item.degrees_of_freedom)
+        )
+    return table
+
+
+def _drift(found: "Findings") -> Table:
+    table = _table(
+        "drift, by reference trials", "objective", "per hour of bench time, 95 % interval", "trials", ""
+    )
+    for item in found.drift:
+        slope = interval_text(item.slope_per_h, item.ci95, f"{item.unit}/h")
+        verdict = Text("drifts", style="yellow") if item.visible else Text("none visible")
+        table.add_row(item.objective, slope, str(item.trials), verdict)
+    return table
+
+
+def _streams(found: "Findings") -> Table:
+    title = f"streams, from {found.streams_of} trials"
+    table = _table(title, "device", "nominal", "actual", "jitter (sd)", "samples", "lost", "saturated")
+    for item in found.streams:
+        style = "yellow" if item.lost or item.saturated else ""
+        table.add_row(
+            item.device,
+            f"{item.nominal_hz:.4g} Hz",
+            f"{item.actual_hz:.4g} Hz",
+            f"{1000 * item.jitter_s:.2g} ms",
+            str(item.samples),
+            f"{item.lost} ({100 * item.lost_share:.2g} %)",
+            str(item.saturated),
+            style=style,
+        )
+    return table

@@ -1,0 +1,281 @@
+"""A CMA-ES search on the rig: generations of candidates, none of them outside a limit, until a stop rule."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.errors import PlanError
+from labrun.search.design import Condition, start_of_search
+from labrun.search.feasibility import Feasibility, LimitExcesses, Violations, penalised
+from labrun.search.generation import keep_generation
+from labrun.search.leaders import Measured, Measures, condition_key, pooled_variance
+from labrun.search.stopping import StopWatch
+from labrun.search.strategy import Strategy
+from labrun.spec.experiment import CmaEs, Experiment
+
+if TYPE_CHECKING:
+    from labrun.runner.progress import Progress
+
+FloatArray = NDArray[np.float64]
+
+_SEARCH_STREAM = 2
+"""Tells the search's random numbers from those of other parts of a run with the same seed."""
+
+
+@dataclass(slots=True)
+class Candidate:
+    """A point of the search and all that was measured there."""
+
+    point: FloatArray
+    condition: Condition
+    violations: Violations
+    values: list[float] = field(default_factory=list)
+    penalised_cost: float = math.inf
+
+    def mean(self) -> float | None:
+        """Return the mean of the accepted trials; None without one."""
+        return float(np.mean(self.values)) if self.values else None
+
+    def record(self) -> dict[str, Any]:
+        """Return what the generation's file says of it."""
+        return {
+            "condition": dict(self.condition),
+            "value": self.mean(),
+            "values": list(self.values),
+            "feasible": self.violations.feasible,
+            "violations": list(self.violations.texts),
+            "cost": self.penalised_cost,
+        }
+
+
+def search_by_cmaes(
+    experiment: Experiment,
+    session: Measures,
+    folder: Path,
+    *,
+    limit_excesses: LimitExcesses,
+    seed: int,
+    progress: "Progress",
+) -> list[Measured]:
+    """Search until a stop rule ends it, and return all measurements.
+
+    A resumed search is replayed: the session serves stored trials, every generation is computed again from the
+    same random numbers, and compared with its stored state.
+
+    Parameters
+    ----------
+    folder
+        Where each generation's state is kept.
+    limit_excesses
+        Returns which limits of the rig a condition's motion would leave.
+    seed
+        The run's seed.
+
+    Raises
+    ------
+    PlanError
+        No candidate of the whole search was feasible.
+    StoreError
+        A replayed generation differs from the stored one.
+    """
+    search = _Search(experiment, session, folder, limit_excesses, seed, progress)
+    search.run()
+    return search.found
+
+
+class _Search:
+    def __init__(
+        self,
+        experiment: Experiment,
+        session: Measures,
+        folder: Path,
+        limit_excesses: LimitExcesses,
+        seed: int,
+        progress: "Progress",
+    ) -> None:
+        goal = experiment.goal
+        if experiment.cmaes is None or goal is None:
+            raise PlanError("a search needs a table [cmaes] and an objective with a goal")
+        self._table: CmaEs = experiment.cmaes
+        _check_sizes(self._table)
+        self._objective, direction = goal
+        self._sign = -1.0 if direction == "maximise" else 1.0
+        self._experiment = experiment
+        self._session = session
+        self._folder = folder
+        self._seed = seed
+        self._progress = progress
+        self._feasibility = Feasibility(experiment.cmaes, limit_excesses)
+        self._known: dict[object, Candidate] = {}
+        self._watch = StopWatch(self._table.stop)
+        self.found: list[Measured] = []
+
+    def run(self) -> None:
+        """Run the search and its restarts."""
+        for restart in range(self._table.restarts + 1):
+            reason = self._descend(restart)
+            if self._watch.over or restart == self._table.restarts:
+                self._progress.note(f"search ends: {reason}")
+                break
+            self._progress.note(f"restart {restart + 1} with twice the population: {reason}")
+        if not any(candidate.violations.feasible for candidate in self._known.values()):
+            worst = min(self._known.values(), key=lambda item: (item.violations.number, item.violations.size))
+            raise PlanError(
+                f"no candidate of {self._watch.generation} generations may run; the nearest breaks: "
+                + "; ".join(worst.violations.texts),
+                hint="widen the limits or `where`, or give the variables an initial point that holds",
+            )
+
+    def _descend(self, restart: int) -> str:
+        """Run one strategy until it, or the whole search, is to stop; return why."""
+        # A restart's numbers follow from seed and number alone, whatever the strategies before it consumed.
+        rng = np.random.default_rng(np.random.SeedSequence((self._seed, _SEARCH_STREAM, restart)))
+        strategy = self._strategy(restart, rng)
+        leaders: list[Candidate] = []
+        self._watch.restart()
+        while True:
+            planned = self._trials_of(strategy.population)
+            if (reason := self._watch.before_generation(planned)) is not None:
+                return reason
+            candidates, known = self._generation(strategy, leaders)
+            leaders = self._leading(candidates)
+            noise = self._standard_error(candidates)
+            costs = [self._sign * mean for item in candidates if (mean := item.mean()) is not None]
+            reason = self._watch.after_generation(costs, noise, strategy.largest_spread)
+            self._keep(strategy, restart, candidates, known)
+            self._tell_progress(candidates)
+            if reason is None:
+                reason = strategy.exhausted()
+            if reason is not None:
+                return reason
+
+    def _strategy(self, restart: int, rng: np.random.Generator) -> Strategy:
+        table = self._table
+        start = start_of_search(self._experiment)
+        if restart == 0:
+            point = np.array(
+                [(float(start[k]) - v.start) / (v.stop - v.start) for k, v in table.variables.items()]
+            )
+        else:
+            point = rng.random(len(table.variables))
+        population = table.population or 4 + int(3 * math.log(len(table.variables)))
+        factor = 2**restart  # IPOP: Auger & Hansen (2005), doi:10.1109/CEC.2005.1554902
+        parents = None if table.parents is None else table.parents * factor
+        return Strategy(point, table.step_size, population * factor, parents, rng)
+
+    def _generation(self, strategy: Strategy, leaders: list[Candidate]) -> tuple[list[Candidate], int]:
+        """Draw, measure what may run, and let the strategy learn."""
+        points = strategy.ask(strategy.population - len(leaders))
+        conditions = [self._condition(point) for point in points]
+        drawn = [
+            self._known.setdefault(condition_key(condition), Candidate(point, condition, violations))
+            for point, condition, violations in zip(
+                points, conditions, self._feasibility.of(conditions), strict=True
+            )
+        ]
+        candidates = [*leaders, *drawn]
+        feasible = [item for item in candidates if item.violations.feasible]
+        self._progress.phase(
+            f"generation {self._watch.generation + 1}: {len(feasible)} of {len(candidates)} candidates may run"
+        )
+        self._measure(feasible)
+        means = [item.mean() for item in candidates]
+        costs = penalised(
+            [None if mean is None else self._sign * mean for mean in means],
+            [item.violations for item in candidates],
+            self._table.penalty,
+            seen=self._watch.range_of_costs,
+        )
+        for item, cost in zip(candidates, costs, strict=True):
+            item.penalised_cost = cost
+        strategy.tell([*(item.point for item in leaders), *points], costs, known=len(leaders))
+        return candidates, len(leaders)
+
+    def _measure(self, candidates: Sequence[Candidate]) -> None:
+        distinct = list({id(item): item for item in candidates}.values())
+        if not distinct:
+            return
+        measurements = self._session.measure([item.condition for item in distinct])
+        for item, measurement in zip(distinct, measurements, strict=True):
+            item.values += measurement.values(self._objective).tolist()
+        self.found += measurements
+        self._watch.trials += sum(len(measurement.outcomes) for measurement in measurements)
+
+    def _condition(self, point: FloatArray) -> Condition:
+        condition = {}
+        for (name, variable), share in zip(self._table.variables.items(), point.tolist(), strict=True):
+            value = variable.start + share * (variable.stop - variable.start)
+            condition[name] = float(min(max(value, variable.start), variable.stop))
+        return condition
+
+    def _leading(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """Return the leaders that the next generation measures again: averaged values cannot stay lucky."""
+        distinct = {id(item): item for item in candidates if item.values}
+        ordered = sorted(distinct.values(), key=lambda item: item.penalised_cost)
+        return ordered[: self._table.reevaluate]
+
+    def _standard_error(self, candidates: Sequence[Candidate]) -> float:
+        """Return the standard error of one candidate's mean, pooled over the generation; 0 if nothing was repeated."""
+        samples = [np.array(item.values) for item in candidates if item.values]
+        variance = pooled_variance(samples)
+        if variance is None or not samples:
+            return 0.0
+        return math.sqrt(variance / float(np.mean([len(values) for values in samples])))
+
+    def _trials_of(self, population: int) -> int:
+        return population * self._experiment.trial.repeats.min
+
+    def _best(self) -> Candidate | None:
+        measured = [item for item in self._known.values() if item.values]
+        return min(measured, key=lambda item: self._sign * float(np.mean(item.values)), default=None)
+
+    def _keep(self, strategy: Strategy, restart: int, candidates: Sequence[Candidate], known: int) -> None:
+        best = self._best()
+        variables = self._table.variables
+        feasible = [item.violations.feasible for item in candidates[known:]]
+        keep_generation(
+            self._folder,
+            self._watch.generation,
+            {
+                "generation": self._watch.generation,
+                "restart": restart,
+                "population": strategy.population,
+                "variables": list(variables),
+                **strategy.state(),
+                "mean_condition": dict(self._condition(strategy.mean)),
+                "largest_spread": strategy.largest_spread,
+                "feasible_share": float(np.mean(feasible)) if feasible else 1.0,
+                "trials": self._watch.trials,
+                "best": None if best is None else {"condition": dict(best.condition), "value": best.mean()},
+                "reevaluated": known,
+                "candidates": [item.record() for item in candidates],
+            },
+        )
+
+    def _tell_progress(self, candidates: Sequence[Candidate]) -> None:
+        if not any(item.violations.feasible for item in candidates):
+            self._progress.note(f"generation {self._watch.generation}: no candidate may run; none was run")
+
+
+def _check_sizes(table: CmaEs) -> None:
+    if len(table.variables) < 2:
+        raise PlanError(
+            "CMA-ES searches over at least two variables",
+            hint='one variable is found more surely by kind = "sweep"',
+        )
+    population = table.population or 4 + int(3 * math.log(len(table.variables)))
+    if table.parents is not None and 2 * table.parents > population:
+        raise PlanError(
+            f"cmaes.parents = {table.parents} is more than half of the population of {population}",
+            hint=f"parents selects the better part of a generation: at most {population // 2}",
+        )
+    if table.reevaluate > population - 2:
+        raise PlanError(
+            f"cmaes.reevaluate = {table.reevaluate} leaves no room for new candidates in a population of {population}",
+            hint="measure a few leaders again, for example reevaluate = 3",
+        )

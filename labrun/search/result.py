@@ -1,0 +1,130 @@
+"""What a run comes to."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from labrun.spec.experiment import Value
+
+
+@dataclass(frozen=True, slots=True)
+class Best:
+    """The honest best of a run.
+
+    Attributes
+    ----------
+    parameters
+        The winning condition, in the units of the experiment file.
+    objective_name, value, unit
+        Mean over the confirming trials, which took no part in the choice.
+    ci95
+        95 % t-interval of that mean; None if fewer than two confirming trials were accepted.
+    luckiest
+        The best single observation of the whole run, by chance or not: shown beside the value, never instead of it.
+    trials
+        Number of confirming trials behind `value`.
+    """
+
+    parameters: Mapping[str, Value]
+    objective_name: str
+    value: float
+    ci95: tuple[float, float] | None
+    unit: str
+    luckiest: float
+    trials: int = 0
+
+    def to_json(self) -> dict[str, Any]:
+        """Return parameters, objective with interval and unit, and the luckiest observation."""
+        interval = None if self.ci95 is None else list(self.ci95)
+        return {
+            "parameters": dict(self.parameters),
+            "objective": {"value": self.value, "ci95": interval, "unit": self.unit},
+            "luckiest": self.luckiest,
+        }
+
+    def to_record(self) -> dict[str, Any]:
+        """Return everything, for the run folder."""
+        return {**self.to_json(), "objective_name": self.objective_name, "trials": self.trials}
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any]) -> "Best":
+        """Take back what `to_record` gave."""
+        objective = record["objective"]
+        interval = objective["ci95"]
+        return cls(
+            parameters=record["parameters"],
+            objective_name=record["objective_name"],
+            value=objective["value"],
+            ci95=None if interval is None else (interval[0], interval[1]),
+            unit=objective["unit"],
+            luckiest=record["luckiest"],
+            trials=record["trials"],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """A run as it stands: finished, or stopped and resumable.
+
+    Attributes
+    ----------
+    run
+        The run's folder.
+    done, rejected, failed
+        Trials by status, all roles.
+    best
+        None without an objective that has a goal, and while the run is not finished.
+    figure
+        Path of the picture; None while the run is not finished.
+    """
+
+    run: Path
+    done: int
+    rejected: int
+    failed: int
+    best: Best | None
+    figure: Path | None
+    finished: bool
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what `--json` prints for run, sweep, cmaes and resume."""
+        return {
+            "run": str(self.run),
+            "trials": {"done": self.done, "rejected": self.rejected, "failed": self.failed},
+            "best": None if self.best is None else self.best.to_json(),
+        }
+
+    def to_text(self) -> str:
+        """Return what the terminal shows at the end."""
+        lines = [f"trials    {self.done} done, {self.rejected} rejected, {self.failed} failed"]
+        if self.best is not None:
+            lines += _best_lines(self.best)
+        lines.append(f"run       {self.run}")
+        if self.figure is not None:
+            lines.append(f"figure    {self.figure}")
+        if not self.finished:
+            lines.append(f"to go on  {resume_line(self.run)}")
+        return "\n".join(lines)
+
+
+def resume_line(run: Path) -> str:
+    """Return the command that goes on with a run."""
+    return f"labrun resume {run}"
+
+
+def _best_lines(best: Best) -> list[str]:
+    parameters = ", ".join(f"{name} = {_short(value)}" for name, value in best.parameters.items())
+    if best.ci95 is None:
+        interval = "no interval: fewer than two confirming trials were accepted"
+    else:
+        interval = f"95 % interval {best.ci95[0]:.4g} to {best.ci95[1]:.4g}, {best.trials} confirming trials"
+    return [
+        f"best      {best.objective_name} = {best.value:.4g} {best.unit} ({interval})",
+        f"at        {parameters}",
+        f"luckiest  {best.luckiest:.4g} {best.unit} (best single trial; not what to expect)",
+    ]
+
+
+def _short(value: Value) -> str:
+    return value if isinstance(value, str) else f"{value:.4g}"

@@ -1,0 +1,107 @@
+"""Going on with a run that stopped."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from labrun.errors import LabrunError, RequestError
+from labrun.search.engine import carry_out, connected, stored_result
+from labrun.search.result import RunResult, resume_line
+
+if TYPE_CHECKING:
+    from labrun.runner.progress import Progress
+
+_MOST_CHANGES = 8
+
+
+def resume(
+    run: Path, *, progress: "Progress", accept_changed_spec: bool = False, limit: int | None = None
+) -> RunResult:
+    """Go on with a run by replay: stored trials are served, missing ones are run, the result is the same.
+
+    Parameters
+    ----------
+    run
+        The run's folder. A run that is finished is said to be so, and its result returned.
+    accept_changed_spec
+        Go on although the experiment file has changed. The run keeps the specification it began with (its
+        spec.toml): trials of two specifications in one run would answer no question.
+
+    Raises
+    ------
+    RequestError
+        The experiment file has changed since (says which keys), or the folder is no run.
+    """
+    from labrun.runner.clock import RealClock, SimulatedClock
+    from labrun.runner.rig import Rig
+    from labrun.spec.loading import loads_experiment
+    from labrun.store.folder import RunFolder
+    from labrun.store.locate import is_finished
+
+    folder = RunFolder.open(run)
+    result = stored_result(run)
+    if result is not None:
+        if not is_finished(run):  # killed between the result and the journal's last line
+            folder.journal.append("finished")
+        progress.note(f"{run} is finished; nothing was left to do")
+        return result
+    origin = folder.provenance
+    changes = changed_keys(origin)
+    if changes:
+        _refuse_or_note(run, origin, changes, accept_changed_spec, progress)
+    loaded = loads_experiment(folder.spec_toml, run.parent.name)
+    seed, dry_run = int(origin["seed"]), bool(origin["dry_run"])
+    clock = SimulatedClock() if dry_run else RealClock()
+    rig = Rig.build(loaded.experiment, clock=clock, seed=seed, dry_run=dry_run)
+    with folder.lock(), connected(rig):
+        folder.journal.append("resumed", changed=changes)
+        return carry_out(loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress)
+
+
+def source_of(experiment_file: Path) -> dict[str, Any]:
+    """Return what provenance keeps of the experiment file, for `changed_keys`: where it is, and its text."""
+    text = experiment_file.read_text(encoding="utf-8") if experiment_file.is_file() else None
+    return {"experiment_file": str(experiment_file.resolve()), "experiment_text": text}
+
+
+def changed_keys(origin: Mapping[str, Any]) -> list[str]:
+    """Return what differs between the experiment file as it was read and as it is now, one line a key.
+
+    Comments and layout are no change; a file that is gone cannot be compared and counts as unchanged.
+    """
+    from labrun.spec.loading import load_experiment, loads_experiment
+
+    path, before = Path(origin.get("experiment_file", "")), origin.get("experiment_text")
+    if before is None or not path.is_file() or path.read_text(encoding="utf-8") == before:
+        return []
+    try:
+        now = load_experiment(path).experiment
+    except LabrunError as error:
+        return [f"it does not load any more: {error}"]
+    old = loads_experiment(before, path.stem).experiment
+    return list(_differences(old.model_dump(by_alias=True), now.model_dump(by_alias=True)))
+
+
+def _differences(old: Any, new: Any, key: str = "") -> Iterator[str]:
+    if isinstance(old, dict) and isinstance(new, dict):
+        for name in dict.fromkeys((*old, *new)):
+            inner = f"{key}.{name}" if key else str(name)
+            yield from _differences(old.get(name), new.get(name), inner)
+    elif old != new:
+        yield f"{key}: {old!r} then, {new!r} now"
+
+
+def _refuse_or_note(
+    run: Path, origin: Mapping[str, Any], changes: list[str], accept: bool, progress: "Progress"
+) -> None:
+    path = origin["experiment_file"]
+    if accept:
+        progress.note(f"{path} has changed since; going on with the specification the run began with")
+        return
+    listed = "".join(f"\n    {change}" for change in changes[:_MOST_CHANGES])
+    more = f"\n    and {len(changes) - _MOST_CHANGES} more" if len(changes) > _MOST_CHANGES else ""
+    raise RequestError(
+        f"{path} has changed since this run began:{listed}{more}",
+        hint=f"{resume_line(run)} --accept-changed-spec goes on with the specification the run began with; "
+        "a new run takes the new one",
+    )

@@ -1,0 +1,135 @@
+import matplotlib.image
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from memory_run import MemoryRun, sweep_view
+
+from labrun.report.data import RunView
+from labrun.report.grid_axes import Axis, axes_of, best_over_others, most_telling
+from labrun.report.run_overlay import draw_plain_run
+from labrun.report.search_progress import draw_search
+from labrun.report.sweep_map import draw_sweep
+from labrun.report.traces import folded_cycle
+
+GRID = {"from": 0, "to": 10, "step": 2.5}
+
+
+def ridge(c):
+    return 0.5 - 0.1 * abs(c["f"] - 4) + 0.02 * c.get("a", 0) - 0.03 * abs(c.get("b", 0))
+
+
+def is_a_picture(path):
+    pixels = matplotlib.image.imread(path)
+    assert pixels.shape[0] > 400
+    assert pixels.shape[1] > 600
+    assert np.ptp(pixels[..., :3]) > 0.5
+    return pixels
+
+
+@pytest.mark.parametrize(
+    "axes",
+    [
+        {"f": GRID},
+        {"f": GRID, "a": GRID},
+        {"f": GRID, "a": GRID, "b": [-2, 0, 2]},
+        {"f": GRID, "a": GRID, "b": [-2, 0, 2], "fin": ["soft", "stiff"]},
+        {"f": GRID, "fin": ["soft", "stiff"]},
+        {"f": [4]},
+    ],
+    ids=["curve", "map", "panels", "best-over-others", "words", "one-condition"],
+)
+def test_a_sweep_over_any_number_of_parameters_has_its_picture(tmp_path, axes):
+    view = sweep_view(ridge, axes, units={"f": "Hz", "a": "deg", "b": "deg"})
+    is_a_picture(draw_sweep(view, tmp_path / "figure.png"))
+
+
+@pytest.mark.parametrize("names", [["f", "a"], ["f", "a", "b"]])
+def test_a_scattered_design_has_its_picture(tmp_path, names):
+    axes = {name: {"from": 0, "to": 10} for name in names}
+    view = sweep_view(ridge, axes, design="sobol", samples=64, repeats=1)
+    is_a_picture(draw_sweep(view, tmp_path / "figure.png"))
+
+
+def test_a_plain_run_has_its_picture(tmp_path):
+    is_a_picture(draw_plain_run(sweep_view(ridge, {"f": [1, 2, 3, 4]}, kind="run"), tmp_path / "figure.png"))
+
+
+def test_a_picture_is_whole_or_absent(tmp_path):
+    draw_sweep(sweep_view(ridge, {"f": GRID}), tmp_path / "figure.png")
+    assert [path.name for path in tmp_path.iterdir()] == ["figure.png"]
+
+
+def generation(number, restart=0):
+    rng = np.random.default_rng(number)
+    values = rng.normal(0.1 * number, 0.2, (6, 2))
+    candidates = [{"value": float(v.mean()), "values": v.tolist(), "feasible": True} for v in values]
+    candidates.append({"value": None, "values": [], "feasible": False})
+    return {
+        "generation": number,
+        "restart": restart,
+        "trials": 12 * number,
+        "mean_condition": {"a": 5 - 5 / number, "f": 3 + 2 / number},
+        "feasible_share": min(1.0, 0.2 * number),
+        "largest_spread": 0.4 / number,
+        "candidates": candidates,
+    }
+
+
+def search_view():
+    from labrun.spec.experiment import CmaEs
+
+    view = sweep_view(ridge, {"f": GRID, "a": GRID})
+    table = CmaEs.model_validate({"variables": {"a": {"from": 0, "to": 10}, "f": {"from": 0, "to": 10}}})
+    experiment = view.experiment.model_copy(update={"kind": "cmaes", "cmaes": table})
+    return RunView(view.run, experiment, view.best)
+
+
+@pytest.mark.parametrize("count", [1, 12])
+def test_a_search_has_its_picture_after_one_generation_and_after_many(tmp_path, count):
+    generations = [generation(k, restart=k > 8) for k in range(1, count + 1)]
+    is_a_picture(draw_search(search_view(), generations, tmp_path / "figure.png"))
+
+
+def test_a_generation_in_which_nothing_could_run_does_not_break_the_picture(tmp_path):
+    nothing = {
+        **generation(1),
+        "candidates": [{"value": None, "values": [], "feasible": False}],
+        "feasible_share": 0.0,
+    }
+    is_a_picture(draw_search(search_view(), [nothing, generation(2)], tmp_path / "figure.png"))
+
+
+def test_axes_are_what_varies_and_cells_lie_around_their_values():
+    points = sweep_view(ridge, {"f": [1, 2, 4], "a": [5]}).points("thrust")
+    (axis,) = axes_of(points)
+    assert axis.name == "f"
+    assert axis.edges.tolist() == [0.5, 1.5, 3.0, 5.0]
+    assert [axis.bin_of({"f": value}) for value in (1.0, 4.0, 3.0)] == [0, 2, -1]
+
+
+def test_the_most_telling_axes_are_those_the_objective_follows():
+    axes = {"f": GRID, "a": GRID, "b": [-5, 0, 5], "idle": [1, 2, 3]}
+    points = sweep_view(lambda c: c["f"] + 2 * c["a"] - abs(c["b"]), axes, noise=0.0, repeats=1).points(
+        "thrust"
+    )
+    shown = most_telling(points, axes_of(points), 3)
+    assert [axis.name for axis in shown] == ["f", "a", "b"]
+
+
+def test_a_cell_that_stands_for_several_conditions_shows_the_best_of_them():
+    points = sweep_view(lambda c: c["f"] + c["a"], {"f": [1, 2], "a": [0, 5]}, noise=0.0).points("thrust")
+    axis = Axis("f", (1.0, 2.0), is_grid=True)
+    assert sorted(p.mean for p in best_over_others(points, [axis], maximise=True)) == [6.0, 7.0]
+    assert sorted(p.mean for p in best_over_others(points, [axis], maximise=False)) == [1.0, 2.0]
+
+
+@given(rate_hz=st.sampled_from([20.0, 62.5, 100.0, 500.0]), level=st.floats(-2, 2))
+def test_a_folded_cycle_keeps_mean_and_shape_at_any_sample_rate(rate_hz, level):
+    view = sweep_view(lambda c: level, {"f": [1]}, noise=0.0, repeats=1)
+    run = MemoryRun(view.run.outcomes, rate_hz=rate_hz)
+    view = RunView(run, view.experiment, view.best)
+    cycle = folded_cycle(view, run.outcomes[0], "wrench.force_x")
+    assert cycle.mean() == pytest.approx(level, abs=0.06)
+    phase = (np.arange(len(cycle)) + 0.5) / len(cycle)
+    assert np.corrcoef(cycle, np.sin(4 * np.pi * phase))[0, 1] > 0.9

@@ -1,0 +1,150 @@
+import io
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from memory_run import MemoryRun, sweep_view
+from rich.console import Console
+
+from labrun.report.data import RunView
+from labrun.report.findings import Findings
+from labrun.report.progress import LiveProgress
+from labrun.report.statistics import drift, repeatability, settling, stream_health
+from labrun.report.words import duration_text, label
+from labrun.store.trial import TrialOutcome
+
+
+def with_references(slope_per_h, noise, seed, count=30):
+    view = sweep_view(lambda c: 0.0, {"f": [1]})
+    rng = np.random.default_rng(seed)
+    trials = [
+        TrialOutcome(k, {"f": 1.0}, 0, "reference", started_s=600.0 * k,
+                     objectives={"thrust": 0.5 + slope_per_h * k / 6 + noise * rng.standard_normal()})
+        for k in range(count)
+    ]  # fmt: skip
+    streams = MemoryRun([replace(trial, duration_s=1.0) for trial in trials])
+    return RunView(streams, view.experiment, view.best)
+
+
+def test_the_interval_of_the_drift_covers_the_truth_95_percent_of_the_time():
+    covered = 0
+    for seed in range(400):
+        (found,) = drift(with_references(0.02, 0.05, seed))
+        covered += found.ci95[0] <= 0.02 <= found.ci95[1]
+    assert covered / 400 == pytest.approx(0.95, abs=0.045)
+
+
+def test_a_strong_drift_is_visible_and_none_is_not():
+    assert drift(with_references(0.1, 0.01, 1))[0].visible
+    assert not drift(with_references(0.0, 0.05, 1))[0].visible
+
+
+def test_two_references_are_too_few_to_speak_of_drift():
+    assert drift(with_references(0.1, 0.01, 1, count=2)) == []
+
+
+def test_repeatability_is_the_spread_within_conditions_whatever_lies_between_them():
+    view = sweep_view(lambda c: 10 * c["f"], {"f": list(range(40))}, noise=0.05, repeats=5)
+    (found,) = repeatability(view)
+    assert found.sd == pytest.approx(0.05, rel=0.15)
+    assert found.between_sd == pytest.approx(10 * np.std(np.arange(40), ddof=1), rel=0.05)
+    assert found.unit == "N"
+
+
+def test_without_repeats_nothing_is_said_of_repeatability():
+    view = sweep_view(lambda c: 0.0, {"f": [1, 2, 3]}, repeats=1)
+    only_measured = MemoryRun([o for o in view.run.outcomes if o.role == "measure"])
+    assert repeatability(RunView(only_measured, view.experiment, None)) == []
+
+
+def test_streams_are_reported_with_rate_jitter_and_losses():
+    view = sweep_view(lambda c: 0.0, {"f": [1, 2]}, repeats=1)
+    run = MemoryRun(view.run.outcomes, lost=3)
+    (found,) = stream_health(RunView(run, view.experiment, None), [0, 1])
+    assert found.device == "wrench"
+    assert found.actual_hz == pytest.approx(100.0)
+    assert found.jitter_s == pytest.approx(0.0, abs=1e-9)
+    assert found.lost == 6
+    assert found.lost_share == pytest.approx(6 / (found.samples + 6))
+
+
+def found_of(view, tmp_path, **changes):
+    values = {
+        "run": tmp_path, "experiment": "fin", "title": "Thrust", "kind": "sweep", "seed": 1, "dry_run": True,
+        "finished": True, "trials": {"measure": {"done": 9, "rejected": 1}}, "spoiled": {"rejected: outlier": 1},
+        "bench_time_s": 4000.0, "best": view.best, "figure": tmp_path / "figure.png",
+        "repeatability": repeatability(view), "drift": drift(with_references(0.1, 0.01, 1)),
+        "settling": settling(view.run.outcomes), "streams": stream_health(view, [0, 1]), "streams_of": 2, "faults": [],
+    }  # fmt: skip
+    return Findings(**{**values, **changes})
+
+
+def test_findings_print_everything_one_asks_of_a_run(tmp_path):
+    view = sweep_view(lambda c: c["f"], {"f": [1, 2]})
+    console = Console(file=io.StringIO(), width=120)
+    found_of(view, tmp_path).print(console)
+    text = console.file.getvalue()
+    for expected in (
+        "Thrust",
+        "95 % interval",
+        "luckiest",
+        "rejected: outlier",
+        "drifts",
+        "quiet",
+        "wrench",
+        "figure",
+    ):
+        assert expected in text
+
+
+def test_findings_are_json_without_holes(tmp_path):
+    view = sweep_view(lambda c: c["f"], {"f": [1, 2]})
+    text = json.dumps(found_of(view, tmp_path).to_json(), allow_nan=False)
+    assert json.loads(text)["drift"][0]["objective"] == "thrust"
+
+
+def test_a_run_that_is_not_finished_says_how_to_go_on(tmp_path):
+    view = sweep_view(lambda c: c["f"], {"f": [1, 2]})
+    console = Console(file=io.StringIO(), width=200)
+    found_of(view, tmp_path, finished=False, best=None, figure=None).print(console)
+    assert f"labrun resume {tmp_path}" in console.file.getvalue()
+
+
+def drive(progress):
+    with progress:
+        progress.total(10)
+        progress.phase("record")
+        progress.trial(TrialOutcome(0, {"f": 1.4}, 0, objectives={"thrust": 0.31}), 1, 10, 754.0)
+        progress.best({"f": 1.4}, 0.31, "N")
+        progress.note("reference drifts")
+        console = progress._console
+        with console.capture() as capture:
+            console.print(progress._render())
+    return capture.get()
+
+
+def test_the_live_display_shows_what_happens_now_trials_time_left_and_the_best_so_far():
+    text = drive(LiveProgress(Console(file=io.StringIO(), force_terminal=True, width=120, color_system=None)))
+    for expected in ("record", "1/10", "12 min 34 s left", "best so far", "0.31 N", "f = 1.4"):
+        assert expected in text
+
+
+def test_the_live_display_is_quiet_where_nobody_watches():
+    console = Console(file=io.StringIO(), force_terminal=False)
+    drive(LiveProgress(console))
+    assert console.file.getvalue() == ""
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(3.4, "3 s"), (59.7, "1 min 00 s"), (200, "3 min 20 s"), (18420, "5 h 07 min"), (187200, "2 d 4 h")],
+)
+def test_durations_read_as_people_say_them(seconds, text):
+    assert duration_text(seconds) == text
+
+
+def test_axis_labels_carry_units_from_the_file_or_from_the_name():
+    assert label("f", {"f": "Hz"}) == "f (Hz)"
+    assert label("angle_deg", {}) == "angle (deg)"
+    assert label("release", {}) == "release"

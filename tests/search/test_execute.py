@@ -1,0 +1,186 @@
+import json
+import os
+import signal
+
+import pytest
+from analytic_bench import search_experiment
+
+from labrun.errors import LabrunError, PlanError, RequestError
+from labrun.runner.faults import Interrupted
+from labrun.runner.progress import SilentProgress
+from labrun.search.execute import check, execute, resume
+from labrun.search.result import Best, RunResult
+from labrun.spec.loading import load_experiment
+from labrun.store.folder import RunFolder
+
+
+def objectives(run):
+    return {i: (o.condition, o.role, o.objectives) for i, o in RunFolder.open(run).outcomes().items()}
+
+
+def test_a_sweep_runs_to_its_honest_best_its_file_and_its_picture(write, dry_run, recorder):
+    result = dry_run(write("sweep"), progress=recorder)
+    assert result.finished
+    assert (result.run / "run.h5").is_file()
+    assert result.figure is not None
+    assert result.figure.read_bytes().startswith(b"\x89PNG")
+    assert result.done == 12 + 6 + 3 == recorder.expected
+    assert result.best.parameters == {"a": 60.0, "f": 1.4}
+    low, high = result.best.ci95
+    assert low < result.best.value < high
+    assert result.best.unit == "N"
+    assert recorder.bests
+    provenance = RunFolder.open(result.run).provenance
+    assert provenance["seed"] == 5
+    assert provenance["dry_run"] is True
+    assert set(provenance["devices"]) == {"tail", "wrench"}
+
+
+def test_the_json_of_a_run_is_what_scripts_are_promised(tmp_path):
+    best = Best({"a": 60.0}, "thrust", 0.5, (0.4, 0.6), "N", 0.7, trials=5)
+    result = RunResult(tmp_path, 10, 2, 1, best, None, finished=True)
+    assert json.loads(json.dumps(result.to_json())) == {
+        "run": str(tmp_path),
+        "trials": {"done": 10, "rejected": 2, "failed": 1},
+        "best": {
+            "parameters": {"a": 60.0},
+            "objective": {"value": 0.5, "ci95": [0.4, 0.6], "unit": "N"},
+            "luckiest": 0.7,
+        },
+    }
+
+
+def test_without_a_goal_there_is_no_best(write, dry_run, tmp_path):
+    path = write("sweep")
+    path.write_text(path.read_text().replace('goal = "maximise"\n', ""))
+    result = dry_run(path)
+    assert result.best is None
+    assert result.done == 12
+    assert result.to_json()["best"] is None
+
+
+@pytest.mark.parametrize(("kind", "limit"), [("sweep", 5), ("sweep", 15), ("cmaes", 9), ("cmaes", 30)])
+def test_a_limited_run_resumes_to_the_result_of_an_uninterrupted_one(write, dry_run, kind, limit, recorder):
+    path = write(kind)
+    whole = dry_run(path, results="whole")
+    part = dry_run(path, results="part", limit=limit, progress=recorder)
+    assert not part.finished
+    assert part.done == limit
+    assert any(f"labrun resume {part.run}" in note for note in recorder.notes)
+    resumed = resume(part.run, progress=SilentProgress())
+    assert resumed.best == whole.best
+    assert objectives(resumed.run) == objectives(whole.run)
+    for state in (whole.run / "search").glob("*.json"):
+        assert state.read_bytes() == (resumed.run / "search" / state.name).read_bytes()
+
+
+class InterruptAt(SilentProgress):
+    def __init__(self, trial):
+        self.left = trial
+
+    def trial(self, outcome, done, total, remaining_s):
+        self.left -= 1
+        if self.left == 0:
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_ctrl_c_keeps_the_trials_and_says_how_to_go_on(write, dry_run, tmp_path):
+    path = write("sweep")
+    with pytest.raises(Interrupted) as caught:
+        dry_run(path, progress=InterruptAt(4))
+    (run,) = (tmp_path / "results" / "sweep").iterdir()
+    assert f"labrun resume {run}" in str(caught.value)
+    assert len(objectives(run)) == 4
+    assert [event["event"] for event in RunFolder.open(run).journal.events()][-1] == "interrupted"
+    assert resume(run, progress=SilentProgress()).best == dry_run(path, results="whole").best
+
+
+class FailAt(SilentProgress):
+    def trial(self, outcome, done, total, remaining_s):
+        if done == 3:
+            raise LabrunError("the pump has stopped", hint="switch it on")
+
+
+def test_a_failure_keeps_the_trials_and_says_how_to_go_on(write, dry_run, tmp_path):
+    with pytest.raises(LabrunError, match="the pump has stopped") as caught:
+        dry_run(write("sweep"), progress=FailAt())
+    (run,) = (tmp_path / "results" / "sweep").iterdir()
+    assert "switch it on" in str(caught.value)
+    assert f"labrun resume {run}" in str(caught.value)
+    assert resume(run, progress=SilentProgress()).finished
+
+
+def test_resuming_a_finished_run_says_so_and_gives_its_result(write, dry_run, recorder):
+    result = dry_run(write("sweep"))
+    again = resume(result.run, progress=recorder)
+    assert again == result
+    assert "is finished" in recorder.notes[0]
+    assert recorder.trials == 0
+
+
+def test_a_changed_experiment_file_is_refused_with_the_keys_that_changed(write, dry_run):
+    path = write("sweep")
+    part = dry_run(path, limit=3)
+    path.write_text(path.read_text().replace("repeats = 2", "repeats = 4"))
+    with pytest.raises(RequestError, match="has changed") as caught:
+        resume(part.run, progress=SilentProgress())
+    assert "trial.repeats.min: 2 then, 4 now" in str(caught.value)
+    assert "--accept-changed-spec" in str(caught.value)
+
+
+def test_a_changed_file_that_is_accepted_leaves_the_run_with_the_specification_it_began_with(
+    write, dry_run, recorder
+):
+    path = write("sweep")
+    whole = dry_run(path, results="whole")
+    part = dry_run(path, limit=3)
+    path.write_text(path.read_text().replace("repeats = 2", "repeats = 4"))
+    result = resume(part.run, progress=recorder, accept_changed_spec=True)
+    assert result.done == whole.done
+    assert result.best == whole.best
+    assert "has changed" in recorder.notes[0]
+
+
+def test_a_comment_in_the_experiment_file_is_no_change(write, dry_run):
+    path = write("sweep")
+    part = dry_run(path, limit=3)
+    path.write_text("# seen on Monday\n" + path.read_text())
+    assert resume(part.run, progress=SilentProgress()).finished
+
+
+def test_a_plan_outside_a_limit_is_refused_before_anything_is_written(write, dry_run, tmp_path):
+    path = write("sweep")
+    path.write_text(path.read_text().replace("[30, 45, 60]", "[30, 45, 70]"))
+    with pytest.raises(PlanError, match="70"):
+        dry_run(path)
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_reference_outside_a_limit_is_refused_as_well(write, dry_run):
+    path = write("sweep", extra="[trial.reference]\nevery = 5\ncondition = { a = 80, f = 1 }\n")
+    with pytest.raises(PlanError, match="80"):
+        dry_run(path)
+
+
+def test_the_plan_of_a_search_counts_what_its_stop_rules_allow(write):
+    plan = check(load_experiment(write("cmaes")))
+    assert plan.trials == 3 * 6 * 2 + 3 * 3
+
+
+def test_a_seed_that_is_not_given_is_drawn_and_stored(write, tmp_path):
+    loaded = load_experiment(write("sweep"))
+    seeds = set()
+    for name in ("one", "two"):
+        result = execute(loaded, results=tmp_path / name, dry_run=True, limit=1, progress=SilentProgress())
+        seeds.add(RunFolder.open(result.run).provenance["seed"])
+    assert len(seeds) == 2
+
+
+def test_the_trials_of_an_open_ended_search_are_not_promised():
+    from labrun.search.forecast import expected_trials
+
+    variables = {"a": {"from": 0, "to": 1}, "b": {"from": 0, "to": 1}}
+    open_ended = search_experiment(variables, stop={"iterations": 1000, "stagnation": 10})
+    assert expected_trials(open_ended, ()) is None
+    bounded = search_experiment(variables, population=10, stop={"iterations": 7})
+    assert expected_trials(bounded, ()) == 70 + 6 * 5
