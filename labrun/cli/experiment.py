@@ -17,6 +17,7 @@ def check(
     name: options.Name,
     dry_run: options.DryRun = False,
     overrides: options.Overrides = None,
+    results: options.Results = options.RESULTS,
     as_json: options.Json = False,
 ) -> None:
     """Validate the whole plan: trials, time, disk, limits. Nothing moves.
@@ -25,14 +26,16 @@ def check(
     """
     with reported(as_json):
         from labrun.search.execute import check as check_plan
-        from labrun.spec.loading import load_named
+        from labrun.spec.named import load_named
 
-        report = check_plan(load_named(name, Path.cwd(), overrides or ()), dry_run=dry_run).report()
+        plan = check_plan(load_named(name, Path.cwd(), overrides or ()), dry_run=dry_run)
         if as_json:
-            print_json(report.to_json())
-        else:
-            typer.echo(report.to_text())
-        report.raise_for_excesses()
+            print_json(plan.report())
+            raise typer.Exit(2 if plan.excess else 0)
+        from labrun.report.plan_text import plan_text
+
+        typer.echo(plan_text(plan, results))
+        plan.require_feasible()
 
 
 def run(
@@ -123,7 +126,7 @@ def _execute(
 ) -> None:
     with reported(as_json):
         from labrun.search.execute import execute
-        from labrun.spec.loading import load_named
+        from labrun.spec.named import load_named
 
         loaded = load_named(name, Path.cwd(), overrides or (), kind=kind)
         with _progress() as progress:
@@ -131,6 +134,16 @@ def _execute(
                 loaded, results=results, dry_run=dry_run, seed=seed, limit=limit, progress=progress
             )
         _print_result(result, as_json)
+
+
+def dry_run_of(name: str, seed: int | None, results: Path) -> Path:
+    """Make a dry run of an experiment, and return its folder."""
+    from labrun.search.execute import execute
+    from labrun.spec.named import load_named
+
+    loaded = load_named(name, Path.cwd())
+    with _progress() as progress:
+        return execute(loaded, results=results, dry_run=True, seed=seed, limit=None, progress=progress).run
 
 
 def _progress() -> "Progress":

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from labrun.cli import options
+from labrun.cli.experiment import dry_run_of
 from labrun.cli.output import print_json, reported
 
 
@@ -19,7 +20,7 @@ def fit(
         str | None, typer.Option(help="Model: a TOML file, a plugin, or package.module:object.")
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="First make a dry run of the experiment, then fit that.")
+        bool, typer.Option("--dry-run", help="First make a dry run of the experiment TARGET, then fit that.")
     ] = False,
     seed: options.Seed = None,
     results: options.Results = options.RESULTS,
@@ -35,9 +36,9 @@ def fit(
     with reported(as_json):
         from labrun.fit.request import fit_request
 
-        result = fit_request(
-            target, recording, model=model, dry_run=dry_run, seed=seed, results=results, workspace=Path.cwd()
-        )
+        if dry_run:
+            target = str(dry_run_of(target, seed, results))
+        result = fit_request(target, recording, model=model, seed=seed, results=results, workspace=Path.cwd())
         if as_json:
             print_json(result.to_json())
         else:

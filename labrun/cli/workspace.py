@@ -20,14 +20,15 @@ def init(
     with reported(as_json):
         from labrun.spec.workspace import create_workspace
 
-        made = create_workspace(directory)
+        written, left = create_workspace(directory)
     if as_json:
-        print_json({"workspace": directory.resolve(), "written": made})
+        print_json({"workspace": directory.resolve(), "written": written, "left": left})
         return
-    for path in made:
-        typer.echo(f"wrote {path}")
-    typer.echo(f"{len(made)} files written; files that were there are left as they are")
-    typer.echo("next: labrun list")
+    for path in written:
+        typer.echo(f"wrote  {path}")
+    for path in left:
+        typer.echo(f"left   {path} as it was")
+    typer.echo(f"next:  cd {directory} && labrun list")
 
 
 def list_(results: options.Results = options.RESULTS, as_json: options.Json = False) -> None:

@@ -1,0 +1,229 @@
+"""The bench while it runs: everything that waits goes through here, and looks at everything while it waits."""
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from labrun.devices import Clock, Excess, Samples, Trajectory
+from labrun.errors import DeviceError
+from labrun.runner.faults import NonsenseError, SilentDeviceError, blaming
+from labrun.runner.moves import smooth_move
+from labrun.runner.rig import Rig
+from labrun.runner.sensing import SensorWatch, limit_error
+
+_POSE_EVERY_S = 0.25
+_POSE_SLACK_RAD = float(np.radians(3.0))
+"""How far a measured pose may stand beyond its limit: overshoot and play, not a runaway."""
+_TRAVEL_SLACK_M = 2e-3
+_ARRIVED_M = 1e-3
+
+Handle = Callable[[Mapping[str, Samples]], object]
+
+
+class Bench:
+    """Waits on the clock and watches the rig meanwhile.
+
+    Parameters
+    ----------
+    rig
+        The devices.
+    clock
+        The run's clock.
+    check_stop
+        Raises Interrupted if someone asked to stop.
+    beat
+        Called at every look: tells the watchdog that the runner lives.
+    """
+
+    def __init__(
+        self, rig: Rig, clock: Clock, check_stop: Callable[[], None], beat: Callable[[], object]
+    ) -> None:
+        self.rig = rig
+        self.clock = clock
+        self._check_stop = check_stop
+        self._beat = beat
+        self._watches = {n: SensorWatch(n, s, rig.limits[n], clock) for n, s in rig.sensors.items()}
+        self._pose_due_s = -np.inf
+
+    def start_sensors(self) -> None:
+        """Begin all streams."""
+        for watch in self._watches.values():
+            watch.start()
+
+    def stop_sensors(self) -> None:
+        """End all streams, even if one fails to; the first failure is raised at the end."""
+        failure: Exception | None = None
+        for watch in self._watches.values():
+            try:
+                watch.stop()
+            except Exception as error:  # every sensor gets its stop
+                failure = failure or error
+        if failure is not None:
+            raise failure
+
+    def look(self) -> dict[str, Samples]:
+        """Check whether to stop, every sensor's new samples, poses and travel; return the samples.
+
+        Raises
+        ------
+        Interrupted
+            Someone asked to stop.
+        DeviceError
+            A device fell silent, answered nonsense, or left a limit.
+        """
+        self._check_stop()
+        self._beat()
+        blocks = {name: watch.read() for name, watch in self._watches.items() if watch.running}
+        now_s = self.clock.now()
+        if now_s >= self._pose_due_s:
+            self._pose_due_s = now_s + _POSE_EVERY_S
+            self._check_poses(now_s)
+        return blocks
+
+    def watch(self, until_s: float, handle: Handle | None = None) -> None:
+        """Wait until a time on the clock, looking at everything every `clock.poll_s`."""
+        while (left_s := until_s - self.clock.now()) > 0:
+            self.clock.sleep(min(self.clock.poll_s, left_s))
+            blocks = self.look()
+            if handle is not None:
+                handle(blocks)
+
+    def move(self, goal_rad: Mapping[str, float], speed_rad_s: float) -> None:
+        """Bring joints to a pose smoothly, within limits, and wait until they are there."""
+        until_s = self.clock.now()
+        for name, actuator in self.rig.actuators.items():
+            wanted = {joint: goal_rad[joint] for joint in actuator.joints if joint in goal_rad}
+            if not wanted:
+                continue
+            limits = self.rig.limits[name]
+            ceiling = (
+                speed_rad_s
+                if limits.speed_deg_s is None
+                else min(speed_rad_s, np.radians(limits.speed_deg_s))
+            )
+            pose = self._pose(name)
+            move = smooth_move(pose, wanted, float(ceiling))
+            if move is None:
+                continue
+            for excess in limits.trajectory_excess(move):
+                if _leads_back(excess, move):
+                    continue
+                raise limit_error(name, excess, time_s=self.clock.now() + excess.time_s)
+            start_s = self.clock.now()
+            with blaming(name):
+                actuator.follow(_complete(move, actuator.joints, pose), start_s)
+            until_s = max(until_s, start_s + move.duration_s)
+        self.watch(until_s)
+
+    def follow(self, trajectory: Trajectory, start_s: float) -> None:
+        """Send every actuator its part of a motion, after a last check against its limits."""
+        parts = []
+        for name, actuator in self.rig.actuators.items():
+            joints = tuple(joint for joint in actuator.joints if joint in trajectory.joints)
+            if not joints:
+                continue
+            part = trajectory.only(joints)
+            for excess in self.rig.limits[name].trajectory_excess(part):
+                raise limit_error(name, excess, time_s=start_s + excess.time_s)
+            still = self._pose(name) if joints != actuator.joints else {}
+            parts.append((name, _complete(part, actuator.joints, still)))
+        for name, part in parts:
+            with blaming(name):
+                self.rig.actuators[name].follow(part, start_s)
+
+    def travel(self, device: str, to_m: float, speed_m_s: float) -> None:
+        """Start a move of the carriage, after a last check against its limits."""
+        for excess in self.rig.limits[device].travel_excess(to_m, speed_m_s):
+            raise limit_error(device, excess, time_s=self.clock.now())
+        with blaming(device):
+            self.rig.carriages[device].travel(to_m, speed_m_s)
+
+    def travel_and_wait(self, device: str, to_m: float, speed_m_s: float) -> None:
+        """Move the carriage and wait until it has arrived."""
+        distance_m = abs(self._position_m(device) - to_m)
+        if distance_m <= _ARRIVED_M:
+            return
+        self.travel(device, to_m, speed_m_s)
+        deadline_s = self.clock.now() + 2.0 * distance_m / speed_m_s + 5.0
+        self.watch(self.clock.now() + distance_m / speed_m_s)
+        while abs(self._position_m(device) - to_m) > _ARRIVED_M:
+            if self.clock.now() > deadline_s:
+                raise SilentDeviceError(
+                    device,
+                    f"did not arrive: it stands at {self._position_m(device):.4g} m, {to_m:.4g} m was asked for",
+                    hint="look for an obstacle or a protective stop of the carriage",
+                )
+            self.watch(self.clock.now() + min(self.clock.poll_s, 0.1))
+
+    def check_health(self) -> None:
+        """Ask every device how it is; DeviceError if one is not well, LimitExceededError if one is too hot."""
+        for name, device in self.rig.devices.items():
+            with blaming(name):
+                health = device.health()
+            bound = self.rig.limits[name].temperature_c
+            if bound is not None and health.temperature_c is not None and health.temperature_c > bound:
+                raise limit_error(
+                    name, Excess("temperature", health.temperature_c, bound, "degC", self.clock.now())
+                )
+            if not health.ok:
+                notes = "; ".join(health.notes) or "no reason given"
+                raise DeviceError(
+                    name, f"says it is not well: {notes}", hint="see its manual for the state it reports"
+                )
+
+    def _pose(self, name: str) -> Mapping[str, float]:
+        """Return where an actuator's joints are, rad; DeviceError if it cannot say."""
+        with blaming(name):
+            pose = self.rig.actuators[name].pose()
+        for joint, angle in pose.items():
+            if not math.isfinite(angle):
+                raise NonsenseError(
+                    name, f"says that joint {joint} stands at {angle} rad", hint="check its sensor"
+                )
+        return pose
+
+    def _position_m(self, name: str) -> float:
+        with blaming(name):
+            position = self.rig.carriages[name].position_m()
+        if not math.isfinite(position):
+            raise NonsenseError(name, f"says that it stands at {position} m", hint="check its controller")
+        return position
+
+    def _check_poses(self, now_s: float) -> None:
+        for name in self.rig.actuators:
+            bounds = self.rig.limits[name].angle_deg
+            if bounds is None:
+                continue
+            low, high = np.radians(bounds)
+            for joint, angle in self._pose(name).items():
+                if not low - _POSE_SLACK_RAD <= angle <= high + _POSE_SLACK_RAD:
+                    bound = bounds[1] if angle > high else bounds[0]
+                    excess = Excess(
+                        f"measured angle of {joint}", float(np.degrees(angle)), bound, "deg", now_s
+                    )
+                    raise limit_error(name, excess)
+        for name, carriage in self.rig.carriages.items():
+            travel = self.rig.limits[name].travel_m or carriage.travel_m
+            position = self._position_m(name)
+            if not travel[0] - _TRAVEL_SLACK_M <= position <= travel[1] + _TRAVEL_SLACK_M:
+                bound = travel[1] if position > travel[1] else travel[0]
+                raise limit_error(name, Excess("position", position, bound, "m", now_s))
+
+
+def _leads_back(excess: Excess, move: Trajectory) -> bool:
+    """Tell whether a move leaves its limit only because it begins outside and goes home."""
+    return excess.unit == "deg" and excess.time_s <= float(move.time_s[0])
+
+
+def _complete(part: Trajectory, joints: tuple[str, ...], pose: Mapping[str, float]) -> Trajectory:
+    """Return a motion of all of an actuator's joints, in their order; those that are not moved hold their pose."""
+    if part.joints == joints:
+        return part
+    columns = [
+        part.angle_rad[:, part.joints.index(joint)]
+        if joint in part.joints
+        else np.full(len(part.time_s), pose[joint])
+        for joint in joints
+    ]
+    return Trajectory(joints, part.time_s, np.column_stack(columns), part.period_s)

@@ -1,0 +1,130 @@
+"""What a condition makes the bench do in one trial: joint motion, its length, and the carriage's part."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from labrun.devices import Excess, Trajectory
+from labrun.errors import PlanError
+from labrun.gaits import make_gait
+from labrun.runner.measurement import Condition, describe
+from labrun.spec.experiment import Experiment
+from labrun.spec.expression import evaluate
+
+_WHOLE = 1e-9
+"""Relative slack when whole cycles are counted: 1 m at 0.1 m/s is ten cycles of 1 s, not nine."""
+
+
+@dataclass(frozen=True, slots=True)
+class Travel:
+    """The carriage's part: from `from_m` to `to_m` at `speed_m_s` while samples are taken."""
+
+    device: str
+    from_m: float
+    to_m: float
+    speed_m_s: float
+    return_speed_m_s: float
+
+    @property
+    def duration_s(self) -> float:
+        """How long the travel takes; infinite for a carriage that stands still."""
+        return abs(self.to_m - self.from_m) / self.speed_m_s if self.speed_m_s > 0 else math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class TrialMotion:
+    """One trial's motion.
+
+    Attributes
+    ----------
+    trajectory
+        Of all joints of the gait, for the whole recording.
+    duration_s
+        Length of the recording.
+    period_s
+        Of one gait cycle; None if the gait has none.
+    cycles
+        Whole cycles recorded; None where the file gives a duration.
+    travel
+        None without a carriage.
+    excess
+        What cannot be done whatever the limits: a travel too short for the recording.
+    """
+
+    trajectory: Trajectory
+    duration_s: float
+    period_s: float | None
+    cycles: int | None
+    travel: Travel | None
+    excess: tuple[Excess, ...] = ()
+
+
+class MotionMaker:
+    """Makes the motion of each condition of an experiment."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._trial = experiment.trial
+        self._rate_hz = experiment.gait.command_rate_hz
+        self._gait = make_gait(experiment.gait)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joints the gait moves."""
+        return self._gait.joints
+
+    def motion(self, condition: Condition) -> TrialMotion:
+        """Return the motion of a condition.
+
+        Raises
+        ------
+        PlanError
+            Cycles of a gait that has no period, or a carriage that stands still where its travel sets the length.
+        """
+        period_s = self._gait.period_s(condition)
+        travel = self._travel(condition)
+        cycles, duration_s, excess = self._length(condition, period_s, travel)
+        trajectory = self._gait.trajectory(condition, duration_s=duration_s, rate_hz=self._rate_hz)
+        return TrialMotion(trajectory, duration_s, period_s, cycles, travel, excess)
+
+    def _travel(self, condition: Condition) -> Travel | None:
+        move = self._trial.carriage
+        if move is None:
+            return None
+        speed = float(evaluate(move.speed_m_s, _names(condition)))
+        return Travel(move.device, float(move.from_m), float(move.to_m), abs(speed), move.return_speed_m_s)
+
+    def _length(
+        self, condition: Condition, period_s: float | None, travel: Travel | None
+    ) -> tuple[int | None, float, tuple[Excess, ...]]:
+        available_s = math.inf if travel is None else travel.duration_s
+        if self._trial.cycles is None:
+            duration_s = float(self._trial.duration_s or 0.0)
+            return None, duration_s, _too_long(duration_s, available_s)
+        if period_s is None:
+            raise PlanError(
+                "trial.cycles needs a gait that repeats, and this one has no period",
+                hint="give trial.duration_s instead of cycles, or the gait a frequency_hz",
+            )
+        if self._trial.cycles != "fit":
+            duration_s = self._trial.cycles * period_s
+            return self._trial.cycles, duration_s, _too_long(duration_s, available_s)
+        if math.isinf(available_s):
+            raise PlanError(
+                f'cycles = "fit" with a carriage that stands still at {describe(condition)}',
+                hint="give a number of cycles, or the carriage a speed above zero",
+            )
+        cycles = math.floor(available_s / period_s * (1 + _WHOLE))
+        least = self._trial.discard_cycles + 1
+        if cycles < least:
+            return least, least * period_s, _too_long(least * period_s, available_s)
+        return cycles, cycles * period_s, ()
+
+
+def _names(condition: Condition) -> Mapping[str, float | str]:
+    return condition
+
+
+def _too_long(duration_s: float, available_s: float) -> tuple[Excess, ...]:
+    if duration_s <= available_s * (1 + _WHOLE):
+        return ()
+    return (Excess("recording, against the carriage's travel,", duration_s, available_s, "s", available_s),)

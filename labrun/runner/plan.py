@@ -1,0 +1,296 @@
+"""The whole plan before the first move: every motion against every limit, with its time and disk."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from labrun.devices import Excess
+from labrun.errors import LabrunError, PlanError
+from labrun.runner.clock import SimulatedClock
+from labrun.runner.measurement import Condition, describe
+from labrun.runner.motion import MotionMaker, TrialMotion
+from labrun.runner.moves import smooth_move
+from labrun.runner.rig import Rig
+from labrun.runner.settling import settle_estimate_s
+from labrun.runner.wiring import check_wiring
+from labrun.spec.experiment import Experiment
+
+_SHOWN = 5
+_TRIAL_BYTES = 40_000
+"""What a trial's file takes beside its samples: groups, attributes, command, settle curve, checkpoint."""
+_SAMPLE_BYTES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class JointPeak:
+    """The greatest demand on a joint over the whole plan, beside its limits; limits are None where none is set."""
+
+    joint: str
+    device: str
+    angle_deg: tuple[float, float]
+    speed_deg_s: float
+    angle_limit_deg: tuple[float, float] | None
+    speed_limit_deg_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionExcess:
+    """What one condition would break."""
+
+    condition: Condition
+    excess: tuple[Excess, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a run would do.
+
+    Attributes
+    ----------
+    conditions
+        How many there are.
+    trials, trials_at_most
+        Trials with the least and the greatest number of repeats, reference trials included.
+    time_s, time_at_most_s
+        How long they take on the bench, settling as estimated.
+    settle_s
+        The settle time a trial is counted with: the least that evidence takes.
+    disk_bytes
+        Of `trials`, uncompressed.
+    peaks
+        Of each joint.
+    rates_hz
+        Sample rate of each sensor.
+    excess
+        Conditions that leave a limit.
+    """
+
+    conditions: int
+    trials: int
+    trials_at_most: int
+    time_s: float
+    time_at_most_s: float
+    settle_s: float
+    disk_bytes: int
+    peaks: tuple[JointPeak, ...]
+    rates_hz: dict[str, float]
+    excess: tuple[ConditionExcess, ...] = ()
+
+    def require_feasible(self) -> None:
+        """Raise PlanError if any condition leaves a limit: the first few, and how many there are."""
+        if not self.excess:
+            return
+        lines = [
+            f"  {describe(item.condition)}: {'; '.join(str(excess) for excess in item.excess)}"
+            for item in self.excess[:_SHOWN]
+        ]
+        if len(self.excess) > _SHOWN:
+            lines.append(f"  ... and {len(self.excess) - _SHOWN} more")
+        raise PlanError(
+            f"{len(self.excess)} of {self.conditions} conditions leave a limit\n" + "\n".join(lines),
+            hint="narrow the axes, or add a where constraint that keeps these conditions out",
+        )
+
+    def report(self) -> dict[str, Any]:
+        """Return the plan as JSON-ready values."""
+        return {
+            "conditions": self.conditions,
+            "trials": self.trials,
+            "trials_at_most": self.trials_at_most,
+            "time_s": self.time_s,
+            "time_at_most_s": self.time_at_most_s,
+            "settle_s_assumed": self.settle_s,
+            "disk_bytes": self.disk_bytes,
+            "joints": {
+                peak.joint: {
+                    "device": peak.device,
+                    "angle_deg": list(peak.angle_deg),
+                    "angle_limit_deg": None if peak.angle_limit_deg is None else list(peak.angle_limit_deg),
+                    "speed_deg_s": peak.speed_deg_s,
+                    "speed_limit_deg_s": peak.speed_limit_deg_s,
+                }
+                for peak in self.peaks
+            },
+            "rates_hz": self.rates_hz,
+            "outside_limits": [
+                {"condition": dict(item.condition), "excess": [str(excess) for excess in item.excess]}
+                for item in self.excess
+            ],
+        }
+
+
+@dataclass
+class _Peaks:
+    low_deg: dict[str, float] = field(default_factory=dict)
+    high_deg: dict[str, float] = field(default_factory=dict)
+    speed_deg_s: dict[str, float] = field(default_factory=dict)
+
+    def take(self, motion: TrialMotion) -> None:
+        trajectory = motion.trajectory
+        low, high = np.degrees(trajectory.angle_rad.min(axis=0)), np.degrees(trajectory.angle_rad.max(axis=0))
+        speed = np.degrees(trajectory.peak_speed_rad_s())
+        for i, joint in enumerate(trajectory.joints):
+            self.low_deg[joint] = min(self.low_deg.get(joint, math.inf), float(low[i]))
+            self.high_deg[joint] = max(self.high_deg.get(joint, -math.inf), float(high[i]))
+            self.speed_deg_s[joint] = max(self.speed_deg_s.get(joint, 0.0), float(speed[i]))
+
+
+class Planner:
+    """Checks conditions of one experiment against the limits of its rig.
+
+    Parameters
+    ----------
+    experiment
+        What is planned.
+    rig
+        Its devices, not necessarily opened; without it, stand-ins tell which device moves which joint.
+    """
+
+    def __init__(self, experiment: Experiment, rig: Rig | None = None) -> None:
+        self._experiment = experiment
+        self._rig = rig if rig is not None else _describe_rig(experiment)
+        self._motions = MotionMaker(experiment)
+        check_wiring(experiment, self._rig, self._motions.joints)
+
+    def excess_of(self, condition: Condition) -> list[Excess]:
+        """Return every limit a condition would leave, with its size; empty if it can be run."""
+        return self._excess(self._motions.motion(condition))
+
+    def plan(self, conditions: Sequence[Condition]) -> Plan:
+        """Check all conditions; see `plan`."""
+        trial = self._experiment.trial
+        peaks = _Peaks()
+        broken: list[ConditionExcess] = []
+        times: list[float] = []
+        samples: list[float] = []
+        for condition in conditions:
+            motion = self._motion(condition)
+            peaks.take(motion)
+            times.append(self._trial_s(motion))
+            samples.append(motion.duration_s)
+            if excess := self._excess(motion):
+                broken.append(ConditionExcess(condition, tuple(excess)))
+        broken += self._fixed_excess()
+        least, most = (self._with_references(len(times) * n) for n in (trial.repeats.min, trial.repeats.max))
+        mean_s = float(np.mean(times)) if times else 0.0
+        recorded_s = float(np.mean(samples)) if samples else 0.0
+        bytes_s = sum(s.rate_hz * _SAMPLE_BYTES * (len(s.channels) + 3) for s in self._rig.sensors.values())
+        return Plan(
+            conditions=len(conditions),
+            trials=least,
+            trials_at_most=most,
+            time_s=least * mean_s,
+            time_at_most_s=most * mean_s,
+            settle_s=settle_estimate_s(trial.settle),
+            disk_bytes=int(least * (_TRIAL_BYTES + bytes_s * recorded_s)),
+            peaks=tuple(self._peaks(peaks)),
+            rates_hz={name: sensor.rate_hz for name, sensor in self._rig.sensors.items()},
+            excess=tuple(broken),
+        )
+
+    def _motion(self, condition: Condition) -> TrialMotion:
+        try:
+            return self._motions.motion(condition)
+        except LabrunError as error:
+            raise PlanError(f"{describe(condition)}: {error}") from error
+
+    def _excess(self, motion: TrialMotion) -> list[Excess]:
+        found = list(motion.excess)
+        for name, actuator in self._rig.actuators.items():
+            joints = tuple(joint for joint in actuator.joints if joint in motion.trajectory.joints)
+            if joints:
+                found += self._rig.limits[name].trajectory_excess(motion.trajectory.only(joints))
+        if motion.travel is not None:
+            limits = self._rig.limits[motion.travel.device]
+            found += limits.travel_excess(motion.travel.to_m, motion.travel.speed_m_s)
+        return found
+
+    def _fixed_excess(self) -> list[ConditionExcess]:
+        """Return what every trial would break, whatever its condition: the safe pose, the carriage's way back."""
+        found: list[Excess] = []
+        trial = self._experiment.trial
+        for joint, angle_deg in trial.safe_pose_deg.items():
+            bounds = self._rig.limits[self._rig.joints[joint]].angle_deg
+            if bounds is not None and not bounds[0] <= angle_deg <= bounds[1]:
+                bound = bounds[1] if angle_deg > bounds[1] else bounds[0]
+                found.append(Excess(f"safe pose of {joint}", angle_deg, bound, "deg", 0.0))
+        if trial.carriage is not None:
+            limits = self._rig.limits[trial.carriage.device]
+            found += limits.travel_excess(float(trial.carriage.from_m), trial.carriage.return_speed_m_s)
+        return [ConditionExcess({"trial": "every"}, tuple(found))] if found else []
+
+    def _trial_s(self, motion: TrialMotion) -> float:
+        """Return how long one trial takes, with moves from and to the safe pose (or zero)."""
+        trial = self._experiment.trial
+        safe = {
+            joint: math.radians(trial.safe_pose_deg.get(joint, 0.0)) for joint in motion.trajectory.joints
+        }
+        ends = [
+            dict(zip(motion.trajectory.joints, motion.trajectory.angle_rad[i], strict=True)) for i in (0, -1)
+        ]
+        moves = [smooth_move(safe, ends[0], math.radians(trial.move_speed_deg_s))]
+        if trial.safe_pose_deg:
+            moves.append(smooth_move(ends[1], safe, math.radians(trial.move_speed_deg_s)))
+        total = motion.duration_s + sum(move.duration_s for move in moves if move is not None)
+        total += settle_estimate_s(trial.settle) + (trial.tare.duration_s if trial.tare is not None else 0.0)
+        if motion.travel is not None and motion.travel.speed_m_s > 0:
+            total += motion.travel.speed_m_s * motion.duration_s / motion.travel.return_speed_m_s
+        return total
+
+    def _with_references(self, trials: int) -> int:
+        reference = self._experiment.trial.reference
+        return trials if reference is None else trials + math.ceil(trials / reference.every)
+
+    def _peaks(self, peaks: _Peaks) -> Iterable[JointPeak]:
+        for joint, low in peaks.low_deg.items():
+            device = self._rig.joints[joint]
+            limits = self._rig.limits[device]
+            yield JointPeak(
+                joint,
+                device,
+                (low, peaks.high_deg[joint]),
+                peaks.speed_deg_s[joint],
+                limits.angle_deg,
+                limits.speed_deg_s,
+            )
+
+
+def _describe_rig(experiment: Experiment) -> Rig:
+    return Rig.build(experiment, clock=SimulatedClock(), seed=0, dry_run=True)
+
+
+def plan(experiment: Experiment, conditions: Sequence[Condition], *, rig: Rig | None = None) -> Plan:
+    """Check a whole plan; nothing is connected, nothing moves.
+
+    Parameters
+    ----------
+    experiment
+        What is planned.
+    conditions
+        All conditions it would measure.
+    rig
+        The devices; without it, stand-ins tell which device moves which joint.
+
+    Returns
+    -------
+    Plan
+        With every condition that leaves a limit; `Plan.require_feasible` makes an error of them.
+
+    Raises
+    ------
+    PlanError
+        There is no condition, or one that gives no motion.
+    SpecError
+        The file names what the rig does not have.
+    """
+    if not conditions:
+        raise PlanError("the plan has no condition to run", hint="check the axes and the where constraints")
+    return Planner(experiment, rig).plan(conditions)
+
+
+def excess_of(experiment: Experiment, condition: Condition, *, rig: Rig | None = None) -> list[Excess]:
+    """Return every limit a condition would leave; `Planner.excess_of` is cheaper for many conditions."""
+    return Planner(experiment, rig).excess_of(condition)

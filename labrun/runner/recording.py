@@ -1,0 +1,66 @@
+"""The record step: motion and samples from a common start."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from labrun.devices import Samples
+from labrun.runner.bench import Bench
+from labrun.runner.motion import TrialMotion
+from labrun.runner.sensing import loss_share
+from labrun.store.writer import TrialWriter
+
+LEAD_S = 0.05
+"""Time to hand every device its command before the common start."""
+TAIL_S = 0.1
+"""Samples of the last moment are still on their way when the motion ends."""
+
+
+@dataclass
+class Recorder:
+    """Hands samples to the trial's writer, and counts what is wrong with them."""
+
+    bench: Bench
+    writer: TrialWriter
+    samples: dict[str, int] = field(default_factory=dict)
+    lost: dict[str, int] = field(default_factory=dict)
+    saturated: dict[str, int] = field(default_factory=dict)
+
+    def take(self, blocks: Mapping[str, Samples]) -> None:
+        """Keep one look's samples."""
+        for name, block in blocks.items():
+            if len(block) or block.lost:
+                sensor = self.bench.rig.sensors[name]
+                self.writer.append(name, sensor.channels, sensor.rate_hz, block)
+            self.samples[name] = self.samples.get(name, 0) + len(block)
+            self.lost[name] = self.lost.get(name, 0) + block.lost
+            self.saturated[name] = self.saturated.get(name, 0) + block.saturated
+
+    def fault(self, max_lost_share: float) -> str:
+        """Return why the recording cannot be used; empty if it can."""
+        for name, count in self.saturated.items():
+            if count:
+                return f"device {name}: {count} samples at the end of the measuring range"
+        for name, count in self.lost.items():
+            share = loss_share(self.samples[name], count)
+            if share > max_lost_share:
+                return (
+                    f"device {name}: {count} of {count + self.samples[name]} samples were lost "
+                    f"({100 * share:.2g} %, {100 * max_lost_share:.2g} % is allowed)"
+                )
+        return ""
+
+
+def begin(bench: Bench, motion: TrialMotion) -> float:
+    """Start the motion; return the clock's time at which it begins."""
+    start_s = bench.clock.now() + LEAD_S
+    bench.follow(motion.trajectory, start_s)
+    return start_s
+
+
+def record(bench: Bench, motion: TrialMotion, start_s: float, recorder: Recorder) -> None:
+    """Record from the start to the end of the motion."""
+    travel = motion.travel
+    if travel is not None and travel.speed_m_s > 0:
+        bench.watch(start_s, recorder.take)
+        bench.travel(travel.device, travel.to_m, travel.speed_m_s)
+    bench.watch(start_s + motion.duration_s + TAIL_S, recorder.take)

@@ -1,0 +1,228 @@
+"""The bench as one thing: its devices, and the scene that stands in for it in a dry run."""
+
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from labrun.devices import Actuator, Carriage, Clock, Device, DeviceContext, Identity, Limits, Scene, Sensor
+from labrun.errors import DeviceError, LabrunError, RequestError, SpecError
+from labrun.registry import load
+from labrun.runner.guard import Watchdog, start_watchdog
+from labrun.runner.ports import missing_ports
+from labrun.runner.resolving import STAND_IN, ResolvedDevice, resolve
+from labrun.runner.safety import stop_all
+from labrun.spec.experiment import Experiment
+
+_SCENE_STREAM = 0x5CE
+_DEVICE_STREAM = 0xDEF
+
+
+class Rig:
+    """The devices of one experiment.
+
+    Attributes
+    ----------
+    devices
+        All of them by name, in the file's order; `actuators`, `sensors` and `carriages` are those with that capability.
+    joints
+        Which actuator moves a joint: joint -> device name.
+    limits
+        Limits of each device.
+    scene
+        The simulated bench; None on hardware.
+    """
+
+    def __init__(
+        self,
+        resolved: Sequence[ResolvedDevice],
+        *,
+        clock: Clock,
+        seed: int,
+        scene: Scene | None,
+        dry_run: bool,
+        watchdog_s: float = 2.0,
+    ) -> None:
+        self.resolved = tuple(resolved)
+        self.clock = clock
+        self.scene = scene
+        self.dry_run = dry_run
+        self.watchdog: Watchdog | None = None
+        self._watchdog_s = watchdog_s
+        self.devices: dict[str, Device] = {}
+        self.limits: dict[str, Limits] = {}
+        for number, item in enumerate(resolved):
+            rng = np.random.default_rng(np.random.SeedSequence((seed, _DEVICE_STREAM, number)))
+            self.devices[item.name] = item.make(item.name, item.settings, DeviceContext(clock, rng, scene))
+            self.limits[item.name] = item.settings.limits
+        self.actuators = {name: d for name, d in self.devices.items() if isinstance(d, Actuator)}
+        self.sensors = {name: d for name, d in self.devices.items() if isinstance(d, Sensor)}
+        self.carriages = {name: d for name, d in self.devices.items() if isinstance(d, Carriage)}
+        self.joints = _joints(self.actuators)
+
+    @classmethod
+    def build(cls, experiment: Experiment, *, clock: Clock, seed: int, dry_run: bool) -> "Rig":
+        """Make the devices of an experiment; connects nothing.
+
+        Parameters
+        ----------
+        experiment
+            Says what is connected.
+        clock
+            Everything waits on it.
+        seed
+            Of the scene's and the devices' generators.
+        dry_run
+            Stand-ins and the scene take the place of hardware.
+
+        Raises
+        ------
+        RequestError
+            A driver or a port is missing, a plugin is unknown, a setting does not hold: all devices' problems at once.
+        """
+        resolved: list[ResolvedDevice] = []
+        problems: list[LabrunError] = []
+        for name, table in experiment.rig.devices.items():
+            try:
+                resolved.append(resolve(name, table, dry_run=dry_run))
+            except RequestError as error:
+                problems.append(error)
+        if not dry_run:
+            missing = missing_ports({item.name: item.settings for item in resolved})
+            hint = "plug it in, or set its port; --dry-run works without it"
+            problems += [RequestError(text, hint=hint) for text in missing]
+        if len(problems) == 1:
+            raise problems[0]
+        if problems:
+            raise RequestError("\n".join(str(problem) for problem in problems))
+        simulated = dry_run or any(item.plugin.startswith(STAND_IN) for item in resolved)
+        scene = _make_scene(experiment, seed) if simulated and experiment.rig.scene is not None else None
+        return cls(
+            resolved,
+            clock=clock,
+            seed=seed,
+            scene=scene,
+            dry_run=dry_run,
+            watchdog_s=experiment.rig.watchdog_s,
+        )
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.safe_stop()
+        self.close()
+
+    def open(self) -> None:
+        """Connect every device; if some fail, disconnect the others and report all that failed at once.
+
+        On hardware the watchdog starts first: nothing is driven that nobody else could stop.
+        """
+        if not self.dry_run:
+            self.watchdog = start_watchdog(
+                self.resolved, set(self.actuators) | set(self.carriages), self._watchdog_s
+            )
+        failures = self._each(self.devices, lambda device: device.open())
+        if not failures:
+            return
+        self.close()
+        if len(failures) == 1 and isinstance(failures[0][1], DeviceError):
+            raise failures[0][1]
+        names = ", ".join(name for name, _ in failures)
+        raise DeviceError(
+            names, "cannot be opened\n" + "\n".join(f"  {name}: {error}" for name, error in failures)
+        )
+
+    def close(self) -> None:
+        """Disconnect every device, whatever each of them says."""
+        self._each(self.devices, lambda device: device.close())
+        if self.watchdog is not None:
+            self.watchdog.end()
+            self.watchdog = None
+
+    def safe_stop(self) -> list[str]:
+        """Stop all motion, at any moment, from any thread; never raises. Return what could not be stopped, and why."""
+        return stop_all({**self.actuators, **self.carriages})
+
+    def identities(self) -> dict[str, Identity]:
+        """Ask every device what it is."""
+        return {name: device.identify() for name, device in self.devices.items()}
+
+    def arm(self) -> None:
+        """Tell the watchdog that actuators may move from now on."""
+        if self.watchdog is not None:
+            self.watchdog.arm()
+
+    def disarm(self) -> None:
+        """Tell the watchdog that nothing moves any more."""
+        if self.watchdog is not None:
+            self.watchdog.disarm()
+
+    def beat(self) -> None:
+        """Tell the watchdog that the runner lives."""
+        if self.watchdog is not None:
+            self.watchdog.beat()
+
+    def reopen(self, name: str) -> None:
+        """Disconnect a device that failed and connect it anew."""
+        self._each({name: self.devices[name]}, lambda device: device.close())
+        self.devices[name].open()
+
+    def reseed(self, seed: int, trial_index: int) -> None:
+        """Give every device that draws random numbers those of this trial, so that a resumed run repeats itself."""
+        for number, device in enumerate(self.devices.values()):
+            reseed = getattr(device, "reseed", None)
+            if reseed is not None:
+                reseed(np.random.SeedSequence((seed, trial_index, number)))
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the memory of the scene, and of the devices that keep any, as JSON-ready values."""
+        memory: dict[str, Any] = {}
+        if self.scene is not None:
+            memory["scene"] = self.scene.snapshot()
+        devices = {name: d.snapshot() for name, d in self.devices.items() if hasattr(d, "snapshot")}
+        if devices:
+            memory["devices"] = devices
+        return memory
+
+    def restore(self, memory: Mapping[str, Any]) -> None:
+        """Take back what `snapshot` gave."""
+        if self.scene is not None and "scene" in memory:
+            self.scene.restore(memory["scene"])
+        for name, state in memory.get("devices", {}).items():
+            restore = getattr(self.devices[name], "restore", None)
+            if restore is not None:
+                restore(state)
+
+    @staticmethod
+    def _each(devices: Mapping[str, Device], action: Callable[[Device], None]) -> list[tuple[str, Exception]]:
+        failures: list[tuple[str, Exception]] = []
+        for name, device in devices.items():
+            try:
+                action(device)
+            except Exception as error:  # a driver may raise anything; the others still get their turn
+                failures.append((name, error))
+        return failures
+
+
+def _joints(actuators: Mapping[str, Actuator]) -> dict[str, str]:
+    joints: dict[str, str] = {}
+    for name, actuator in actuators.items():
+        for joint in actuator.joints:
+            if joint in joints:
+                raise SpecError(f"joint {joint} is moved by two devices, {joints[joint]} and {name}")
+            joints[joint] = name
+    return joints
+
+
+def _make_scene(experiment: Experiment, seed: int) -> Scene:
+    table = experiment.rig.scene
+    if table is None:
+        raise SpecError("a dry run needs rig.scene, the bench to simulate")
+    rng = np.random.default_rng(np.random.SeedSequence((seed, _SCENE_STREAM)))
+    scene: Scene = load("labrun.scenes", table.plugin)(table.settings, rng)
+    return scene

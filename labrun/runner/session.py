@@ -1,0 +1,254 @@
+"""A session at the bench: conditions in, measurements out; every trial stored on the way."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+
+from labrun.devices import Clock
+from labrun.errors import DeviceError, LimitExceededError, RecordingError
+from labrun.runner.bench import Bench
+from labrun.runner.clock import RealClock
+from labrun.runner.faults import LimitReached
+from labrun.runner.measurement import Condition, Measurement, describe
+from labrun.runner.motion import MotionMaker
+from labrun.runner.order import Order, block_order
+from labrun.runner.outliers import PREFIX, find_outliers
+from labrun.runner.progress import Progress, SilentProgress
+from labrun.runner.repeats import needs_another
+from labrun.runner.rig import Rig
+from labrun.runner.safety import StopRequest, interruptible
+from labrun.runner.settling import needs_baseline
+from labrun.runner.trial import TrialRequest, TrialRunner
+from labrun.runner.wiring import check_wiring
+from labrun.spec.experiment import Experiment, RepeatRule
+from labrun.store.folder import RunFolder
+from labrun.store.trial import Role, TrialOutcome
+
+
+class Session:
+    """Measures conditions on a rig, in an order and with a stop behaviour one can trust.
+
+    Resuming is replay: whatever asks this session for measurements asks again from the start, and a trial that the
+    folder already holds is taken from there. Only what is missing runs, from the checkpoint of the trial before it.
+
+    Parameters
+    ----------
+    experiment
+        What a trial is, how often it is repeated, what is an outlier.
+    rig
+        Opened.
+    folder
+        Where trials go; may hold some already.
+    clock
+        All waiting goes through it.
+    seed
+        Of order and device noise: the same seed gives the same run.
+    progress
+        Told what happens.
+    limit
+        Stop, resumably, after this many new trials.
+
+    Raises
+    ------
+    SpecError
+        The file names a joint, channel or device that the rig does not have.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        rig: Rig,
+        folder: RunFolder,
+        clock: Clock,
+        seed: int,
+        progress: Progress | None = None,
+        limit: int | None = None,
+    ) -> None:
+        check_wiring(experiment, rig, MotionMaker(experiment).joints)
+        self._experiment = experiment
+        self._rig = rig
+        self._folder = folder
+        self._seed = seed
+        self._progress: Progress = progress if progress is not None else SilentProgress()
+        self._limit = limit
+        self._request = StopRequest()
+        self._bench = Bench(rig, clock, self._check_stop, rig.beat)
+        self._trials = TrialRunner(experiment, self._bench, folder, seed=seed, phase=self._progress.phase)
+        self._stored = folder.outcomes()
+        self._stopwatch = RealClock()
+        self._started_s = self._stopwatch.now()
+        self._since_reference: int | None = None
+        self._previous: TrialOutcome | None = None
+        self._expected: int | None = None
+        self.index = 0
+        """Index of the next trial."""
+        self.new_trials = 0
+        """Trials that really ran in this session, not taken from the folder."""
+        self.outcomes: list[TrialOutcome] = []
+        """Every trial of the run so far, in the order of execution."""
+
+    def expect(self, trials: int | None) -> None:
+        """Say how many trials the whole run will have, for the time left; None if nobody knows."""
+        self._expected = trials
+        self._progress.total(trials)
+
+    def measure(
+        self,
+        conditions: Sequence[Condition],
+        *,
+        role: Role = "measure",
+        repeats: RepeatRule | None = None,
+        order: Order = "shuffled",
+    ) -> list[Measurement]:
+        """Measure conditions: blocks of one repeat each, until every one has as many as the rule asks for.
+
+        Parameters
+        ----------
+        conditions
+            What to measure, in the units of the experiment file.
+        role
+            Stored with each trial.
+        repeats
+            Instead of the file's own rule.
+        order
+            Within a block.
+
+        Returns
+        -------
+        list of Measurement
+            One a condition, in the order of `conditions`, with rejected and failed trials among the outcomes.
+
+        Raises
+        ------
+        Interrupted
+            Ctrl-C or SIGTERM; actuators are stopped, data is kept.
+        LimitReached
+            As many new trials as asked for are done.
+        DeviceError, LimitExceededError, SettleError, StoreError
+            The run ends, resumably.
+        RecordingError
+            The folder holds trials of another plan.
+        """
+        rule = repeats if repeats is not None else self._experiment.trial.repeats
+        if self._expected is None:
+            self.expect(None)
+        found = [Measurement(condition, role, ()) for condition in conditions]
+        with self._interruptible():
+            while needed := [i for i, item in enumerate(found) if needs_another(item, rule)]:
+                for position in block_order(needed, order, seed=self._seed, trial_index=self.index):
+                    if role == "measure":
+                        self._reference_if_due()
+                    found[position] = self._repeat(found[position])
+                found = [self._reject_outliers(item) for item in found]
+        return found
+
+    @contextmanager
+    def _interruptible(self) -> Iterator[None]:
+        with interruptible(self._rig.safe_stop) as request:
+            self._request = request
+            yield
+
+    def _check_stop(self) -> None:
+        self._request.check()
+
+    def _reference_if_due(self) -> None:
+        reference = self._experiment.trial.reference
+        if reference is None:
+            return
+        if self._since_reference is None or self._since_reference >= reference.every:
+            self._since_reference = 0
+            self._repeat(Measurement(reference.condition, "reference", ()))
+        self._since_reference += 1
+
+    def _repeat(self, measurement: Measurement) -> Measurement:
+        """Run one repeat, with the retries the file allows after a device's fault."""
+        table = self._experiment.trial
+        repeat = len(measurement.outcomes)
+        attempt = 0
+        outcomes = measurement.outcomes
+        while True:
+            request = TrialRequest(self.index, measurement.condition, repeat, measurement.role, attempt)
+            outcome = self._taken(request) or self._run(request)
+            outcomes = (*outcomes, outcome)
+            attempt += 1
+            if outcome.status != "failed" or table.on_fault != "retry-trial" or attempt > table.retries:
+                return replace(measurement, outcomes=outcomes)
+
+    def _taken(self, request: TrialRequest) -> TrialOutcome | None:
+        """Return the trial from the folder, if it is there whole."""
+        outcome = self._stored.get(request.index)
+        if outcome is None or outcome.checkpoint is None:
+            return None
+        if outcome.condition != dict(request.condition) or outcome.role != request.role:
+            raise RecordingError(
+                f"trial {request.index} of {self._folder.path} measured {describe(outcome.condition)} "
+                f"({outcome.role}), "
+                f"but the plan has {describe(request.condition)} ({request.role}) there",
+                hint="the plan, the seed or labrun itself is not the one this run began with: start a new run",
+            )
+        if outcome.reason.startswith(PREFIX):
+            # Rejected later, by the repeats that followed: at this point of the run it still counted.
+            outcome = outcome.marked("done", "")
+        return self._note(outcome)
+
+    def _run(self, request: TrialRequest) -> TrialOutcome:
+        if self._limit is not None and self.new_trials >= self._limit:
+            raise LimitReached(f"{self.new_trials} new trials are done, as many as --limit allows")
+        self._check_stop()
+        self._take_up()
+        result = self._trials.run(request)
+        self.new_trials += 1
+        outcome = self._note(result.outcome)
+        self._progress.trial(outcome, len(self.outcomes), self._expected, self._remaining_s())
+        if result.fault is not None:
+            self._after_fault(result.fault)
+        return outcome
+
+    def _note(self, outcome: TrialOutcome) -> TrialOutcome:
+        self.index += 1
+        self.outcomes.append(outcome)
+        self._previous = outcome
+        return outcome
+
+    def _take_up(self) -> None:
+        """Bring the bench to where the trial before left it, if that one did not run in this session."""
+        previous = self._previous
+        if (
+            previous is not None
+            and self._stored.get(previous.index) is not None
+            and previous.checkpoint is not None
+        ):
+            self._trials.restore(previous.checkpoint)
+        settle = self._experiment.trial.settle
+        if settle is not None and needs_baseline(settle) and self._trials.baseline is None:
+            self._progress.phase("baseline")
+            self._trials.measure_baseline(settle)
+
+    def _after_fault(self, fault: DeviceError) -> None:
+        if isinstance(fault, LimitExceededError) or self._experiment.trial.on_fault == "stop":
+            raise fault
+        self._progress.note(f"{fault}")
+        if fault.device in self._rig.devices:
+            self._rig.reopen(fault.device)
+
+    def _reject_outliers(self, measurement: Measurement) -> Measurement:
+        objectives = self._experiment.objectives
+        goal = self._experiment.goal
+        default = goal[0] if goal is not None else next(iter(objectives), None)
+        reasons = find_outliers(measurement, self._experiment.trial.outliers, default)
+        if not reasons:
+            return measurement
+        for index, reason in reasons.items():
+            stored = self._stored.get(index)
+            if stored is None or stored.status != "rejected":
+                self._folder.mark(index, "rejected", reason)
+        marked = {index: self.outcomes[index].marked("rejected", reason) for index, reason in reasons.items()}
+        for index, outcome in marked.items():
+            self.outcomes[index] = outcome
+        return replace(measurement, outcomes=tuple(marked.get(o.index, o) for o in measurement.outcomes))
+
+    def _remaining_s(self) -> float | None:
+        if self._expected is None or self.new_trials == 0:
+            return None
+        each_s = (self._stopwatch.now() - self._started_s) / self.new_trials
+        return max(0.0, each_s * (self._expected - len(self.outcomes)))

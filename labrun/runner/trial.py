@@ -1,0 +1,274 @@
+"""One trial: prepare, settle, tare, record, safe pose, and only then store."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from labrun.errors import DeviceError, LabrunError
+from labrun.runner import recording
+from labrun.runner.bench import Bench
+from labrun.runner.judging import Judging, ObjectiveError
+from labrun.runner.measurement import Condition
+from labrun.runner.motion import MotionMaker, TrialMotion
+from labrun.runner.recording import Recorder
+from labrun.runner.settle import Bounds
+from labrun.runner.settling import Settled, measure_baseline, settle
+from labrun.runner.tare import tare
+from labrun.spec.experiment import Experiment, Settle
+from labrun.store.folder import RunFolder
+from labrun.store.trial import Role, TrialOutcome
+from labrun.store.writer import TrialWriter
+
+BASELINE_INDEX = 2**31 - 1
+"""Stands for the baseline where device noise is derived from a trial's index."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrialRequest:
+    """Which trial to run; `index` counts everything the run executes."""
+
+    index: int
+    condition: Condition
+    repeat: int
+    role: Role
+    attempt: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class TrialResult:
+    """A stored trial, and the device's fault that ended it early, if one did."""
+
+    outcome: TrialOutcome
+    fault: DeviceError | None = None
+
+
+class _Draft:
+    """What is known of a trial so far; enough to store it whenever it ends."""
+
+    def __init__(self, request: TrialRequest, bench: Bench, writer: TrialWriter, discard_cycles: int) -> None:
+        self.recorder = Recorder(bench, writer)
+        self.motion: TrialMotion | None = None
+        self.settled = Settled(None, None)
+        self.recorded = False
+        self.outcome = TrialOutcome(
+            index=request.index,
+            condition=dict(request.condition),
+            repeat=request.repeat,
+            role=request.role,
+            started_s=bench.clock.now(),
+            attempt=request.attempt,
+            discard_cycles=discard_cycles,
+        )
+
+    def know(self, **fields: Any) -> None:
+        self.outcome = replace(self.outcome, **fields)
+
+
+class TrialRunner:
+    """Runs trials one at a time.
+
+    Parameters
+    ----------
+    experiment, bench, folder
+        What to do, on what, and where data goes.
+    seed
+        Each trial's device noise derives from it and the trial's index.
+    phase
+        Told what is happening now.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        bench: Bench,
+        folder: RunFolder,
+        *,
+        seed: int,
+        phase: Callable[[str], object],
+    ) -> None:
+        self._experiment = experiment
+        self._table = experiment.trial
+        self._bench = bench
+        self._rig = bench.rig
+        self._folder = folder
+        self._seed = seed
+        self._phase = phase
+        self._motions = MotionMaker(experiment)
+        self._judging = Judging(experiment)
+        self._speed_rad_s = math.radians(self._table.move_speed_deg_s)
+        self._safe_pose = {joint: math.radians(deg) for joint, deg in self._table.safe_pose_deg.items()}
+        self.baseline: Bounds | None = None
+
+    def run(self, request: TrialRequest) -> TrialResult:
+        """Run and store one trial.
+
+        Returns
+        -------
+        TrialResult
+            With the fault, if a device's ended it: actuators are stopped, and what was recorded is stored as failed.
+
+        Raises
+        ------
+        Interrupted, SettleError, StoreError
+            The run ends: actuators are stopped first, then what was recorded is stored.
+        """
+        writer = self._folder.writer(request.index)
+        draft = _Draft(request, self._bench, writer, self._table.discard_cycles)
+        try:
+            self._measure(request, draft)
+        except DeviceError as fault:
+            self._stop(request.index, fault)
+            draft.know(status="failed", reason=str(fault).splitlines()[0])
+            return TrialResult(self._store(draft, writer), fault)
+        except BaseException as error:
+            self._stop(request.index, error)
+            self._keep_unfinished(draft, writer, error)
+            raise
+        self._judge(draft, writer)
+        return TrialResult(self._store(draft, writer))
+
+    def _measure(self, request: TrialRequest, draft: _Draft) -> None:
+        """Do everything that moves or waits."""
+        motion = draft.motion = self._motions.motion(request.condition)
+        draft.know(duration_s=motion.duration_s, period_s=motion.period_s)
+        self._rig.reseed(self._seed, request.index)
+        self._rig.arm()
+        self._bench.check_health()
+        self._prepare(request, motion)
+        self._phase("settle")
+        draft.settled = settle(self._bench, self._table.settle, self.baseline)
+        draft.know(settle=draft.settled.summary)
+        if draft.settled.rejected:
+            draft.know(status="rejected", reason=draft.settled.rejected)
+        else:
+            draft.know(tare=tare(self._bench, self._table.tare))
+            self._record(request, motion, draft)
+        self._come_to_safe_pose(request.index)
+        self._bench.stop_sensors()
+        self._rig.disarm()
+
+    def _prepare(self, request: TrialRequest, motion: TrialMotion) -> None:
+        self._phase("prepare")
+        self._journal(
+            "prepare",
+            index=request.index,
+            condition=dict(request.condition),
+            repeat=request.repeat,
+            role=request.role,
+            attempt=request.attempt,
+        )
+        if self._rig.scene is not None:
+            self._rig.scene.arrange(request.condition)
+        self._bench.start_sensors()
+        first = dict(zip(motion.trajectory.joints, motion.trajectory.angle_rad[0], strict=True))
+        self._bench.move(first, self._speed_rad_s)
+        if motion.travel is not None:
+            self._bench.travel_and_wait(
+                motion.travel.device, motion.travel.from_m, motion.travel.return_speed_m_s
+            )
+
+    def _record(self, request: TrialRequest, motion: TrialMotion, draft: _Draft) -> None:
+        self._phase("record")
+        summary = draft.settled.summary
+        self._journal(
+            "record",
+            index=request.index,
+            settled=None if summary is None else summary.reason,
+            tare=draft.outcome.tare,
+        )
+        start_s = recording.begin(self._bench, motion)
+        draft.know(started_s=start_s)
+        draft.recorded = True
+        recording.record(self._bench, motion, start_s, draft.recorder)
+
+    def _come_to_safe_pose(self, index: int) -> None:
+        if self._safe_pose:
+            self._phase("safe pose")
+            self._journal("safe-pose", index=index)
+            self._bench.move(self._safe_pose, self._speed_rad_s)
+
+    def _judge(self, draft: _Draft, writer: TrialWriter) -> None:
+        outcome, motion = draft.outcome, draft.motion
+        if motion is None or not draft.recorded:
+            return
+        try:
+            streams = writer.streams(outcome.started_s)
+            draft.know(objectives=self._judging.judge(streams, outcome.tare, motion, outcome.condition))
+        except ObjectiveError as error:
+            draft.know(status="failed", reason=str(error).splitlines()[0])
+        fault = draft.recorder.fault(self._table.max_lost_share)
+        if fault:
+            draft.know(status="rejected", reason=fault)
+
+    def _stop(self, index: int, error: BaseException) -> None:
+        """Stop everything that moves, before anything else; then end the streams."""
+        failures = self._rig.safe_stop()
+        try:
+            self._bench.stop_sensors()
+        except Exception as also:  # a lost device cannot end its stream; the error that counts is on its way
+            failures.append(str(also))
+        self._rig.disarm()
+        try:
+            self._journal("stopped", index=index, cause=f"{type(error).__name__}: {error}", failures=failures)
+        except LabrunError as also:  # a full disk, most likely, which is also why the run ends
+            error.add_note(f"the stop could not be journalled: {also}")
+
+    def _store(self, draft: _Draft, writer: TrialWriter) -> TrialOutcome:
+        self._phase("store")
+        draft.know(checkpoint=self.checkpoint())
+        return self._finish(draft, writer)
+
+    def _finish(self, draft: _Draft, writer: TrialWriter) -> TrialOutcome:
+        command = draft.motion.trajectory if draft.motion is not None else None
+        try:
+            writer.finish(draft.outcome, draft.settled.curve, command)
+        except BaseException:
+            writer.discard()
+            raise
+        return draft.outcome
+
+    def _keep_unfinished(self, draft: _Draft, writer: TrialWriter, error: BaseException) -> None:
+        """Store what was recorded of a trial that a stop cut short; without a checkpoint, so that it is run again."""
+        if not draft.recorded:
+            writer.discard()
+            return
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        draft.know(status="failed", reason=f"cut short: {reason}")
+        try:
+            self._finish(draft, writer)
+        except LabrunError as also:
+            error.add_note(f"the unfinished trial could not be kept: {also}")
+
+    def measure_baseline(self, rule: Settle) -> None:
+        """Measure how still the undisturbed bench is: what "quiet" means for every settling of the run."""
+        self._rig.reseed(self._seed, BASELINE_INDEX)
+        try:
+            self.baseline = measure_baseline(self._bench, rule)
+        except BaseException as error:
+            self._stop(-1, error)
+            raise
+        self._journal("baseline", spread=self.baseline.spread, drift=self.baseline.drift)
+
+    def checkpoint(self) -> dict[str, Any]:
+        """Return what a resumed run needs to go on from here, JSON-ready."""
+        memory: dict[str, Any] = {"clock_s": self._bench.clock.now(), **self._rig.snapshot()}
+        if self.baseline is not None:
+            memory["baseline"] = {"spread": list(self.baseline.spread), "drift": list(self.baseline.drift)}
+        return memory
+
+    def restore(self, memory: dict[str, Any]) -> None:
+        """Go on from a checkpoint; a real clock and a real bench keep their own state."""
+        if self._rig.dry_run:
+            if hasattr(self._bench.clock, "time_s"):
+                self._bench.clock.time_s = memory["clock_s"]
+            self._rig.restore(memory)
+        baseline = memory.get("baseline")
+        if baseline is not None:
+            self.baseline = Bounds(tuple(baseline["spread"]), tuple(baseline["drift"]))
+
+    def _journal(self, event: str, **fields: Any) -> None:
+        # In a dry run nothing real moves afterwards, so the line need not wait for the disk.
+        self._folder.journal.append(
+            event, sync=not self._rig.dry_run, clock_s=self._bench.clock.now(), **fields
+        )

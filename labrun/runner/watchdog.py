@@ -1,0 +1,109 @@
+"""The watchdog: a process of its own that stops the actuators when the runner hangs or dies.
+
+Started as ``python -m labrun.runner.watchdog`` by the runner, which talks to it through its standard input: first one
+line of JSON, then single bytes. It imports the actuators' plugins at once, so that nothing is left to load when it
+matters, and answers ``ready``.
+"""
+
+import json
+import os
+import select
+import signal
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+ARM, DISARM, BEAT, QUIT = b"A", b"D", b".", b"Q"
+READY = "ready"
+_DYING_S = 2.0
+"""How long a killed runner may take to let go of its ports."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stoppable:
+    """An actuator's plugin class, and what it needs to connect from scratch."""
+
+    name: str
+    make: Any
+    settings: Any
+
+
+def load_stoppable(name: str, plugin: str, settings: dict[str, Any]) -> Stoppable:
+    """Import an actuator's plugin and check its settings."""
+    from labrun.registry import load
+
+    make = load("labrun.devices", plugin)
+    return Stoppable(name, make, make.Settings.model_validate(settings))
+
+
+def stop_everything(devices: Sequence[Stoppable], why: str) -> list[str]:
+    """Call every plugin's `emergency_stop`; one that fails does not keep the others from theirs."""
+    lines = []
+    for device in devices:
+        try:
+            device.make.emergency_stop(device.name, device.settings)
+            lines.append(f"labrun watchdog: {why}; stopped {device.name}")
+        except Exception as error:  # a plugin may raise anything; the next actuator still gets its stop
+            lines.append(
+                f"labrun watchdog: {why}; could not stop {device.name}: {type(error).__name__}: {error}"
+            )
+    return lines
+
+
+def watch(pipe: int, timeout_s: float, runner_pid: int) -> str | None:
+    """Follow the runner's signs of life; return why the actuators must be stopped, or None at a regular end.
+
+    Only while armed does silence count: a runner that stores or computes for long moves nothing. An end without
+    farewell always counts. A runner that hangs is killed first, so that its ports are free.
+    """
+    armed = False
+    while True:
+        ready, _, _ = select.select([pipe], [], [], timeout_s if armed else None)
+        if not ready:
+            _kill(pipe, runner_pid)
+            return f"the runner gave no sign of life for {timeout_s:g} s and was killed"
+        message = os.read(pipe, 4096)
+        if not message:
+            return "the runner died"
+        for byte in message:
+            sign = bytes((byte,))
+            if sign == QUIT:
+                return None
+            armed = sign == ARM or (armed and sign != DISARM)
+
+
+def _kill(pipe: int, runner_pid: int) -> None:
+    """Kill the runner, and wait until the system has closed its end of the pipe, and with it its ports."""
+    if os.getppid() == runner_pid:  # never a stranger that got the number of a runner long gone
+        os.kill(runner_pid, signal.SIGKILL)
+    while select.select([pipe], [], [], _DYING_S)[0]:
+        if not os.read(pipe, 4096):
+            return
+
+
+def main() -> int:
+    """Run the watchdog until the runner ends."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # Ctrl-C is for the runner; this process outlives it
+    pipe = sys.stdin.fileno()
+    line = b""
+    while not line.endswith(b"\n"):
+        byte = os.read(pipe, 1)
+        if not byte:
+            return 0
+        line += byte
+    task = json.loads(line)
+    devices = [load_stoppable(item["name"], item["plugin"], item["settings"]) for item in task["devices"]]
+    sys.stdout.write(READY + "\n")
+    sys.stdout.flush()
+    why = watch(pipe, task["timeout_s"], task["runner_pid"])
+    if why is None:
+        return 0
+    for report in stop_everything(devices, why):
+        sys.stderr.write(report + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,51 @@
+"""Does the file name only what the rig has? Checked before anything moves."""
+
+from collections.abc import Iterable
+
+from labrun.errors import SpecError
+from labrun.runner.rig import Rig
+from labrun.runner.settling import watched_channels
+from labrun.runner.tare import tared_devices
+from labrun.spec.experiment import Experiment
+
+
+def check_wiring(experiment: Experiment, rig: Rig, gait_joints: Iterable[str]) -> None:
+    """Check every name in the file that stands for a joint, a channel, a device or an objective.
+
+    Raises
+    ------
+    SpecError
+        All that the rig does not have, at once.
+    """
+    problems: list[str] = []
+    channels = {f"{name}.{c.name}" for name, sensor in rig.sensors.items() for c in sensor.channels}
+    for joint in gait_joints:
+        problems += _unknown(f"gait.joints.{joint}", joint, rig.joints, "joints")
+    for joint in experiment.trial.safe_pose_deg:
+        problems += _unknown(f"trial.safe_pose_deg.{joint}", joint, rig.joints, "joints")
+    if experiment.trial.carriage is not None:
+        device = experiment.trial.carriage.device
+        problems += _unknown("trial.carriage.device", device, rig.carriages, "carriages")
+    for name, objective in experiment.objectives.items():
+        if objective.channel is not None:
+            problems += _unknown(f"objectives.{name}.channel", objective.channel, channels, "channels")
+    judged = experiment.trial.outliers.objective
+    if judged is not None:
+        problems += _unknown("trial.outliers.objective", judged, experiment.objectives, "objectives")
+    for name in experiment.trial.repeats.standard_error:
+        problems += _unknown("trial.repeats.standard_error", name, experiment.objectives, "objectives")
+    try:
+        if experiment.trial.settle is not None and experiment.trial.settle.until == "quiet":
+            watched_channels(experiment.trial.settle, rig)
+        tared_devices(experiment.trial.tare, rig)
+    except SpecError as error:
+        problems.append(str(error))
+    if problems:
+        raise SpecError("\n".join(problems))
+
+
+def _unknown(key: str, name: str, known: Iterable[str], kind: str) -> list[str]:
+    known = sorted(known)
+    if name in known:
+        return []
+    return [f"{key}: {name!r} is not one of the rig's {kind}: {', '.join(known) or 'there are none'}"]

@@ -1,0 +1,81 @@
+"""What a person sees before anything runs."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from typer.main import get_command
+
+from labrun.cli.app import app
+
+COMMANDS = sorted(get_command(app).commands)  # type: ignore[attr-defined]
+
+
+def _labrun(*arguments: str, cwd=None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "labrun", *arguments], cwd=cwd, capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+def test_the_commands_are_those_of_the_guide():
+    assert COMMANDS == sorted(
+        ["init", "list", "check", "run", "sweep", "cmaes", "resume", "fit", "show", "export", "import", "plugins", "doctor"]
+    )
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_json_and_an_example(name):
+    shown = _labrun(name, "--help").stdout
+    assert "--json" in shown
+    assert f"Example:  labrun {name}" in shown
+
+
+def test_help_imports_nothing_heavy():
+    heavy = ["numpy", "pydantic", "numba", "scipy", "h5py", "matplotlib", "rich", "cma"]
+    script = (
+        "import sys\nfrom labrun.cli import main\nsys.argv = ['labrun', '--help']\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        f"print([name for name in {heavy} if name in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stderr.strip() == "[]"
+
+
+def test_the_version_comes_from_the_package():
+    from importlib.metadata import version
+
+    assert _labrun("--version").stdout.strip() == f"labrun {version('labrun')}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("sweep", "fin-parms", "--dry-run"), "fin-params"),
+        (("sweep", "hinge", "--dry-run"), "labrun run hinge"),
+        (("run", "hinge", "--dry-run", "--set", "trial.repeat=2"), "repeats"),
+        (("run", "hinge", "--dry-run", "--set", "trial.duration_ms=2"), "duration_s"),
+        (("fit", "hinge"), "labrun run hinge --dry-run"),
+        (("show", "nothing-like-this"), "labrun list"),
+        (("resume",), "results"),
+    ],
+)
+def test_a_wrong_request_exits_with_2_and_says_what_would_do(arguments, said, tmp_path):
+    done = _labrun(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "results").exists()
+
+
+def test_an_error_is_one_json_object_for_a_script(tmp_path):
+    done = _labrun("sweep", "fin-parms", "--dry-run", "--json", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "fin-parms" in json.loads(done.stdout)["error"]
+
+
+def test_completion_offers_the_experiments(tmp_path, monkeypatch):
+    from labrun.cli.options import complete_experiment
+
+    monkeypatch.chdir(tmp_path)
+    assert complete_experiment("turn") == ["turn-torque", "turn-torque-current"]

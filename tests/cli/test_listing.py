@@ -1,0 +1,46 @@
+"""Experiments at a glance, and a workspace of one's own."""
+
+import json
+import subprocess
+import sys
+
+
+def _labrun(*arguments, cwd):
+    return subprocess.run(
+        [sys.executable, "-m", "labrun", *arguments], cwd=cwd, capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+def test_list_shows_the_shipped_experiments_by_kind(tmp_path):
+    found = json.loads(_labrun("list", "--json", cwd=tmp_path).stdout)["experiments"]
+    kinds = {item["name"]: item["kind"] for item in found}
+    assert kinds == {
+        "fin-modulation": "run",
+        "fin-params": "sweep",
+        "fin-step": "run",
+        "hinge": "run",
+        "turn-torque": "cmaes",
+        "turn-torque-current": "cmaes",
+    }
+
+
+def test_init_writes_the_shipped_experiments_and_leaves_what_is_there(tmp_path):
+    mine = tmp_path / "bench" / "experiments" / "hinge.toml"
+    mine.parent.mkdir(parents=True)
+    mine.write_text('title = "mine"\nkind = "run"\n')
+    written = json.loads(_labrun("init", "bench", "--json", cwd=tmp_path).stdout)["written"]
+    assert mine.read_text() == 'title = "mine"\nkind = "run"\n'
+    assert any(path.endswith("fin-params.toml") for path in written)
+    titles = {item["name"]: item["title"] for item in json.loads(_labrun("list", "--json", cwd=tmp_path / "bench").stdout)["experiments"]}
+    assert titles["hinge"] == "mine"
+
+
+def test_plugins_are_listed_with_their_origin(tmp_path):
+    found = json.loads(_labrun("plugins", "--json", cwd=tmp_path).stdout)["plugins"]
+    assert {item["group"] for item in found} >= {"labrun.devices", "labrun.gaits", "labrun.objectives", "labrun.scenes"}
+    assert all(item["origin"].startswith("labrun ") and not item["cause"] for item in found)
+
+
+def test_doctor_reports_clock_disk_ports_and_plugins(tmp_path):
+    found = json.loads(_labrun("doctor", "--json", cwd=tmp_path).stdout)["findings"]
+    assert {"clock", "disk", "plugins"} <= {item["subject"] for item in found}

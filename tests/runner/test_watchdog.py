@@ -1,0 +1,139 @@
+"""The watchdog stops the actuators when the runner dies or hangs; in real time, in processes of their own."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+
+RUNNER = """
+    import sys
+    sys.path.insert(0, {here!r})
+    from pathlib import Path
+    from conftest import experiment_with
+    from labrun.runner.clock import RealClock
+    from labrun.runner.rig import Rig
+    from labrun.runner.session import Session
+    from labrun.store.folder import RunFolder
+
+    experiment = experiment_with(
+        rig__devices__tail__stop_log={log!r},
+        rig__devices__tail__hang_after_s={hang_after_s},
+        rig__watchdog_s=1.0,
+        trial__cycles={cycles},
+        trial__settle=None,
+        trial__tare=None,
+        trial__repeats=1,
+    )
+    clock = RealClock()
+    folder = RunFolder.create(Path({results!r}), "paddle", "t = 1", {{}})
+    with Rig.build(experiment, clock=clock, seed=1, dry_run=False) as rig:
+        session = Session(experiment, rig, folder, clock, 1)
+        print("open", flush=True)
+        session.measure([{{"a": 10, "f": 1.0}}])
+    print("closed", flush=True)
+"""
+
+
+@pytest.fixture
+def runner(tmp_path):
+    """Return a function that starts a runner on the paddle's own driver, with its log of stops."""
+    started = []
+
+    def start(*, hang_after_s=None, cycles=60):
+        log = tmp_path / "stops.log"
+        code = textwrap.dedent(RUNNER).format(
+            here=str(Path(__file__).parent),
+            log=str(log),
+            results=str(tmp_path / "results"),
+            hang_after_s=hang_after_s,
+            cycles=cycles,
+        )
+        process = subprocess.Popen(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+        started.append(process)
+        assert process.stdout.readline() == b"open\n", process.stderr.read().decode()
+        return process, log
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def wait_for(condition, timeout_s=20.0):
+    """Wait until something holds."""
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "nothing happened in time"
+        time.sleep(0.02)
+
+
+def lines(log):
+    """Return the log so far."""
+    return log.read_text().splitlines() if log.exists() else []
+
+
+def stopped(log, pid):
+    """Tell whether another process than the runner has stopped the tail."""
+    stops = [line.split() for line in lines(log) if line.startswith("emergency_stop tail")]
+    return any(int(stop[2]) != pid for stop in stops)
+
+
+def test_after_kill_9_the_watchdog_stops_the_actuators(runner):
+    process, log = runner()
+    wait_for(lambda: lines(log).count("follow tail") >= 1)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    wait_for(lambda: stopped(log, process.pid))
+
+
+def test_a_runner_that_hangs_is_killed_first_and_then_the_actuators_are_stopped(runner):
+    process, log = runner(hang_after_s=1.0)
+    assert process.wait(timeout=30) == -signal.SIGKILL
+    wait_for(lambda: stopped(log, process.pid))
+    assert not any(line.startswith("safe_stop") for line in lines(log))
+
+
+def test_a_runner_that_was_stopped_by_the_system_counts_as_hanging(runner):
+    process, log = runner()
+    wait_for(lambda: lines(log).count("follow tail") >= 1)
+    os.kill(process.pid, signal.SIGSTOP)
+    assert process.wait(timeout=30) == -signal.SIGKILL
+    wait_for(lambda: stopped(log, process.pid))
+
+
+def test_after_a_regular_end_the_watchdog_leaves_quietly(runner):
+    process, log = runner(cycles=2)
+    output, _ = process.communicate(timeout=30)
+    assert output == b"closed\n"
+    assert process.returncode == 0
+    assert not any(line.startswith("emergency_stop") for line in lines(log))
+
+
+def test_ctrl_c_reaches_the_runner_and_not_the_watchdog(runner):
+    process, log = runner()
+    wait_for(lambda: lines(log).count("follow tail") >= 1)
+    os.kill(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=30)
+    assert b"interrupted by Ctrl-C" in errors
+    assert any(line == f"safe_stop tail {process.pid}" for line in lines(log))
+    assert not any(line.startswith("emergency_stop") for line in lines(log))
+
+
+def test_the_watchdog_imports_nothing_heavy():
+    code = (
+        "import sys, labrun.runner.watchdog as w;"
+        "w.load_stoppable('tail', 'pond:Servo', {});"
+        "print([m for m in ('scipy', 'numba', 'matplotlib', 'h5py', 'cma') if m in sys.modules])"
+    )
+    here = str(Path(__file__).parent)
+    result = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": here}, capture_output=True, check=True
+    )
+    assert result.stdout.strip() == b"[]"
