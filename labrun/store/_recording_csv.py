@@ -15,7 +15,9 @@ _SHOWN_PER_KIND = 3
 """A file that is wrong in one way throughout is reported by its first lines, not by all of them."""
 
 
-def read_columns(path: Path, wanted: Sequence[str], listed_at: str) -> tuple[Mapping[str, FloatArray] | None, list[str]]:
+def read_columns(
+    path: Path, wanted: Sequence[str], listed_at: str
+) -> tuple[Mapping[str, FloatArray] | None, list[str]]:
     """Return the wanted columns by name, or None with every fault found.
 
     Parameters
@@ -28,7 +30,7 @@ def read_columns(path: Path, wanted: Sequence[str], listed_at: str) -> tuple[Map
     text, fault = _read_text(path, listed_at)
     if text is None:
         return None, [fault]
-    lines = text.splitlines()
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     while lines and not lines[-1].strip():
         lines.pop()
     if not lines:
@@ -42,7 +44,10 @@ def read_columns(path: Path, wanted: Sequence[str], listed_at: str) -> tuple[Map
         return None, faults + _row_faults(path, lines, header, present)
     table = _parse_fast(lines, header, wanted)
     if table is None:
-        return None, _row_faults(path, lines, header, wanted)
+        faults = _row_faults(path, lines, header, wanted)
+        if faults:
+            return None, faults
+        table = _parse_slowly(lines, header, wanted)  # sound, but quoted
     return {name: np.ascontiguousarray(table[:, index]) for index, name in enumerate(wanted)}, []
 
 
@@ -50,23 +55,38 @@ def _read_text(path: Path, listed_at: str) -> tuple[str | None, str]:
     if not path.is_file():
         here = sorted(entry.name for entry in path.parent.glob("*.csv")) if path.parent.is_dir() else []
         near = difflib.get_close_matches(path.name, here, n=1)
-        return None, f"{listed_at}: the file {path} does not exist" + (f"; did you mean {near[0]}?" if near else "")
+        return None, f"{listed_at}: the file {path} does not exist" + (
+            f"; did you mean {near[0]}?" if near else ""
+        )
     data = path.read_bytes()
     try:
         return data.decode("utf-8-sig"), ""
     except UnicodeDecodeError as error:
-        return None, f"{path}:{data[: error.start].count(b'\n') + 1}: not text: byte 0x{data[error.start]:02x} is no UTF-8"
+        line = data[: error.start].count(b"\n") + 1
+        return None, f"{path}:{line}: not text: byte 0x{data[error.start]:02x} is no UTF-8"
 
 
 def _header_faults(path: Path, header: Sequence[str], wanted: Sequence[str]) -> list[str]:
-    faults = [f"{path}:1: column {name!r} stands there twice" for name in dict.fromkeys(wanted) if header.count(name) > 1]
+    faults = [
+        f"{path}:1: column {name!r} stands there twice"
+        for name in dict.fromkeys(wanted)
+        if header.count(name) > 1
+    ]
     missing = [name for name in wanted if name not in header]
     if missing and len(header) == 1 and any(mark in header[0] for mark in ";\t"):
         mark = "semicolons" if ";" in header[0] else "tabs"
-        return [f"{path}:1: columns are separated by {mark}; expected commas (and a point in decimal numbers)"]
+        return [
+            f"{path}:1: columns are separated by {mark}; expected commas (and a point in decimal numbers)"
+        ]
     for name in missing:
-        near = difflib.get_close_matches(name, [other for other in header if other not in wanted], n=1, cutoff=0.4)
-        there = f"the nearest is {near[0]!r}" if near else "there are " + ", ".join(repr(other) for other in header)
+        near = difflib.get_close_matches(
+            name, [other for other in header if other not in wanted], n=1, cutoff=0.4
+        )
+        there = (
+            f"the nearest is {near[0]!r}"
+            if near
+            else "there are " + ", ".join(repr(other) for other in header)
+        )
         faults.append(f"{path}:1: column {name!r} is missing; {there}")
     return faults
 
@@ -79,11 +99,23 @@ def _parse_fast(lines: Sequence[str], header: Sequence[str], wanted: Sequence[st
         return None
     columns = [list(header).index(name) for name in wanted]
     try:
-        table = np.loadtxt(io.StringIO("\n".join(rows)), delimiter=",", usecols=columns, comments=None, ndmin=2)
+        table = np.loadtxt(
+            io.StringIO("\n".join(rows)), delimiter=",", usecols=columns, comments=None, ndmin=2
+        )
     except ValueError:
         return None
-    sound = len(table) == len(rows) and bool(np.all(np.isfinite(table))) and bool(np.all(np.diff(table[:, 0]) > 0))
+    sound = (
+        len(table) == len(rows)
+        and bool(np.all(np.isfinite(table)))
+        and bool(np.all(np.diff(table[:, 0]) > 0))
+    )
     return np.asarray(table, dtype=float) if sound else None
+
+
+def _parse_slowly(lines: Sequence[str], header: Sequence[str], wanted: Sequence[str]) -> FloatArray:
+    columns = [list(header).index(name) for name in wanted]
+    rows = [_cells(line) for line in lines[1:]]
+    return np.array([[float(row[column]) for column in columns] for row in rows])
 
 
 def _row_faults(path: Path, lines: Sequence[str], header: Sequence[str], wanted: Sequence[str]) -> list[str]:
@@ -96,7 +128,11 @@ def _row_faults(path: Path, lines: Sequence[str], header: Sequence[str], wanted:
     columns = {name: list(header).index(name) for name in wanted}
     ends = _early_ends(lines, len(header), columns)
     for name, line in ends.items():
-        note("short", name, f"{path}:{line + 1}: column {name!r} ends after line {line}; the file goes on to line {len(lines)}")
+        note(
+            "short",
+            name,
+            f"{path}:{line + 1}: column {name!r} ends after line {line}; the file goes on to line {len(lines)}",
+        )
     previous, previous_line = -math.inf, 0
     for number, line in enumerate(lines[1:], start=2):
         cells = _cells(line)
@@ -112,7 +148,11 @@ def _row_faults(path: Path, lines: Sequence[str], header: Sequence[str], wanted:
                 note("cell", name, f"{path}:{number}: {problem} in column {name!r}")
             elif name == "time_s":
                 if value <= previous:
-                    note("time", name, f"{path}:{number}: time_s {value:.9g} does not follow {previous:.9g} of line {previous_line}")
+                    note(
+                        "time",
+                        name,
+                        f"{path}:{number}: time_s {value:.9g} does not follow {previous:.9g} of line {previous_line}",
+                    )
                 previous, previous_line = value, number
     faults = []
     for messages in found.values():
@@ -124,20 +164,19 @@ def _row_faults(path: Path, lines: Sequence[str], header: Sequence[str], wanted:
 
 def _early_ends(lines: Sequence[str], width: int, columns: Mapping[str, int]) -> dict[str, int]:
     """Return the last line that has a value, for columns that are blank from there to the end of the file."""
-    ends = {}
-    for name, index in columns.items():
-        last = len(lines)
-        while last > 1:
-            cells = _cells(lines[last - 1])
-            if len(cells) == width and cells[index].strip():
-                break
-            if len(cells) > width or (len(cells) == width and not any(cell.strip() for cell in cells)):
-                break
-            if len(cells) < width and index < len(cells) and cells[index].strip():
-                break
-            last -= 1
-        if last < len(lines) and all(len(_cells(line)) == width for line in lines[last:]):
-            ends[name] = last
+    ends: dict[str, int] = {}
+    open_columns = dict(columns)
+    for number in range(len(lines), 1, -1):
+        cells = _cells(lines[number - 1])
+        if len(cells) != width:
+            break
+        for name, index in list(open_columns.items()):
+            if cells[index].strip():
+                del open_columns[name]
+                if number < len(lines):
+                    ends[name] = number
+        if not open_columns:
+            break
     return ends
 
 

@@ -122,7 +122,11 @@ def _trial(
     time_s = columns["time_s"]
 
     def table(channels: list[ChannelEntry]) -> FloatArray:
-        return np.stack([columns[channel.name] for channel in channels], axis=1) if channels else np.empty((len(time_s), 0))
+        return (
+            np.stack([columns[channel.name] for channel in channels], axis=1)
+            if channels
+            else np.empty((len(time_s), 0))
+        )
 
     return RecordedTrial(entry.condition, entry.repeat, time_s, table(inputs), table(outputs), source_file)
 
@@ -141,7 +145,10 @@ def _report(folder: Path, faults: list[str]) -> str:
 
 def condition_label(condition: Mapping[str, float | str]) -> str:
     """Return a condition as a person would write it: ``"kp = 100, trajectory = sin-sin"``."""
-    parts = [f"{name} = {value:g}" if isinstance(value, float | int) else f"{name} = {value}" for name, value in condition.items()]
+    parts = [
+        f"{name} = {value:g}" if isinstance(value, float | int) else f"{name} = {value}"
+        for name, value in condition.items()
+    ]
     return ", ".join(parts)
 
 

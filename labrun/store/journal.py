@@ -1,0 +1,150 @@
+"""The journal of a run: one JSON line an event, on disk before anything moves again."""
+
+import json
+import os
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from labrun.errors import RecordingError
+from labrun.store.disk import saving, write_all
+from labrun.store.trial import json_ready
+
+
+class Journal:
+    """Append-only events of a run in ``journal.jsonl``.
+
+    A torn last line, which is what a power cut leaves, is dropped and told in `torn`; anything unreadable
+    before it is an error, because it means that someone edited the file or the disk fails.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.torn: str | None = None
+        """What was dropped at the end, after `events` or `repair`; None if nothing was."""
+        self._descriptor: int | None = None
+        self._unsynced = False
+
+    def append(self, event: str, *, sync: bool = True, **fields: Any) -> None:
+        """Write one event.
+
+        Parameters
+        ----------
+        event
+            What happened, for example ``"trial"``.
+        sync
+            Wait until it is on disk. False only where nothing moves afterwards: the line then becomes durable
+            together with the next synced one.
+        **fields
+            More about it, JSON-ready; `clock_s` is the run clock's time.
+
+        Raises
+        ------
+        StoreError
+            The disk is full or fails; the journal is left as it was.
+        """
+        stamp = datetime.now(UTC).isoformat(timespec="milliseconds")
+        line = json.dumps({"event": event, "time_utc": stamp, **fields}, default=json_ready) + "\n"
+        with saving(f"journal event {event!r}", self.path.parent):
+            descriptor = self._open()
+            size = os.fstat(descriptor).st_size
+            try:
+                write_all(descriptor, line.encode())
+                if sync:
+                    os.fsync(descriptor)
+                self._unsynced = not sync
+            except OSError:
+                os.ftruncate(descriptor, size)
+                raise
+
+    def sync(self) -> None:
+        """Make all events durable."""
+        if self._descriptor is not None and self._unsynced:
+            with saving("the journal", self.path.parent):
+                os.fsync(self._descriptor)
+            self._unsynced = False
+
+    def close(self) -> None:
+        """Sync and release the file; the next `append` opens it again."""
+        if self._descriptor is not None:
+            self.sync()
+            os.close(self._descriptor)
+            self._descriptor = None
+
+    def text(self) -> str:
+        """Return all whole lines, as they stand in the file; empty if there is no journal yet."""
+        content = self._content()
+        return content[: self._whole(content)].decode()
+
+    def events(self) -> list[dict[str, Any]]:
+        """Return all events in order.
+
+        Raises
+        ------
+        RecordingError
+            A line that is not the last one is unreadable; names file and line.
+        """
+        content = self._content()
+        return parse_events(content[: self._whole(content)], str(self.path))
+
+    def repair(self) -> None:
+        """Cut off a torn last line, so that the next event starts on a line of its own."""
+        content = self._content()
+        whole = self._whole(content)
+        if whole < len(content):
+            with saving("the journal", self.path.parent), self.path.open("r+b") as file:
+                file.truncate(whole)
+                os.fsync(file.fileno())
+
+    def _content(self) -> bytes:
+        try:
+            return self.path.read_bytes()
+        except FileNotFoundError:
+            return b""
+
+    def _whole(self, content: bytes) -> int:
+        """Return the length without a torn last line, and note what is torn."""
+        end = content.rfind(b"\n") + 1
+        if end == len(content) and end > 0:
+            start = content.rfind(b"\n", 0, end - 1) + 1
+            if not _is_event(content[start:end]):
+                end = start
+        tail = content[end:]
+        self.torn = None
+        if tail:
+            number = content.count(b"\n", 0, end) + 1
+            self.torn = f"{self.path}:{number}: last line torn ({len(tail)} bytes dropped)"
+        return end
+
+    def _open(self) -> int:
+        if self._descriptor is None:
+            self.repair()
+            self._descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        return self._descriptor
+
+
+def parse_events(content: bytes, source: str) -> list[dict[str, Any]]:
+    """Return the events of a journal's whole lines; `source` names the journal in errors."""
+    events = []
+    for number, line in enumerate(content.splitlines(), start=1):
+        event = _event(line)
+        if event is None:
+            raise RecordingError(
+                f"{source}:{number}: not a journal event: {line[:60]!r}",
+                hint="later lines are whole, so this is no power cut: restore the journal from a copy; "
+                "the trials themselves are in trials/ or run.h5",
+            )
+        events.append(event)
+    return events
+
+
+def _event(line: bytes) -> dict[str, Any] | None:
+    try:
+        event = json.loads(line)
+    except ValueError:
+        return None
+    return event if isinstance(event, dict) and "event" in event else None
+
+
+def _is_event(line: bytes) -> bool:
+    return _event(line) is not None

@@ -1,0 +1,121 @@
+"""Which run is meant by what a person types."""
+
+import difflib
+import tomllib
+from pathlib import Path
+
+from labrun.errors import RequestError
+from labrun.store.folder import PACKED, SPEC
+from labrun.store.journal import Journal
+
+
+def find_run(target: str, results: Path) -> Path:
+    """Return the run a person means.
+
+    Parameters
+    ----------
+    target
+        An experiment's name (its latest run), a run folder, a ``run.h5``, or a run's own name or its four letters.
+    results
+        Where runs are.
+
+    Returns
+    -------
+    Path
+        A run folder or a ``run.h5``.
+
+    Raises
+    ------
+    RequestError
+        There is none; names what is nearest, or how to make one.
+    """
+    given = Path(target).expanduser()
+    if given.is_file():
+        return given
+    if is_run(given):
+        return given
+    for folder in (results / target, given):
+        runs = runs_of(folder)
+        if runs:
+            return runs[-1]
+    own = [run for run in all_runs(results) if run.name == target or run.name.rpartition("-")[2] == target]
+    if own:
+        return own[-1]
+    raise _unknown(target, results)
+
+
+def find_unfinished(target: str | None, results: Path) -> Path:
+    """Return the run to go on with: the one named, or the latest that did not finish.
+
+    Raises
+    ------
+    RequestError
+        There is no such run, or all have finished.
+    """
+    if target is not None:
+        found = find_run(target, results)
+        return found.parent if found.is_file() else found
+    open_runs = [run for run in all_runs(results) if not is_finished(run)]
+    if not open_runs:
+        raise RequestError(f"no run in {results} waits to be resumed", hint="labrun resume RUN names one")
+    return open_runs[-1]
+
+
+def is_run(folder: Path) -> bool:
+    """Tell whether a folder is a run's."""
+    return (folder / SPEC).is_file() or (folder / PACKED).is_file()
+
+
+def is_finished(run: Path) -> bool:
+    """Tell whether a run came to its end, by its journal."""
+    return any(event["event"] == "finished" for event in Journal(run / "journal.jsonl").events())
+
+
+def runs_of(folder: Path) -> list[Path]:
+    """Return the runs of one experiment's folder, oldest first."""
+    if not folder.is_dir():
+        return []
+    return sorted((run for run in folder.iterdir() if is_run(run)), key=_age)
+
+
+def all_runs(results: Path) -> list[Path]:
+    """Return every run below `results`, oldest first."""
+    if not results.is_dir():
+        return []
+    return sorted((run for folder in results.iterdir() for run in runs_of(folder)), key=_age)
+
+
+def _age(run: Path) -> tuple[str, int]:
+    # The name tells the second of the start; runs of the same second are told apart by their first file.
+    first = run / SPEC if (run / SPEC).is_file() else run / PACKED
+    return run.name.rpartition("-")[0], first.stat().st_mtime_ns
+
+
+def _unknown(target: str, results: Path) -> RequestError:
+    from labrun.spec.workspace import list_experiments
+
+    files = {path.stem: path for path in list_experiments(Path.cwd())}
+    if target in files:
+        return RequestError(
+            f"{target} has no run yet in {results}",
+            hint=f"labrun {_command(files[target])} {target} --dry-run makes one",
+        )
+    with_runs = sorted({run.parent.name for run in all_runs(results)})
+    near = difflib.get_close_matches(target, [*with_runs, *files], n=1)
+    if near:
+        hint = f"did you mean {near[0]!r}?"
+    elif with_runs:
+        hint = f"experiments with runs: {', '.join(with_runs)}"
+    else:
+        hint = f"{results} has no runs yet; labrun list shows the experiments"
+    return RequestError(
+        f"there is no run {target!r}: no such path, and no such experiment or run in {results}", hint=hint
+    )
+
+
+def _command(experiment: Path) -> str:
+    try:
+        kind = tomllib.loads(experiment.read_text()).get("kind")
+    except (OSError, tomllib.TOMLDecodeError):
+        return "run"
+    return kind if kind in ("sweep", "cmaes") else "run"

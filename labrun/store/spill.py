@@ -1,0 +1,92 @@
+"""A trial too long for memory: its samples grow in the temporary file while it runs."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from h5py import h5d, h5f
+
+from labrun.devices.samples import Channel, Samples
+from labrun.store import hdf5, layout
+from labrun.store.attributes import Attribute, write_attribute, write_attributes
+from labrun.store.timing import ClockMap
+
+_METADATA = 1 << 20
+"""Bytes that are more than enough for what HDF5 writes beside the samples of one block."""
+
+
+class SpillFile:
+    """The temporary file of a long trial.
+
+    Parameters
+    ----------
+    path
+        Made anew; nothing of it counts before it is renamed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.file: h5f.FileID = hdf5.create_on_disk(str(path))
+        self._groups: dict[str, Any] = {}
+        self._clocks: dict[str, ClockMap] = {}
+
+    def add(self, device: str, channels: Sequence[Channel], rate_hz: float, samples: Samples) -> None:
+        """Append samples of one device; the clock learns from them on the way."""
+        datasets = len(layout.TIMES) + len(channels)
+        hdf5.reserve(self.file, datasets * (8 * (len(samples) + hdf5.BLOCK)) + _METADATA)
+        if device not in self._groups:
+            self._make_group(device, channels)
+            self._clocks[device] = ClockMap(rate_hz)
+        self._clocks[device].learn(samples.device_time_s, samples.host_time_s)
+        self._extend(device, "device_time_s", samples.device_time_s)
+        self._extend(device, "host_time_s", samples.host_time_s)
+        for number, channel in enumerate(channels):
+            self._extend(device, channel.name, samples.values[:, number])
+
+    def read(self, device: str, channels: Sequence[Channel]) -> Samples:
+        """Return all samples of a device so far."""
+        if device not in self._groups:
+            return Samples.empty(len(channels))
+        columns = {column.name: column.values for column in hdf5.read_table(self.file, device).columns}
+        values = np.column_stack([columns[channel.name] for channel in channels])
+        return Samples(columns["device_time_s"], columns["host_time_s"], values)
+
+    def complete(
+        self, device: str, start_s: float, tare: dict[str, float], attributes: dict[str, Attribute]
+    ) -> None:
+        """Add trial-relative times, tare offsets and attributes to a device's group, block by block."""
+        group = self._groups[device]
+        (length,) = self._dataset(device, "device_time_s").shape
+        hdf5.reserve(self.file, 8 * (length + hdf5.BLOCK) + _METADATA)
+        clock = self._clocks[device]
+        mapper = clock.mapper(start_s)
+        for device_time_s in hdf5.blocks(self._dataset(device, "device_time_s")):
+            self._extend(device, "time_s", mapper(device_time_s))
+        for channel, offset in tare.items():
+            write_attribute(self._dataset(device, channel), "tare", float(offset))
+        write_attributes(group, attributes | {"clock_glitches": clock.glitches})
+
+    def close(self) -> None:
+        """Write everything out and close."""
+        hdf5.close(self.file)
+
+    def abandon(self) -> None:
+        """Close without caring whether the disk takes what is left."""
+        with suppress(Exception):
+            self.file.close()
+
+    def _make_group(self, device: str, channels: Sequence[Channel]) -> None:
+        group = self._groups[device] = hdf5.create_group(self.file, device)
+        units = dict.fromkeys(layout.TIMES, "s") | {channel.name: channel.unit for channel in channels}
+        scale = None
+        for name, unit in units.items():
+            dataset = hdf5.create_growing(group, name)
+            write_attribute(dataset, "units", unit)
+            scale = hdf5.join_axis(dataset, name, scale)
+
+    def _dataset(self, device: str, name: str) -> h5d.DatasetID:
+        return h5d.open(self._groups[device], name.encode())
+
+    def _extend(self, device: str, name: str, values: Any) -> None:
+        hdf5.extend(self._dataset(device, name), values)

@@ -1,0 +1,76 @@
+"""A recording made elsewhere becomes a run like any other."""
+
+import numpy as np
+import pytest
+
+from labrun.errors import RecordingError
+from labrun.store.importing import import_recording
+from labrun.store.locate import find_run
+from labrun.store.reading import open_run
+
+TOML = """\
+experiment = "swing"
+[channels.torque]
+kind = "input"
+unit = "N m"
+between = "hold"
+[channels.angle]
+kind = "output"
+unit = "rad"
+[[trials]]
+file = "a.csv"
+condition = { release = 20, body = "wide" }
+[[trials]]
+file = "b.csv"
+condition = { release = 20, body = "wide" }
+"""
+
+
+def recording(folder, rows="0.0,1.0,0.1\n0.1,2.0,0.2\n0.35,3.0,0.3\n"):
+    folder.mkdir()
+    (folder / "recording.toml").write_text(TOML)
+    for name in ("a", "b"):
+        (folder / f"{name}.csv").write_text("time_s,torque,angle\n" + rows)
+    return folder
+
+
+def test_every_trial_comes_in_with_its_times_unchanged(tmp_path):
+    path = import_recording(recording(tmp_path / "swing"), tmp_path / "results")
+    assert find_run("swing", tmp_path / "results") == path
+    run = open_run(path)
+    assert run.name == "swing"
+    assert [(outcome.condition, outcome.repeat) for outcome in run.outcomes] == [
+        ({"release": 20, "body": "wide"}, 0),
+        ({"release": 20, "body": "wide"}, 1),
+    ]
+    assert {outcome.status for outcome in run.outcomes} == {"done"}
+    expected = (("input", "torque", "N m", [1, 2, 3]), ("output", "angle", "rad", [0.1, 0.2, 0.3]))
+    for name, channel, unit, values in expected:
+        stream = run.stream(1, name)
+        assert (stream.channels[0].name, stream.channels[0].unit) == (channel, unit)
+        np.testing.assert_array_equal(stream.time_s, [0.0, 0.1, 0.35])
+        np.testing.assert_array_equal(stream.column(channel), values)
+    assert run.command(0).channels == ()
+    assert run.provenance["imported_from"] == str(tmp_path / "swing")
+    assert run.events[-1]["event"] == "finished"
+
+
+def test_a_recording_with_faults_leaves_no_run(tmp_path):
+    with pytest.raises(RecordingError, match=r"a\.csv:3"):
+        import_recording(
+            recording(tmp_path / "swing", rows="0.0,1.0,0.1\n0.0,2.0,0.2\n"), tmp_path / "results"
+        )
+    assert not list(tmp_path.glob("results/*/*"))
+
+
+@pytest.mark.parametrize("name", ["ring-down", "xl330-servo", "emps", "silverbox"])
+def test_the_real_recordings_come_in_whole(recordings, tmp_path, name):
+    from labrun.store.recording import read_recording
+
+    measured = read_recording(recordings / name)
+    run = open_run(import_recording(recordings / name, tmp_path))
+    assert len(run.outcomes) == len(measured.trials)
+    for index, trial in enumerate(measured.trials):
+        stream = run.stream(index, "output")
+        np.testing.assert_array_equal(stream.values, trial.outputs)
+        np.testing.assert_array_equal(stream.time_s, trial.time_s)
