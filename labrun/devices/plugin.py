@@ -1,7 +1,7 @@
 """How a device plugin is made."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar, Protocol
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -23,7 +23,7 @@ class DeviceSettings(BaseModel):
     limits: Limits = Limits()
 
 
-Port = str
+Port = Annotated[str, "port"]
 """A serial port or network address."""
 
 

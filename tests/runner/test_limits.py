@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import experiment_with
+from paddle_lab import experiment_with
 from hypothesis import given
 from hypothesis import strategies as st
 

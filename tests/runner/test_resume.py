@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import Lab, experiment_with
+from paddle_lab import Lab, experiment_with
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -1,0 +1,1 @@
+"""The stand-in devices of a dry run, and the simulated benches they look at (`scenes`)."""

@@ -1,0 +1,112 @@
+"""What all simulated devices share: their life, their scene, and their faults."""
+
+import math
+from typing import ClassVar
+
+from labrun.devices import DeviceContext, DeviceError, Health, Identity, Scene
+from labrun_plugins.simulated.settings import SimulatedSettings
+
+
+class SimulatedDevice:
+    """A device that exists only in a dry run.
+
+    Parameters
+    ----------
+    name
+        Its name in the experiment file.
+    settings
+        Its table of the experiment file.
+    context
+        Clock, generator and scene of the run.
+    """
+
+    model: ClassVar[str] = "simulated device"
+
+    def __init__(self, name: str, settings: SimulatedSettings, context: DeviceContext) -> None:
+        self.name = name
+        self._limits = settings.limits
+        self._faults = settings.faults
+        self._log_stop = settings.log_stop
+        self._clock = context.clock
+        self._rng = context.rng
+        self._scene = context.scene
+        self._opened_s: float | None = None
+
+    @property
+    def closed(self) -> bool:
+        """Whether the device is not connected."""
+        return self._opened_s is None
+
+    @property
+    def scene(self) -> Scene:
+        """The simulated bench.
+
+        Raises
+        ------
+        DeviceError
+            The experiment names none.
+        """
+        if self._scene is None:
+            raise DeviceError(
+                self.name,
+                "a simulated device needs a simulated bench",
+                hint='name one in the experiment file: [rig] scene = "caudal-tank"; see labrun plugins',
+            )
+        return self._scene
+
+    def open(self) -> None:
+        """Connect to the scene."""
+        self.scene  # noqa: B018 -- raises without a scene
+        self._opened_s = self._clock.now()
+
+    def identify(self) -> Identity:
+        """Say what this stands in for."""
+        self._require_open()
+        return Identity(model=self.model, serial="simulated", firmware="simulated")
+
+    def health(self) -> Health:
+        """Report no complaint unless the device no longer answers."""
+        if self.closed:
+            return Health(ok=False, notes=("not connected",))
+        if self._silent():
+            return Health(ok=False, notes=("no answer",))
+        return Health()
+
+    def safe_stop(self) -> None:
+        """Stop all motion: a device without motion only notes that it was asked to."""
+        self._log_stop(self.name, "safe_stop")
+
+    def close(self) -> None:
+        """Disconnect; harmless when not connected."""
+        self._opened_s = None
+
+    def _require_open(self) -> float:
+        if self._opened_s is None:
+            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
+        return self._opened_s
+
+    def _since_open_s(self) -> float:
+        return self._clock.now() - self._require_open()
+
+    def _silent_from_s(self) -> float:
+        after = self._faults.stop_answering_after_s
+        return math.inf if after is None else self._require_open() + after
+
+    def _silent(self) -> bool:
+        return self._clock.now() >= self._silent_from_s()
+
+    def _require_answer(self) -> None:
+        self._require_open()
+        if self._silent():
+            raise DeviceError(
+                self.name, "does not answer", hint="check its power and its cable, then labrun resume"
+            )
+
+    def _require_signals(self, signals: tuple[str, ...]) -> None:
+        missing = [signal for signal in signals if signal not in self.scene.signals]
+        if missing:
+            raise DeviceError(
+                self.name,
+                f"this bench has no {', '.join(missing)}",
+                hint=f"it shows {', '.join(sorted(self.scene.signals))}",
+            )

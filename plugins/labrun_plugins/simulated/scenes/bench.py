@@ -1,0 +1,137 @@
+"""What all simulated benches share: a time grid, commanded joints, hand-made changes, and an exact memory."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from labrun.devices import FloatArray, Trajectory
+from labrun.errors import ExperimentError, SpecError
+from labrun.models.model import Model
+from labrun_plugins.simulated.scenes.drive import JointDrive
+from labrun_plugins.simulated.scenes.history import History
+from labrun_plugins.simulated.scenes.memory import generator_state, packed, restore_generator
+from labrun_plugins.simulated.scenes.settings import BenchSettings, checked
+
+_SNAPSHOT_SPAN_S = 0.2
+"""A restored bench can be looked at from this long before the snapshot on."""
+_CHUNK = 20_000
+"""Grid points simulated at once, at most: bounds the memory of a long wait."""
+
+
+class Bench:
+    """A simulated bench on a uniform time grid. Subclasses give `_advance` and its memory.
+
+    Parameters
+    ----------
+    settings
+        The table ``[rig.scene]`` of the experiment file, without ``plugin``.
+    rng
+        Source of everything random on the bench.
+    """
+
+    Settings: ClassVar[type[BenchSettings]] = BenchSettings
+    step_s: ClassVar[float] = 0.005
+    signals: Mapping[str, str]
+    joints: tuple[str, ...]
+
+    def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
+        self._settings: Any = checked(self.Settings, settings)
+        self._rng = rng
+        self._columns = {signal: column for column, signal in enumerate(self.signals)}
+        self._drives = {joint: JointDrive() for joint in self.joints}
+        self._history = History(self.step_s, len(self.signals))
+        self._began = False
+
+    def arrange(self, condition: Mapping[str, float | str]) -> None:
+        """Put in place what a person would change by hand; this bench has nothing of the kind."""
+
+    def drive(self, joint: str, trajectory: Trajectory, start_s: float) -> None:
+        """Command one joint from `start_s` on."""
+        if joint not in self._drives:
+            raise ExperimentError(
+                f"this bench has no joint {joint!r}", hint=f"it has {', '.join(self.joints)}"
+            )
+        self._drives[joint].forget_before(self._history.end * self.step_s)
+        self._drives[joint].command(trajectory, start_s)
+
+    def tow(self, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:  # noqa: ARG002
+        """Move the carriage."""
+        raise ExperimentError(
+            "this bench has no carriage", hint="leave out trial.carriage, or use another scene"
+        )
+
+    def observe(self, signals: Sequence[str], time_s: FloatArray) -> FloatArray:
+        """Return the true signals at ascending times, shape (n, signals)."""
+        columns = [self._columns[signal] for signal in signals]
+        if len(time_s) == 0:
+            return np.empty((0, len(columns)))
+        self._begin(float(time_s[0]))
+        need = math.floor(float(time_s[-1]) / self.step_s) + 2
+        while self._history.end < need:
+            count = min(need - self._history.end, _CHUNK)
+            first = self._history.end
+            times = np.arange(first, first + count, dtype=np.float64) * self.step_s
+            self._history.append(self._advance(times))
+        return self._history.at(columns, time_s)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the whole memory of the bench as JSON-ready values."""
+        return {
+            "began": self._began,
+            "history": self._history.snapshot(_SNAPSHOT_SPAN_S),
+            "drives": {joint: drive.snapshot() for joint, drive in self._pruned_drives().items()},
+            "generator": generator_state(self._rng),
+            "memory": self._memory(),
+        }
+
+    def restore(self, snapshot: Mapping[str, Any]) -> None:
+        """Take back what `snapshot` gave."""
+        self._began = bool(snapshot["began"])
+        self._history.restore(snapshot["history"])
+        for joint, stored in snapshot["drives"].items():
+            self._drives[joint].restore(stored)
+        restore_generator(self._rng, snapshot["generator"])
+        self._recall(snapshot["memory"])
+
+    def truth(self) -> dict[str, Any]:
+        """Return parameters and hidden effects as JSON-ready values."""
+        raise NotImplementedError
+
+    def _advance(self, time_s: FloatArray) -> FloatArray:
+        """Simulate up to the next grid points and return their signals, shape (n, signals)."""
+        raise NotImplementedError
+
+    def _memory(self) -> dict[str, Any]:
+        """Return what the subclass remembers, JSON-ready."""
+        raise NotImplementedError
+
+    def _recall(self, memory: Mapping[str, Any]) -> None:
+        """Take back what `_memory` gave."""
+        raise NotImplementedError
+
+    def _begin(self, time_s: float) -> None:
+        """Start the grid one point before the first look; before that nothing happened."""
+        if not self._began:
+            self._history.restore(
+                [math.floor(time_s / self.step_s) - 1, packed(np.empty((0, len(self.signals))))]
+            )
+            self._began = True
+
+    def _with_errors(self, model: Model) -> Model:
+        """Return the model with the parameter errors that the settings ask for."""
+        values = dict(zip((one.name for one in model.parameters), model.values.tolist(), strict=True))
+        for name, error in self._settings.parameters.items():
+            if name not in values:
+                raise SpecError(
+                    f"rig.scene.parameters: this bench has no parameter {name!r}",
+                    hint=f"it has {', '.join(values)}",
+                )
+            values[name] *= 1.0 + error
+        return model.with_values(values)
+
+    def _pruned_drives(self) -> dict[str, JointDrive]:
+        for drive in self._drives.values():
+            drive.forget_before(self._history.end * self.step_s)
+        return self._drives

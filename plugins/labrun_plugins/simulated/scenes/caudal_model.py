@@ -1,0 +1,134 @@
+"""Thrust of a flapping tail in a small tank: the equations behind `caudal_tank`.
+
+Functions of the model signature ``(t, x, u, p, force, out)``; see `labrun.models`.
+What the source states: static gain, lags and dead times of thrust against amplitude (5.5) and of its
+direction against offset (5.6), the best gait, and that most others push backwards, for which it suspects
+waves that come back from the walls. The rest is chosen for the simulation, and said so.
+"""
+
+import math
+from typing import Any
+
+from labrun.models.model import Input, Model, Output, Parameter, Site
+from labrun.models.native import native
+
+BEST_HZ = 1.4
+"""Frequency at which the returning wave meets the tail in phase (best gait of section 5.2)."""
+ECHO_S = 1.0 / BEST_HZ
+"""Time from a stroke until its wave is back: one period at the best frequency, which makes it the best."""
+TIP_LAG_S = 0.1
+"""The flexible sheet's tip follows the servo with this lag (chosen)."""
+ANGLE_DEAD_S = 0.12
+"""Dead time of eq. (5.6)."""
+AMPLITUDE_DEAD_S = 0.28 - TIP_LAG_S
+"""Dead time of eq. (5.5), less the tip's lag, which acts like a part of it."""
+
+_AMPLITUDE_LAG_S = 0.34
+_ANGLE_LAG_S = 0.13
+_OMEGA = 2.0 * math.pi * BEST_HZ
+_TIP_GAIN = 1.0 / math.sqrt(1.0 + (_OMEGA * TIP_LAG_S) ** 2)
+# Mean of |sin| is 2/pi: with this factor the mean of |tip speed| is the amplitude, at the best frequency.
+_TO_AMPLITUDE = math.pi / (2.0 * _OMEGA * _TIP_GAIN)
+_SWING_GAIN = 0.5 / (1.0 + (_OMEGA * _ANGLE_LAG_S) ** 2) / (_OMEGA * _TIP_GAIN) ** 2
+
+_ECHO_STRENGTH = 1.5
+_LEFT_OVER_SHARE = 0.4
+_LEFT_OVER_S = 4.0
+_TURN_BACK_S = 0.5
+_JET_BUILD_UP_S = 2.0
+_VORTEX_S = 3.0
+_QUIET = 2.5e-3
+_WAVE_SHARE = 0.03
+_WAVE_DAMPING = 0.03
+# First sloshing modes of water 0.2 m deep, along 0.3048 m and across 0.1524 m:
+# omega^2 = g k tanh(k h), k = pi / length.
+_ALONG = 2.0 * math.pi * 1.575
+_ACROSS = 2.0 * math.pi * 2.263
+
+STATES = (
+    "stroke", "stroke_smooth", "jet", "left_over", "power", "echo_power", "echo_product", "direction",
+    "vortex_x", "vortex_y", "wave_x", "wave_x_rate", "wave_y", "wave_y_rate",
+)  # fmt: skip
+
+
+def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
+    """Rates of the states.
+
+    Inputs: tip angle and rate; tip rate one dead time ago, and one dead time and one echo ago; servo angle
+    one angle dead time ago; two white noises.
+    """
+    tip_rate, late_rate, echo_rate = u[1], u[2], u[3]
+    dx[0] = (abs(late_rate) * _TO_AMPLITUDE - x[0]) / _AMPLITUDE_LAG_S
+    dx[1] = (x[0] - x[1]) / _AMPLITUDE_LAG_S
+    # When the tail stops driving, the jet turns at the wall and comes back as a current that dies out in seconds.
+    turning = max(0.0, x[2] - 1.1 * x[1])
+    dx[2] = max(0.0, x[1] - x[2]) / _JET_BUILD_UP_S - turning / _TURN_BACK_S
+    dx[3] = p[4] * turning / _TURN_BACK_S - x[3] / _LEFT_OVER_S
+    dx[4] = (late_rate * late_rate - x[4]) / _AMPLITUDE_LAG_S
+    dx[5] = (echo_rate * echo_rate - x[5]) / _AMPLITUDE_LAG_S
+    dx[6] = (late_rate * echo_rate - x[6]) / _AMPLITUDE_LAG_S
+    dx[7] = (p[1] * u[4] - x[7]) / _ANGLE_LAG_S
+    stirring = math.sqrt(2.0 / _VORTEX_S) * p[5] * x[2]
+    dx[8] = stirring * u[5] - x[8] / _VORTEX_S
+    dx[9] = stirring * u[6] - x[9] / _VORTEX_S
+    side = -p[2] * tip_rate * abs(tip_rate)
+    dx[10] = x[11]
+    dx[11] = _ALONG * _ALONG * (side * math.sin(u[0]) - x[10]) - 2.0 * _WAVE_DAMPING * _ALONG * x[11]
+    dx[12] = x[13]
+    dx[13] = _ACROSS * _ACROSS * (side * math.cos(u[0]) - x[12]) - 2.0 * _WAVE_DAMPING * _ACROSS * x[13]
+
+
+def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
+    """Forward and side force on the fish, N."""
+    # 0 where the returning wave is in phase with the tail (or there is none), 2 in antiphase.
+    discord = max(0.0, x[5] - x[6]) / (x[5] + _QUIET)
+    gain = 1.0 - 2.0 * math.tanh(_ECHO_STRENGTH * p[3] * discord)
+    # The jet swings with the tail; its mean is weaker than its strength by J0(swing), which (5.5) contains.
+    swing = 1.0 + p[1] * p[1] * _SWING_GAIN * x[4]
+    jet = p[0] * x[0] * gain * swing
+    side = -p[2] * u[1] * abs(u[1])
+    wave_x, wave_y = _WAVE_SHARE * x[10], _WAVE_SHARE * x[12]
+    y[0] = jet * math.cos(x[7]) - p[0] * x[3] + x[8] + side * math.sin(u[0]) + wave_x + force[0]
+    y[1] = jet * math.sin(x[7]) + x[9] + side * math.cos(u[0]) + wave_y
+
+
+def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
+    """Site ``fish``: a body held still, whose force adds to the thrust; its speed is the returning current's."""
+    values[0] = 0.0
+    values[1] = x[3]
+    values[2] = 0.0
+    values[3] = 0.0
+
+
+def caudal_model() -> Model:
+    """Return the model; its parameters are those of (5.5), (5.6), and what is chosen besides."""
+    inputs = (
+        "tip_angle",
+        "tip_rate",
+        "tip_rate_late",
+        "tip_rate_echo",
+        "servo_angle_late",
+        "noise_x",
+        "noise_y",
+    )
+    return Model(
+        name="caudal-tank",
+        states=STATES,
+        inputs=tuple(Input(name) for name in inputs),
+        outputs=(Output("force_x", "N"), Output("force_y", "N")),
+        parameters=(
+            Parameter("thrust_gain", math.degrees(0.00912), unit="N/rad"),
+            Parameter("direction_gain", -0.866, unit="rad/rad"),
+            Parameter("paddle", 0.02, unit="N s^2/rad^2"),
+            Parameter("echo", 1.0),
+            Parameter("left_over", _LEFT_OVER_SHARE),
+            Parameter("vortices", 0.05, unit="N/rad"),
+        ),
+        conditions=(),
+        sites=(Site("fish", "body", coordinate="0", rate="left_over"),),
+        initial=dict.fromkeys(STATES, 0.0),
+        derivative=native("model", derivative),
+        output=native("model", output),
+        site_values=native("model", site_values),
+        source="simulated caudal tank",
+    )

@@ -1,0 +1,115 @@
+"""The fish with two pectoral five-bars and a tail, on an arm that can tow it (section 6 of the source work)."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import PositiveFloat
+
+from labrun.devices import FloatArray
+from labrun.effects.quantities import Scale
+from labrun.errors import ExperimentError
+from labrun.models.stepper import Stepper
+from labrun_plugins.simulated.scenes.bench import Bench
+from labrun_plugins.simulated.scenes.fins import JOINTS, fin_loads, motion_at
+from labrun_plugins.simulated.scenes.fire_model import OUTPUTS, fire_model
+from labrun_plugins.simulated.scenes.hidden import described, hidden_effects
+from labrun_plugins.simulated.scenes.memory import packed, unpacked
+from labrun_plugins.simulated.scenes.servo_model import joint_stepper
+from labrun_plugins.simulated.scenes.settings import BenchSettings
+from labrun_plugins.simulated.scenes.tow import Carriage
+
+_SCALE = Scale(coordinate=0.5, rate=0.2, acceleration=1.0, force=0.3, signal=0.5, time_s=0.2)
+
+
+class FireTankSettings(BenchSettings):
+    """`mount_height_m`: the sensor sits this far above the fish's centre, at the end of the arm."""
+
+    mount_height_m: PositiveFloat = 0.3
+
+
+class FireTank(Bench):
+    """Six-axis load on the five-jointed fish.
+
+    Physics and sources: see `five_bar`, `plates`, `fins` and `fire_model`.
+
+    A trial leaves moving water at each fin (2.5 s), waves between the walls (about 6 s) and vortices (3 s)
+    behind.
+
+    Signals: ``force_x`` ... ``torque_z`` at the sensor (x forward, y left, z up), ``position`` of the
+    carriage (m), and each joint's angle (rad). The carriage tows the fish forward for rising position: water
+    comes from ahead at its speed.
+    """
+
+    Settings: ClassVar[type[BenchSettings]] = FireTankSettings
+    step_s = 0.005
+    joints = JOINTS
+    signals: Mapping[str, str] = {
+        **{one.name: one.unit for one in OUTPUTS}, "position": "m", **dict.fromkeys(JOINTS, "rad"),
+    }  # fmt: skip
+
+    def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
+        super().__init__(settings, rng)
+        self._model = self._with_errors(fire_model(self._settings.mount_height_m))
+        on_joints = [one for one in self._settings.hide if one.site in self.joints]
+        in_water = [one for one in self._settings.hide if one.site not in self.joints]
+        plain = joint_stepper(self.joints, self.step_s)
+        joint_effects = hidden_effects(on_joints, plain.model, _SCALE)
+        water_effects = hidden_effects(in_water, self._model, _SCALE)
+        self._hidden = water_effects + joint_effects
+        self._servo = joint_stepper(self.joints, self.step_s, joint_effects)
+        self._stepper = Stepper(self._model, effects=water_effects, step_s=self.step_s)
+        self._carriage = Carriage()
+        self._motion = motion_at(np.zeros(len(JOINTS)))
+        self._wake = np.zeros((3, 3))
+        self._joints_before = np.zeros((1, len(JOINTS)))
+        self._inputs_before = np.zeros((1, len(self._model.inputs)))
+
+    def tow(self, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:
+        """Move the carriage from `start_s` on, with ramps of 0.5 m/s^2."""
+        self._carriage.move(from_m, to_m, speed_m_s, start_s)
+
+    def truth(self) -> dict[str, Any]:
+        """Return parameters as they are on the bench, and hidden effects."""
+        names = (one.name for one in self._model.parameters)
+        return {
+            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
+            "parameter_errors": dict(self._settings.parameters),
+            "hidden": [described(effect) for effect in self._hidden],
+        }
+
+    def _advance(self, time_s: FloatArray) -> FloatArray:
+        count = len(time_s)
+        commanded = np.column_stack([self._drives[joint].angles(time_s) for joint in self.joints])
+        joints = self._servo.advance(np.concatenate([self._joints_before, commanded]))
+        self._joints_before = commanded[-1:].copy()
+        position, speed, acceleration = self._carriage.motion(time_s)
+        loads = fin_loads(np.ascontiguousarray(joints), speed, self.step_s, self._motion, self._wake)
+        noise = self._settings.noise / math.sqrt(self.step_s) * self._rng.standard_normal((count, 3))
+        inputs = np.column_stack([loads, speed, acceleration, noise])
+        wrench = self._stepper.advance(np.concatenate([self._inputs_before, inputs]))
+        self._inputs_before = inputs[-1:].copy()
+        if not self._stepper.finite:
+            raise ExperimentError("the simulated fire tank blew up", hint="hide a weaker effect, or none")
+        return np.column_stack([wrench, position, joints])
+
+    def _memory(self) -> dict[str, Any]:
+        return {
+            "carriage": self._carriage.snapshot(),
+            "motion": packed(self._motion),
+            "wake": packed(self._wake),
+            "joints_before": packed(self._joints_before),
+            "inputs_before": packed(self._inputs_before),
+            "servo": self._servo.snapshot(),
+            "stepper": self._stepper.snapshot(),
+        }
+
+    def _recall(self, memory: Mapping[str, Any]) -> None:
+        self._carriage.restore(memory["carriage"])
+        self._motion = unpacked(memory["motion"])
+        self._wake = unpacked(memory["wake"])
+        self._joints_before = unpacked(memory["joints_before"])
+        self._inputs_before = unpacked(memory["inputs_before"])
+        self._servo.restore(memory["servo"])
+        self._stepper.restore(memory["stepper"])

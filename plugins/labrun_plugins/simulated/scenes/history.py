@@ -1,0 +1,88 @@
+"""What happened on a bench lately, on its own time grid, to be looked up between the grid points."""
+
+from typing import Any
+
+import numpy as np
+
+from labrun.devices import FloatArray
+from labrun.errors import ExperimentError
+from labrun_plugins.simulated.scenes.memory import packed, unpacked
+
+
+class History:
+    """Signals on a uniform time grid; the latest stretch of them is kept.
+
+    Parameters
+    ----------
+    step_s
+        Grid step.
+    signals
+        Number of columns.
+    keep_s
+        At least this much stays.
+    """
+
+    def __init__(self, step_s: float, signals: int, keep_s: float = 120.0) -> None:
+        self.step_s = step_s
+        self._keep = max(2, round(keep_s / step_s))
+        self._rows = np.empty((1024, signals))
+        self._count = 0
+        self._first = 0
+
+    @property
+    def end(self) -> int:
+        """Number of the grid point after the last one known."""
+        return self._first + self._count
+
+    def append(self, rows: FloatArray) -> None:
+        """Add the next grid points, shape (n, signals)."""
+        need = self._count + len(rows)
+        if need > len(self._rows):
+            if self._count > 2 * self._keep:
+                kept = self._rows[self._count - self._keep : self._count].copy()
+                self._first += self._count - self._keep
+                self._count = self._keep
+                need = self._count + len(rows)
+                self._rows[: self._count] = kept
+            if need > len(self._rows):
+                larger = np.empty((2 * need, self._rows.shape[1]))
+                larger[: self._count] = self._rows[: self._count]
+                self._rows = larger
+        self._rows[self._count : need] = rows
+        self._count = need
+
+    def at(self, columns: list[int], time_s: FloatArray) -> FloatArray:
+        """Return the signals at these times, linear between grid points, shape (n, columns).
+
+        Raises
+        ------
+        ExperimentError
+            A time that is no longer, or not yet, known.
+        """
+        # Absolute until the weight is known: what has been forgotten must not change the rounding.
+        position = time_s / self.step_s
+        point = np.floor(position)
+        weight = (position - point)[:, None]
+        index = point.astype(np.int64) - self._first
+        low, high = int(index.min()), int(index.max())
+        if low < 0 or high + 1 >= self._count:
+            known = f"{self._first * self.step_s:.3f} ... {(self.end - 1) * self.step_s:.3f} s"
+            raise ExperimentError(
+                f"the simulated bench was asked for {time_s.min():.3f} ... {time_s.max():.3f} s, it knows {known}",
+                hint="sensors must be read at least every two minutes of a dry run",
+            )
+        window = self._rows[low : high + 2, columns]
+        index -= low
+        below = window[index]
+        return np.asarray(below + weight * (window[index + 1] - below))
+
+    def snapshot(self, span_s: float) -> list[Any]:
+        """Return the last stretch as JSON-ready values."""
+        rows = min(self._count, max(2, int(np.ceil(span_s / self.step_s))))
+        return [self.end - rows, packed(self._rows[self._count - rows : self._count])]
+
+    def restore(self, stored: list[Any]) -> None:
+        """Take back what `snapshot` gave."""
+        rows = unpacked(stored[1])
+        self._first, self._count = int(stored[0]), 0
+        self.append(rows)

@@ -1,0 +1,61 @@
+"""Settings that every simulated bench has."""
+
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, NonNegativeFloat, ValidationError
+
+from labrun.errors import SpecError
+
+Settings = TypeVar("Settings", bound="BenchSettings")
+
+
+class HiddenEffect(BaseModel):
+    """An effect that the bench has and its model lacks; values not given are typical of the bench."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    effect: str
+    site: str
+    values: dict[str, float] = {}
+
+
+class BenchSettings(BaseModel):
+    """Settings that every bench has.
+
+    Attributes
+    ----------
+    hide
+        Effects that work on the bench, and that nobody tells the model of.
+    parameters
+        Relative errors: ``{ stiffness = 0.02 }`` makes the bench 2 % stiffer than its documentation says.
+    noise
+        Factor on everything random; 0 makes the bench exactly repeatable.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    hide: tuple[HiddenEffect, ...] = ()
+    parameters: dict[str, float] = {}
+    noise: NonNegativeFloat = 1.0
+
+
+def checked(model: type[Settings], settings: Mapping[str, Any]) -> Settings:
+    """Return the settings of a bench.
+
+    Raises
+    ------
+    SpecError
+        All keys that do not hold, at once.
+    """
+    try:
+        return model.model_validate(dict(settings))
+    except ValidationError as error:
+        faults = [
+            f"rig.scene.{'.'.join(str(part) for part in item['loc'])}: {item['msg']}"
+            for item in error.errors()
+        ]
+        raise SpecError(
+            "settings of the simulated bench do not hold: " + "; ".join(faults),
+            hint=f"it knows {', '.join(model.model_fields)}",
+        ) from error

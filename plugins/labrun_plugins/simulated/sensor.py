@@ -1,0 +1,137 @@
+"""A simulated sensor: samples of scene signals with noise, quantization, range, losses and latency."""
+
+import numpy as np
+
+from labrun.devices import Channel, DeviceContext, DeviceError, FloatArray, Samples
+from labrun_plugins.simulated.device import SimulatedDevice
+from labrun_plugins.simulated.settings import SimulatedSettings
+from labrun_plugins.simulated.stream import Arrivals, SampleStream, Timing
+
+_SILENCE_S = 0.5
+"""A driver takes a stream that is silent for this long as lost."""
+
+
+class SimulatedSensor(SimulatedDevice):
+    """Streams what `_measure` makes of the scene.
+
+    Parameters
+    ----------
+    name, settings, context
+        As for every device.
+    channels
+        What it measures.
+    rate_hz
+        True sample rate.
+    timing
+        Latency, jitter, losses and clock.
+    full_scale : (channels,)
+        End of the measuring range of each channel; infinite where there is none.
+    counts_frames
+        Whether the device numbers its samples, so that a driver can count the lost ones.
+    has_clock
+        Whether the device stamps its samples; without, the device time repeats the host time.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        settings: SimulatedSettings,
+        context: DeviceContext,
+        *,
+        channels: tuple[Channel, ...],
+        rate_hz: float,
+        timing: Timing,
+        full_scale: FloatArray,
+        counts_frames: bool = True,
+        has_clock: bool = True,
+    ) -> None:
+        super().__init__(name, settings, context)
+        self.channels = channels
+        self.rate_hz = rate_hz
+        self._stream = SampleStream(rate_hz, timing)
+        self._full_scale = full_scale
+        self._counts_frames = counts_frames
+        self._has_clock = has_clock
+        self._streaming = False
+        self._last_heard_s = 0.0
+
+    def reseed(self, seed: np.random.SeedSequence) -> None:
+        """Take a new generator for noise, jitter and losses."""
+        self._rng = np.random.default_rng(seed)
+
+    def start(self) -> None:
+        """Begin to stream; samples from before are dropped."""
+        self._require_answer()
+        now = self._clock.now()
+        self._stream.start(now)
+        self._last_heard_s = now
+        self._streaming = True
+
+    def stop(self) -> None:
+        """End the stream."""
+        self._streaming = False
+
+    def close(self) -> None:
+        """Disconnect; the stream ends."""
+        self._streaming = False
+        super().close()
+
+    def read(self) -> Samples:
+        """Return all samples since the last call.
+
+        Raises
+        ------
+        DeviceError
+            Not streaming, or silent for too long.
+        """
+        self._require_open()
+        if not self._streaming:
+            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
+        now = self._clock.now()
+        sent_until = min(now, self._silent_from_s())
+        arrivals = self._stream.arrived(sent_until, self._rng, self._faults.drop_share)
+        if not len(arrivals):
+            return self._nothing_heard(now)
+        self._last_heard_s = sent_until
+        values = self._with_faults(self._measure(arrivals.taken_s))
+        saturated = self._clip(values)
+        return self._samples(arrivals, values, saturated)
+
+    def _measure(self, time_s: FloatArray) -> FloatArray:
+        """Return the values, shape (n, channels), before the end of the range is applied."""
+        raise NotImplementedError
+
+    def _empty(self) -> Samples:
+        return Samples.empty(len(self.channels))
+
+    def _nothing_heard(self, now_s: float) -> Samples:
+        silence = now_s - self._last_heard_s
+        if silence > _SILENCE_S:
+            raise DeviceError(
+                self.name,
+                f"has sent nothing for {silence:.2g} s (expected {self.rate_hz:g} samples/s)",
+                hint="check its power and its cable, then labrun resume",
+            )
+        return self._empty()
+
+    def _with_faults(self, values: FloatArray) -> FloatArray:
+        if self._faults.saturate:
+            ends = np.where(np.isfinite(self._full_scale), self._full_scale, values)
+            values = np.broadcast_to(ends, values.shape).copy()
+        after = self._faults.nonsense_after_s
+        if after is not None and self._since_open_s() >= after:
+            values = self._rng.choice([np.nan, 1e6, -1e6], size=values.shape)
+        return values
+
+    def _clip(self, values: FloatArray) -> int:
+        with np.errstate(invalid="ignore"):
+            at_end = np.abs(values) >= self._full_scale
+        if not at_end.any():
+            return 0
+        np.clip(values, -self._full_scale, self._full_scale, out=values)
+        return int(at_end.any(axis=1).sum())
+
+    def _samples(self, arrivals: Arrivals, values: FloatArray, saturated: int) -> Samples:
+        device_time = arrivals.device_time_s if self._has_clock else arrivals.host_time_s
+        lost = arrivals.lost if self._counts_frames else 0
+        return Samples(device_time, arrivals.host_time_s, values, lost=lost, saturated=saturated)

@@ -1,0 +1,125 @@
+"""The hinge bench against an independent integration of the corrected eq. (3.5)."""
+
+import numpy as np
+import pytest
+from labrun_plugins.simulated.scenes.hinge_bench import HingeBench
+from scipy.integrate import solve_ivp
+from simulated_bench import line
+
+from labrun.errors import SpecError
+
+TIME_S = 2.0 + np.arange(0.0, 5.0, 1 / 360)
+
+
+def _released(settings, seed=0, angle_deg=40.0, condition=None):
+    bench = HingeBench(settings, np.random.default_rng(seed))
+    bench.arrange(condition or {})
+    bench.observe(["hinge"], np.array([0.0]))
+    bench.drive("hinge", line("hinge", [0.0, angle_deg, angle_deg], [0.0, 1.0, 2.0]), 0.0)
+    return bench
+
+
+def _expected(truth, angle_deg=40.0):
+    p, drag = truth["parameters"], truth["built_in"][0]["values"]["coefficient"]
+
+    def slope(t, x):
+        angle, rate = x
+        torque = -p["stiffness"] * angle - p["damping"] * rate - p["gravity_torque"] * np.sin(angle)
+        return [rate, (torque - drag * abs(rate) * rate) / p["inertia"]]
+
+    solution = solve_ivp(
+        slope, (0, 5), [np.radians(angle_deg), 0.0], rtol=1e-10, atol=1e-12, dense_output=True
+    )
+    return solution.sol(TIME_S - 2.0)[0]
+
+
+@pytest.mark.parametrize("condition", [{}, {"width_mm": 30.0, "length_mm": 1.0, "area_cm2": 60.0}])
+def test_free_decay_is_that_of_the_equation(condition):
+    bench = _released({"noise": 0}, condition=condition)
+    angle = bench.observe(["hinge"], TIME_S)[:, 0]
+    np.testing.assert_allclose(angle, _expected(bench.truth()), atol=2e-4)
+
+
+def test_stiffness_and_damping_are_those_of_the_corrected_maps():
+    truth = HingeBench({"noise": 0}, np.random.default_rng(0)).truth()
+    w, length, a = 0.05, 0.00175, 43e-4
+    k = 762.5397 * length**2 - 7.5305 * length - 1.4444 * w**2 + 0.4298 * w + 0.0073
+    b = (
+        -0.8565 * a**2
+        + 0.0129 * a
+        + 2.0822 * length**2
+        - 0.0227 * length
+        + 0.0408 * w**2
+        - 0.0023 * w
+        + 5.0855e-5
+    )
+    assert truth["parameters"]["stiffness"] == pytest.approx(k)
+    assert truth["parameters"]["damping"] == pytest.approx(b)
+
+
+def test_the_body_is_held_until_its_motion_ends():
+    bench = _released({})
+    held = bench.observe(["hinge"], np.linspace(1.0, 1.99, 50))[:, 0]
+    np.testing.assert_allclose(held, np.radians(40.0))
+
+
+def test_the_pose_turns_about_the_y_axis_and_keeps_its_distance_from_the_pivot():
+    bench = _released({"noise": 0})
+    names = ["arm_x", "arm_y", "arm_z", "arm_qx", "arm_qy", "arm_qz", "arm_qw", "hinge"]
+    pose = bench.observe(names, TIME_S)
+    distance = np.hypot(pose[:, 0] - 0.2, pose[:, 2] - 1.1)
+    np.testing.assert_allclose(distance, distance[0], rtol=1e-3)
+    np.testing.assert_allclose(2 * np.arctan2(pose[:, 4], pose[:, 6]), pose[:, 7], atol=1e-4)
+    assert np.all(pose[:, [1, 3, 5]] == 0)
+
+
+def test_setups_scatter_like_the_published_repeats():
+    values = np.array([
+        [HingeBench({}, np.random.default_rng(seed)).truth()["parameters"][name] for name in ("stiffness", "damping")]
+        for seed in range(300)
+    ])  # fmt: skip
+    spread = values.std(axis=0) / values.mean(axis=0)
+    assert spread == pytest.approx([0.021, 0.028], rel=0.15)
+
+
+def test_releases_of_one_setup_differ_a_little():
+    bench = _released({})
+    first = bench.observe(["hinge"], TIME_S)[:, 0]
+    bench.drive("hinge", line("hinge", [0.0, 40.0, 40.0], [0.0, 1.0, 2.0]), 20.0)
+    second = bench.observe(["hinge"], TIME_S + 20.0)[:, 0]
+    difference = np.abs(first - second).max()
+    assert 1e-4 < difference < 0.2
+
+
+def test_a_hidden_effect_works_on_the_bench_and_is_told_by_its_truth():
+    hidden = {"effect": "labrun.effects.coulomb_friction:EFFECT", "site": "hinge", "values": {"torque": 1e-3}}
+    with_friction = _released({"noise": 0, "hide": [hidden]})
+    without = _released({"noise": 0})
+    late = TIME_S[-300:]
+    assert np.abs(without.observe(["hinge"], late)).max() > 5 * np.ptp(with_friction.observe(["hinge"], late))
+    (told,) = with_friction.truth()["hidden"]
+    assert (told["effect"], told["site"], told["values"]["torque"]) == ("coulomb-friction", "hinge", 1e-3)
+
+
+def test_a_parameter_error_is_relative():
+    plain = HingeBench({"noise": 0}, np.random.default_rng(0)).truth()["parameters"]["stiffness"]
+    other = HingeBench({"noise": 0, "parameters": {"stiffness": 0.02}}, np.random.default_rng(0)).truth()
+    assert other["parameters"]["stiffness"] == pytest.approx(1.02 * plain)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (
+            {"hide": [{"effect": "labrun.effects.coulomb_friction:EFFECT", "site": "elbow"}]},
+            "no site 'elbow'",
+        ),
+        ({"hide": [{"effect": "labrun.effects.delay:EFFECT", "site": "hinge"}]}, "not at a joint site"),
+        ({"hide": [{"effect": "coulomb-frction", "site": "hinge"}]}, "coulomb-frction"),
+        ({"parameters": {"stifness": 0.1}}, "no parameter 'stifness'"),
+        ({"widht_mm": 3.0}, "widht_mm"),
+    ],
+)
+def test_what_a_bench_cannot_be_told_is_refused_by_name(settings, words):
+    with pytest.raises(SpecError, match=words):
+        HingeBench(settings, np.random.default_rng(0))
