@@ -1,0 +1,5 @@
+"""`python -m labrun`."""
+
+from labrun.cli import main
+
+main()

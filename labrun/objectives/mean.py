@@ -1,0 +1,11 @@
+"""Mean over the recording."""
+
+from labrun.objectives.channel import ChannelObjective, time_mean
+from labrun.objectives.protocol import Signal
+
+
+class Mean(ChannelObjective):
+    """Mean of a channel over the recording; over its whole cycles after the discarded ones if the gait has any."""
+
+    def _number(self, signal: Signal) -> float:
+        return time_mean(signal)

@@ -1,0 +1,182 @@
+"""What has to fit together across the tables of a file.
+
+Works on the file as it was read, not on the validated experiment, so that these problems are reported together with all
+the others. Whatever has the wrong shape is passed over here: validation reports it.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from labrun.spec.catalogue import DeviceInfo, examine
+from labrun.spec.channels import check_channel
+from labrun.spec.expression import CONSTANTS, FUNCTIONS, ExpressionError, is_comparison, names_in
+from labrun.spec.let import order
+from labrun.spec.names import nearest, suggest
+from labrun.spec.plugin_checks import check_plugins, gait_names
+from labrun.spec.positions import KeyPath
+from labrun.spec.problem import Problem
+from labrun.spec.raw_tables import condition_names, listed_conditions, table
+
+
+def cross_check(data: Mapping[str, Any]) -> list[Problem]:
+    """Return everything that does not fit together."""
+    problems: list[Problem] = []
+    devices: dict[str, DeviceInfo] = {}
+    for name, device in table(data, "rig", "devices").items():
+        if isinstance(device, dict):
+            devices[name], found = examine(name, device)
+            problems += found
+    conditions = condition_names(data)
+    problems += check_plugins(data, devices)
+    problems += _check_joints(data, devices)
+    problems += _check_references(data, devices)
+    problems += _check_conditions(data, conditions)
+    problems += _check_expressions(data, conditions)
+    return problems
+
+
+def _check_joints(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Problem]:
+    drivers: dict[str, str] = {}
+    for name, device in devices.items():
+        for joint in device.joints:
+            if joint in drivers:
+                path: KeyPath = ("rig", "devices", name)
+                yield Problem(path, f'joint "{joint}" is driven by {drivers[joint]} already')
+            drivers.setdefault(joint, name)
+    for where in (("gait", "joints"), ("trial", "safe_pose_deg")):
+        for joint in table(data, *where):
+            if joint not in drivers:
+                yield Problem(
+                    (*where, joint), f"no device drives this joint; {suggest(joint, drivers, kind='joints')}"
+                )
+
+
+def _check_references(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Problem]:
+    objectives = table(data, "objectives")
+    trial = table(data, "trial")
+    channel = table(trial, "settle").get("channel")
+    yield from check_channel(channel, ("trial", "settle", "channel"), devices)
+    for name in table(trial, "repeats", "standard_error"):
+        if name not in objectives:
+            path: KeyPath = ("trial", "repeats", "standard_error", name)
+            yield Problem(path, f"no objective of this name; {suggest(name, objectives, kind='objectives')}")
+    outlier = table(trial, "outliers").get("objective")
+    if isinstance(outlier, str) and outlier not in objectives:
+        path = ("trial", "outliers", "objective")
+        yield Problem(
+            path, f"no objective of this name; {suggest(outlier, objectives, kind='objectives')}", True
+        )
+    yield from _check_device_names(trial, devices)
+    joints = table(data, "gait", "joints")
+    for name, signal in table(data, "fit", "signals").items():
+        path = ("fit", "signals", name)
+        if isinstance(signal, str) and signal.startswith("command."):
+            joint = signal.removeprefix("command.")
+            if joint not in joints:
+                yield Problem(
+                    path, f'the gait has no joint "{joint}"; {suggest(joint, joints, kind="joints")}', True
+                )
+        else:
+            yield from check_channel(signal, path, devices)
+
+
+def _check_device_names(trial: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Problem]:
+    carriage = table(trial, "carriage").get("device")
+    path: KeyPath = ("trial", "carriage", "device")
+    if isinstance(carriage, str):
+        able = [name for name, device in devices.items() if device.carriage is not False]
+        if carriage not in devices:
+            yield Problem(
+                path, f"no device of this name; {suggest(carriage, able or devices, kind='devices')}", True
+            )
+        elif carriage not in able:
+            yield Problem(
+                path, f"this device cannot travel; {suggest(carriage, able, kind='carriages')}", True
+            )
+    tared = table(trial, "tare").get("devices")
+    for number, name in enumerate(tared if isinstance(tared, list) else []):
+        if isinstance(name, str) and name not in devices:
+            path = ("trial", "tare", "devices", number)
+            yield Problem(path, f"no device of this name; {suggest(name, devices, kind='devices')}", True)
+
+
+def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Problem]:
+    for number, condition in enumerate(listed_conditions(data)):
+        yield from _same_names(condition, ("run", "conditions", number), names)
+    reference = table(data, "trial", "reference").get("condition")
+    if isinstance(reference, dict):
+        yield from _same_names(reference, ("trial", "reference", "condition"), names)
+    for name in table(data, "units"):
+        if name not in names:
+            yield Problem(
+                ("units", name), f"no condition has this name; {suggest(name, names, kind='names')}"
+            )
+    let = table(data, "gait", "let")
+    for name in names:
+        taken = "a part of let" if name in let else "a function" if name in FUNCTIONS else None
+        if taken or name in CONSTANTS:
+            yield Problem(
+                _condition_path(data, name), f"this name is taken: it is also {taken or 'a constant'}"
+            )
+
+
+def _condition_path(data: Mapping[str, Any], name: str) -> KeyPath:
+    paths: dict[str, KeyPath] = {"sweep": ("sweep", "axes", name), "cmaes": ("cmaes", "variables", name)}
+    return paths.get(str(data.get("kind")), ("run", "conditions", 0, name))
+
+
+def _same_names(condition: Mapping[str, Any], path: KeyPath, names: list[str]) -> Iterator[Problem]:
+    unknown = [name for name in condition if name not in names]
+    free = [known for known in names if known not in condition]
+    for name in unknown:
+        yield Problem(
+            (*path, name), f"no condition has this name; {suggest(name, free or names, kind='names')}"
+        )
+    meant = {nearest(name, free) for name in unknown}
+    missing = [name for name in free if name not in meant]
+    if missing and len(unknown) < len(free):  # else each that is missing is there under a wrong name
+        yield Problem(path, f"lacks a value for {', '.join(missing)}")
+
+
+def _check_expressions(data: Mapping[str, Any], conditions: list[str]) -> Iterator[Problem]:
+    let = table(data, "gait", "let")
+    own = gait_names(data)
+    in_gait = [*conditions, *let, *own]
+    for name, expression in let.items():
+        yield from _check_expression(expression, ("gait", "let", name), in_gait)
+    try:
+        order({name: item for name, item in let.items() if isinstance(item, str | float | int)})
+    except ExpressionError as error:
+        if "circle" in str(error):
+            yield Problem(("gait", "let"), str(error))
+    for joint, keys in table(data, "gait", "joints").items():
+        for key, expression in (keys if isinstance(keys, dict) else {}).items():
+            yield from _check_expression(expression, ("gait", "joints", joint, key), in_gait)
+    speed = table(data, "trial", "carriage").get("speed_m_s")
+    yield from _check_expression(speed, ("trial", "carriage", "speed_m_s"), conditions)
+    for kind, names in (
+        ("sweep", table(data, "sweep", "axes")),
+        ("cmaes", table(data, "cmaes", "variables")),
+    ):
+        where = table(data, kind).get("where")
+        for number, expression in enumerate(where if isinstance(where, list) else []):
+            path: KeyPath = (kind, "where", number)
+            found = list(_check_expression(expression, path, list(names)))
+            if not found and isinstance(expression, str) and not is_comparison(expression):
+                found.append(
+                    Problem(path, 'compares nothing; a constraint reads "a + abs(b) <= 60"', at_value=True)
+                )
+            yield from found
+
+
+def _check_expression(expression: object, path: KeyPath, known: list[str]) -> Iterator[Problem]:
+    if not isinstance(expression, str):
+        return
+    try:
+        needed = names_in(expression)
+    except ExpressionError as error:
+        text = str(error).replace(f'expression "{expression}"', "expression", 1).replace("\n  ", "; ")
+        yield Problem(path, text.removeprefix("expression: "), at_value=True)
+        return
+    for name in sorted(needed - set(known)):
+        yield Problem(path, f'unknown name "{name}"; {suggest(name, known, kind="names")}', at_value=True)

@@ -1,0 +1,151 @@
+"""The tables that say which trials there are: conditions one by one, sweeps, searches."""
+
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+from pydantic import Discriminator, Field, PositiveFloat, PositiveInt, Tag, model_validator
+
+from labrun.spec.fault import Faults
+from labrun.spec.table import Number, Table, Value
+
+
+class Range(Table):
+    """An axis of a grid: from, to and step (both ends included)."""
+
+    start: Number = Field(alias="from")
+    stop: Number = Field(alias="to")
+    step: PositiveFloat
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "Range":
+        with Faults() as faults:
+            if self.stop < self.start:
+                faults.add("to", f"{self.stop:g} is below from = {self.start:g}")
+        return self
+
+
+class Interval(Table):
+    """An axis of a random or Sobol design, or a search variable: from, to."""
+
+    start: Number = Field(alias="from")
+    stop: Number = Field(alias="to")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "Interval":
+        with Faults() as faults:
+            if not self.start < self.stop:
+                faults.add("to", f"{self.stop:g} is not above from = {self.start:g}")
+        return self
+
+
+class RunTable(Table):
+    """Conditions one by one."""
+
+    conditions: list[dict[str, Value]] = Field(min_length=1)
+    order: Literal["shuffled", "as-listed"] = "shuffled"
+
+
+def _axis_kind(axis: object) -> str:
+    """Tell the three forms of an axis apart, so that an error is about the form that was meant."""
+    if isinstance(axis, Range) or (isinstance(axis, Mapping) and "step" in axis):
+        return "range"
+    if isinstance(axis, Interval | Mapping):
+        return "interval"
+    return "list"
+
+
+Axis = Annotated[
+    Annotated[Range, Tag("range")]
+    | Annotated[Interval, Tag("interval")]
+    | Annotated[list[Value], Field(min_length=1), Tag("list")],
+    Discriminator(_axis_kind),
+]
+
+
+class Sweep(Table):
+    """Conditions from axes. Grid and list axes cross; random and Sobol designs take `samples` points of intervals."""
+
+    design: Literal["grid", "random", "sobol"] = "grid"
+    axes: dict[str, Axis] = Field(min_length=1)
+    samples: PositiveInt | None = None
+    where: list[str] = Field(default_factory=list)
+    order: Literal["shuffled", "as-listed"] = "shuffled"
+
+    @model_validator(mode="after")
+    def _design_fits_axes(self) -> "Sweep":
+        with Faults() as faults:
+            for name, axis in self.axes.items():
+                if isinstance(axis, Interval) and self.design == "grid":
+                    faults.add(("axes", name), "an axis of a grid needs a step, or is a list of values")
+                if not isinstance(axis, Interval) and self.design != "grid":
+                    faults.add(
+                        ("axes", name), f"an axis of a {self.design} design is {{ from, to }} without step"
+                    )
+            if self.design != "grid" and self.samples is None:
+                faults.add("design", f'"{self.design}" needs samples = (how many points)')
+            if self.design == "grid" and self.samples is not None:
+                faults.add(
+                    "samples", 'a grid counts its own points; samples goes with design = "random" or "sobol"'
+                )
+        return self
+
+
+class Variable(Interval):
+    """A search variable: its range, and where the search starts (the middle, if not said)."""
+
+    initial: Number | None = None
+
+    @model_validator(mode="after")
+    def _initial_inside(self) -> "Variable":
+        with Faults() as faults:
+            if self.initial is not None and not self.start <= self.initial <= self.stop:
+                faults.add("initial", f"{self.initial:g} is outside {self.start:g} ... {self.stop:g}")
+        return self
+
+
+class Penalty(Table):
+    """Cost of an infeasible candidate, which is never run.
+
+    Worst feasible value + spread of the feasible values * (per_violation * number + per_size * size).
+    """
+
+    per_violation: PositiveFloat = 1.0
+    per_size: PositiveFloat = 1.0
+
+
+class StopRules(Table):
+    """When a search ends, whichever comes first."""
+
+    iterations: PositiveInt = 1000
+    stagnation: PositiveInt | None = None
+    step_size_below: PositiveFloat | None = None
+    trials: PositiveInt | None = None
+
+
+class Leaders(Table):
+    """The honest best: this many leaders get this many fresh repeats each; the winner is confirmed by as many again."""
+
+    count: PositiveInt = 5
+    repeats: Annotated[int, Field(ge=2)] = 5
+
+
+class CmaEs(Table):
+    """Covariance matrix adaptation. `step_size` is a share of each variable's range."""
+
+    variables: dict[str, Variable] = Field(min_length=1)
+    population: Annotated[int, Field(ge=4)] | None = None
+    parents: PositiveInt | None = None
+    step_size: PositiveFloat = 0.3
+    where: list[str] = Field(default_factory=list)
+    penalty: Penalty = Penalty()
+    restarts: Annotated[int, Field(ge=0)] = 0
+    reevaluate: Annotated[int, Field(ge=0)] = 0
+    """Leaders of a generation that are measured again in the next one."""
+    stop: StopRules = StopRules()
+
+    @model_validator(mode="after")
+    def _parents_fit(self) -> "CmaEs":
+        with Faults() as faults:
+            if self.parents is not None and self.population is not None and self.parents > self.population:
+                faults.add("parents", f"{self.parents} is more than population = {self.population}")
+        return self

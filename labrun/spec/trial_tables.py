@@ -1,0 +1,115 @@
+"""The tables of a trial: how long, how often, and what makes it trustworthy."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+
+from labrun.spec.fault import Faults
+from labrun.spec.table import Expression, Number, Table, Value
+
+
+class RepeatRule(Table):
+    """How often a condition is measured.
+
+    At least `min` times, then until every standard error is small enough, at most `max` times.
+    """
+
+    min: PositiveInt
+    max: PositiveInt
+    standard_error: dict[str, PositiveFloat] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "RepeatRule":
+        with Faults() as faults:
+            if self.max < self.min:
+                faults.add("max", f"{self.max} is below min = {self.min}")
+        return self
+
+
+class Settle(Table):
+    """When the bench counts as at rest.
+
+    `below` bounds spread and drift of the channel, in its SI unit; without it, the bench's own quiet baseline,
+    measured before the first trial, is the bound (times `factor`).
+    """
+
+    until: Literal["quiet", "time"] = "quiet"
+    channel: str | None = None
+    below: PositiveFloat | None = None
+    factor: PositiveFloat = 1.5
+    hold_s: PositiveFloat = 2.0
+    timeout_s: PositiveFloat = 60.0
+    on_timeout: Literal["go-on", "reject", "stop"] = "go-on"
+
+
+class Tare(Table):
+    """Zero of the force channels, averaged over a quiet moment before each recording. Raw data stay raw."""
+
+    duration_s: PositiveFloat = 1.0
+    devices: list[str] | None = None
+
+
+class Outliers(Table):
+    """The outlier rule, declared beforehand. A rejected trial is kept, with its reason."""
+
+    rule: Literal["none", "mad"] = "none"
+    objective: str | None = None
+    threshold: PositiveFloat = 3.5
+    minimum: Annotated[int, Field(ge=3)] = 3
+
+
+class Reference(Table):
+    """A condition measured every so many trials, so that drift of the bench is seen."""
+
+    every: PositiveInt
+    condition: dict[str, Value] = Field(min_length=1)
+
+
+class CarriageMove(Table):
+    """The carriage's part in a trial: it goes to `from_m`, and travels at `speed_m_s` while samples are taken."""
+
+    device: str
+    speed_m_s: Expression
+    from_m: Number = 0.0
+    to_m: Number
+    return_speed_m_s: PositiveFloat = 0.1
+
+
+class TrialTable(Table):
+    """One trial. Length: `cycles` of the gait (or "fit": as many as the carriage's travel allows), or `duration_s`."""
+
+    cycles: PositiveInt | Literal["fit"] | None = None
+    duration_s: PositiveFloat | None = None
+    discard_cycles: Annotated[int, Field(ge=0)] = 0
+    repeats: RepeatRule = RepeatRule(min=1, max=1)
+    settle: Settle | None = None
+    tare: Tare | None = None
+    outliers: Outliers = Outliers()
+    reference: Reference | None = None
+    carriage: CarriageMove | None = None
+    safe_pose_deg: dict[str, float] = Field(default_factory=dict)
+    move_speed_deg_s: PositiveFloat = 60.0
+    on_fault: Literal["stop", "retry-trial", "skip"] = "stop"
+    retries: Annotated[int, Field(ge=0)] = 1
+    max_lost_share: Annotated[float, Field(ge=0, le=1)] = 0.02
+    """A recording that lost a greater share of a device's samples is rejected."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short_repeats(cls, data: Any) -> Any:
+        if isinstance(data, dict) and isinstance(data.get("repeats"), int):
+            return {**data, "repeats": {"min": data["repeats"], "max": data["repeats"]}}
+        return data
+
+    @model_validator(mode="after")
+    def _one_length(self) -> "TrialTable":
+        with Faults() as faults:
+            if self.cycles is None and self.duration_s is None:
+                faults.add(None, "has no length: give either cycles or duration_s")
+            if self.cycles is not None and self.duration_s is not None:
+                faults.add("duration_s", "the trial has two lengths: give either cycles or duration_s")
+            if isinstance(self.cycles, int) and self.discard_cycles >= self.cycles:
+                faults.add("discard_cycles", f"{self.discard_cycles} leaves nothing of {self.cycles} cycles")
+            if self.cycles == "fit" and self.carriage is None:
+                faults.add("cycles", '"fit" needs a carriage, whose travel sets the length')
+        return self

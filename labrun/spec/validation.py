@@ -1,0 +1,248 @@
+"""From pydantic's errors to problems in the words of the file, all of them in one go."""
+
+import copy
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from labrun.spec.expectation import expectation
+from labrun.spec.names import UNITS, convert, nearest, same_quantity, split_unit, suggest, unit_of
+from labrun.spec.positions import KeyPath
+from labrun.spec.problem import Problem
+
+_ROUNDS = 6
+"""A table's own rules are read only once its keys hold: so what does not hold is left out, and it is read again."""
+
+
+def validate(
+    model: type[BaseModel], data: Mapping[str, Any], base: KeyPath = (), *, also: Sequence[str] = ()
+) -> tuple[BaseModel | None, list[Problem]]:
+    """Read `data` as a model.
+
+    Parameters
+    ----------
+    model
+        The model of the table.
+    data
+        The table as tomllib gave it.
+    base
+        Where in the file the table stands.
+    also
+        Keys of the same table that someone else reads: worth a suggestion when a key is misspelt.
+
+    Returns
+    -------
+    The model (None if anything is wrong), and everything that is wrong.
+    """
+    checked, problems = mend(model, data, base, also=also)
+    return (None if problems else checked), problems
+
+
+def mend(
+    model: type[BaseModel], data: Mapping[str, Any], base: KeyPath = (), *, also: Sequence[str] = ()
+) -> tuple[BaseModel | None, list[Problem]]:
+    """Read `data` as `validate` does, but give the model of what is left once everything wrong is left out.
+
+    Only for looking further: nothing may be run with it.
+    """
+    try:
+        return _read(model, data), []
+    except ValidationError as error:
+        errors = error.errors(include_url=False)
+    repair = _Repair(model, copy.deepcopy(dict(data)), also)
+    found: dict[tuple[KeyPath, str], Problem] = {}
+    mended: BaseModel | None = None
+    for _ in range(_ROUNDS):
+        for problem in repair.problems(errors):
+            found.setdefault((problem.path, problem.message), problem)
+        if not repair.apply():
+            break
+        try:
+            mended = _read(model, repair.data)
+            break
+        except ValidationError as error:
+            errors = error.errors(include_url=False)
+    return mended, [Problem((*base, *item.path), item.message, item.at_value) for item in found.values()]
+
+
+def _read(model: type[BaseModel], data: Mapping[str, Any]) -> BaseModel:
+    """Read strictly: the number 3 is not the text "3".
+
+    By way of JSON, where strictness still takes a list for a tuple, and a text for a path.
+    """
+    return model.model_validate_json(json.dumps(data, default=str), strict=True)
+
+
+def keys_at(model: type[BaseModel], path: KeyPath) -> list[str]:
+    """Return the keys that the table at `path` of a model may have; empty where any key is allowed."""
+    return [key for table in _models(model, path) for key in _keys(table)]
+
+
+def _keys(model: type[BaseModel]) -> list[str]:
+    return [info.alias or name for name, info in model.model_fields.items()]
+
+
+def _models(annotation: Any, path: KeyPath) -> Iterator[type[BaseModel]]:
+    origin = get_origin(annotation)
+    if origin in (Annotated, Union, UnionType):
+        members = get_args(annotation)[:1] if origin is Annotated else get_args(annotation)
+        for member in members:
+            yield from _models(member, path)
+    elif isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        if not path:
+            yield annotation
+            return
+        for name, info in annotation.model_fields.items():
+            if path[0] == (info.alias or name):
+                yield from _models(info.annotation, path[1:])
+    elif path and origin in (dict, Mapping, list, tuple) and get_args(annotation):
+        yield from _models(get_args(annotation)[-1], path[1:])
+
+
+def unknown_key(path: KeyPath, value: object, known: Sequence[str]) -> Problem:
+    """Return the problem of a key that is not one: a wrong unit, or the nearest known key."""
+    key = str(path[-1])
+    twin = same_quantity(key, known)
+    if twin is None:
+        return Problem(path, f"unknown key; {suggest(key, known, kind='known keys')}")
+    stem, suffix = split_unit(key)
+    converted = convert(value, key, twin)
+    write = f"{twin} = {converted:g}" if converted is not None else twin
+    if suffix is None:
+        return Problem(path, f"the unit is missing: {stem} is given in {unit_of(twin)}; write {twin}")
+    return Problem(
+        path, f"wrong unit {UNITS[suffix].label}: {stem} is given in {unit_of(twin)}; write {write}"
+    )
+
+
+class _Repair:
+    """Turns errors into problems, and sets right what they are about so that the next look sees further."""
+
+    def __init__(self, model: type[BaseModel], data: dict[str, Any], also: Sequence[str]) -> None:
+        self.data = data
+        self._also = list(also)
+        self._model = model
+        self._touched: set[KeyPath] = set()
+        self._refused: set[KeyPath] = set()
+        self._renames: dict[KeyPath, str] = {}
+        self._removals: set[KeyPath] = set()
+        self._unknown_keys: set[KeyPath] = set()
+
+    def problems(self, errors: Sequence[ErrorDetails]) -> list[Problem]:
+        self._renames, self._removals = {}, set()
+        found: list[Problem] = []
+        expected: dict[KeyPath, list[str]] = {}
+        for error in errors:
+            path = self._real_path(error)
+            if self._follows_from_repair(path):
+                continue
+            if error["type"] == "extra_forbidden":
+                found.append(self._unknown(path))
+            elif error["type"] == "spec_faults":
+                found += self._faults(path, error)
+            elif error["type"] == "too_short" and any(item[: len(path)] == path for item in self._touched):
+                self._removals.add(path)
+            elif error["type"] != "missing":
+                expected.setdefault(path, []).append(expectation(error, path))
+        found += self._missing(errors)
+        for path, texts in expected.items():
+            self._removals.add(path)
+            found.append(Problem(path, "expected " + " or ".join(dict.fromkeys(texts)), at_value=True))
+        return found
+
+    def apply(self) -> bool:
+        """Rename what was misspelt and remove what does not hold; tell whether anything changed."""
+        for path, name in self._renames.items():
+            table = _get(self.data, path[:-1])
+            if isinstance(table, dict) and path[-1] in table:
+                value = table.pop(path[-1])
+                table.setdefault(name, value)
+                self._touched |= {path, (*path[:-1], name)}
+        changed = bool(self._renames)
+        for path in sorted(self._removals, key=_deepest_last_first):
+            table = _get(self.data, path[:-1])
+            if isinstance(table, dict) and path and path[-1] in table:
+                del table[path[-1]]
+                self._touched.add(path)
+                if path not in self._unknown_keys:
+                    self._refused.add(path)
+                changed = True
+            elif path and isinstance(table, list) and isinstance(path[-1], int) and path[-1] < len(table):
+                del table[path[-1]]
+                self._touched.add(path[:-1])
+                changed = True
+        return changed
+
+    def _unknown(self, path: KeyPath) -> Problem:
+        known = keys_at(self._model, path[:-1]) + (self._also if len(path) == 1 else [])
+        table = _get(self.data, path[:-1])
+        free = [key for key in known if key not in table]
+        key = str(path[-1])
+        meant = same_quantity(key, known) or nearest(key, known)
+        if meant in free and meant not in self._also:
+            self._renames[path] = meant
+        else:
+            self._removals.add(path)
+            self._unknown_keys.add(path)
+        return unknown_key(path, table.get(path[-1]), known)
+
+    def _faults(self, path: KeyPath, error: ErrorDetails) -> Iterator[Problem]:
+        for key, message in error["ctx"]["faults"]:
+            full = (*path, *key)
+            # A rule over several keys says nothing new once one of them has been refused.
+            refused = any(item[:-1] == path for item in self._refused)
+            if not refused and not self._follows_from_repair(full):
+                yield Problem(full, message, at_value=bool(key))
+            if key:
+                self._removals.add(full)
+
+    def _missing(self, errors: Sequence[ErrorDetails]) -> Iterator[Problem]:
+        renamed = {(*path[:-1], name) for path, name in self._renames.items()}
+        for error in errors:
+            path = self._real_path(error)
+            if error["type"] == "missing" and path not in renamed:
+                if not self._follows_from_repair(path):
+                    yield Problem(path[:-1], f'the key "{path[-1]}" is missing')
+                self._removals.add(path[:-1])
+
+    def _follows_from_repair(self, path: KeyPath) -> bool:
+        return any(path[: len(item)] == item for item in self._touched)
+
+    def _real_path(self, error: ErrorDetails) -> KeyPath:
+        """Return an error's place in the data: pydantic adds the tried members of unions to its own."""
+        path: KeyPath = ()
+        current: Any = self.data
+        *inner, last = error["loc"] or ("",)
+        for part in (*inner, last):
+            inside = _child(current, part)
+            if inside is not _ABSENT:
+                path, current = (*path, part), inside
+        if error["type"] == "missing" and isinstance(current, Mapping):
+            path = (*path, last)
+        return path
+
+
+def _deepest_last_first(path: KeyPath) -> tuple[int, list[tuple[int, str]]]:
+    # Entries of a list go from the last to the first, so that those still to go keep their numbers.
+    return -len(path), [(-part, "") if isinstance(part, int) else (0, part) for part in path]
+
+
+_ABSENT = object()
+
+
+def _child(data: Any, part: str | int) -> Any:
+    if isinstance(data, Mapping):
+        return data.get(part, _ABSENT)
+    if isinstance(data, list) and isinstance(part, int) and part < len(data):
+        return data[part]
+    return _ABSENT
+
+
+def _get(data: Any, path: KeyPath) -> Any:
+    for part in path:
+        data = _child(data, part)  # absent once it was removed along with what held it
+    return data

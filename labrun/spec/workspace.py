@@ -1,0 +1,132 @@
+"""Where experiments are: the workspace a person works in, and those that ship with labrun."""
+
+import shutil
+from pathlib import Path
+
+import labrun
+from labrun.errors import RequestError
+from labrun.spec.names import suggest
+
+_RESULTS = "results"
+
+
+def shipped_experiments() -> Path:
+    """Return the folder of the experiments that come with labrun: in the installed package, or the checkout."""
+    package = Path(labrun.__file__).parent
+    installed = package / "shipped_experiments"
+    return installed if installed.is_dir() else package.parent / "experiments"
+
+
+def _folders(workspace: Path) -> tuple[Path, ...]:
+    return workspace / "experiments", workspace, shipped_experiments()
+
+
+def _experiment_files(folder: Path) -> list[Path]:
+    """Return the experiment files of a folder: those that say what kind of experiment they are."""
+    if not folder.is_dir():
+        return []
+    return [path for path in sorted(folder.glob("*.toml")) if path.is_file() and _is_experiment(path)]
+
+
+def _is_experiment(path: Path) -> bool:
+    # A look at the text, not a parse: a broken experiment is still to be listed, and found.
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return False
+    return any(line.split("#")[0].replace(" ", "").startswith(("kind=", "[rig", "[trial]")) for line in lines)
+
+
+def list_experiments(workspace: Path) -> list[Path]:
+    """Return the experiments that can be run from a workspace, one file a name, sorted by name.
+
+    A file in the workspace hides the shipped one of the same name.
+    """
+    found: dict[str, Path] = {}
+    for folder in _folders(workspace):
+        for path in _experiment_files(folder):
+            found.setdefault(path.stem, path)
+    return [found[name] for name in sorted(found)]
+
+
+def find_experiment(name_or_path: str, workspace: Path) -> Path:
+    """Return the file of an experiment.
+
+    Parameters
+    ----------
+    name_or_path
+        A path, or a name: looked for in the workspace's experiments/, in the workspace itself, then among the shipped.
+    workspace
+        The folder a person works in.
+
+    Raises
+    ------
+    RequestError
+        There is none; names the nearest.
+    """
+    given = Path(name_or_path).expanduser()
+    if given.suffix == ".toml" or len(given.parts) > 1:
+        for path in (given, workspace / given):
+            if path.is_file():
+                return path
+        if len(given.parts) > 1:
+            raise RequestError(
+                f"there is no experiment file {given}", hint="labrun list shows the experiments there are"
+            )
+    name = given.name.removesuffix(".toml")
+    for folder in _folders(workspace):
+        path = folder / f"{name}.toml"
+        if path.is_file():
+            return path
+    names = [path.stem for path in list_experiments(workspace)]
+    raise RequestError(f'there is no experiment "{name}"', hint=suggest(name, names, kind="experiments"))
+
+
+def find_model_file(name: str, experiment: Path | None, workspace: Path) -> Path | None:
+    """Return the file that an experiment's ``model = "models/x.toml"`` means; None if it names no file that exists.
+
+    Looked for as given, beside the experiment, in the workspace's experiments/, in the workspace, among the shipped.
+    """
+    given = Path(name).expanduser()
+    folders = [Path(), *([experiment.parent] if experiment is not None else []), *_folders(workspace)]
+    return next((folder / given for folder in folders if (folder / given).is_file()), None)
+
+
+def create_workspace(directory: Path) -> tuple[list[Path], list[Path]]:
+    """Make a workspace with copies of the shipped experiments and their models.
+
+    Parameters
+    ----------
+    directory
+        Made if it is not there. Nothing in it is overwritten.
+
+    Returns
+    -------
+    Files that were written, and files that were there already and were left as they are.
+
+    Raises
+    ------
+    RequestError
+        The folder cannot be written.
+    """
+    source = shipped_experiments()
+    written: list[Path] = []
+    left: list[Path] = []
+    try:
+        for path in sorted(source.rglob("*.toml")):
+            target = directory / "experiments" / path.relative_to(source)
+            if target.exists():
+                left.append(target)
+                continue
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, target)
+            written.append(target)
+        ignore = directory / ".gitignore"
+        if not ignore.exists():
+            ignore.write_text(f"/{_RESULTS}/\n", encoding="utf-8")
+            written.append(ignore)
+    except OSError as error:
+        raise RequestError(
+            f"workspace {directory} cannot be made: {error.strerror}: {error.filename}"
+        ) from error
+    return written, left

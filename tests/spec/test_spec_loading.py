@@ -1,0 +1,261 @@
+"""Loading: what holds is an experiment; what does not is told, all of it, where it stands."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from labrun.errors import RequestError
+from labrun.spec.loading import load_experiment, loads_experiment
+from labrun.spec.problem import SpecFileError
+
+
+def test_a_file_that_holds_is_an_experiment_named_after_the_file(load):
+    loaded = load()
+    assert loaded.name == "thrust"
+    assert loaded.experiment.trial.repeats.min == loaded.experiment.trial.repeats.max == 3
+    assert loaded.experiment.goal == ("thrust", "maximise")
+
+
+def test_the_resolved_text_gives_an_equal_experiment_and_the_same_text_again(load):
+    loaded = load(overrides=["trial.repeats=5", "rig.scene.noise=0", "objectives.thrust.scale=-1"])
+    again = loads_experiment(loaded.resolved_toml, loaded.name)
+    assert again.experiment == loaded.experiment
+    assert again.resolved_toml == loaded.resolved_toml
+    assert again.experiment.trial.repeats.max == 5
+
+
+def test_defaults_are_written_out_in_the_resolved_text(load):
+    assert "hold_s = 2.0" in load().resolved_toml
+
+
+def test_a_misspelt_key_is_named_with_line_column_and_the_nearest_key(problems, write):
+    (problem,) = problems(("repeats = 3", "repeat = 3"))
+    assert (problem.line, problem.column) == (24, 1)
+    assert (
+        str(problem)
+        == f'{write().parent / "thrust.toml"}:24:1: trial.repeat = 3: unknown key; did you mean "repeats"?'
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "says"),
+    [
+        (
+            'amplitude_deg = "a"',
+            "amplitude_rad = 1.0",
+            "gait.joints.tail.amplitude_rad",
+            "write amplitude_deg = 57.2958",
+        ),
+        (
+            "timeout_s = 60",
+            "timeout_ms = 60000",
+            "trial.settle.timeout_ms",
+            "wrong unit ms: timeout is given in s; write timeout_s = 60",
+        ),
+        (
+            "force_n = 300",
+            "force_kn = 0.3",
+            "rig.devices.wrench.limits.force_kn",
+            "wrong unit kN: force is given in N; write force_n = 300",
+        ),
+        (
+            "timeout_s = 60",
+            "timeout = 60",
+            "trial.settle.timeout",
+            "the unit is missing: timeout is given in s; write timeout_s",
+        ),
+        (
+            "speed_deg_s = 528",
+            "speed_rad_s = 9",
+            "rig.devices.tail.limits.speed_rad_s",
+            "write speed_deg_s = 515.662",
+        ),
+    ],
+)
+def test_a_wrong_unit_says_which_is_expected_and_what_the_value_would_be(problems, old, new, key, says):
+    (problem,) = problems((old, new))
+    assert problem.key == key
+    assert says in problem.message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "says"),
+    [
+        ('"arduino-servo"', '"arduino-srvo"', "rig.devices.tail.plugin", 'did you mean "arduino-servo"?'),
+        ('"caudal-tank"', '"caudal-tnk"', "rig.scene", 'did you mean "caudal-tank"?'),
+        ('"sine"', '"sin"', "gait.plugin", 'did you mean "sine"?'),
+        ('"cycle-mean"', '"cyclemean"', "objectives.thrust.plugin", 'did you mean "cycle-mean"?'),
+        ("joints.tail", "joints.tial", "gait.joints.tial", 'did you mean "tail"?'),
+        ('"wrench.force_x", t', '"wrnch.force_x", t', "trial.settle.channel", 'did you mean "wrench.force_x"?'),
+        ('"wrench.force_x", t', '"wrench.force_w", t', "trial.settle.channel", 'did you mean "wrench.force_'),
+        ('"wrench.force_x"\n', '"wrench.torqe_x"\n', "objectives.thrust.channel", 'did you mean "wrench.torque_x"?'),
+        ('frequency_hz = "f"', 'frequency_hz = "freq"', "gait.joints.tail.frequency_hz", 'did you mean "f"?'),
+        ("a * f <= 84", "a * fr <= 84", "sweep.where[0]", 'did you mean "f"?'),
+        ("a * f <= 84", "abbs(a) <= 84", "sweep.where[0]", 'did you mean "abs"?'),
+        ("goal = ", "gaol = ", "objectives.thrust.gaol", 'did you mean "goal"?'),
+        ("[objectives.thrust]", '[units]\nff = "Hz"\n[objectives.thrust]', "units.ff", 'did you mean "f"?'),
+        ('kind = "sweep"', 'kind = "swep"', "kind", 'did you mean "sweep"?'),
+        ('port = "/dev/ttyUSB0"', 'prt = "/dev/ttyUSB0"', "rig.devices.wrench.prt", 'did you mean "port"?'),
+    ],
+)  # fmt: skip
+def test_a_misspelt_name_comes_with_the_nearest_valid_one(problems, old, new, key, says):
+    (problem,) = problems((old, new))
+    assert problem.key == key
+    assert says in problem.message
+
+
+@pytest.mark.parametrize(
+    ("extra", "key", "says"),
+    [
+        ('outliers = { objective = "trust" }', "trial.outliers.objective", 'did you mean "thrust"?'),
+        ("repeats = { min = 1, max = 2, standard_error = { thrst = 1 } }", "trial.repeats.standard_error.thrst", "thr"),
+        ("reference = { every = 9, condition = { a = 1, g = 1 } }", "trial.reference.condition.g", 'did you mean "f"?'),
+        ("reference = { every = 9, condition = { a = 1 } }", "trial.reference.condition", "lacks a value for f"),
+        ('carriage = { device = "tial", speed_m_s = 1, to_m = 1 }', "trial.carriage.device", "no device of this name"),
+        ('carriage = { device = "wrench", speed_m_s = 1, to_m = 1 }', "trial.carriage.device", "cannot travel"),
+        ("safe_pose_deg = { tial = 0 }", "trial.safe_pose_deg.tial", 'did you mean "tail"?'),
+        ('tare = { devices = ["wrnch"] }', "trial.tare.devices[0]", 'did you mean "wrench"?'),
+        ("duration_s = 3", "trial.duration_s", "give either cycles or duration_s"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_together_is_told(problems, extra, key, says):
+    (problem,) = problems(("repeats = 3\n", f"{extra}\n"))
+    assert problem.key == key
+    assert says in problem.message
+
+
+def test_a_bound_comes_with_its_unit_and_the_value_found(problems):
+    (problem,) = problems(("timeout_s = 60", "timeout_s = -60"))
+    assert str(problem).endswith("trial.settle.timeout_s = -60: expected more than 0 s")
+
+
+def test_text_is_not_a_number_and_a_number_is_not_true(problems):
+    found = problems(
+        ("cycles = 5", 'cycles = "5"'), ("force_n = 300", 'force_n = "300"'), ("from = 10", "from = true")
+    )
+    assert {problem.key for problem in found} == {
+        "trial.cycles",
+        "rig.devices.wrench.limits.force_n",
+        "sweep.axes.a.from",
+    }
+
+
+def test_all_errors_are_told_at_once_in_the_order_of_their_lines(problems):
+    found = problems(
+        ('"caudal-tank"', '"caudal-tnk"'),
+        ("force_n = 300", "force_kn = 0.3"),
+        ("joints.tail", "joints.tial"),
+        ("cycles = 5", "cycles = 0"),
+        ("repeats = 3", "repeat = 3"),
+        ("to = 60, step = 5", "to = 6, step = 5"),
+        ("f = [0.5, 1.0, 1.5]", "f = { from = 1, to = 2 }"),
+        ("a * f <= 84", "a * g <= 84"),
+        ('"cycle-mean"', '"cycle-men"'),
+    )
+    assert [problem.line for problem in found] == sorted(problem.line for problem in found)
+    assert [problem.key for problem in found] == [
+        "rig.scene", "rig.devices.wrench.limits.force_kn", "gait.joints.tial", "trial.cycles", "trial.repeat",
+        "sweep.axes.a.to", "sweep.axes.f", "sweep.where[0]", "objectives.thrust.plugin",
+    ]  # fmt: skip
+
+
+def test_an_error_is_not_followed_by_errors_that_only_follow_from_it(problems):
+    assert len(problems(("cycles = 5", "cycle = 5"))) == 1
+    assert len(problems(("cycles = 5", 'cycles = "x"'))) == 1
+    assert len(problems(("to = 60", "too = 60"))) == 1
+
+
+def test_a_missing_key_is_told_where_its_table_stands(problems):
+    (problem,) = problems(('port = "/dev/ttyUSB0"\n', ""))
+    assert (problem.line, problem.message) == (12, 'the key "port" is missing')
+
+
+def test_conditions_of_a_run_have_the_same_names(problems):
+    found = problems(
+        ('kind = "sweep"', 'kind = "run"'),
+        (
+            "[objectives.thrust]",
+            "[run]\nconditions = [{ a = 1, f = 1 }, { a = 1, ff = 1 }]\n[objectives.thrust]",
+        ),
+    )
+    assert [problem.key for problem in found] == ["run.conditions[1].ff"]
+
+
+def test_parts_of_let_that_need_each_other_are_refused(problems):
+    found = problems(('plugin = "sine"', 'plugin = "sine"\nlet = { p = "q + 1", q = "p" }'))
+    assert [problem.key for problem in found] == ["gait.let"]
+    assert "circle" in found[0].message
+
+
+def test_cycles_need_a_gait_that_has_them(problems):
+    found = problems(
+        ('plugin = "sine"', 'plugin = "formula"'),
+        ('amplitude_deg = "a", frequency_hz = "f"', 'angle_deg = "a * sin(f*t)"'),
+    )
+    assert [problem.key for problem in found] == ["trial.cycles"]
+
+
+def test_a_file_that_is_not_toml_says_where_it_stops_being_so(problems):
+    (problem,) = problems(("cycles = 5", "cycles = = 5"))
+    assert (problem.line, problem.column) == (22, 10)
+    (problem,) = problems(('goal = "maximise"\n', "goal = ["))
+    assert problem.line == 34
+
+
+def test_a_plugin_that_does_not_import_is_told_with_its_cause(problems, tmp_path, monkeypatch):
+    (tmp_path / "broken_fin.py").write_text("import a_library_nobody_has\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (problem,) = problems(('"arduino-servo"', '"broken_fin:Servo"'))
+    assert problem.key == "rig.devices.tail.plugin"
+    assert "a_library_nobody_has" in problem.message
+
+
+def test_a_file_that_is_not_there_is_a_request_gone_wrong(tmp_path):
+    with pytest.raises(RequestError, match="cannot be read"):
+        load_experiment(tmp_path / "nothing.toml")
+
+
+def test_a_file_that_is_no_text_is_a_request_gone_wrong(tmp_path: Path):
+    (tmp_path / "x.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(RequestError, match="UTF-8"):
+        load_experiment(tmp_path / "x.toml")
+
+
+_TREE = st.recursive(
+    st.one_of(st.integers(), st.booleans(), st.floats(), st.text(max_size=8)),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=6), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@given(
+    st.dictionaries(
+        st.sampled_from(
+            [
+                "kind",
+                "title",
+                "rig",
+                "gait",
+                "trial",
+                "sweep",
+                "run",
+                "cmaes",
+                "objectives",
+                "fit",
+                "units",
+                "leaders",
+                "x",
+            ]
+        ),
+        _TREE,
+    )
+)
+def test_whatever_a_file_holds_it_is_refused_with_places_and_never_with_a_crash(tree):
+    import tomli_w
+
+    with pytest.raises(SpecFileError) as caught:
+        loads_experiment(tomli_w.dumps(tree), "odd")
+    assert caught.value.problems
+    assert all(problem.line is not None for problem in caught.value.problems)
