@@ -33,6 +33,10 @@ class PluginError(RequestError):
     """A plugin is unknown, or fails to import."""
 
 
+class ModelError(RequestError):
+    """A model or an effect, or the way it is used, does not hold."""
+
+
 class PlanError(RequestError):
     """The plan would leave a limit, or leaves nothing to run."""
 

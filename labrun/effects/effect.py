@@ -1,0 +1,183 @@
+"""What an effect is: physics a model may lack, with a few bounded parameters, at one kind of site."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from labrun.effects.quantities import Quantity, Scale, unit_of
+from labrun.errors import ModelError
+from labrun.models.expression import nearest
+from labrun.models.model import Model, Site, SiteKind
+from labrun.models.native import NativeFunction, native
+
+Need = Literal["load", "stiffness"]
+
+
+@dataclass(frozen=True, slots=True)
+class EffectParameter:
+    """A parameter of an effect. Its numbers are multiples of what is typical at the site (see `Scale`).
+
+    Attributes
+    ----------
+    quantity
+        What it measures, from which its unit and its typical magnitude follow.
+    neutral
+        The value at which the effect vanishes; None for a shape parameter, which vanishes with the others.
+    lower, upper
+        Bounds for a search; `neutral` may lie beyond them (infinity for a level that is never reached).
+    starts
+        Values to start a fit from.
+    held
+        Not estimated: stays at its first start (a regularisation speed).
+    """
+
+    name: str
+    quantity: Quantity
+    neutral: float | None
+    lower: float
+    upper: float
+    starts: tuple[float, ...]
+    held: bool = False
+
+    def bounds(self, scale: Scale) -> tuple[float, float]:
+        """Return the bounds at a site, SI."""
+        typical = scale.of(self.quantity)
+        return self.lower * typical, self.upper * typical
+
+    def start_values(self, scale: Scale) -> tuple[float, ...]:
+        """Return the starts at a site, SI."""
+        return tuple(start * scale.of(self.quantity) for start in self.starts)
+
+    def unit(self, coordinate_unit: str = "rad", signal_unit: str = "1") -> str:
+        """Return the unit it has at a site with a coordinate (or a signal) of that unit."""
+        return unit_of(self.quantity, coordinate_unit, signal_unit)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A kind of missing physics.
+
+    Attributes
+    ----------
+    id
+        Its fixed name.
+    kind
+        The kind of site it belongs to. Effects of different kinds may share an id (``delay``).
+    function
+        The compiled force law (joint, body) or filter (input, output); see `labrun.models.native.Signature`.
+    form
+        Its equation, for people.
+    source
+        Where the form comes from.
+    states
+        Internal states of a force law, integrated with the model's.
+    memory
+        Numbers a filter keeps: given its values and the shortest step in s.
+    needs
+        What a site must declare for it.
+    needs_acceleration
+        Whether the force depends on the site's acceleration, linearly. The integrator then solves for both.
+    """
+
+    id: str
+    kind: SiteKind
+    parameters: tuple[EffectParameter, ...]
+    function: NativeFunction
+    form: str
+    source: str
+    states: int = 0
+    memory: Callable[[Sequence[float], float], int] | None = None
+    needs: tuple[Need, ...] = ()
+    needs_acceleration: bool = False
+
+    def fits(self, site: Site) -> bool:
+        """Tell whether it can sit at a site: the kind is right, and the site declares what it needs."""
+        return site.kind == self.kind and all(getattr(site, need) for need in self.needs)
+
+    def attach(self, site: str, scale: Scale | None = None, /, **values: float) -> "AttachedEffect":
+        """Put it at a site with these values (SI); those not given take their first start.
+
+        Raises
+        ------
+        ModelError
+            A value it has no parameter for.
+        """
+        names = [parameter.name for parameter in self.parameters]
+        for name in values:
+            if name not in names:
+                raise ModelError(f"effect {self.id} has no parameter {name!r}", hint=nearest(name, names))
+        defaults = {one.name: one.start_values(scale or Scale())[0] for one in self.parameters}
+        return AttachedEffect(self, site, tuple(float({**defaults, **values}[name]) for name in names))
+
+    def neutral_values(self, scale: Scale | None = None) -> tuple[float, ...]:
+        """Return values at which it does nothing."""
+        scale = scale or Scale()
+        return tuple(
+            one.start_values(scale)[0] if one.neutral is None
+            else one.neutral if math.isinf(one.neutral) else one.neutral * scale.of(one.quantity)
+            for one in self.parameters
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class AttachedEffect:
+    """An effect at a site, with its values (SI) in the order of its parameters."""
+
+    effect: Effect
+    site: str
+    values: tuple[float, ...]
+
+    @property
+    def named_values(self) -> Mapping[str, float]:
+        """The values by name."""
+        return dict(zip((one.name for one in self.effect.parameters), self.values, strict=True))
+
+    def with_values(self, values: Sequence[float]) -> "AttachedEffect":
+        """Return the same with other values."""
+        return AttachedEffect(self.effect, self.site, tuple(float(value) for value in values))
+
+    def check(self, model: Model) -> Site:
+        """Return the site it sits at.
+
+        Raises
+        ------
+        ModelError
+            The model has no such site, the site lacks what the effect needs, or a value is missing or not a number.
+        """
+        site = model.place(self.site, self.effect.kind)
+        for need in self.effect.needs:
+            if not getattr(site, need):
+                raise ModelError(
+                    f"effect {self.effect.id} needs the {need} at site {site.name}, "
+                    f"which model {model.name} does not give",
+                    hint=f'add {need} = "..." to [sites.{site.name}]',
+                )
+        if len(self.values) != len(self.effect.parameters):
+            names = ", ".join(one.name for one in self.effect.parameters)
+            raise ModelError(f"effect {self.effect.id} takes {names}; {len(self.values)} values were given")
+        for name, value in self.named_values.items():
+            if math.isnan(value):
+                raise ModelError(f"effect {self.effect.id} at {site.name}: {name} is not a number")
+        return site
+
+
+def force_law(law: Callable[..., Any]) -> NativeFunction:
+    """Wrap ``law(t, q, rate, acceleration, load, stiffness, values, z, dz) -> force`` for an `Effect`.
+
+    `q`, `rate`, `acceleration`, `load` and `stiffness` are the site's; `values` the effect's parameters. A law with
+    internal states reads `z` and writes their derivatives to `dz`.
+    """
+    return native("law", law)
+
+
+def signal_filter(step: Callable[..., Any]) -> NativeFunction:
+    """Wrap ``step(before, after, dt, values, memory, out)`` for an `Effect`.
+
+    It is called for each piece of the signal in turn, in which the signal goes straight from ``before[0]`` to
+    ``after[0]`` in `dt` seconds, and writes what it makes of both ends to ``out[0]`` and ``out[1]`` (two values, so
+    that jumps between pieces stay jumps). ``before[1]``, ``after[1]`` ... are the other signals of the same kind, in
+    the order of the model. The first call has ``dt = 0``: the signal has always had this value; the memory then holds
+    zeros but for ``memory[0]``, which is its length.
+    """
+    return native("filter", step)

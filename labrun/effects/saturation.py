@@ -1,0 +1,17 @@
+"""A signal that cannot leave a range."""
+
+import math
+
+from labrun.effects.effect import Effect, EffectParameter, signal_filter
+from labrun.effects.signals import saturation
+
+_PARAMETERS = (
+    # above the peak of the signal a level is never reached: a search has to begin below it
+    EffectParameter("level", "signal", neutral=math.inf, lower=0.05, upper=1.0, starts=(0.9, 0.6)),
+)
+_FORM = "y = signal, cut at -level and level"
+_SOURCE = "Khalil, Nonlinear Systems (2002), section 1.2.7"
+
+INPUT = Effect("saturation", "input", _PARAMETERS, signal_filter(saturation), _FORM, _SOURCE)
+OUTPUT = Effect("saturation", "output", _PARAMETERS, signal_filter(saturation), _FORM, _SOURCE)
+EFFECT = (INPUT, OUTPUT)

@@ -1,0 +1,122 @@
+"""Calls through an address from compiled code. Importing this imports numba."""
+
+# ruff: noqa: ARG001 - numba reads the arguments of an intrinsic from its signature
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from labrun.models.freshness import fresh
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+_DOUBLE = ir.DoubleType()
+_POINTER = _DOUBLE.as_pointer()
+
+
+def kernel(function: Function) -> Function:
+    """Compile a function on its first call, without the GIL, and keep it on disk."""
+    return cast("Function", njit(cache=True, nogil=True, error_model="numpy")(fresh(function)))
+
+
+def _data(context: Any, builder: Any, array_type: Any, array: Any, offset: Any) -> Any:
+    pointer = context.make_array(array_type)(context, builder, array).data
+    return builder.gep(pointer, [offset])
+
+
+def _function(builder: Any, address: Any, result: Any, arguments: list[Any]) -> Any:
+    kind = ir.FunctionType(result, arguments)
+    return builder.inttoptr(address, kind.as_pointer())
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def call_model(typing: Any, address: Any, t: Any, x: Any, u: Any, p: Any, force: Any, out: Any) -> Any:
+    """Call a function of signature ``model``; `x` ... `out` are contiguous float64 arrays."""
+    signature = types.void(types.int64, types.float64, x, u, p, force, out)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        function = _function(builder, arguments[0], ir.VoidType(), [_DOUBLE, *[_POINTER] * 5])
+        zero = cgutils.intp_t(0)
+        pointers = [
+            _data(context, builder, kind, array, zero)
+            for kind, array in zip(signature.args[2:], arguments[2:], strict=True)
+        ]
+        builder.call(function, [arguments[1], *pointers])
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def call_law(
+    typing: Any,
+    address: Any,
+    t: Any,
+    q: Any,
+    rate: Any,
+    acceleration: Any,
+    load: Any,
+    stiffness: Any,
+    values: Any,
+    values_at: Any,
+    z: Any,
+    z_at: Any,
+    dz: Any,
+    dz_at: Any,
+) -> Any:
+    """Call a function of signature ``law``; each array with the index its part begins at."""
+    number, index = types.float64, types.int64
+    signature = number(types.int64, *[number] * 6, values, index, z, index, dz, index)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        function = _function(builder, arguments[0], _DOUBLE, [*[_DOUBLE] * 6, *[_POINTER] * 3])
+        pointers = [
+            _data(context, builder, signature.args[place], arguments[place], arguments[place + 1])
+            for place in (7, 9, 11)
+        ]
+        return builder.call(function, [*arguments[1:7], *pointers])
+
+    return signature, generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def call_filter(
+    typing: Any,
+    address: Any,
+    before: Any,
+    after: Any,
+    dt: Any,
+    values: Any,
+    values_at: Any,
+    memory: Any,
+    memory_at: Any,
+    out: Any,
+) -> Any:
+    """Call a function of signature ``filter``."""
+    index = types.int64
+    signature = types.void(types.int64, before, after, types.float64, values, index, memory, index, out)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        function = _function(
+            builder, arguments[0], ir.VoidType(), [_POINTER, _POINTER, _DOUBLE, *[_POINTER] * 3]
+        )
+        zero = cgutils.intp_t(0)
+        kinds = signature.args
+        builder.call(
+            function,
+            [
+                _data(context, builder, kinds[1], arguments[1], zero),
+                _data(context, builder, kinds[2], arguments[2], zero),
+                arguments[3],
+                _data(context, builder, kinds[4], arguments[4], arguments[5]),
+                _data(context, builder, kinds[6], arguments[6], arguments[7]),
+                _data(context, builder, kinds[8], arguments[8], zero),
+            ],
+        )
+        return context.get_dummy_value()
+
+    return signature, generate

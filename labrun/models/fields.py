@@ -1,0 +1,89 @@
+"""Values of a model file, checked as they are read."""
+
+import keyword
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from labrun.models.expression import RESERVED, Expression, ExpressionError, parse
+from labrun.models.problems import ModelText
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
+
+
+def is_name(text: str) -> bool:
+    """Tell whether equations can use a name."""
+    return _NAME.match(text) is not None and not keyword.iskeyword(text)
+
+
+class Fields:
+    """The tables of one file; every method raises `ModelError` at the key it was asked about."""
+
+    def __init__(self, text: ModelText, data: Mapping[str, Any]) -> None:
+        self.text = text
+        self.data = data
+
+    def names(self, key: str) -> tuple[str, ...]:
+        """Return a list of names that equations can use, each once."""
+        names = self.data.get(key, [])
+        if not isinstance(names, list) or not all(isinstance(one, str) for one in names):
+            raise self.text.error(
+                key, f"a list of names was expected, not {names!r}", f'{key} = ["angle", "rate"]'
+            )
+        for name in names:
+            self.check_name(key, name)
+        if len(set(names)) < len(names):
+            raise self.text.error(key, f"a name stands twice in {names}")
+        return tuple(names)
+
+    def check_name(self, key: str, name: str) -> None:
+        """Refuse a name that equations cannot use, or that already means something in them."""
+        if not is_name(name):
+            raise self.text.error(
+                key,
+                f"{name!r} cannot be used in equations",
+                "names are letters, digits and _, and no Python keyword",
+            )
+        if name in RESERVED:
+            raise self.text.error(
+                key, f"{name!r} already means something in equations", "choose another name"
+            )
+
+    def table(self, key: str) -> dict[str, Any]:
+        """Return a table; an absent one is empty."""
+        table = self.data.get(key, {})
+        if not isinstance(table, dict):
+            raise self.text.error(
+                key, f"a table was expected, not {table!r}", f"write [{key}] and one line each"
+            )
+        return table
+
+    def number(self, key: str, value: Any) -> float:
+        """Return a number; infinity is one."""
+        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+            raise self.text.error(key, f"a number was expected, not {value!r}")
+        return float(value)
+
+    def string(self, key: str, value: Any) -> str:
+        """Return text."""
+        if not isinstance(value, str):
+            raise self.text.error(key, f"text in quotes was expected, not {value!r}")
+        return value
+
+    def check_keys(self, key: str, entry: Any, known: tuple[str, ...]) -> None:
+        """Refuse what is no table, and keys it does not have."""
+        if not isinstance(entry, dict):
+            raise self.text.error(key, f"a table with {', '.join(known)} was expected, not {entry!r}")
+        for one in entry:
+            if one not in known:
+                raise self.text.unknown_key(key, one, known)
+
+    def expression(self, key: str, text: Any) -> Expression:
+        """Return a checked equation; a number is one."""
+        if isinstance(text, int | float) and not isinstance(text, bool):
+            text = repr(text)
+        try:
+            return parse(self.string(key, text))
+        except ExpressionError as problem:
+            raise self.text.equation_error(key, text, problem) from None

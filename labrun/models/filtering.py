@@ -1,0 +1,92 @@
+"""Compiled: the filters of inputs and outputs. Importing this imports numba."""
+
+import numpy as np
+
+from labrun.models.calling import call_filter, kernel
+from labrun.models.layout import IntArray
+from labrun.models.model import FloatArray
+
+
+@kernel
+def _gather(signals: FloatArray, channel: int, piece: FloatArray) -> None:
+    piece[0] = signals[channel]
+    place = 1
+    for k in range(signals.size):
+        if k != channel:
+            piece[place] = signals[k]
+            place += 1
+
+
+@kernel
+def filter_inputs(
+    u: FloatArray,
+    steps_s: FloatArray,
+    addresses: IntArray,
+    channels: IntArray,
+    offsets: IntArray,
+    values: FloatArray,
+    memory_offsets: IntArray,
+    memory: FloatArray,
+    begun: bool,
+) -> None:
+    """Send the inputs ``(steps, 3, inputs)`` through their filters, in place; each step is two straight pieces."""
+    before, after, out = np.empty(u.shape[2]), np.empty(u.shape[2]), np.empty(2)
+    for e in range(addresses.size):
+        c = channels[e]
+        if not begun and steps_s.size > 0:
+            _gather(u[0, 0], c, before)
+            call_filter(addresses[e], before, before, 0.0, values, offsets[e], memory, memory_offsets[e], out)
+        for step in range(steps_s.size):
+            half = 0.5 * steps_s[step]
+            _gather(u[step, 0], c, before)
+            _gather(u[step, 1], c, after)
+            call_filter(addresses[e], before, after, half, values, offsets[e], memory, memory_offsets[e], out)
+            u[step, 0, c] = out[0]
+            middle = out[1]
+            _gather(u[step, 2], c, before)
+            call_filter(addresses[e], after, before, half, values, offsets[e], memory, memory_offsets[e], out)
+            u[step, 1, c] = 0.5 * (middle + out[0])
+            u[step, 2, c] = out[1]
+
+
+@kernel
+def filter_outputs(
+    y: FloatArray,
+    last: FloatArray,
+    steps_s: FloatArray,
+    addresses: IntArray,
+    channels: IntArray,
+    offsets: IntArray,
+    values: FloatArray,
+    memory_offsets: IntArray,
+    memory: FloatArray,
+    begun: bool,
+) -> None:
+    """Send the outputs ``(steps + 1, outputs)`` through their filters, in place; they are straight between rows.
+
+    `last` keeps, for each filter, the row before this block as that filter saw it: shape (filters, outputs).
+    """
+    before, after, out = np.empty(y.shape[1]), np.empty(y.shape[1]), np.empty(2)
+    for e in range(addresses.size):
+        c = channels[e]
+        if not begun:
+            last[e] = y[0]
+            _gather(y[0], c, before)
+            call_filter(addresses[e], before, before, 0.0, values, offsets[e], memory, memory_offsets[e], out)
+            y[0, c] = out[1]
+        for row in range(1, y.shape[0]):
+            _gather(last[e], c, before)
+            _gather(y[row], c, after)
+            last[e] = y[row]
+            call_filter(
+                addresses[e],
+                before,
+                after,
+                steps_s[row - 1],
+                values,
+                offsets[e],
+                memory,
+                memory_offsets[e],
+                out,
+            )
+            y[row, c] = out[1]

@@ -1,0 +1,268 @@
+"""What a model is: parameters, inputs, outputs, sites, and three compiled functions."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.errors import ModelError
+from labrun.models.expression import nearest
+from labrun.models.native import NativeFunction
+
+FloatArray = NDArray[np.float64]
+Between = Literal["linear", "hold", "band-limited"]
+"""How an input runs between its samples."""
+SiteKind = Literal["joint", "body", "input", "output"]
+Condition = Mapping[str, float | str]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A constant of a model.
+
+    Attributes
+    ----------
+    value
+        The best guess before any fit, in `unit`.
+    tolerance
+        Relative standard deviation of what is known beforehand; 0 = known exactly; "free" = not known.
+    lower, upper
+        Values beyond these make no sense.
+    """
+
+    name: str
+    value: float
+    tolerance: float | Literal["free"] = "free"
+    unit: str = "1"
+    lower: float = -np.inf
+    upper: float = np.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """A signal that drives a model."""
+
+    name: str
+    unit: str = "1"
+    between: Between = "linear"
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """A signal a model gives."""
+
+    name: str
+    unit: str = "1"
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """A place where physics can be missing.
+
+    Attributes
+    ----------
+    kind
+        ``joint`` and ``body`` sites take forces; every input and every output is a site of its own kind.
+    coordinate, rate
+        Expressions of a joint's or body's coordinate and of its time derivative.
+    load
+        Expression of the load the joint carries; "" where a model gives none.
+    stiffness
+        Name of the parameter that is the site's own spring; "" where there is none.
+    """
+
+    name: str
+    kind: SiteKind
+    coordinate: str = ""
+    rate: str = ""
+    load: str = ""
+    stiffness: str = ""
+
+
+@dataclass(frozen=True)
+class Model:
+    """A simulator: ``dx/dt = derivative(t, x, u, p, force)``, ``y = output(t, x, u, p, force)``.
+
+    `p` is the parameters, then the conditions, then `constants`; `force` has one entry for each of `sites`.
+    All functions have the signature ``(t, x, u, p, force, out)`` and are called through pointers to float64.
+
+    Attributes
+    ----------
+    states, conditions
+        Names. Conditions are numbers of a trial's condition that the equations use.
+    sites
+        The joint and body sites, in the order of `force`. See `places` for all sites.
+    initial : state -> value
+        A number, the name of a condition, "first" (mean of the first samples of that output) or "free".
+    derivative, output
+        The equations.
+    site_values
+        Writes coordinate, rate, load and stiffness of each of `sites` (4 values each, 0 where there is none).
+    constants
+        Further numbers the functions read behind the conditions, for example a table.
+    source
+        The file or object it comes from, for messages.
+    notes
+        What is odd about it, in sentences.
+    """
+
+    name: str
+    states: tuple[str, ...]
+    inputs: tuple[Input, ...]
+    outputs: tuple[Output, ...]
+    parameters: tuple[Parameter, ...]
+    conditions: tuple[str, ...]
+    sites: tuple[Site, ...]
+    initial: Mapping[str, float | str]
+    derivative: NativeFunction
+    output: NativeFunction
+    site_values: NativeFunction
+    constants: FloatArray = field(default_factory=lambda: np.empty(0), compare=False)
+    source: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def places(self) -> tuple[Site, ...]:
+        """All sites: those that take a force, then every input, then every output."""
+        inputs = [Site(one.name, "input") for one in self.inputs]
+        return (*self.sites, *inputs, *(Site(one.name, "output") for one in self.outputs))
+
+    def place(self, name: str, kind: SiteKind | None = None) -> Site:
+        """Return the site of that name (and kind); a force site goes before an input, an input before an output.
+
+        Raises
+        ------
+        ModelError
+            No such site, with the nearest one.
+        """
+        for site in self.places:
+            if site.name == name and kind in (None, site.kind):
+                return site
+        known = {site.name for site in self.places if kind in (None, site.kind)}
+        what = f"{kind} site" if kind else "site"
+        raise ModelError(
+            f"model {self.name} has no {what} {name!r}",
+            hint=nearest(name, known) or f"it has no {what} at all",
+        )
+
+    @property
+    def values(self) -> FloatArray:
+        """Nominal parameter values, shape (parameters,)."""
+        return np.array([parameter.value for parameter in self.parameters], dtype=float)
+
+    def vector(
+        self, parameters: "FloatArray | Mapping[str, float] | None", condition: Condition
+    ) -> FloatArray:
+        """Return `p`: parameters (None = nominal; a mapping overrides some), conditions, constants.
+
+        Raises
+        ------
+        ModelError
+            An unknown parameter, or a condition that the equations use and this trial does not have as a number.
+        """
+        values = self.values
+        if isinstance(parameters, Mapping):
+            names = [parameter.name for parameter in self.parameters]
+            for name, value in parameters.items():
+                if name not in names:
+                    raise ModelError(
+                        f"model {self.name} has no parameter {name!r}", hint=nearest(name, names)
+                    )
+                values[names.index(name)] = value
+        elif parameters is not None:
+            if np.shape(parameters) != values.shape:
+                raise ModelError(
+                    f"model {self.name} has {len(values)} parameters; values of shape {np.shape(parameters)} were given"
+                )
+            values = np.asarray(parameters, dtype=float)
+        numbers = [self._number(name, condition) for name in self.conditions]
+        return np.concatenate([values, np.array(numbers, dtype=float), self.constants])
+
+    def _number(self, name: str, condition: Condition) -> float:
+        value = condition.get(name)
+        if value is None:
+            ours = [*self.states, *(one.name for one in self.inputs), *(one.name for one in self.parameters)]
+            raise ModelError(
+                f"the equations of model {self.name} use {name!r}, which is no state, input or parameter, "
+                f"and the trial's condition has no {name!r} (it has: {', '.join(condition) or 'nothing'})",
+                hint=nearest(name, [*ours, *condition]),
+            )
+        if isinstance(value, str):
+            raise ModelError(
+                f"the equations of model {self.name} use the condition {name!r} as a number; here it is {value!r}",
+                hint="give it a number in the recording, or another condition in the model",
+            )
+        return float(value)
+
+    def with_values(self, values: Mapping[str, float]) -> "Model":
+        """Return the model with other nominal parameter values."""
+        vector = self.vector(values, dict.fromkeys(self.conditions, 0.0))
+        parameters = [
+            dataclasses.replace(parameter, value=float(value))
+            for parameter, value in zip(self.parameters, vector, strict=False)
+        ]
+        return dataclasses.replace(self, parameters=tuple(parameters))
+
+    def with_between(self, between: Mapping[str, Between]) -> "Model":
+        """Return the model with its inputs running between samples as a recording says."""
+        inputs = [dataclasses.replace(one, between=between.get(one.name, one.between)) for one in self.inputs]
+        return dataclasses.replace(self, inputs=tuple(inputs))
+
+    def initial_state(
+        self,
+        condition: Condition,
+        *,
+        first: Mapping[str, float] | None = None,
+        free: Mapping[str, float] | None = None,
+    ) -> FloatArray:
+        """Return the state a trial begins in, shape (states,).
+
+        Parameters
+        ----------
+        condition
+            The trial's.
+        first
+            Mean of the first samples of each output; for states that begin with "first".
+        free
+            Values of the states that are "free"; those not given begin at `first` if it has them, else at 0.
+
+        Raises
+        ------
+        ModelError
+            A condition or a first value that is needed is not there.
+        """
+        first, free = first or {}, free or {}
+        return np.array([self._start(state, condition, first, free) for state in self.states], dtype=float)
+
+    def _start(
+        self, state: str, condition: Condition, first: Mapping[str, float], free: Mapping[str, float]
+    ) -> float:
+        rule = self.initial.get(state, "free")
+        if rule == "free":
+            return free.get(state, first.get(state, 0.0))
+        if rule == "first":
+            if state not in first:
+                raise ModelError(
+                    f"state {state!r} of model {self.name} begins at the first samples of output {state!r}, "
+                    "which are not there",
+                    hint=f'give initial.{state} a number, a condition\'s name or "free"',
+                )
+            return first[state]
+        if isinstance(rule, str):
+            value = condition.get(rule)
+            if value is None or isinstance(value, str):
+                raise ModelError(
+                    f"state {state!r} of model {self.name} begins at the condition {rule!r}; "
+                    f"the trial has {'no such condition' if value is None else repr(value)}",
+                    hint=f"its conditions: {', '.join(condition) or 'none'}",
+                )
+            return float(value)
+        return float(rule)
+
+
+def names_of(items: "Sequence[Parameter | Input | Output | Site]") -> list[str]:
+    """Return the names of parameters, inputs, outputs or sites."""
+    return [item.name for item in items]

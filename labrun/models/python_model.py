@@ -1,0 +1,110 @@
+"""Models whose equations are Python functions of a plugin."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from labrun.errors import ModelError
+from labrun.models.expression import ExpressionError, nearest, parse
+from labrun.models.generate import equations, generated
+from labrun.models.model import FloatArray, Input, Model, Output, Parameter, Site
+from labrun.models.native import NativeFunction, native
+from labrun.models.rewriting import CONSTANTS
+
+
+def compile_derivative(function: Callable[..., Any]) -> NativeFunction:
+    """Wrap ``function(t, x, u, p, force, dx)``, which writes the derivative of every state to `dx`.
+
+    It is written in what numba compiles and stands at the top level of a module; `x`, `u`, `p` and `force` are pointers
+    to float64 (indexing only). It is compiled when it is first simulated and kept on disk beside its module.
+    """
+    return native("model", function)
+
+
+def compile_output(function: Callable[..., Any]) -> NativeFunction:
+    """Wrap ``function(t, x, u, p, force, y)``, which writes every output to `y`; as `compile_derivative`."""
+    return native("model", function)
+
+
+def python_model(
+    name: str,
+    *,
+    derivative: Callable[..., Any],
+    output: Callable[..., Any],
+    states: Sequence[str] = (),
+    inputs: Sequence[Input | str] = (),
+    outputs: Sequence[Output | str],
+    parameters: Sequence[Parameter] = (),
+    conditions: Sequence[str] = (),
+    sites: Sequence[Site] = (),
+    initial: Mapping[str, float | str] | None = None,
+    constants: FloatArray | None = None,
+    source: str = "",
+) -> Model:
+    """Make a model from functions.
+
+    Parameters
+    ----------
+    name
+        Its name.
+    derivative, output
+        See `compile_derivative` and `compile_output`.
+    states, inputs, outputs, parameters, conditions
+        In the order of `x`, `u`, `y` and `p` (parameters, then conditions, then `constants`).
+    sites
+        Joint and body sites, in the order of `force`; coordinate, rate and load are expressions in the names above.
+    initial
+        As in `Model`; states not named are "free".
+    constants
+        Numbers or a flattened table the functions read from ``p[len(parameters) + len(conditions)]`` on.
+
+    Raises
+    ------
+    ModelError
+        A site's expression does not hold.
+    """
+    ins = tuple(Input(one) if isinstance(one, str) else one for one in inputs)
+    outs = tuple(Output(one) if isinstance(one, str) else one for one in outputs)
+    variables = {one: f"x[{index}]" for index, one in enumerate(states)}
+    variables.update({one.name: f"u[{index}]" for index, one in enumerate(ins)})
+    numbers = [*(one.name for one in parameters), *conditions]
+    variables.update({one: f"p[{index}]" for index, one in enumerate(numbers)})
+    expressions = []
+    for site in sites:
+        if site.kind not in ("joint", "body"):
+            raise ModelError(
+                f"site {site.name} of model {name}: declare joint and body sites only, not {site.kind}"
+            )
+        for key in ("coordinate", "rate", "load", "stiffness"):
+            text = getattr(site, key) or "0"
+            try:
+                expression = parse(text)
+            except ExpressionError as problem:
+                raise ModelError(
+                    f"site {site.name} of model {name}: {key} = {text!r}: {problem}", hint=problem.hint
+                ) from None
+            for used in expression.names:
+                if used not in variables and used not in CONSTANTS:
+                    raise ModelError(
+                        f"site {site.name} of model {name}: {key} = {text!r}: there is no {used!r}",
+                        hint=nearest(used, list(variables)),
+                    )
+            expressions.append(expression)
+    return Model(
+        name=name,
+        states=tuple(states),
+        inputs=ins,
+        outputs=outs,
+        parameters=tuple(parameters),
+        conditions=tuple(conditions),
+        sites=tuple(sites),
+        initial={**dict.fromkeys(states, "free"), **(initial or {})},
+        derivative=compile_derivative(derivative),
+        output=compile_output(output),
+        site_values=generated({"site_values": equations("site_values", expressions, variables)})[
+            "site_values"
+        ],
+        constants=np.empty(0) if constants is None else np.ascontiguousarray(constants, dtype=float).ravel(),
+        source=source or f"{derivative.__module__}:{derivative.__qualname__}",
+    )

@@ -1,0 +1,104 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from rig import FILES, MODEL, SITES, named, shipped
+
+from labrun.effects import AttachedEffect, Scale, load_effect
+from labrun.errors import ModelError, PluginError
+from labrun.models import parse_model, simulate
+
+TIME = np.linspace(0, 3, 151)
+DRIVE = np.column_stack([5 * np.sin(4 * TIME) + np.sign(np.sin(2 * TIME)), np.cos(TIME)])
+PLAIN = simulate(MODEL, TIME, DRIVE, substeps=4)
+LABELS = [f"{one.id}-{one.kind}" for one in shipped()]
+
+
+@pytest.mark.parametrize("effect", shipped(), ids=LABELS)
+@pytest.mark.parametrize("between", ["linear", "hold"])
+def test_an_effect_vanishes_at_its_neutral_value(effect, between):
+    model = MODEL.with_between({"torque": between})
+    attached = AttachedEffect(effect, SITES[effect.kind], effect.neutral_values())
+    plain = simulate(model, TIME, DRIVE, substeps=4)
+    assert simulate(model, TIME, DRIVE, effects=[attached], substeps=4).outputs == pytest.approx(
+        plain.outputs, abs=1e-12
+    )
+
+
+@pytest.mark.parametrize("effect", shipped(), ids=LABELS)
+def test_an_effect_shows_from_every_start(effect):
+    scale = Scale(
+        coordinate=0.3, rate=2.0, acceleration=10.0, force=10.0, signal=5.0 if effect.kind == "input" else 0.3
+    )
+    count = max(len(one.starts) for one in effect.parameters)
+    for index in range(count):
+        values = [one.start_values(scale)[min(index, len(one.starts) - 1)] for one in effect.parameters]
+        for one, value in zip(effect.parameters, values, strict=True):
+            low, high = one.bounds(scale)
+            assert low <= value <= high
+        attached = AttachedEffect(effect, SITES[effect.kind], tuple(values))
+        moved = simulate(MODEL, TIME, DRIVE, effects=[attached], substeps=4)
+        assert moved.finite
+        assert np.max(np.abs(moved.outputs - PLAIN.outputs)) > 1e-3
+
+
+@pytest.mark.parametrize("effect", shipped(), ids=LABELS)
+def test_an_effect_says_what_it_is(effect):
+    assert effect.id.replace("-", "_") in FILES
+    assert len(effect.form) > 5
+    assert len(effect.source) > 20
+    for one in effect.parameters:
+        assert one.unit("rad", "V")
+        assert one.unit("m", "V") != ""
+        assert one.lower < one.upper
+        assert not math.isnan(one.neutral if one.neutral is not None else 0.0)
+
+
+def test_units_follow_the_site():
+    (torque, speed) = load_effect("labrun.effects.coulomb_friction:EFFECT").parameters
+    assert (torque.name, torque.unit("rad"), torque.unit("m"), torque.unit("V")) == (
+        "torque",
+        "N m",
+        "N",
+        "force",
+    )
+    assert (speed.held, speed.unit("m")) == (True, "m/s")
+
+
+def test_an_effect_sits_only_where_the_site_gives_what_it_needs():
+    offset = load_effect("labrun.effects.rest_offset:EFFECT")
+    hinge, blade = MODEL.sites
+    assert offset.fits(hinge)
+    assert not offset.fits(blade)
+    soft = parse_model(_without_stiffness(), "soft.toml")
+    assert not offset.fits(soft.sites[0])
+    with pytest.raises(ModelError, match=r"needs the stiffness at site hinge.*\n.*\[sites.hinge\]"):
+        simulate(soft, TIME, DRIVE, effects=[offset.attach("hinge")], substeps=1)
+
+
+def _without_stiffness() -> str:
+    from rig import JOINT
+
+    return JOINT.replace('stiffness = "stiffness"\n', "")
+
+
+def test_wrong_places_and_values_are_errors():
+    with pytest.raises(ModelError, match=r"no joint site 'hing'(.|\n)*did you mean 'hinge'"):
+        simulate(MODEL, TIME, DRIVE, effects=[named("coulomb-friction", site="hing")], substeps=1)
+    with pytest.raises(ModelError, match="no parameter 'torqe'"):
+        named("coulomb-friction", torqe=1.0)
+    broken = dataclasses.replace(named("coulomb-friction"), values=(math.nan, 0.1))
+    with pytest.raises(ModelError, match="torque is not a number"):
+        simulate(MODEL, TIME, DRIVE, effects=[broken], substeps=1)
+    with pytest.raises(ModelError, match="takes torque, transition_speed; 1 values"):
+        simulate(MODEL, TIME, DRIVE, effects=[named("coulomb-friction").with_values([1.0])], substeps=1)
+
+
+def test_an_id_at_two_kinds_of_sites_needs_the_kind():
+    with pytest.raises(ModelError, match="for input, output sites: say which"):
+        load_effect("labrun.effects.delay:EFFECT")
+    with pytest.raises(ModelError, match="sits at input, output sites, not at a joint site"):
+        load_effect("labrun.effects.delay:EFFECT", "joint")
+    with pytest.raises(PluginError, match=r"gives module, not labrun\.effects\.Effect"):
+        load_effect("os:path")

@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rig import named
+
+from labrun.models import parse_model, simulate
+
+THROUGH = parse_model('name = "wire"\ninputs = ["u", "w"]\n[outputs]\ny = "u"\nz = "w"', "wire.toml")
+TIME = np.linspace(0, 4, 201)
+WAVE = np.column_stack([np.sin(5 * TIME), np.cos(3 * TIME)])
+
+
+def _through(effect, between="linear", substeps=4, wave=WAVE):
+    model = THROUGH.with_between({"u": between})
+    return simulate(model, TIME, wave, effects=[effect], substeps=substeps).outputs[:, 0]
+
+
+@pytest.mark.parametrize(("kind", "site"), [("input", "u"), ("output", "y")])
+@settings(max_examples=25, deadline=None)
+@given(delay=st.floats(0.0, 1.5))
+def test_a_delay_is_the_signal_some_time_ago(kind, site, delay):
+    late = _through(named("delay", kind, site, delay=delay))
+    # a static model gives its output at the samples, between which it is straight
+    exact = np.interp(TIME - delay, TIME, WAVE[:, 0])
+    tolerance = 1e-9 if kind == "input" else 0.02
+    assert late == pytest.approx(exact, abs=tolerance)
+
+
+def test_a_delayed_jump_stays_a_jump_to_within_half_a_step():
+    held = np.column_stack([np.where(TIME >= 1.0, 1.0, 0.0), TIME])
+    late = _through(named("delay", "input", "u", delay=0.1), between="hold", wave=held)
+    assert late[TIME < 1.1 - 1e-9] == pytest.approx(0.0)
+    assert late[TIME > 1.1 + 1e-9] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("kind", "site"), [("input", "u"), ("output", "y")])
+def test_a_lag_follows_a_wave_as_a_first_order_filter_does(kind, site):
+    tau, omega = 0.2, 5.0
+    lagging = _through(named("lag", kind, site, time_constant=tau), substeps=8)
+    forced = (np.sin(omega * TIME) - omega * tau * np.cos(omega * TIME)) / (1 + (omega * tau) ** 2)
+    exact = forced + omega * tau / (1 + (omega * tau) ** 2) * np.exp(-TIME / tau)
+    assert lagging == pytest.approx(exact, abs=2e-3)
+
+
+def test_a_lag_of_a_step_is_exact():
+    held = np.column_stack([np.where(TIME >= 1.0, 1.0, 0.0), TIME])
+    lagging = _through(named("lag", "input", "u", time_constant=0.3), between="hold", wave=held, substeps=1)
+    start = TIME[np.argmax(TIME >= 1.0)]
+    assert lagging == pytest.approx(
+        np.where(start <= TIME, 1 - np.exp(-(TIME - start) / 0.3), 0.0), abs=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("effect", "change"),
+    [
+        (named("gain-error", "input", "u", error=0.2), lambda u: 1.2 * u),
+        (named("bias", "input", "u", offset=-0.3), lambda u: u - 0.3),
+        (named("saturation", "input", "u", level=0.6), lambda u: np.clip(u, -0.6, 0.6)),
+        (named("gain-error", "output", "y", error=-0.1), lambda u: 0.9 * u),
+        (named("bias", "output", "y", offset=0.3), lambda u: u + 0.3),
+        (named("saturation", "output", "y", level=0.6), lambda u: np.clip(u, -0.6, 0.6)),
+    ],
+    ids=lambda one: getattr(getattr(one, "effect", None), "id", ""),
+)
+def test_a_filter_without_memory_changes_each_value(effect, change):
+    result = simulate(THROUGH, TIME, WAVE, effects=[effect], substeps=2).outputs
+    assert result[:, 0] == pytest.approx(change(WAVE[:, 0]), abs=1e-14)
+    assert np.array_equal(result[:, 1], WAVE[:, 1])
+
+
+def test_filters_of_one_signal_act_in_their_order():
+    gain, offset = named("gain-error", "input", "u", error=1.0), named("bias", "input", "u", offset=1.0)
+    first = simulate(THROUGH, TIME, WAVE, effects=[gain, offset], substeps=1).outputs[:, 0]
+    second = simulate(THROUGH, TIME, WAVE, effects=[offset, gain], substeps=1).outputs[:, 0]
+    assert first == pytest.approx(2 * WAVE[:, 0] + 1)
+    assert second == pytest.approx(2 * (WAVE[:, 0] + 1))
+
+
+def test_a_single_sample_is_filtered_too():
+    one = simulate(
+        THROUGH, np.zeros(1), np.ones((1, 2)), effects=[named("bias", "input", "u", offset=0.5)], substeps=1
+    )
+    assert one.outputs[0] == pytest.approx([1.5, 1.0])
+
+
+def test_uneven_sampling_does_not_disturb_a_delay():
+    rng = np.random.default_rng(5)
+    time_s = np.concatenate([[0.0], np.cumsum(rng.uniform(0.001, 0.05, 300))])
+    wave = np.column_stack([np.sin(3 * time_s), time_s])
+    late = simulate(
+        THROUGH, time_s, wave, effects=[named("delay", "input", "u", delay=0.4)], substeps=2
+    ).outputs[:, 0]
+    assert late == pytest.approx(np.interp(time_s - 0.4, time_s, wave[:, 0]), abs=1e-9)

@@ -1,0 +1,182 @@
+import pytest
+from equations import FOLLOWER, OSCILLATOR, PENDULUM
+
+from labrun.errors import ModelError
+from labrun.models import Site, load_model, parse_model
+
+
+def test_everything_a_file_says_is_in_the_model():
+    model = parse_model(OSCILLATOR, "oscillator.toml")
+    assert model.states == ("angle", "rate")
+    assert [one.name for one in model.inputs] == ["torque"]
+    assert [one.name for one in model.outputs] == ["angle", "torque", "spring"]
+    inertia, stiffness, _ = model.parameters
+    assert (inertia.value, inertia.tolerance, inertia.unit) == (2.0, 0.1, "kg m^2")
+    assert stiffness.tolerance == "free"
+    assert model.sites == (Site("hinge", "joint", "angle", "rate", "10*angle", "stiffness"),)
+    assert model.initial == {"angle": "first", "rate": 0.0}
+    assert [(one.name, one.kind) for one in model.places][1:] == [
+        ("torque", "input"), ("angle", "output"), ("torque", "output"), ("spring", "output"),
+    ]  # fmt: skip
+
+
+def test_names_that_are_nothing_else_are_conditions():
+    model = parse_model(FOLLOWER.replace("(u - y)/tau", "(gain*u - y + offset)/tau"), "f.toml")
+    assert model.conditions == ("gain", "offset")
+    with pytest.raises(ModelError, match=r"'offset'.*condition has no 'offset'"):
+        model.vector(None, {"gain": 1.0})
+    with pytest.raises(ModelError, match="as a number; here it is 'large'"):
+        model.vector(None, {"gain": "large", "offset": 0.0})
+
+
+def test_a_state_without_a_rule_starts_free():
+    model = parse_model(PENDULUM, "p.toml")
+    assert model.initial == {"angle": "free", "rate": "free"}
+    assert model.initial_state({}, first={"angle": 0.2}, free={"rate": 3.0}).tolist() == [0.2, 3.0]
+
+
+def test_states_start_at_conditions_and_first_samples():
+    model = parse_model(OSCILLATOR.replace("rate = 0.0", 'rate = "kick"'), "o.toml")
+    assert model.initial_state({"kick": 2.5}, first={"angle": -0.1}).tolist() == [-0.1, 2.5]
+    with pytest.raises(ModelError, match="no such condition"):
+        model.initial_state({}, first={"angle": 0.0})
+    with pytest.raises(ModelError, match="first samples of output 'angle'"):
+        model.initial_state({"kick": 1.0})
+
+
+def test_inputs_may_say_their_unit_and_how_they_run_between_samples():
+    text = FOLLOWER.replace('inputs = ["u"]', "").replace(
+        "[parameters]", '[inputs]\nu = { unit = "V", between = "hold" }\n[parameters]'
+    )
+    (one,) = parse_model(text, "f.toml").inputs
+    assert (one.unit, one.between) == ("V", "hold")
+
+
+def test_an_input_that_nothing_uses_is_noted():
+    model = parse_model(FOLLOWER.replace('["u"]', '["u", "enable"]'), "f.toml")
+    assert model.notes == ("input 'enable' is used by no equation",)
+
+
+EQUATION_FAULTS = {
+    "-stiffness*sine(angle)": ("no function 'sine'", 11, "did you mean 'sin'?"),
+    "stiffness*angle)": ("never opened", 15, ""),
+    "(stiffness*angle": ("never closed", 0, ""),
+    "stiffness angle": ("is an operator missing", 10, ""),
+    "stiffness**": ("something is missing behind", 10, ""),
+    "2^^angle": ("does not go on", 2, ""),
+    "force.knee": ("no site 'knee'", 0, "known: hinge"),
+    "angle.real": ("only force.<site> has a dot", 0, ""),
+    "angle^2 + sin": ("sin is a function", 10, ""),
+    "clip(angle, 1)": ("clip takes 3 arguments, not 2", 0, ""),
+    "max(angle)": ("max takes two or more", 0, ""),
+    "sin(x=1)": ("plain arguments", 0, ""),
+    "2(angle)": ("a product needs *", 0, ""),
+    "angle := 3": ("means nothing in an equation", 6, ""),
+    "[angle]": ("means nothing in an equation", 0, ""),
+    "'angle'": ("means nothing in an equation", 0, ""),
+    "3 · angle": ("means nothing in an equation", 2, "write * for a product"),
+    "angle, rate": ("not arithmetic", 0, ""),
+    "angle if rate else 0": ("not arithmetic", 0, ""),
+    "1e999*angle": ("too large", 0, ""),
+    "True*angle": ("True is not a real number", 0, ""),
+    "3j": ("not a real number", 0, ""),
+    "angle // 2": ("not arithmetic", 0, ""),
+    "__import__": ("not a name for a quantity", 0, ""),
+    "lambda": ("something is missing", 5, ""),
+    "": ("is empty", 0, ""),
+    "(" * 300 + "1" + ")" * 300: ("nested too deeply", None, ""),
+    "-" * 300 + "1": ("nested too deeply", None, ""),
+    "1+" * 3000 + "1": ("characters, more than", None, ""),
+}
+
+
+@pytest.mark.parametrize(("equation", "expected"), EQUATION_FAULTS.items(), ids=range(len(EQUATION_FAULTS)))
+def test_a_broken_equation_is_reported_with_its_place(equation, expected):
+    message, position, hint = expected
+    # the equation stands on line 11 of the file
+    text = OSCILLATOR.replace("(torque + force.hinge - stiffness*angle - damping*rate) / inertia", equation)
+    with pytest.raises(ModelError, match=message) as caught:
+        parse_model(text, "broken.toml")
+    assert str(caught.value).startswith("broken.toml:11: equations.rate: ")
+    if position is not None:
+        shown, caret = str(caught.value).splitlines()[1:3]
+        assert shown == f"    {equation}"
+        assert caret == " " * (4 + position) + "^"
+    assert hint in (caught.value.hint or "")
+
+
+FILE_FAULTS = {
+    ("inputs", "input"): "bad.toml:4: input: there is no such key here.*did you mean 'inputs'",
+    ("tolerance = 0.1", "tolerence = 0.1"): "parameters.inertia.tolerence.*did you mean 'tolerance'",
+    ("tolerance = 0.1", "tolerance = -0.1"): "0 or more, not -0.1",
+    ("tolerance = 0.1", 'tolerance = "some"'): 'neither a number nor "free"',
+    ("value = 2.0,", "value = 2.0, lower = 3,"): "the value 2 is outside of its bounds 3 to inf",
+    ("value = 2.0", 'value = "2"'): "a number was expected, not '2'",
+    ("value = 2.0", "value = nan"): "a number was expected",
+    ("value = 2.0", "worth = 2.0"): "worth: there is no such key here",
+    ("damping*rate", "dampng*rate"): "no equation uses 'damping'.*dampng.*misspelt",
+    ('rate  = "(torque', 'speed = "(torque'): "there is no state 'speed'",
+    ('angle = "rate"', ""): "state 'angle' has no equation",
+    ('["angle", "rate"]', '["angle", "rate", "angle"]'): "a name stands twice",
+    ('["angle", "rate"]', '["angle", "rate", "sin"]'): "already means something",
+    ('["angle", "rate"]', '["angle", "rate", "lambda"]'): "cannot be used in equations",
+    ('["torque"]', '["torque", "rate"]'): "'rate' is already the name of a state",
+    ('["torque"]', '"torque"'): "a list of names was expected",
+    ('kind = "joint"', 'kind = "knee"'): "a joint or a body, not 'knee'",
+    ('kind = "joint"', 'kind = "output"'): "every output is a site already",
+    (
+        'stiffness = "stiffness"',
+        'stiffness = "stifness"',
+    ): "no parameter 'stifness'.*did you mean 'stiffness'",
+    ('load = "10*angle"', 'load = "10*force.hinge"'): "cannot be described by the force",
+    ('load = "10*angle"', 'loads = "10*angle"'): "sites.hinge.loads.*did you mean 'load'",
+    (" - force.hinge", ""): None,
+    ("rate = 0.0", 'angel = "first"'): "initial.angel.*did you mean 'angle'",
+    ("rate = 0.0", 'rate = "first"'): "there is no output 'rate'",
+    ("rate = 0.0", 'rate = "two words"'): "neither a number",
+    ('name = "oscillator"', ""): "a model needs a name",
+    ("states = ", "states = = "): "not TOML",
+}
+
+
+@pytest.mark.parametrize(("change", "message"), FILE_FAULTS.items(), ids=range(len(FILE_FAULTS)))
+def test_a_fault_of_a_file_is_reported_by_its_key(change, message):
+    text = OSCILLATOR.replace(*change, 1)
+    assert text != OSCILLATOR
+    if message is None:
+        assert parse_model(text, "bad.toml")
+        return
+    with pytest.raises(ModelError) as caught:
+        parse_model(text, "bad.toml")
+    assert str(caught.value).startswith("bad.toml")
+    import re
+
+    assert re.search(message, str(caught.value), re.DOTALL)
+
+
+def test_a_site_without_its_force_in_any_equation_is_an_error():
+    text = OSCILLATOR.replace(" + force.hinge", "").replace(" - force.hinge", "")
+    with pytest.raises(ModelError, match=r"sites\.hinge: no equation uses force\.hinge"):
+        parse_model(text, "bad.toml")
+
+
+def test_declared_conditions_catch_misspelt_names_at_once():
+    text = FOLLOWER.replace('inputs = ["u"]', 'inputs = ["u"]\nconditions = ["kp"]').replace(
+        "(u - y)", "(kp*u - z)"
+    )
+    with pytest.raises(ModelError, match="there is no 'z'"):
+        parse_model(text, "f.toml")
+
+
+def test_models_are_found_by_path_by_name_and_by_dotted_name(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(FOLLOWER)
+    assert load_model(path).name == "follower"
+    assert load_model(str(path)).source == str(path)
+    assert load_model("hinge-pendulum").sites[0].stiffness == "stiffness"
+    with pytest.raises(ModelError, match=r"there is no model 'hinge-pendulm'.*\n.*'hinge-pendulum'"):
+        load_model("hinge-pendulm")
+    with pytest.raises(ModelError, match="no model file"):
+        load_model(tmp_path / "absent.toml")
+    with pytest.raises(ModelError, match="is no labrun model but module"):
+        load_model("os:path")
