@@ -103,13 +103,18 @@ def resume(
     Example:  labrun resume
     """
     with reported(as_json):
+        from labrun.report.figure import draw_run
         from labrun.search.resume import resume as resume_run
         from labrun.store.locate import find_unfinished
 
         folder = find_unfinished(run, results)
         with _progress() as progress:
             result = resume_run(
-                folder, progress=progress, accept_changed_spec=accept_changed_spec, limit=limit
+                folder,
+                progress=progress,
+                accept_changed_spec=accept_changed_spec,
+                limit=limit,
+                draw=draw_run,
             )
         _print_result(result, as_json)
 
@@ -125,25 +130,33 @@ def _execute(
     as_json: bool,
 ) -> None:
     with reported(as_json):
-        from labrun.search.execute import execute
-        from labrun.spec.named import load_named
-
-        loaded = load_named(name, Path.cwd(), overrides or (), kind=kind)
-        with _progress() as progress:
-            result = execute(
-                loaded, results=results, dry_run=dry_run, seed=seed, limit=limit, progress=progress
-            )
+        result = _carried_out(name, kind, dry_run, overrides or [], seed, limit, results)
         _print_result(result, as_json)
 
 
 def dry_run_of(name: str, seed: int | None, results: Path) -> Path:
     """Make a dry run of an experiment, and return its folder."""
+    return _carried_out(name, None, True, [], seed, None, results).run
+
+
+def _carried_out(
+    name: str,
+    kind: str | None,
+    dry_run: bool,
+    overrides: list[str],
+    seed: int | None,
+    limit: int | None,
+    results: Path,
+) -> "RunResult":
+    from labrun.report.figure import draw_run
     from labrun.search.execute import execute
     from labrun.spec.named import load_named
 
-    loaded = load_named(name, Path.cwd())
+    loaded = load_named(name, Path.cwd(), overrides, kind=kind)
     with _progress() as progress:
-        return execute(loaded, results=results, dry_run=True, seed=seed, limit=None, progress=progress).run
+        return execute(
+            loaded, results=results, dry_run=dry_run, seed=seed, limit=limit, progress=progress, draw=draw_run
+        )
 
 
 def _progress() -> "Progress":

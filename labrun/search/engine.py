@@ -3,7 +3,7 @@
 import json
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 RESULT_FILE = "result.json"
 
+Draw = Callable[[Path, Best | None], Path | None]
+"""Draws a run into its folder and returns the picture; given by whoever starts the run, since reports stand above searches."""
+
 
 def carry_out(
     experiment: Experiment,
@@ -33,6 +36,7 @@ def carry_out(
     seed: int,
     limit: int | None,
     progress: "Progress",
+    draw: Draw | None = None,
 ) -> RunResult:
     """Measure, name the honest best, pack, draw; trials that are stored already are not run again.
 
@@ -58,7 +62,7 @@ def carry_out(
             folder.journal.append("limit-reached", limit=limit)
             progress.note(f"stopped after {limit} new trials; to go on: {resume_line(folder.path)}")
             return _result(folder, best=None, figure=None, finished=False)
-        return _finish(folder, best, progress)
+        return _finish(folder, best, progress, draw)
 
 
 @contextmanager
@@ -139,14 +143,15 @@ def objective_unit(experiment: Experiment, rig: "Rig", name: str) -> str:
     return make_objective(name, table).unit(units.get(channel, ""))
 
 
-def _finish(folder: "RunFolder", best: Best | None, progress: "Progress") -> RunResult:
+def _finish(
+    folder: "RunFolder", best: Best | None, progress: "Progress", draw: Draw | None
+) -> RunResult:
     from labrun.store.disk import replace_durably, saving
 
     progress.phase("packing run.h5")
     result = _result(folder, best=best, figure=None, finished=True)
     folder.pack()
-    progress.phase("drawing")
-    figure = _draw(folder.path, best, progress)
+    figure = None if draw is None else _drawn(draw, folder.path, best, progress)
     record = {
         **result.to_json(),
         "run": folder.path.name,
@@ -159,12 +164,11 @@ def _finish(folder: "RunFolder", best: Best | None, progress: "Progress") -> Run
     return _result(folder, best=best, figure=figure, finished=True)
 
 
-def _draw(run: Path, best: Best | None, progress: "Progress") -> Path | None:
+def _drawn(draw: Draw, run: Path, best: Best | None, progress: "Progress") -> Path | None:
     """Draw the run. Whatever goes wrong with a picture, the data are safe and the run counts as done."""
+    progress.phase("drawing")
     try:
-        from labrun.report.figure import draw_run
-
-        return draw_run(run, best)
+        return draw(run, best)
     except Exception as error:
         progress.note(f"the figure could not be drawn: {type(error).__name__}: {error}")
         return None

@@ -8,7 +8,7 @@ import numpy as np
 
 from labrun.errors import SpecError
 from labrun.search.design import conditions
-from labrun.search.engine import carry_out, connected
+from labrun.search.engine import Draw, carry_out, connected
 from labrun.search.forecast import most_trials
 from labrun.search.result import Best, RunResult
 from labrun.search.resume import resume, source_of
@@ -60,6 +60,7 @@ def execute(
     seed: int | None = None,
     limit: int | None = None,
     progress: "Progress",
+    draw: Draw | None = None,
 ) -> RunResult:
     """Run an experiment to its end: trials, honest best, run.h5, figure.
 
@@ -73,6 +74,8 @@ def execute(
         Of all randomness; drawn if None, and stored with the run.
     limit
         Stop after this many trials; the run can be resumed.
+    draw
+        What draws the finished run; without it there is no picture.
 
     Raises
     ------
@@ -100,7 +103,7 @@ def execute(
             "dry_run": dry_run,
         }
         folder = RunFolder.create(results, loaded.name, loaded.resolved_toml, origin)
-        return carry_out(loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress)
+        return carry_out(loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress, draw=draw)
 
 
 def _plan(experiment: "Experiment", seed: int, rig: "Rig | None") -> "Plan":

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from labrun.errors import LabrunError, RequestError
-from labrun.search.engine import carry_out, connected, stored_result
+from labrun.search.engine import Draw, carry_out, connected, stored_result
 from labrun.search.result import RunResult, resume_line
 
 if TYPE_CHECKING:
@@ -15,7 +15,12 @@ _MOST_CHANGES = 8
 
 
 def resume(
-    run: Path, *, progress: "Progress", accept_changed_spec: bool = False, limit: int | None = None
+    run: Path,
+    *,
+    progress: "Progress",
+    accept_changed_spec: bool = False,
+    limit: int | None = None,
+    draw: Draw | None = None,
 ) -> RunResult:
     """Go on with a run by replay: stored trials are served, missing ones are run, the result is the same.
 
@@ -26,6 +31,8 @@ def resume(
     accept_changed_spec
         Go on although the experiment file has changed. The run keeps the specification it began with (its
         spec.toml): trials of two specifications in one run would answer no question.
+    draw
+        What draws the finished run; without it there is no picture.
 
     Raises
     ------
@@ -55,7 +62,7 @@ def resume(
     rig = Rig.build(loaded.experiment, clock=clock, seed=seed, dry_run=dry_run)
     with folder.lock(), connected(rig):
         folder.journal.append("resumed", changed=changes)
-        return carry_out(loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress)
+        return carry_out(loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress, draw=draw)
 
 
 def source_of(experiment_file: Path) -> dict[str, Any]:

@@ -3,6 +3,7 @@ from pathlib import Path
 import pytest
 
 from labrun.runner.progress import SilentProgress
+from labrun.report.figure import draw_run
 from labrun.search.execute import execute
 from labrun.spec.loading import load_experiment
 
@@ -104,6 +105,7 @@ def dry_run(tmp_path: Path):
             seed=seed,
             limit=limit,
             progress=progress or SilentProgress(),
+            draw=draw_run,
         )
 
     return run
