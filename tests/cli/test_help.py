@@ -14,13 +14,35 @@ COMMANDS = sorted(get_command(app).commands)  # type: ignore[attr-defined]
 
 def _labrun(*arguments: str, cwd=None) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "labrun", *arguments], cwd=cwd, capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-m", "labrun", *arguments],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
 
 
 def test_the_commands_are_those_of_the_guide():
-    assert COMMANDS == sorted(
-        ["init", "list", "check", "run", "sweep", "cmaes", "resume", "fit", "show", "export", "import", "plugins", "doctor"]
+    assert (
+        sorted(
+            [
+                "init",
+                "list",
+                "check",
+                "run",
+                "sweep",
+                "cmaes",
+                "resume",
+                "fit",
+                "show",
+                "export",
+                "import",
+                "plugins",
+                "doctor",
+            ]
+        )
+        == COMMANDS
     )
 
 
@@ -38,7 +60,9 @@ def test_help_imports_nothing_heavy():
         "try:\n    main()\nexcept SystemExit:\n    pass\n"
         f"print([name for name in {heavy} if name in sys.modules], file=sys.stderr)"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True
+    )
     assert done.stderr.strip() == "[]"
 
 

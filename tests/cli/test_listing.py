@@ -7,7 +7,12 @@ import sys
 
 def _labrun(*arguments, cwd):
     return subprocess.run(
-        [sys.executable, "-m", "labrun", *arguments], cwd=cwd, capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-m", "labrun", *arguments],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
 
 
@@ -31,13 +36,21 @@ def test_init_writes_the_shipped_experiments_and_leaves_what_is_there(tmp_path):
     written = json.loads(_labrun("init", "bench", "--json", cwd=tmp_path).stdout)["written"]
     assert mine.read_text() == 'title = "mine"\nkind = "run"\n'
     assert any(path.endswith("fin-params.toml") for path in written)
-    titles = {item["name"]: item["title"] for item in json.loads(_labrun("list", "--json", cwd=tmp_path / "bench").stdout)["experiments"]}
+    titles = {
+        item["name"]: item["title"]
+        for item in json.loads(_labrun("list", "--json", cwd=tmp_path / "bench").stdout)["experiments"]
+    }
     assert titles["hinge"] == "mine"
 
 
 def test_plugins_are_listed_with_their_origin(tmp_path):
     found = json.loads(_labrun("plugins", "--json", cwd=tmp_path).stdout)["plugins"]
-    assert {item["group"] for item in found} >= {"labrun.devices", "labrun.gaits", "labrun.objectives", "labrun.scenes"}
+    assert {item["group"] for item in found} >= {
+        "labrun.devices",
+        "labrun.gaits",
+        "labrun.objectives",
+        "labrun.scenes",
+    }
     assert all(item["origin"].startswith("labrun ") and not item["cause"] for item in found)
 
 

@@ -50,7 +50,9 @@ def _completed(run: Path) -> dict[int, bytes]:
 
 
 @pytest.mark.parametrize("arguments", [SWEEP, SEARCH], ids=["sweep", "search"])
-def test_a_run_killed_at_fifty_random_instants_ends_with_the_same_result(arguments, labrun, command, tmp_path):
+def test_a_run_killed_at_fifty_random_instants_ends_with_the_same_result(
+    arguments, labrun, command, tmp_path
+):
     whole = tmp_path / "whole"
     killed = tmp_path / "killed"
     whole.mkdir()
@@ -72,7 +74,9 @@ def test_a_run_killed_at_fifty_random_instants_ends_with_the_same_result(argumen
         for run in {path.parent for path in killed.glob("results/*/*/journal.jsonl")}:
             after = _completed(run)
             if not (run / "run.h5").exists():
-                assert all(after.get(index) == content for index, content in before.items()), "a completed trial was lost"
+                assert all(after.get(index) == content for index, content in before.items()), (
+                    "a completed trial was lost"
+                )
             for index in after:
                 with h5py.File(run / "trials" / f"{index:06d}.h5") as file:
                     assert len(file) > 0
@@ -85,6 +89,8 @@ def test_a_run_killed_at_fifty_random_instants_ends_with_the_same_result(argumen
         assert result.json["best"] == expected.json["best"]
 
     name = arguments[1]
-    tables = [labrun("export", name, "--to", "csv", "--output", "t.csv", cwd=folder) for folder in (whole, killed)]
+    tables = [
+        labrun("export", name, "--to", "csv", "--output", "t.csv", cwd=folder) for folder in (whole, killed)
+    ]
     assert [table.code for table in tables] == [0, 0]
     assert (killed / "t.csv").read_text() == (whole / "t.csv").read_text()

@@ -40,7 +40,15 @@ goal = "maximise"
 def site(tmp_path_factory) -> Path:
     """A folder with the package installed as pip installs it."""
     folder = tmp_path_factory.mktemp("site")
-    install = ["install", "--quiet", "--no-deps", "--no-build-isolation", "--target", str(folder), str(PACKAGE)]
+    install = [
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--no-build-isolation",
+        "--target",
+        str(folder),
+        str(PACKAGE),
+    ]
     subprocess.run([sys.executable, "-m", "pip", *install], check=True, timeout=300)
     return folder
 

@@ -8,7 +8,6 @@ from labrun.runner.clock import SimulatedClock
 from labrun.runner.rig import Rig
 from labrun.runner.session import Session
 from labrun.spec.experiment import Experiment
-from labrun.store.folder import RunFolder
 
 EXPERIMENT = """
 title = "Paddle"

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from paddle_lab import experiment_with
 from hypothesis import given
 from hypothesis import strategies as st
+from paddle_lab import experiment_with
 
 from labrun.errors import LimitExceededError, PlanError
 from labrun.runner.moves import smooth_move

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from paddle_lab import Lab, experiment_with
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from paddle_lab import Lab, experiment_with
 
 from labrun.errors import RecordingError
 from labrun.runner.faults import LimitReached

@@ -126,6 +126,12 @@ def test_names_the_rig_does_not_have_are_all_reported_before_anything_moves(lab)
         assert text in str(caught.value)
 
 
+@pytest.mark.parametrize("name", ["command", "settle", "trial", "wrench/left"])
+def test_a_device_whose_samples_could_not_be_stored_is_reported_before_anything_moves(lab, name):
+    with pytest.raises(SpecError, match=f"cannot be stored under the name '{name}'"):
+        lab(**{f"rig__devices__{name}": {"plugin": "pond:Cell"}})
+
+
 def test_progress_hears_of_every_trial_and_of_what_happens_now(lab):
     class Listener:
         def __init__(self):

@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from labrun.runner.progress import SilentProgress
 from labrun.report.figure import draw_run
+from labrun.runner.progress import SilentProgress
 from labrun.search.execute import execute
 from labrun.spec.loading import load_experiment
 

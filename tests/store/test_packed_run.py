@@ -2,12 +2,14 @@
 
 import shutil
 
+import h5py
 import numpy as np
 import pytest
 import stored_runs
 
+from labrun.devices import Channel, Samples
 from labrun.errors import StoreError
-from labrun.store import packed_file, writer
+from labrun.store import hdf5, packed_file, ragged, writer
 from labrun.store.folder import RunFolder
 from labrun.store.reading import open_run
 
@@ -65,31 +67,131 @@ def test_xarray_reads_the_table_of_trials(packed):
         assert table["started_s"].attrs["units"] == "s"
 
 
-def test_xarray_reads_the_signals_of_a_trial(packed):
-    with xarray.open_dataset(
-        packed.path / "run.h5", group="trials/000003/wrench", engine="h5netcdf"
-    ) as wrench:
-        assert wrench["force_x"].dims == ("time_s",)
+def test_xarray_reads_all_samples_of_a_device_and_those_of_one_trial(packed):
+    with xarray.open_dataset(packed.path / "run.h5", group="wrench", engine="h5netcdf") as wrench:
+        assert dict(wrench.sizes) == {"sample": 6 * 200, "trial": 6}
         assert wrench["force_x"].attrs["units"] == "N"
-        np.testing.assert_array_equal(wrench["force_x"], stored_runs.samples(3).values[:, 0])
-        assert wrench.attrs["rate_hz"] == 100.0
-        assert wrench.attrs["lost"] == 3
-    with xarray.open_dataset(
-        packed.path / "run.h5", group="trials/000003/command", engine="h5netcdf"
-    ) as command:
+        assert wrench["time_s"].attrs["units"] == "s"
+        assert wrench["sample_count"].attrs["sample_dimension"] == "sample"
+        assert wrench["rate_hz"].values.tolist() == [100.0] * 6
+        assert wrench["lost"].values.tolist() == list(range(6))
+        assert wrench["tare_force_x"].values.tolist() == [0.25] * 6
+        expected = stored_runs.samples(3).values
+        first, count = int(wrench["first_sample"][3]), int(wrench["sample_count"][3])
+        for one in (
+            wrench.isel(sample=slice(first, first + count)),
+            wrench.isel(sample=wrench["trial_index"] == 3),
+        ):
+            np.testing.assert_array_equal(one["force_x"], expected[:, 0])
+            np.testing.assert_array_equal(one["torque_z"], expected[:, 1])
+        means = wrench["force_x"].groupby(wrench["trial_index"]).mean()
+        np.testing.assert_allclose(means[3], expected[:, 0].mean())
+    with xarray.open_dataset(packed.path / "run.h5", group="command", engine="h5netcdf") as command:
         assert command["tail"].attrs["units"] == "rad"
-    with xarray.open_dataset(
-        packed.path / "run.h5", group="trials/000003/settle", engine="h5netcdf"
-    ) as settle:
-        assert settle.attrs["reason"] == "quiet"
+        assert command["period_s"].values.tolist() == [0.5] * 6
+    with xarray.open_dataset(packed.path / "run.h5", group="settle", engine="h5netcdf") as settle:
+        assert settle["reason"].values.tolist() == ["quiet"] * 6
+        assert settle["spread"].attrs["units"] == "N"
 
 
 def test_xarray_reads_the_whole_run_as_a_tree(packed):
     with xarray.open_datatree(packed.path / "run.h5", engine="h5netcdf") as tree:
-        assert sorted(tree["trials"].children) == [f"{index:06d}" for index in range(6)]
-        assert tree["trials/000000/wrench"]["torque_z"].sizes == {"time_s": 200}
-        assert tree["trials/000004"].attrs["status"] == "rejected"
+        assert sorted(tree.children) == ["command", "record", "settle", "wrench"]
+        assert tree["wrench/torque_z"].sizes == {"sample": 1200}
+        assert tree["status"].values[4] == "rejected"
+        assert tree["settle_reason"].values.tolist() == ["quiet"] * 6
         assert str(tree["record"]["spec_toml"].values) == stored_runs.SPEC
+
+
+def test_the_netcdf_library_reads_the_whole_run(packed):
+    netcdf = pytest.importorskip("netCDF4")
+    with netcdf.Dataset(packed.path / "run.h5") as file:
+        assert file.dimensions["trial"].size == 6
+        assert file.variables["status"][4] == "rejected"
+        wrench = file.groups["wrench"]
+        assert wrench.variables["force_x"].dimensions == ("sample",)
+        assert wrench.variables["sample_count"].dimensions == ("trial",)
+        np.testing.assert_array_equal(
+            wrench.variables["force_x"][600:800], stored_runs.samples(3).values[:, 0]
+        )
+
+
+def test_plain_h5py_reads_every_dataset_as_numbers_or_text(packed):
+    with h5py.File(packed.path / "run.h5") as file:
+        found = []
+        file.visititems(lambda _, item: found.append(item) if isinstance(item, h5py.Dataset) else None)
+        assert {item.dtype.kind for item in found} <= {"f", "i", "O"}
+        assert all(item[()] is not None for item in found)
+
+
+def test_trials_may_differ_in_devices_and_channels(tmp_path):
+    folder = stored_runs.new_run(tmp_path)
+    stored_runs.store(folder, 0)
+    torque = (Channel("torque_z", "N m"),)
+    volts = (Channel("torque_z", "V"), Channel("lost", "V"))
+    one = stored_runs.samples(2, 30)
+    for index, channels in ((2, torque), (5, volts)):
+        writer = folder.writer(index)
+        writer.append(
+            "wrench",
+            channels,
+            50.0,
+            Samples(one.device_time_s, one.host_time_s, one.values[:, : len(channels)]),
+        )
+        writer.finish(stored_runs.outcome(index, tare={}), None, None)
+    writer = folder.writer(6)
+    writer.append("camera", (Channel("angle", "rad"),), 25.0, Samples.empty(1))
+    writer.finish(stored_runs.outcome(6, status="failed", settle=None), None, None)
+    before = {index: open_run(folder.path).streams(index) for index in (0, 2, 5, 6)}
+    run = open_run(folder.pack())
+    for index, streams in before.items():
+        assert run.streams(index).keys() == streams.keys()
+        for name, stream in streams.items():
+            packed = run.stream(index, name)
+            assert (packed.channels, packed.tare, packed.rate_hz) == (
+                stream.channels,
+                stream.tare,
+                stream.rate_hz,
+            )
+            np.testing.assert_array_equal(packed.values, stream.values)
+            np.testing.assert_array_equal(packed.time_s, stream.time_s)
+    assert run.settle_curve(2) is None
+    assert run.command(2).channels == ()
+    with xarray.open_dataset(run.path, group="wrench", engine="h5netcdf") as wrench:
+        assert wrench["sample_count"].values.tolist() == [200, 30, 30, 0]
+        assert np.isnan(wrench["force_x"].values[200:]).all()
+        assert not np.isnan(wrench["force_x"].values[:200]).any()
+        assert wrench["torque_z_"].attrs["units"] == "V"
+        assert wrench["channel_lost"].attrs["channel"] == "lost"
+        assert np.unique(wrench["trial_index"]).tolist() == [0, 2, 5]
+
+
+@pytest.mark.parametrize("block", [64, 450, 1 << 20])
+def test_large_runs_are_written_in_blocks_and_read_the_same(tmp_path, monkeypatch, block):
+    folder = stored_runs.new_run(tmp_path)
+    stored_runs.store_many(folder, 5)
+    stored_runs.store(folder, 5, count=1)
+    writer_without_device = folder.writer(6)
+    writer_without_device.finish(stored_runs.outcome(6), None, stored_runs.motion())
+    stored_runs.store(folder, 7, count=333)
+    monkeypatch.setattr(hdf5, "BLOCK", block)
+    monkeypatch.setattr(ragged, "CHUNK", 100)
+    run = open_run(folder.pack())
+    for index, count in [*((index, 200) for index in range(5)), (5, 1), (7, 333)]:
+        stored_runs.assert_as_measured(run.stream(index, "wrench"), index, count)
+        np.testing.assert_array_equal(run.command(index).values, stored_runs.motion().angle_rad)
+    assert run.streams(6) == {}
+    with xarray.open_datatree(run.path, engine="h5netcdf") as tree:
+        assert tree["wrench/force_x"].sizes == {"sample": 1334}
+        assert not np.isnan(tree["wrench/force_x"].values).any()
+
+
+def test_an_objective_named_like_a_device_stands_beside_it(tmp_path):
+    folder = stored_runs.new_run(tmp_path)
+    stored_runs.store(folder, 0, objectives={"wrench": 2.0})
+    with xarray.open_datatree(folder.pack(), engine="h5netcdf") as tree:
+        assert tree["objective_wrench"].values.tolist() == [2.0]
+        assert tree["wrench/force_x"].sizes == {"sample": 200}
 
 
 def test_names_that_collide_stay_apart_in_the_table(tmp_path):
@@ -142,10 +244,8 @@ def test_a_spilled_trial_packs_like_any_other(tmp_path, monkeypatch):
     stored_runs.store(folder, 0)
     folder.pack()
     stored_runs.assert_as_measured(open_run(folder.path).stream(0, "wrench"), 0)
-    with xarray.open_dataset(
-        folder.path / "run.h5", group="trials/000000/wrench", engine="h5netcdf"
-    ) as wrench:
-        assert wrench["force_x"].dims == ("time_s",)
+    with xarray.open_dataset(folder.path / "run.h5", group="wrench", engine="h5netcdf") as wrench:
+        assert wrench["force_x"].sizes == {"sample": 200}
 
 
 def test_what_was_written_wrongly_never_replaces_the_trials(tmp_path, monkeypatch):
@@ -154,11 +254,12 @@ def test_what_was_written_wrongly_never_replaces_the_trials(tmp_path, monkeypatc
     write = packed_file.write
 
     def failing_disk(path, texts, outcomes, sources):
-        write(path, texts, outcomes, sources)
+        digests = write(path, texts, outcomes, sources)
         content = bytearray(path.read_bytes())
         sample = content.find(stored_runs.samples(1).values[0, 0].tobytes())
         content[sample] ^= 1
         path.write_bytes(content)
+        return digests
 
     monkeypatch.setattr(packed_file, "write", failing_disk)
     with pytest.raises(StoreError, match="does not hold what was written"):
