@@ -2,11 +2,12 @@
 
 from collections.abc import Iterable
 
-from labrun.errors import SpecError
+from labrun.errors import SpecError, StoreError
 from labrun.runner.rig import Rig
 from labrun.runner.settling import watched_channels
 from labrun.runner.tare import tared_devices
 from labrun.spec.experiment import Experiment
+from labrun.store.layout import check_joints, check_names
 
 
 def check_wiring(experiment: Experiment, rig: Rig, gait_joints: Iterable[str]) -> None:
@@ -19,6 +20,7 @@ def check_wiring(experiment: Experiment, rig: Rig, gait_joints: Iterable[str]) -
     """
     problems: list[str] = []
     channels = {f"{name}.{c.name}" for name, sensor in rig.sensors.items() for c in sensor.channels}
+    problems += _unstorable(rig)
     for joint in gait_joints:
         problems += _unknown(f"gait.joints.{joint}", joint, rig.joints, "joints")
     for joint in experiment.trial.safe_pose_deg:
@@ -42,6 +44,21 @@ def check_wiring(experiment: Experiment, rig: Rig, gait_joints: Iterable[str]) -
         problems.append(str(error))
     if problems:
         raise SpecError("\n".join(problems))
+
+
+def _unstorable(rig: Rig) -> list[str]:
+    """Return what could not be stored under its name: better known before a trial than after it."""
+    problems = []
+    for name in rig.devices:
+        try:
+            check_names(name, rig.sensors[name].channels if name in rig.sensors else ())
+        except StoreError as error:
+            problems.append(f"rig.devices.{name}: {error}")
+    try:
+        check_joints(rig.joints)
+    except StoreError as error:
+        problems.append(str(error))
+    return problems
 
 
 def _unknown(key: str, name: str, known: Iterable[str], kind: str) -> list[str]:

@@ -74,6 +74,24 @@ def read_attributes(owner: Any) -> dict[str, Attribute]:
     return found
 
 
+def read_unit(dataset: Any) -> str:
+    """Return the attribute ``units``: much faster than all attributes; KeyError if there is none."""
+    attribute = h5a.open(dataset, b"units")
+    size = attribute.get_storage_size()
+    raw = np.empty((), dtype=f"S{size}")
+    attribute.read(raw, _text(size))
+    return bytes(raw[()]).decode()
+
+
+def read_number(owner: Any, name: str) -> float | None:
+    """Return an attribute that is a float; None if there is none."""
+    if not h5a.exists(owner, name.encode()):
+        return None
+    number = np.empty(())
+    h5a.open(owner, name.encode()).read(number, h5t.NATIVE_DOUBLE)
+    return float(number)
+
+
 def _value(attribute: h5a.AttrID) -> Attribute:
     kind = attribute.get_type()
     if isinstance(kind, h5t.TypeStringID):

@@ -66,7 +66,7 @@ def to_csv(run: Run, output: Path) -> None:
 def to_netcdf(run: Run, output: Path) -> None:
     """Write the whole run as netCDF-4, in the layout of ``run.h5``.
 
-    ``xarray.open_dataset(output)`` gives the table of trials, ``group="trials/000000/<device>"`` the signals.
+    ``xarray.open_dataset(output)`` gives the table of trials, ``group="<device>"`` the signals of all of them.
 
     Raises
     ------

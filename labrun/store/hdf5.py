@@ -1,4 +1,4 @@
-"""The HDF5 layout of a trial, by h5py's low-level interface: a trial costs a few ms, most of it the disk's.
+"""Tables in HDF5, by h5py's low-level interface: a trial costs a few ms, most of it the disk's.
 
 Every group with a time axis has a dimension scale ``time_s``, and ``units`` on every dataset, which makes the file
 valid netCDF-4. All property lists are made once; small datasets are contiguous.
@@ -7,14 +7,16 @@ valid netCDF-4. All property lists are made once; small datasets are contiguous.
 import errno
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import lru_cache
 from hashlib import blake2b
 from typing import Any
 
 import numpy as np
-from h5py import h5, h5a, h5d, h5ds, h5f, h5g, h5o, h5p, h5s, h5t
+from h5py import h5, h5d, h5ds, h5f, h5g, h5o, h5p, h5s, h5t
+from numpy.typing import DTypeLike, NDArray
 
 from labrun.devices.samples import FloatArray
 from labrun.store.attributes import (
@@ -22,14 +24,18 @@ from labrun.store.attributes import (
     TEXT_TYPE,
     Attribute,
     read_attributes,
+    read_number,
+    read_unit,
     storable,
     write_attribute,
     write_attributes,
 )
-from labrun.store.table import Variable
 
 BLOCK = 1 << 17
 """Samples of one dataset that are handled at a time (1 MiB), and the chunk of a dataset that grows."""
+
+TARE = "tare"
+"""The one attribute of a column beside its unit: the offset found before the recording."""
 
 _ORDER = h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED
 
@@ -141,28 +147,38 @@ def extend(dataset: h5d.DatasetID, values: FloatArray) -> None:
     dataset.set_extent((length + len(values),))
     where = dataset.get_space()
     where.select_hyperslab((length,), (len(values),))
-    dataset.write(h5s.create_simple((len(values),)), where, np.ascontiguousarray(values, dtype=float))
+    dataset.write(_extent(len(values)), where, np.ascontiguousarray(values, dtype=float))
 
 
-def blocks(dataset: h5d.DatasetID) -> Iterator[FloatArray]:
-    """Yield the values of a one-dimensional dataset, `BLOCK` of them at a time."""
+def blocks(dataset: h5d.DatasetID, first: int = 0, count: int | None = None) -> Iterator[FloatArray]:
+    """Yield a part of a one-dimensional dataset (all of it without `count`), `BLOCK` values at a time."""
     (length,) = dataset.shape
-    if length <= BLOCK:
-        yield _whole(dataset, length)
+    count = length - first if count is None else count
+    if count == length <= BLOCK:
+        values = np.empty(count)
+        if count:
+            dataset.read(h5s.ALL, h5s.ALL, values)
+        yield values
         return
     where = dataset.get_space()
-    for start in range(0, length, BLOCK):
-        values = np.empty(min(BLOCK, length - start))
+    for start in range(first, first + count, BLOCK):
+        values = np.empty(min(BLOCK, first + count - start))
         where.select_hyperslab((start,), (len(values),))
-        dataset.read(h5s.create_simple((len(values),)), where, values)
+        dataset.read(_extent(len(values)), where, values)
         yield values
 
 
-def _whole(dataset: h5d.DatasetID, length: int) -> FloatArray:
-    values = np.empty(length)
-    if length:
-        dataset.read(h5s.ALL, h5s.ALL, values)
-    return values
+@lru_cache(maxsize=256)
+def _extent(length: int) -> h5s.SpaceID:
+    return h5s.create_simple((length,))
+
+
+def write_at(dataset: h5d.DatasetID, first: int, values: NDArray[Any]) -> None:
+    """Write values to a part of a dataset."""
+    if len(values):
+        where = dataset.get_space()
+        where.select_hyperslab((first,), (len(values),))
+        dataset.write(_extent(len(values)), where, values)
 
 
 def member_names(group: Any) -> list[str]:
@@ -172,69 +188,115 @@ def member_names(group: Any) -> list[str]:
     return [name.decode() for name in names]
 
 
-def members(group: Any) -> list[h5d.DatasetID]:
-    """Return a group's datasets, in the order they were made."""
-    return [h5d.open(group, name.encode()) for name in member_names(group)]
+def group_names(file: Any) -> list[str]:
+    """Return the names of the groups among a group's members, in the order they were made."""
+    return [name for name in member_names(file) if h5o.get_info(file, name.encode()).type == h5o.TYPE_GROUP]
 
 
-def read_table(parent: Any, name: str) -> Table:
-    """Read one group that `write_table` or a growing group made, whole."""
+@dataclass(frozen=True, slots=True)
+class StoredColumn:
+    """One column of a trial as it lies in a file: `count` values of a dataset from `first` on."""
+
+    name: str
+    unit: str
+    attributes: Mapping[str, Attribute]
+    dataset: h5d.DatasetID
+    first: int
+    count: int
+
+    def blocks(self) -> Iterator[FloatArray]:
+        """Yield the values, `BLOCK` of them at a time."""
+        return blocks(self.dataset, self.first, self.count)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredTable:
+    """One table of a trial as it lies in a file; its samples are read when asked for."""
+
+    name: str
+    columns: tuple[StoredColumn, ...]
+    attributes: Mapping[str, Attribute]
+
+    @property
+    def count(self) -> int:
+        """Number of samples."""
+        return self.columns[0].count if self.columns else 0
+
+    def read(self) -> Table:
+        """Read it whole."""
+        columns = [
+            Column(column.name, column.unit, _joined(list(column.blocks())), column.attributes)
+            for column in self.columns
+        ]
+        return Table(self.name, tuple(columns), self.attributes)
+
+    def copy(self, append: "Append | None" = None) -> bytes:
+        """Read to the last sample, hand on every block, and return a hash of names, units, attributes and samples.
+
+        An attribute that is NaN counts as one that is missing. Fails where the file is damaged.
+
+        Parameters
+        ----------
+        append
+            Called with a column and its next block.
+        """
+        total = blake2b(repr((self.name, _numbers(self.attributes), self.count)).encode(), digest_size=16)
+        for column in self.columns:
+            total.update(repr((column.name, column.unit, _numbers(column.attributes))).encode())
+            for values in column.blocks():
+                total.update(values.data)
+                if append is not None:
+                    append(column, values)
+        return total.digest()
+
+
+Append = Callable[[StoredColumn, FloatArray], None]
+
+
+def _numbers(attributes: Mapping[str, Attribute]) -> list[tuple[str, Attribute]]:
+    return sorted((name, value) for name, value in attributes.items() if value == value)  # noqa: PLR0124 - NaN
+
+
+def _joined(parts: list[FloatArray]) -> FloatArray:
+    return parts[0] if len(parts) == 1 else np.concatenate([np.empty(0), *parts])
+
+
+def open_table(parent: Any, name: str) -> StoredTable:
+    """Open one group that `write_table` or a growing group made."""
     group = h5g.open(parent, name.encode())
     columns = []
     for member in member_names(group):
         dataset = h5d.open(group, member.encode())
-        values = _whole(dataset, *dataset.shape)
-        attributes = read_attributes(dataset)
-        columns.append(Column(member, str(attributes.pop("units", "")), values, attributes))
-    return Table(name, tuple(columns), read_attributes(group))
+        tare = read_number(dataset, TARE)
+        attributes = {} if tare is None else {TARE: tare}
+        columns.append(StoredColumn(member, read_unit(dataset), attributes, dataset, 0, *dataset.shape))
+    return StoredTable(name, tuple(columns), read_attributes(group))
 
 
-def copy_table(source: Any, target: Any, name: str) -> None:
-    """Copy one group into another file, in bounded memory, and tie its datasets to their axis again."""
-    key = name.encode()
-    h5o.copy(source, key, target, key)
-    scale = None
-    for dataset in members(h5g.open(target, key)):
-        # HDF5 copies these object references as they are, and they point into the other file.
-        if scale is None:
-            if h5a.exists(dataset, b"REFERENCE_LIST"):
-                h5a.delete(dataset, b"REFERENCE_LIST")
-            scale = dataset
-        else:
-            h5a.delete(dataset, b"DIMENSION_LIST")
-            h5ds.attach_scale(dataset, scale, 0)
+def read_table(parent: Any, name: str) -> Table:
+    """Read one group whole."""
+    return open_table(parent, name).read()
 
 
-def digest(group: Any) -> bytes:
-    """Return a hash of all tables of a group: names, attributes and every sample, whatever their layout in the file.
-
-    Reads to the last sample, so it fails where the file is damaged.
-    """
-    total = blake2b(digest_size=16)
-    for name in sorted(member_names(group)):
-        table = h5g.open(group, name.encode())
-        total.update(repr((name, read_attributes(table))).encode())
-        for member in member_names(table):
-            dataset = h5d.open(table, member.encode())
-            total.update(repr((member, dataset.shape, read_attributes(dataset))).encode())
-            for values in blocks(dataset):
-                total.update(values.data)
-    return total.digest()
+def write_array(group: Any, name: str, values: NDArray[Any]) -> h5d.DatasetID:
+    """Write numbers, or text where the array is of objects, as one dataset."""
+    text = values.dtype == object
+    kind = TEXT_TYPE if text else h5t.py_create(values.dtype)
+    if text:
+        values = np.array([storable(word) for word in values], dtype=TEXT)
+    dataset = h5d.create(group, storable(name).encode(), kind, h5s.create_simple(values.shape))
+    if len(values):
+        dataset.write(h5s.ALL, h5s.ALL, values)
+    return dataset
 
 
-def write_variables(file: Any, axis: str, variables: Sequence[Variable]) -> None:
-    """Write columns of numbers or text at the root; the first one's values become the scale `axis`."""
-    scale = None
-    for name, variable in [(axis, variables[0]), *((variable.name, variable) for variable in variables)]:
-        values = variable.values
-        kind = TEXT_TYPE if values.dtype == object else h5t.py_create(values.dtype)
-        if values.dtype == object:
-            values = np.array([storable(text) for text in values], dtype=TEXT)
-        dataset = h5d.create(file, storable(name).encode(), kind, h5s.create_simple(values.shape))
-        if len(values):
-            dataset.write(h5s.ALL, h5s.ALL, values)
-        write_attributes(dataset, {"units": variable.unit, "kind": variable.kind})
-        scale = join_axis(dataset, name, scale)
+def read_array(group: Any, name: str, kind: DTypeLike) -> NDArray[Any]:
+    """Read the numbers of one dataset whole."""
+    dataset = h5d.open(group, name.encode())
+    values = np.empty(dataset.shape, dtype=kind)
+    if len(values):
+        dataset.read(h5s.ALL, h5s.ALL, values)
+    return values
 
 
 def reserve(file: h5f.FileID, more: int) -> None:

@@ -1,6 +1,6 @@
-"""What stands where in a trial's file or group: outcome as attributes, one group per device, command, settle."""
+"""What stands where in a trial's file: outcome as attributes, one group per device, command, settle."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,13 +9,19 @@ from labrun.devices.samples import Channel
 from labrun.devices.trajectory import Trajectory
 from labrun.errors import StoreError
 from labrun.store.attributes import Attribute, read_attribute, storable, write_attributes
-from labrun.store.hdf5 import Column, Table, member_names, read_table, write_table
+from labrun.store.hdf5 import Column, Table, write_table
+from labrun.store.table import AXIS, HEAD, MIDDLE, TAIL
 from labrun.store.trial import SettleCurve, Stream, TrialOutcome
 
 COMMAND = "command"
 SETTLE = "settle"
 TIMES = ("time_s", "device_time_s", "host_time_s")
-RESERVED = frozenset({COMMAND, SETTLE})
+RECORD = "record"
+"""Group of a packed run with its texts."""
+BESIDE = frozenset({COMMAND, SETTLE})
+"""Tables of a trial that are no device's."""
+RESERVED = BESIDE | {RECORD, AXIS, *HEAD, *MIDDLE, *TAIL}
+"""What stands beside the devices in a trial's file or a packed run."""
 
 
 def check_names(device: str, channels: Sequence[Channel]) -> None:
@@ -25,12 +31,20 @@ def check_names(device: str, channels: Sequence[Channel]) -> None:
             f"a device cannot be stored under the name {device!r}",
             hint=f"choose a name without '/', other than {', '.join(sorted(RESERVED))}",
         )
-    names = [channel.name for channel in channels]
+    _check_columns(f"device {device}: channel", [channel.name for channel in channels])
+
+
+def check_joints(joints: Iterable[str]) -> None:
+    """Raise StoreError where the motion of a joint could not be stored under its name."""
+    _check_columns("joint", list(joints))
+
+
+def _check_columns(what: str, names: Sequence[str]) -> None:
     for name in names:
         if name in TIMES or not _fits(name) or names.count(name) > 1:
             raise StoreError(
-                f"device {device}: channel {name!r} cannot be stored",
-                hint=f"channel names differ, have no '/', and are none of {', '.join(TIMES)}",
+                f"{what} {name!r} cannot be stored",
+                hint=f"names differ, have no '/', and are none of {', '.join(TIMES)}",
             )
 
 
@@ -164,15 +178,3 @@ def settle_of(table: Table) -> SettleCurve:
         reason=str(table.attributes["reason"]),
         unit=columns["spread"].unit,
     )
-
-
-def channel_units(group: Any) -> dict[str, str]:
-    """Return the unit of every channel of a stored trial, by ``"device.channel"``."""
-    found: dict[str, str] = {}
-    for name in member_names(group):
-        if name not in RESERVED:
-            table = read_table(group, name)
-            found |= {
-                f"{name}.{column.name}": column.unit for column in table.columns if column.name not in TIMES
-            }
-    return found

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from labrun.errors import StoreError
 from labrun.store import packed_file
 from labrun.store.disk import fsync_directory, fsync_file, saving
-from labrun.store.sources import TRIALS, TrialSources
+from labrun.store.sources import TrialSources
 from labrun.store.trial import TrialOutcome
 from labrun.store.trial_file import trial_files
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from labrun.store.folder import RunFolder
 
 PACKED = "run.h5"
+TRIALS = "trials"
 
 
 def pack(folder: "RunFolder") -> Path:
@@ -43,7 +44,10 @@ def pack(folder: "RunFolder") -> Path:
     outcomes = folder.outcomes()
     files = {index: path for index, path in trial_files(folder.path / TRIALS).items() if index in outcomes}
     with TrialSources(target, files) as sources:
-        if not (target.is_file() and packed_file.equals(target, outcomes, sources)):
+        if not (
+            target.is_file()
+            and packed_file.holds(target, outcomes, packed_file.digests_of(outcomes, sources))
+        ):
             _write_verified(folder, target, outcomes, sources)
     folder.journal.append("packed", trials=len(outcomes))
     _remove_trials(folder, files)
@@ -56,9 +60,9 @@ def _write_verified(
     partial = target.with_name(f"{PACKED}.partial")
     try:
         with saving(PACKED, folder.path, f"all {len(outcomes)} trials are untouched"):
-            packed_file.write(partial, folder.texts(), outcomes, sources)
+            digests = packed_file.write(partial, folder.texts(), outcomes, sources)
             fsync_file(partial)
-            if not packed_file.equals(partial, outcomes, sources):
+            if not packed_file.holds(partial, outcomes, digests):
                 raise StoreError(
                     f"{partial} does not hold what was written to it; all {len(outcomes)} trials are untouched",
                     hint="the disk or the memory of this machine may be failing: copy the run elsewhere",

@@ -9,7 +9,7 @@ import numpy as np
 
 from labrun.devices.samples import Channel
 from labrun.errors import RecordingError
-from labrun.store import hdf5, layout, packed_file, table
+from labrun.store import layout, packed_file, table
 from labrun.store.folder import PACKED, SPEC, TRIALS, RunFolder
 from labrun.store.journal import parse_events
 from labrun.store.packed_file import RunTexts
@@ -74,9 +74,8 @@ class Run:
         RecordingError
             There is no such trial.
         """
-        with self.sources as sources, sources.group(index) as group:
-            names = [name for name in hdf5.member_names(group) if name not in layout.RESERVED]
-            return {name: layout.stream_of(hdf5.read_table(group, name)) for name in names}
+        with self.sources as sources, sources.tables(index) as tables:
+            return {name: layout.stream_of(tables[name].read()) for name in tables.devices}
 
     def stream(self, index: int, name: str) -> Stream:
         """Return the stream of one device in a trial.
@@ -86,22 +85,21 @@ class Run:
         RecordingError
             There is no such trial, or no such device in it; names those there are.
         """
-        with self.sources as sources, sources.group(index) as group:
-            names = [known for known in hdf5.member_names(group) if known not in layout.RESERVED]
-            if name not in names:
+        with self.sources as sources, sources.tables(index) as tables:
+            if name not in tables.devices:
                 raise RecordingError(
                     f"trial {index} of {self.path} has no device {name!r}",
-                    hint=f"recorded were: {', '.join(names)}",
+                    hint=f"recorded were: {', '.join(tables.devices)}",
                 )
-            return layout.stream_of(hdf5.read_table(group, name))
+            return layout.stream_of(tables[name].read())
 
     def command(self, index: int) -> Stream:
         """Return the commanded joint angles of a trial, rad; without channels where nothing was commanded."""
-        with self.sources as sources, sources.group(index) as group:
-            if layout.COMMAND not in hdf5.member_names(group):
+        with self.sources as sources, sources.tables(index) as tables:
+            if layout.COMMAND not in tables.names:
                 nothing = np.empty(0)
                 return Stream(layout.COMMAND, (), nothing, nothing, nothing, np.empty((0, 0)), rate_hz=0.0)
-            command = layout.command_of(hdf5.read_table(group, layout.COMMAND))
+            command = layout.command_of(tables[layout.COMMAND].read())
         steps = np.diff(command.time_s)
         return Stream(
             layout.COMMAND,
@@ -115,17 +113,21 @@ class Run:
 
     def settle_curve(self, index: int) -> SettleCurve | None:
         """Return how the bench settled before a trial; None where the experiment does not ask for it."""
-        with self.sources as sources, sources.group(index) as group:
-            if layout.SETTLE not in hdf5.member_names(group):
+        with self.sources as sources, sources.tables(index) as tables:
+            if layout.SETTLE not in tables.names:
                 return None
-            return layout.settle_of(hdf5.read_table(group, layout.SETTLE))
+            return layout.settle_of(tables[layout.SETTLE].read())
 
     def units(self) -> dict[str, str]:
         """Return the units of conditions and objectives by name, as far as the experiment file tells."""
         channel_units: dict[str, str] = {}
         if self.outcomes:
-            with self.sources as sources, sources.group(self.outcomes[0].index) as group:
-                channel_units = layout.channel_units(group)
+            with self.sources as sources, sources.tables(self.outcomes[0].index) as tables:
+                channel_units = {
+                    f"{name}.{column.name}": column.unit
+                    for name in tables.devices
+                    for column in tables[name].columns
+                }
         return table.known_units(self.experiment_toml, channel_units)
 
 

@@ -1,7 +1,7 @@
 """The table at the root of a packed run: one row a trial, for readers without labrun."""
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,25 @@ class Variable:
     kind: str
 
 
-def variables(outcomes: Sequence[TrialOutcome], units: Mapping[str, str]) -> list[Variable]:
+HEAD = ("index",)
+MIDDLE = ("repeat", "status")
+TAIL = (
+    "role",
+    "reason",
+    "started_s",
+    "duration_s",
+    "settle_reason",
+    "settle_duration_s",
+    "attempt",
+    "period_s",
+)
+AXIS = "trial"
+"""Dimension of the table."""
+
+
+def variables(
+    outcomes: Sequence[TrialOutcome], units: Mapping[str, str], taken: Collection[str] = ()
+) -> list[Variable]:
     """Return the columns of a run.
 
     Parameters
@@ -30,34 +48,22 @@ def variables(outcomes: Sequence[TrialOutcome], units: Mapping[str, str]) -> lis
         One a row.
     units
         Of conditions and objectives, by name.
+    taken
+        Names that stand beside the table, which no column may have.
 
     Returns
     -------
     list of Variable
-        index, conditions, repeat, status, objectives, role, reason, started_s, duration_s. A condition with
-        words is text throughout. NaN (or empty text) stands where a trial has no such value, as after a failure.
+        index, conditions, repeat, status, objectives, role, reason, started_s, duration_s, how the bench settled,
+        attempt, period_s. A condition with words is text throughout. NaN (or empty text) stands where a trial has no
+        such value, as after a failure.
     """
     conditions = list(dict.fromkeys(name for outcome in outcomes for name in outcome.condition))
     objectives = list(dict.fromkeys(name for outcome in outcomes for name in outcome.objectives))
-    head = [Variable("index", "", np.array([outcome.index for outcome in outcomes], dtype=np.int64), "trial")]
-    middle = [
-        Variable("repeat", "", np.array([outcome.repeat for outcome in outcomes], dtype=np.int64), "trial"),
-        Variable("status", "", _text(outcome.status for outcome in outcomes), "trial"),
-    ]
-    tail = [
-        Variable("role", "", _text(outcome.role for outcome in outcomes), "trial"),
-        Variable("reason", "", _text(outcome.reason for outcome in outcomes), "trial"),
-        Variable(
-            "started_s", "s", np.array([outcome.started_s for outcome in outcomes], dtype=float), "trial"
-        ),
-        Variable(
-            "duration_s", "s", np.array([outcome.duration_s for outcome in outcomes], dtype=float), "trial"
-        ),
-    ]
-    taken = {"trial", *(variable.name for variable in [*head, *middle, *tail])}
+    used = {AXIS, *HEAD, *MIDDLE, *TAIL, *taken}
     condition_columns = [
         Variable(
-            _free(name, "condition", taken),
+            _free(name, "condition", used),
             units.get(name, ""),
             _column([outcome.condition.get(name) for outcome in outcomes]),
             "condition",
@@ -66,14 +72,35 @@ def variables(outcomes: Sequence[TrialOutcome], units: Mapping[str, str]) -> lis
     ]
     objective_columns = [
         Variable(
-            _free(name, "objective", taken),
+            _free(name, "objective", used),
             units.get(name, ""),
             _column([outcome.objectives.get(name) for outcome in outcomes]),
             "objective",
         )
         for name in objectives
     ]
+    head, middle, tail = (
+        [
+            Variable(name, "s" if name.endswith("_s") else "", _of_trials(name, outcomes), "trial")
+            for name in names
+        ]
+        for names in (HEAD, MIDDLE, TAIL)
+    )
     return [*head, *condition_columns, *middle, *objective_columns, *tail]
+
+
+def _of_trials(name: str, outcomes: Sequence[TrialOutcome]) -> NDArray[Any]:
+    """Return one value a trial that is neither condition nor objective."""
+    if name in ("index", "repeat", "attempt"):
+        return np.array([getattr(outcome, name) for outcome in outcomes], dtype=np.int64)
+    if name == "settle_reason":
+        return _text("" if outcome.settle is None else outcome.settle.reason for outcome in outcomes)
+    if name == "settle_duration_s":
+        return _column(
+            [None if outcome.settle is None else outcome.settle.duration_s for outcome in outcomes]
+        )
+    values = [getattr(outcome, name) for outcome in outcomes]
+    return _column(values) if name.endswith("_s") else _text(values)
 
 
 def known_units(spec_toml: str, channel_units: Mapping[str, str]) -> dict[str, str]:

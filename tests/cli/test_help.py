@@ -24,26 +24,8 @@ def _labrun(*arguments: str, cwd=None) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_commands_are_those_of_the_guide():
-    assert (
-        sorted(
-            [
-                "init",
-                "list",
-                "check",
-                "run",
-                "sweep",
-                "cmaes",
-                "resume",
-                "fit",
-                "show",
-                "export",
-                "import",
-                "plugins",
-                "doctor",
-            ]
-        )
-        == COMMANDS
-    )
+    found = " ".join(COMMANDS)
+    assert found == "check cmaes doctor export fit import init list plugins resume run show sweep"
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -36,10 +36,8 @@ def test_init_writes_the_shipped_experiments_and_leaves_what_is_there(tmp_path):
     written = json.loads(_labrun("init", "bench", "--json", cwd=tmp_path).stdout)["written"]
     assert mine.read_text() == 'title = "mine"\nkind = "run"\n'
     assert any(path.endswith("fin-params.toml") for path in written)
-    titles = {
-        item["name"]: item["title"]
-        for item in json.loads(_labrun("list", "--json", cwd=tmp_path / "bench").stdout)["experiments"]
-    }
+    listed = json.loads(_labrun("list", "--json", cwd=tmp_path / "bench").stdout)["experiments"]
+    titles = {item["name"]: item["title"] for item in listed}
     assert titles["hinge"] == "mine"
 
 

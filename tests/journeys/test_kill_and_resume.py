@@ -74,9 +74,8 @@ def test_a_run_killed_at_fifty_random_instants_ends_with_the_same_result(
         for run in {path.parent for path in killed.glob("results/*/*/journal.jsonl")}:
             after = _completed(run)
             if not (run / "run.h5").exists():
-                assert all(after.get(index) == content for index, content in before.items()), (
-                    "a completed trial was lost"
-                )
+                lost = [index for index, content in before.items() if after.get(index) != content]
+                assert not lost, f"completed trials were lost: {lost}"
             for index in after:
                 with h5py.File(run / "trials" / f"{index:06d}.h5") as file:
                     assert len(file) > 0
