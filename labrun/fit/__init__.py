@@ -1,1 +1,1 @@
-""""""
+"""Recorded data to identified models, with uncertainty."""

@@ -1,0 +1,224 @@
+"""Measured trials as a model sees them: its inputs and outputs, on the time base of its outputs."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.errors import FitError, RequestError
+from labrun.store.recording import (
+    Between,
+    Recording,
+    SignalInfo,
+    condition_label,
+    is_recording,
+    read_recording,
+)
+
+FloatArray = NDArray[np.float64]
+
+
+class Ports(Protocol):
+    """What a dataset needs to know of a model: the names it wants."""
+
+    @property
+    def inputs(self) -> "Sequence[Named]":
+        """What drives it."""
+        ...
+
+    @property
+    def outputs(self) -> "Sequence[Named]":
+        """What it predicts."""
+        ...
+
+
+class Named(Protocol):
+    """An input or output of a model."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        ...
+
+    @property
+    def unit(self) -> str:
+        """Its unit; "1" where the model does not say."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class FitTrial:
+    """One trial.
+
+    Attributes
+    ----------
+    label
+        Names it in figures and messages.
+    time_s : (n,)
+        Strictly increasing.
+    inputs : (n, k)
+        In the model's order.
+    outputs : (n, m)
+        In the model's order.
+    """
+
+    label: str
+    condition: Mapping[str, float | str]
+    repeat: int
+    time_s: FloatArray
+    inputs: FloatArray
+    outputs: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """Trials of one recording or run, for one model.
+
+    Attributes
+    ----------
+    source
+        Where the data came from; `kind` says what that is.
+    left_out
+        Trials that were rejected or failed.
+    """
+
+    name: str
+    source: Path
+    kind: Literal["recording", "run"]
+    inputs: tuple[SignalInfo, ...]
+    outputs: tuple[SignalInfo, ...]
+    trials: tuple[FitTrial, ...]
+    left_out: int = 0
+    notes: tuple[str, ...] = field(default=())
+
+
+def load_dataset(target: Path, model: Ports, signals: Mapping[str, str] | None = None) -> Dataset:
+    """Load a recording folder or a recorded run for a model.
+
+    Parameters
+    ----------
+    target
+        A recording folder, a run folder or a run.h5.
+    model
+        Its inputs and outputs are looked for by name.
+    signals
+        Which recorded channel is which input or output of the model, where their names differ: for a run
+        ``"device.channel"`` or ``"command.joint"``, for a recording the name of a channel.
+
+    Raises
+    ------
+    RequestError
+        Neither a recording nor a run; a signal that nothing recorded, with the nearest name.
+    FitError
+        No trial left to fit.
+    """
+    wanted = dict(signals or {})
+    ports = [port.name for port in (*model.inputs, *model.outputs)]
+    for name in wanted:
+        if name not in ports:
+            raise RequestError(
+                f"signals names {name!r}, which is neither an input nor an output of the model",
+                hint=f"it has {', '.join(ports)}",
+            )
+    if is_recording(target):
+        return from_recording(read_recording(target), target, model, wanted)
+    from labrun.fit.run_dataset import from_run
+
+    return from_run(target, model, wanted)
+
+
+def from_recording(
+    recording: Recording, source: Path, model: Ports, signals: Mapping[str, str] | None = None
+) -> Dataset:
+    """Return the trials of a recording for a model."""
+    wanted = signals or {}
+    inputs = _columns(model.inputs, recording.inputs, "input", wanted, source)
+    outputs = _columns(model.outputs, recording.outputs, "output", wanted, source)
+    trials = []
+    for trial in recording.trials:
+        label = condition_label(trial.condition) or trial.source_file.stem
+        repeated = sum(other.condition == trial.condition for other in recording.trials) > 1
+        trials.append(
+            FitTrial(
+                f"{label}, repeat {trial.repeat}" if repeated else label,
+                trial.condition,
+                trial.repeat,
+                trial.time_s,
+                np.ascontiguousarray(trial.inputs[:, inputs]),
+                np.ascontiguousarray(trial.outputs[:, outputs]),
+            )
+        )
+    return Dataset(
+        recording.name,
+        source,
+        "recording",
+        _named(model.inputs, [recording.inputs[index] for index in inputs]),
+        _named(model.outputs, [recording.outputs[index] for index in outputs]),
+        tuple(trials),
+    )
+
+
+def _columns(
+    ports: Sequence[Named],
+    channels: Sequence[SignalInfo],
+    kind: str,
+    signals: Mapping[str, str],
+    source: Path,
+) -> list[int]:
+    from difflib import get_close_matches
+
+    names = [channel.name for channel in channels]
+    found = []
+    for port in ports:
+        wanted = signals.get(port.name, port.name)
+        if wanted not in names:
+            near = get_close_matches(wanted, names, n=1)
+            hint = (
+                f"did you mean {near[0]!r}?"
+                if near
+                else f"its {kind} channels are {', '.join(names) or 'none'}"
+            )
+            raise RequestError(
+                f"the model's {kind} {port.name!r} is no {kind} channel of {source}", hint=hint
+            )
+        index = names.index(wanted)
+        if port.unit not in ("", "1") and port.unit != channels[index].unit:
+            raise RequestError(
+                f"the model's {kind} {port.name!r} is in {port.unit}, "
+                f"the channel {wanted!r} of {source} in {channels[index].unit}",
+                hint="say the same unit in the model and in recording.toml, converting the numbers of one of them",
+            )
+        found.append(index)
+    return found
+
+
+def _named(ports: Sequence[Named], channels: Sequence[SignalInfo]) -> tuple[SignalInfo, ...]:
+    return tuple(replace(channel, name=port.name) for port, channel in zip(ports, channels, strict=True))
+
+
+def resample(time_s: FloatArray, values: FloatArray, at_s: FloatArray, between: Between) -> FloatArray:
+    """Return a signal at other times, running between its samples as `between` says; held beyond its ends.
+
+    "band-limited" takes a quintic spline, whose error at a quarter of the sample rate is below one percent.
+    """
+    if len(time_s) == len(at_s) and np.array_equal(time_s, at_s):
+        return values
+    if between == "hold":
+        return values[np.clip(np.searchsorted(time_s, at_s, side="right") - 1, 0, len(values) - 1)]
+    if between == "band-limited" and len(values) > 5:
+        from scipy.interpolate import make_interp_spline
+
+        return np.asarray(make_interp_spline(time_s, values, k=5)(np.clip(at_s, time_s[0], time_s[-1])))
+    return np.interp(at_s, time_s, values)
+
+
+def require_trials(trials: Sequence[FitTrial], source: Path, left_out: int) -> None:
+    """Refuse a dataset in which nothing is left to fit."""
+    if not trials:
+        what = f"all {left_out} of its trials were rejected or failed" if left_out else "it has no trials yet"
+        raise FitError(
+            f"nothing to fit in {source}: {what}", hint="labrun show tells why trials were rejected"
+        )

@@ -1,0 +1,182 @@
+"""What the data cannot tell: directions without curvature, bounds, wide intervals, false minima."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.fit.problem import Problem
+from labrun.fit.result import Estimate, StartOutcome, rounded
+
+FloatArray = NDArray[np.float64]
+
+_FLAT = 1e-6
+"""A direction this much flatter than the steepest one is not determined at all: below it is numerical noise."""
+_VISIBLE = 0.1
+"""Share of the strongest component above which a parameter is named as part of a direction."""
+_AS_GOOD = 1.02
+_WORSE = 1.10
+
+
+@dataclass(frozen=True, slots=True)
+class Curvature:
+    """Singular values and directions of the Jacobian, in units of noise, per relative change of each parameter.
+
+    Attributes
+    ----------
+    singular : (p,)
+        Noise standard deviations that the outputs move by when the parameters move by 100 % along a direction.
+    directions : (p, p)
+        Columns, in relative changes of the parameters.
+    """
+
+    names: tuple[str, ...]
+    singular: FloatArray
+    directions: FloatArray
+
+    @classmethod
+    def of(cls, information: FloatArray, names: Sequence[str]) -> "Curvature":
+        """Return the curvature of J'J, shape (p, p), in relative changes of the parameters, prior included."""
+        values, vectors = np.linalg.eigh(information)
+        return cls(tuple(names), np.sqrt(np.maximum(values, 0.0)), vectors)
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """Warnings on directions, the parameters in them, and how wide their intervals are at least (relative)."""
+
+    warnings: list[str]
+    named: frozenset[str]
+    least_half_width: FloatArray
+
+
+def undetermined(curvature: Curvature) -> Findings:
+    """Return the directions in parameter space along which the data do not change.
+
+    A direction counts where moving every parameter of it by as much as its own value changes the outputs by less than
+    their noise, or by less than a millionth of what the best determined direction does.
+    """
+    warnings, named = [], set()
+    least = np.zeros(len(curvature.names))
+    largest = float(np.max(curvature.singular, initial=0.0))
+    flat = [index for index, value in enumerate(curvature.singular) if value < max(1.0, _FLAT * largest)]
+    for index in flat:
+        direction = curvature.directions[:, index]
+        members = [
+            place
+            for place in np.argsort(-np.abs(direction))
+            if abs(direction[place]) > _VISIBLE * np.max(np.abs(direction))
+        ]
+        members.sort()
+        names = [curvature.names[place] for place in members]
+        if len(names) == 1 and curvature.singular[index] >= _FLAT * largest:
+            continue  # its interval tells: wider than its value, or around zero
+        named.update(names)
+        warnings.append(_described(names, direction[members]))
+        if curvature.singular[index] < _FLAT * largest:
+            # resampling cannot see a direction in which no residual pulls: ten times the value stands for "anything"
+            least = np.maximum(least, 10.0 * np.abs(direction))
+    return Findings(warnings, frozenset(named), least)
+
+
+def _described(names: Sequence[str], direction: FloatArray) -> str:
+    if len(names) == 1:
+        return f"the data do not determine {names[0]}: it could change by its own value unnoticed"
+    joined = f"{', '.join(names[:-1])} and {names[-1]}"
+    sizes = np.abs(direction)
+    even = float(np.min(sizes)) > 0.8 * float(np.max(sizes))
+    if (even and np.all(direction > 0)) or (even and np.all(direction < 0)):
+        what = "as a ratio" if len(names) == 2 else "as ratios to one another"
+    elif even and len(names) == 2:
+        what = "as a product"
+    else:
+        what = "in combination"
+    fix = "fix one of them (tolerance = 0), or record trials that tell them apart"
+    return f"{joined} are only determined {what}: {fix}"
+
+
+def interval_warnings(
+    estimates: Mapping[str, Estimate], problem: Problem, named: frozenset[str]
+) -> list[str]:
+    """Return warnings on bounds, on intervals wider than their value, and on values that rest on prior knowledge."""
+    warnings = []
+    for index, (name, estimate) in enumerate(estimates.items()):
+        low, high = problem.lower[index] * problem.scale[index], problem.upper[index] * problem.scale[index]
+        for bound, side in ((low, "lower"), (high, "upper")):
+            if np.isfinite(bound) and abs(estimate.value - bound) <= 1e-4 * problem.scale[index]:
+                warnings.append(
+                    f"{name} ended at its {side} bound of {bound:g} {estimate.unit}: "
+                    "the data ask for more than it allows"
+                )
+        value, *ends = rounded(estimate)
+        if name in named:
+            continue
+        half = 0.5 * (estimate.ci95[1] - estimate.ci95[0])
+        if estimate.contains_zero:
+            warnings.append(
+                f"{name} is not distinguishable from zero: {value}, "
+                f"95 % interval {ends[0]} ... {ends[1]} {estimate.unit}"
+            )
+        elif half > abs(estimate.value):
+            warnings.append(
+                f"the interval of {name} is wider than its value: {ends[0]} ... {ends[1]} {estimate.unit}"
+            )
+        sigma = problem.prior_sigma[index]
+        if np.isfinite(sigma):
+            stated = problem.values[problem.free[index]]
+            away = abs(estimate.value - stated) / sigma
+            if half > 0.9 * 1.96 * sigma and away <= 3.0:
+                warnings.append(
+                    f"{name} rests on its stated value and tolerance; the data add little to them"
+                )
+            if away > 3.0:
+                warnings.append(
+                    f"{name} ended {away:.1f} standard deviations of its tolerance away "
+                    f"from the stated {stated:g} {estimate.unit}"
+                )
+    return warnings
+
+
+def start_warnings(outcomes: Sequence[StartOutcome], problem: Problem, *, direction_named: bool) -> list[str]:
+    """Return warnings where starts disagree in a way that should worry: outcomes come best first."""
+    if len(outcomes) < 2:
+        return []
+    best = outcomes[0]
+    agreeing = [outcome for outcome in outcomes if outcome.misfit <= _AS_GOOD * best.misfit]
+    warnings = []
+    if len(agreeing) == 1 and len(outcomes) > 2:
+        warnings.append(
+            f"starts disagree: only {best.label} led here, the next best minimum has "
+            f"{outcomes[1].misfit / best.misfit:.3g} times the misfit ({_listed(outcomes[1])})"
+        )
+    other = next(
+        (outcome for outcome in agreeing[1:] if not direction_named and _differs(outcome, best, problem)),
+        None,
+    )
+    if other is not None:
+        warnings.append(
+            f"two sets of parameters fit almost equally well: {_listed(best)}, or {_listed(other)} "
+            f"({other.misfit / best.misfit:.3f} times the misfit)"
+        )
+    stated = [outcome for outcome in outcomes if outcome.label.startswith("the stated values")]
+    if stated and all(outcome.misfit > _WORSE * best.misfit for outcome in stated):
+        worst = min(stated, key=lambda outcome: outcome.misfit)
+        warnings.append(
+            f"the stated values lead into a false minimum ({_listed(worst)}, "
+            f"{worst.misfit / best.misfit:.2g} times the misfit); "
+            f"the fit comes from {best.label}, and {len(agreeing)} of {len(outcomes)} starts found it"
+        )
+    return warnings
+
+
+def _differs(one: StartOutcome, other: StartOutcome, problem: Problem) -> bool:
+    return any(
+        abs(one.parameters[name] - other.parameters[name])
+        > 0.05 * max(abs(one.parameters[name]), abs(other.parameters[name]))
+        for name in problem.names
+    )
+
+
+def _listed(outcome: StartOutcome) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in outcome.parameters.items())

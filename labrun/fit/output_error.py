@@ -1,0 +1,277 @@
+"""Output-error fits: simulate every trial, compare with what was measured, change parameters until they agree best."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.errors import FitError
+from labrun.fit.dataset import Dataset
+from labrun.fit.identifiability import Curvature, interval_warnings, start_warnings, undetermined
+from labrun.fit.notes import Note, silent
+from labrun.fit.problem import Problem
+from labrun.fit.resampling import resample_trials
+from labrun.fit.result import Estimate, FitResult, StartOutcome
+from labrun.fit.search import Minimum, minimise, search
+
+if TYPE_CHECKING:
+    from labrun.effects import AttachedEffect
+    from labrun.models import Model
+
+FloatArray = NDArray[np.float64]
+
+FEW_TRIALS = 5
+_BLOCKS = 10
+"""Pieces that a single trial is cut into; fewer where its residual stays correlated for longer than that."""
+_SMALLEST_SHARE = 1e-3
+_PRIOR_WHILE_SEARCHING = 0.1
+"""Weight of stated tolerances before the size of the residual is known: as for a residual of a few percent."""
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Size of the residual of each output.
+
+    Attributes
+    ----------
+    sigma : (m,)
+        Root mean square.
+    correlated : (m,)
+        Over how many samples it stays correlated (integrated autocorrelation); 1 for white noise.
+    """
+
+    sigma: FloatArray
+    correlated: FloatArray
+
+
+def fit_model(
+    model: "Model",
+    dataset: Dataset,
+    *,
+    rng: np.random.Generator,
+    starts: int = 5,
+    effects: "Sequence[AttachedEffect]" = (),
+    note: Note = silent,
+    method: str = "model",
+) -> FitResult:
+    """Fit a model's parameters, and free initial states per trial, to measured outputs.
+
+    Minimised is the sum of squared residuals, each output in units of its own residual and of how long that stays
+    correlated, plus ``((value - stated) / (tolerance * stated))^2`` for each parameter with a tolerance: stated
+    knowledge weighs as one measurement of that standard deviation. Tolerance 0 fixes a parameter, "free" means no
+    such term.
+
+    Intervals come from resampling whole trials (see `resample_trials`); those of a single trial from resampling
+    contiguous blocks of it, which is said in a warning, as it is when there are fewer than 5 trials.
+
+    Parameters
+    ----------
+    rng
+        Draws the starts and the resamples.
+    starts
+        Number of starts; 1 fits from the stated values only.
+    note
+        Called with what is being done.
+
+    Raises
+    ------
+    FitError
+        No parameter to fit; a model that does not simulate from its stated values nor from any other start.
+    """
+    first = Problem(model, dataset, prior_weight=_PRIOR_WHILE_SEARCHING, effects=effects)
+    if not first.size and not first.own_size:
+        raise FitError(
+            f"model {model.name} has nothing to fit: every parameter has tolerance 0",
+            hint='give a parameter tolerance = "free", or a relative standard deviation such as 0.05',
+        )
+    minima = search(first, rng, starts=starts, note=note)
+    best = minima[0]
+    if first.simulate(first.parameters(best.z), 0, first.own(best.z, 0)) is None:
+        raise FitError(
+            f"model {model.name} does not simulate {dataset.name}: its states leave the finite numbers",
+            hint="check the units of its parameters and inputs, and the sign of forces that should resist motion",
+        )
+    note("refining, and resampling trials")
+    problem, z, noise = _refine(Problem(model, dataset, effects=effects, substeps=first.substeps), best.z)
+    return _result(problem, z, noise, minima, rng, method)
+
+
+def _refine(problem: Problem, z: FloatArray) -> tuple[Problem, FloatArray, Noise]:
+    """Weigh each output by its own residual, and the prior against that, until both settle."""
+    if problem.refine_steps(z):
+        z = minimise(problem, z)
+    noise = residual_noise(problem, z)
+    for _ in range(3):
+        problem = problem.with_weights(1.0 / (noise.sigma * np.sqrt(noise.correlated)))
+        z = minimise(problem, z)
+        before, noise = noise, residual_noise(problem, z)
+        if np.allclose(noise.sigma, before.sigma, rtol=1e-2) and np.allclose(
+            noise.correlated, before.correlated, rtol=0.1
+        ):
+            break
+    return problem, z, noise
+
+
+def residual_noise(problem: Problem, z: FloatArray) -> Noise:
+    """Return size and correlation of the residual of each output at `z`."""
+    outputs = len(problem.spread)
+    residuals = [part.reshape(-1, outputs) / problem.weights for part in problem.residuals(z)]
+    sigma, correlated = np.empty(outputs), np.empty(outputs)
+    for column in range(outputs):
+        parts = [part[:, column] for part in residuals]
+        # a model that fits to the last digit must not get infinite weight
+        sigma[column] = max(_rms(np.concatenate(parts)), 1e-9 * float(problem.spread[column]))
+        correlated[column] = correlation_length(parts)
+    return Noise(sigma, correlated)
+
+
+def correlation_length(parts: Sequence[FloatArray]) -> float:
+    """Return the integrated autocorrelation of pieces of one signal, in samples: 1 + 2 sum of correlations.
+
+    The sum ends where the correlation first turns negative (Geyer 1992, the initial positive sequence).
+    """
+    longest = max(len(part) for part in parts)
+    total = np.zeros(longest)
+    for part in parts:
+        # about zero, not about its own mean: a constant residual is the most correlated one
+        spectrum = np.fft.rfft(part, 2 * len(part))
+        total[: len(part)] += np.fft.irfft(spectrum.real**2 + spectrum.imag**2, 2 * len(part))[: len(part)]
+    if total[0] <= 0.0:
+        return 1.0
+    correlation = total / total[0]
+    negative = np.flatnonzero(correlation < 0.0)
+    end = int(negative[0]) if len(negative) else longest
+    return float(np.clip(1.0 + 2.0 * np.sum(correlation[1:end]), 1.0, longest))
+
+
+def _result(
+    problem: Problem,
+    z: FloatArray,
+    noise: Noise,
+    minima: Sequence[Minimum],
+    rng: np.random.Generator,
+    method: str,
+) -> FitResult:
+    dataset, model = problem.dataset, problem.model
+    parameters = problem.parameters(z)
+    owns = [problem.own(z, index) for index in range(len(dataset.trials))]
+    simulated = tuple(_simulated(problem, parameters, index, own) for index, own in enumerate(owns))
+    squares = [
+        np.concatenate(
+            [
+                (trial.outputs - outputs)[:, column]
+                for trial, outputs in zip(dataset.trials, simulated, strict=True)
+            ]
+        )
+        for column in range(len(dataset.outputs))
+    ]
+    rmse = {output.name: _rms(column) for output, column in zip(dataset.outputs, squares, strict=True)}
+    warnings: list[str] = []
+    estimates: dict[str, Estimate] = {}
+    named: frozenset[str] = frozenset()
+    if problem.size:
+        information, score, warning = _sums(problem, z, noise)
+        warnings += warning
+        sigma = problem.prior_sigma / problem.scale
+        resampled = resample_trials(information, score, rng=rng, prior_sigma=sigma)
+        centre = z[: problem.size]
+        # directions are told in shares of the estimates; one next to zero has no share
+        share = np.maximum(np.abs(centre), _SMALLEST_SHARE)
+        precision = np.diag(1.0 / np.square(sigma))
+        findings = undetermined(
+            Curvature.of((information.sum(axis=0) + precision) * share[:, None] * share, problem.names)
+        )
+        low = np.minimum(resampled.low, -findings.least_half_width * share)
+        high = np.maximum(resampled.high, findings.least_half_width * share)
+        low = np.clip(centre + low, problem.lower, problem.upper) * problem.scale
+        high = np.clip(centre + high, problem.lower, problem.upper) * problem.scale
+        for index, name in enumerate(problem.names):
+            unit = model.parameters[problem.free[index]].unit
+            value = float(parameters[problem.free[index]])
+            estimates[name] = Estimate(value, (float(low[index]), float(high[index])), unit)
+        named = findings.named
+        warnings += findings.warnings
+        warnings += interval_warnings(estimates, problem, named)
+    outcomes = _outcomes(problem, minima)
+    warnings += start_warnings(outcomes, problem, direction_named=bool(named))
+    fixed = {parameter.name: parameter.value for parameter in model.parameters if parameter.tolerance == 0}
+    states = tuple(problem.initial_state(index, own) for index, own in enumerate(owns))
+    return FitResult(
+        method, model.name, dataset, estimates, fixed, rmse, simulated, states, tuple(warnings), outcomes
+    )
+
+
+def _sums(problem: Problem, z: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray, list[str]]:
+    """Return J'J and J'r of every unit that is resampled, and what has to be said about the units."""
+    blocks = problem.blocks(z)
+    trials = len(blocks.residual)
+    if trials > 1:
+        pairs = [eliminated(*parts) for parts in zip(blocks.shared, blocks.own, blocks.residual, strict=True)]
+        warnings = []
+        if trials < FEW_TRIALS:
+            warnings.append(
+                f"intervals rest on {trials} trials only and are coarse; {FEW_TRIALS} or more would support them"
+            )
+    else:
+        count = _block_count(problem, noise)
+        pairs = _cut(blocks.shared[0], blocks.own[0], blocks.residual[0], count)
+        warnings = [
+            f"there is one trial only: intervals come from {count} pieces of it and know nothing of how trials differ"
+        ]
+    # J is the derivative of measured minus simulated, so the pull on a parameter has the other sign
+    information = np.array([matrix for matrix, _ in pairs])
+    score = np.array([-pull for _, pull in pairs])
+    return information, score, warnings
+
+
+def eliminated(shared: FloatArray, own: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return J'J and J'r of the shared parameters, what the trial's own initial states can imitate projected out."""
+    if own.shape[1]:
+        basis = np.linalg.svd(own, full_matrices=False)
+        span = basis[0][:, basis[1] > 1e-10 * max(float(basis[1][0]), 1e-300)]
+        shared = shared - span @ (span.T @ shared)
+        residual = residual - span @ (span.T @ residual)
+    return shared.T @ shared, shared.T @ residual
+
+
+def _cut(
+    shared: FloatArray, own: FloatArray, residual: FloatArray, count: int
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Cut one trial into contiguous pieces; its initial states, common to all of them, are projected out first."""
+    if own.shape[1]:
+        span = np.linalg.qr(own)[0]
+        shared = shared - span @ (span.T @ shared)
+        residual = residual - span @ (span.T @ residual)
+    pieces = zip(np.array_split(shared, count), np.array_split(residual, count), strict=True)
+    return [(piece.T @ piece, piece.T @ part) for piece, part in pieces]
+
+
+def _block_count(problem: Problem, noise: Noise) -> int:
+    length = len(problem.dataset.trials[0].time_s)
+    return int(np.clip(length / (2.0 * float(np.max(noise.correlated))), 3, _BLOCKS))
+
+
+def _simulated(problem: Problem, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray:
+    outputs = problem.simulate(parameters, trial, own)
+    if outputs is None:
+        label = problem.dataset.trials[trial].label
+        raise FitError(
+            f"model {problem.model.name} leaves the finite numbers in {label}, even where it fits best",
+            hint="look at that trial: labrun fit compares every trial with one set of parameters",
+        )
+    return outputs
+
+
+def _outcomes(problem: Problem, minima: Sequence[Minimum]) -> tuple[StartOutcome, ...]:
+    found = []
+    for minimum in minima:
+        values = problem.parameters(minimum.z)
+        named = {name: float(values[index]) for name, index in zip(problem.names, problem.free, strict=True)}
+        found.append(StartOutcome(minimum.label, named, minimum.misfit))
+    return tuple(found)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,142 @@
+"""Trials of a recorded run as a dataset: streams of several devices brought onto one time base."""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.errors import RecordingError, RequestError
+from labrun.fit.dataset import Dataset, FitTrial, Named, Ports, require_trials, resample
+from labrun.store.recording import SignalInfo, condition_label
+
+if TYPE_CHECKING:
+    from labrun.store.trial import Stream, TrialOutcome
+
+FloatArray = NDArray[np.float64]
+COMMAND = "command"
+"""The pseudo device of a run's commanded joint angles."""
+
+
+def from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
+    """Return the accepted trials of a run for a model.
+
+    Outputs of the device that gives the first one stay as they were sampled; other outputs are interpolated onto their
+    times, commands run linearly between their points. Tares are subtracted. Only samples between the start and
+    the end of the trial count.
+
+    Raises
+    ------
+    RequestError
+        A signal that names no device or channel of the run.
+    FitError
+        No trial left to fit.
+    """
+    from labrun.store.reading import open_run
+
+    run = open_run(target)
+    channels = imported_channels(run.experiment_toml)
+    accepted = [outcome for outcome in run.outcomes if outcome.status == "done"]
+    left_out = len(run.outcomes) - len(accepted)
+    trials: list[FitTrial] = []
+    inputs: tuple[SignalInfo, ...] = ()
+    outputs: tuple[SignalInfo, ...] = ()
+    for outcome in accepted:
+        streams = {COMMAND: run.command(outcome.index), **run.streams(outcome.index)}
+        sources = {
+            port.name: _find(port, streams, signals, target) for port in (*model.inputs, *model.outputs)
+        }
+        trials.append(_trial(outcome, model, streams, sources, whole=bool(channels)))
+        inputs = tuple(_info(port, streams, sources, channels) for port in model.inputs)
+        outputs = tuple(_info(port, streams, sources, {}) for port in model.outputs)
+    require_trials(trials, target, left_out)
+    return Dataset(run.name, target, "run", inputs, outputs, tuple(trials), left_out)
+
+
+def _trial(
+    outcome: "TrialOutcome",
+    model: Ports,
+    streams: Mapping[str, "Stream"],
+    sources: Mapping[str, tuple[str, str]],
+    *,
+    whole: bool,
+) -> FitTrial:
+    base = streams[sources[model.outputs[0].name][0]].time_s
+    end_s = outcome.duration_s if outcome.duration_s > 0 else np.inf
+    # a sample of the very start may be dated a moment before it: clocks are only estimated
+    time_s = base if whole else base[(base >= -1e-3) & (base <= end_s + 1e-3)]
+    if len(time_s) < 2:
+        raise RecordingError(
+            f"trial {outcome.index} has {len(time_s)} samples of {'.'.join(sources[model.outputs[0].name])} "
+            "between its start and its end",
+            hint="labrun show tells what was recorded; a trial without data can be marked rejected",
+        )
+
+    def table(ports: Sequence[Named]) -> FloatArray:
+        columns = [_column(streams[sources[port.name][0]], sources[port.name][1], time_s) for port in ports]
+        return np.column_stack(columns) if columns else np.empty((len(time_s), 0))
+
+    label = condition_label(outcome.condition)
+    return FitTrial(
+        f"trial {outcome.index}: {label}" if label else f"trial {outcome.index}",
+        outcome.condition,
+        outcome.repeat,
+        time_s,
+        table(model.inputs),
+        table(model.outputs),
+    )
+
+
+def _column(stream: "Stream", channel: str, time_s: FloatArray) -> FloatArray:
+    values = stream.column(channel) - stream.tare.get(channel, 0.0)
+    known = np.isfinite(values)
+    return resample(stream.time_s[known], values[known], time_s, "linear")
+
+
+def _find(
+    port: Named, streams: Mapping[str, "Stream"], signals: Mapping[str, str], target: Path
+) -> tuple[str, str]:
+    """Return device and channel of a port: as `signals` says, or the only channel of that name."""
+    known = [f"{device}.{channel.name}" for device, stream in streams.items() for channel in stream.channels]
+    wanted = signals.get(port.name)
+    if wanted is None:
+        same = [name for name in known if name.partition(".")[2] == port.name]
+        measured = [name for name in same if not name.startswith(f"{COMMAND}.")]
+        same = measured or same
+        if len(same) == 1:
+            wanted = same[0]
+        elif same:
+            raise RequestError(
+                f"the model's {port.name!r} could be {' or '.join(same)} of {target}",
+                hint="say which in [fit.signals]",
+            )
+    if wanted not in known:
+        near = get_close_matches(wanted or port.name, known, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"recorded were {', '.join(known)}"
+        said = f"is said to be {wanted!r}, which" if wanted else "has no channel of its name and"
+        raise RequestError(
+            f"the model's {port.name!r} {said} is not in {target}",
+            hint=f"{hint}; [fit.signals] says which channel is what",
+        )
+    device, _, channel = wanted.partition(".")
+    return device, channel
+
+
+def _info(
+    port: Named,
+    streams: Mapping[str, "Stream"],
+    sources: Mapping[str, tuple[str, str]],
+    channels: Mapping[str, Any],
+) -> SignalInfo:
+    device, channel = sources[port.name]
+    unit = next(known.unit for known in streams[device].channels if known.name == channel)
+    return SignalInfo(port.name, unit, channels.get(channel, {}).get("between", "linear"))
+
+
+def imported_channels(experiment_toml: str) -> dict[str, Any]:
+    """Return the channel tables of a run that was imported: it keeps recording.toml in place of an experiment."""
+    data = tomllib.loads(experiment_toml)
+    return dict(data["channels"]) if "rig" not in data and isinstance(data.get("channels"), dict) else {}
