@@ -1,5 +1,7 @@
 """The one tree of exceptions. Each message is for the person at the bench."""
 
+from typing import Any
+
 
 class LabrunError(Exception):
     """Something labrun can explain.
@@ -15,6 +17,8 @@ class LabrunError(Exception):
     def __init__(self, message: str, *, hint: str | None = None) -> None:
         super().__init__(message)
         self.hint = hint
+        self.details: dict[str, Any] = {}
+        """What a script may want beside the message: the run's folder, its trials, the problems of a file."""
 
     def __str__(self) -> str:
         message = super().__str__()

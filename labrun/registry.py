@@ -1,6 +1,5 @@
 """Plugins by name: entry points of six groups, or "package.module:Class"."""
 
-import difflib
 import importlib
 from dataclasses import dataclass
 from functools import lru_cache
@@ -8,6 +7,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from labrun.errors import PluginError
+from labrun.nearest import nearest
 
 GROUPS = (
     "labrun.devices",
@@ -74,9 +74,9 @@ def load(group: str, name: str) -> Any:
         return _load_dotted(kind, name)
     entry = _entries(group).get(name)
     if entry is None:
-        near = difflib.get_close_matches(name, names(group), n=1)
+        near = nearest(name, names(group))
         known = ", ".join(names(group)) or "none"
-        hint = f"did you mean {near[0]!r}?" if near else f"installed: {known}"
+        hint = f"did you mean {near!r}?" if near else f"installed: {known}"
         raise PluginError(f"unknown {kind} plugin {name!r}", hint=hint)
     try:
         return entry.load()

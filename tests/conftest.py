@@ -4,6 +4,15 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# The same examples on every run; LABRUN_HYPOTHESIS=explore looks for new ones.
+settings.register_profile("same", derandomize=True, deadline=None)
+settings.register_profile("explore", deadline=None)
+settings.load_profile(os.environ.get("LABRUN_HYPOTHESIS", "same"))
+
+# before numpy is imported: labrun's matrices are small, and BLAS threads on shared cores mostly wait for one another
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 _BESIDE_THE_CHECKOUT = Path(__file__).parents[2] / "shared" / "data"
 

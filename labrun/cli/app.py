@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from labrun.cli import bench, data, experiment, fit, workspace
+from labrun.cli import bench, data, experiment, fit, report, watch, workspace
 
 app = typer.Typer(
     name="labrun",
@@ -35,7 +35,7 @@ def _options(
     pass
 
 
-for module in (workspace, experiment, fit, data, bench):
+for module in (workspace, experiment, watch, fit, report, data, bench):
     module.register(app)
 
 

@@ -1,13 +1,18 @@
 """`labrun show`, `export`, `import`."""
 
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from labrun.cli import options
 from labrun.cli.output import print_json, reported
+from labrun.errors import RequestError
+
+if TYPE_CHECKING:
+    from labrun.report.statistics import Drift
 
 
 class Format(StrEnum):
@@ -22,16 +27,15 @@ def show(
 ) -> None:
     """Show what a run found.
 
-    Trials by status, the honest best, repeatability, drift, settling, streams.
+    Trials by status, the honest best, repeatability, drift, settling, streams. Of a recording: channels and trials.
 
     Example:  labrun show fin-params
     """
     with reported(as_json):
         from labrun.report.findings import findings
-        from labrun.store.locate import find_run
-        from labrun.store.reading import open_run
+        from labrun.store.opening import open_target
 
-        with open_run(find_run(target, results)) as run:
+        with open_target(target, results) as run:
             found = findings(run)
         if as_json:
             print_json(found.to_json())
@@ -42,7 +46,20 @@ def show(
 def export(
     target: options.Target,
     to: Annotated[Format, typer.Option("--to", help="File format.")],
-    output: Annotated[Path | None, typer.Option(help="File to write; beside the run if not given.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            help="File to write; beside the run if not given, of a recording folder in the current directory."
+        ),
+    ] = None,
+    remove_drift: Annotated[
+        bool,
+        typer.Option(
+            "--remove-drift",
+            help="CSV: for each objective a column <objective>_drift_corrected more, less the straight line through "
+            "the reference trials; at least three are needed.",
+        ),
+    ] = False,
     results: options.Results = options.RESULTS,
     as_json: options.Json = False,
 ) -> None:
@@ -54,15 +71,34 @@ def export(
     """
     with reported(as_json):
         from labrun.store.export import export_run
-        from labrun.store.locate import find_run
-        from labrun.store.reading import open_run
+        from labrun.store.opening import open_target
 
-        with open_run(find_run(target, results)) as run:
-            written = export_run(run, to.value, output)
+        removed: list[Drift] = []
+        with open_target(target, results) as run:
+            if remove_drift:
+                from labrun.report.drift_removal import drift_of, without_drift
+
+                if to is not Format.CSV:
+                    raise RequestError(
+                        "--remove-drift is for the table of trials: netCDF holds what was measured",
+                        hint="--to csv --remove-drift",
+                    )
+                removed = drift_of(run)
+                written = export_run(run, to.value, output, outcomes=without_drift(run.outcomes, removed))
+            else:
+                written = export_run(run, to.value, output)
     if as_json:
-        print_json({"output": written})
-    else:
-        typer.echo(f"wrote {written}")
+        print_json(
+            {"output": written, **({"drift_removed": [asdict(item) for item in removed]} if removed else {})}
+        )
+        return
+    for item in removed:
+        from labrun.report.words import interval_text
+
+        slope = interval_text(item.slope_per_h, item.ci95, f"{item.unit}/h")
+        doubt = "" if item.visible else ", which cannot be told from none"
+        typer.echo(f"{item.objective}: removed {slope} by {item.trials} reference trials{doubt}")
+    typer.echo(f"wrote {written}")
 
 
 def import_(

@@ -55,7 +55,7 @@ def run(
 
 
 def sweep(
-    name: options.Name,
+    name: options.SweepName,
     dry_run: options.DryRun = False,
     overrides: options.Overrides = None,
     seed: options.Seed = None,
@@ -71,7 +71,7 @@ def sweep(
 
 
 def cmaes(
-    name: options.Name,
+    name: options.CmaesName,
     dry_run: options.DryRun = False,
     overrides: options.Overrides = None,
     seed: options.Seed = None,
@@ -164,9 +164,9 @@ def _progress() -> "Progress":
         from labrun.report.progress import LiveProgress
 
         return LiveProgress()
-    from labrun.runner.progress import SilentProgress
+    from labrun.report.plain_progress import PlainProgress
 
-    return SilentProgress()
+    return PlainProgress()
 
 
 def _print_result(result: "RunResult", as_json: bool) -> None:

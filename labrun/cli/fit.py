@@ -1,5 +1,8 @@
 """`labrun fit`."""
 
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -7,7 +10,7 @@ import typer
 
 from labrun.cli import options
 from labrun.cli.experiment import dry_run_of
-from labrun.cli.output import print_json, reported
+from labrun.cli.output import print_json, reported, to_terminal
 
 
 def fit(
@@ -31,18 +34,37 @@ def fit(
     Prints parameters with 95 % intervals, the error per channel, and the path of a figure.
 
     Example:  labrun fit hinge
+
     Example:  labrun fit recordings/ring-down --model recordings/ring-down/model.toml
     """
+    # a fit's matrices are small: BLAS threads would spend ten times the time on waiting for one another
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with reported(as_json):
         from labrun.fit.request import fit_request
 
         if dry_run:
             target = str(dry_run_of(target, seed, results))
-        result = fit_request(target, recording, model=model, seed=seed, results=results, workspace=Path.cwd())
+        with _status() as note:
+            result = fit_request(
+                target, recording, model=model, seed=seed, results=results, workspace=Path.cwd(), note=note
+            )
         if as_json:
             print_json(result.to_json())
         else:
             typer.echo(result.to_text())
+
+
+@contextmanager
+def _status() -> Iterator[Callable[[str], None]]:
+    """Say on one line what is being done, where a person is watching."""
+    if not to_terminal():
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.markup import escape
+
+    with Console(stderr=True).status("reading") as status:
+        yield lambda text: status.update(escape(text))
 
 
 def register(app: typer.Typer) -> None:

@@ -1,5 +1,6 @@
 """Arguments and options that several commands share, with their shell completion."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -13,12 +14,22 @@ def complete_experiment(incomplete: str) -> list[str]:
     return sorted({path.stem for path in list_experiments(Path.cwd()) if path.stem.startswith(incomplete)})
 
 
-Name = Annotated[
-    str,
-    typer.Argument(
-        help="Experiment: its name, or the path of its TOML file.", autocompletion=complete_experiment
-    ),
-]
+def complete_of_kind(kind: str) -> Callable[[str], list[str]]:
+    """Return a completion that offers the experiments of one kind."""
+
+    def complete(incomplete: str) -> list[str]:
+        from labrun.spec.listing import summarise_workspace
+
+        summaries = summarise_workspace(Path.cwd(), RESULTS)
+        return [item.name for item in summaries if item.kind == kind and item.name.startswith(incomplete)]
+
+    return complete
+
+
+_NAME = "Experiment: its name, or the path of its TOML file."
+Name = Annotated[str, typer.Argument(help=_NAME, autocompletion=complete_experiment)]
+SweepName = Annotated[str, typer.Argument(help=_NAME, autocompletion=complete_of_kind("sweep"))]
+CmaesName = Annotated[str, typer.Argument(help=_NAME, autocompletion=complete_of_kind("cmaes"))]
 Target = Annotated[
     str,
     typer.Argument(
@@ -35,7 +46,9 @@ Overrides = Annotated[
         "--set", metavar="KEY=VALUE", help="Override a key of the file, e.g. trial.repeats=5; repeatable."
     ),
 ]
-Seed = Annotated[int | None, typer.Option(help="Seed of all randomness; drawn and stored if not given.")]
+Seed = Annotated[
+    int | None, typer.Option(min=0, help="Seed of all randomness; drawn and stored if not given.")
+]
 Limit = Annotated[
     int | None, typer.Option(min=1, help="Stop after this many trials; `labrun resume` goes on.")
 ]

@@ -14,12 +14,20 @@ from labrun.errors import LabrunError, RequestError
 
 @contextmanager
 def reported(as_json: bool) -> Iterator[None]:
-    """Turn an error labrun can explain into its message and its exit code."""
+    """Turn an error labrun can explain into its message and its exit code.
+
+    Ctrl-C while a run is under way comes as such an error, with what was saved; before that there is nothing to save.
+    """
     try:
         yield
+    except KeyboardInterrupt:
+        if as_json:
+            print_json({"error": "interrupted by Ctrl-C", "hint": None})
+        typer.echo("labrun: interrupted by Ctrl-C before anything moved or was written", err=True)
+        raise typer.Exit(1) from None
     except LabrunError as error:
         if as_json:
-            print_json({"error": str(error.args[0]), "hint": error.hint})
+            print_json({"error": str(error.args[0]), "hint": error.hint, **error.details})
         typer.echo(f"labrun: {error}", err=True)
         raise typer.Exit(2 if isinstance(error, RequestError) else 1) from None
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from labrun.devices.samples import Channel, FloatArray
 from labrun.devices.trajectory import Trajectory
@@ -15,6 +15,8 @@ _TOLERANCE = 1e-9
 """Relative: a command of exactly 60 deg is inside a limit of 60 deg after conversion to radians."""
 
 Positive = Annotated[float, Field(gt=0)]
+Temperature = Annotated[float, Field(gt=0, le=200)]
+"""An upper bound, degC: no servo lives above 200 degC, and no bench runs below freezing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +30,8 @@ class Excess:
     time_s: float
 
     def __str__(self) -> str:
+        if math.isnan(self.value):
+            return f"{self.quantity} is not a number; its limit is {self.bound:.4g} {self.unit}"
         side = "above" if self.value > self.bound else "below"
         return f"{self.quantity} {self.value:.4g} {self.unit} is {side} the limit of {self.bound:.4g} {self.unit}"
 
@@ -35,23 +39,22 @@ class Excess:
 class Limits(BaseModel):
     """What a device may be asked to do, and what it may feel. An absent limit is not checked."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     angle_deg: tuple[float, float] | None = None
     speed_deg_s: Positive | None = None
     force_n: Positive | None = None
     torque_n_m: Positive | None = None
-    temperature_c: float | None = None
+    temperature_c: Temperature | None = None
     speed_m_s: Positive | None = None
     travel_m: tuple[float, float] | None = None
 
-    @model_validator(mode="after")
-    def _ordered(self) -> "Limits":
-        for name in ("angle_deg", "travel_m"):
-            pair = getattr(self, name)
-            if pair is not None and not pair[0] < pair[1]:
-                raise ValueError(f"{name} is [low, high]; {pair[0]:g} is not below {pair[1]:g}")
-        return self
+    @field_validator("angle_deg", "travel_m")
+    @classmethod
+    def _ordered(cls, pair: tuple[float, float] | None) -> tuple[float, float] | None:
+        if pair is not None and not pair[0] < pair[1]:
+            raise ValueError(f"[low, high], and {pair[0]:g} is not below {pair[1]:g}")
+        return pair
 
     def trajectory_excess(self, trajectory: Trajectory) -> Iterator[Excess]:
         """Yield what a motion would break: one item per joint and limit, at its worst moment."""
@@ -92,7 +95,9 @@ def _outside(
     low, high = bounds
     slack = _TOLERANCE * max(abs(low), abs(high))
     excess = np.maximum(values - high, low - values)
-    worst = int(np.argmax(np.where(np.isnan(excess), -math.inf, excess)))
+    # What is not a number cannot be shown to be inside: it counts as the worst of all.
+    excess = np.where(np.isnan(excess), math.inf, excess)
+    worst = int(np.argmax(excess))
     if excess[worst] > slack:
         value = float(values[worst])
         yield Excess(quantity, value, high if value > high else low, unit, float(time_s[worst]))

@@ -42,7 +42,7 @@ class Device(Protocol):
         ...
 
     def health(self) -> Health:
-        """Ask the device how it is."""
+        """Ask the device how it is; every few seconds, also while it moves or streams."""
         ...
 
     def safe_stop(self) -> None:
@@ -61,7 +61,7 @@ class Actuator(Device, Protocol):
     joints: tuple[str, ...]
 
     def pose(self) -> Mapping[str, float]:
-        """Where each joint is, rad: measured if the device can, else last commanded."""
+        """Where each joint is, rad: measured if the device can, else where its command stands now."""
         ...
 
     def follow(self, trajectory: Trajectory, start_s: float) -> None:

@@ -17,11 +17,17 @@ class Trajectory:
     joints
         Names of the joints, one a column of `angle_rad`.
     time_s : (n,)
-        Seconds from the start of the motion, increasing from 0.
+        Seconds from the start of the motion, strictly increasing from 0.
     angle_rad : (n, joints)
         Commanded angles.
     period_s
         Length of one gait cycle; None for a motion that does not repeat.
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not belong together, a time or an angle that is not a finite number, or times that do not
+        increase: no such motion can be driven, or checked against a limit.
     """
 
     joints: tuple[str, ...]
@@ -34,6 +40,23 @@ class Trajectory:
             raise ValueError(
                 f"trajectory of {len(self.joints)} joints and {len(self.time_s)} points "
                 f"has angles of shape {self.angle_rad.shape}"
+            )
+        if not np.isfinite(self.time_s).all():
+            point = int(np.argmin(np.isfinite(self.time_s)))
+            raise ValueError(f"trajectory has a time of {self.time_s[point]} s at point {point}")
+        late = np.diff(self.time_s) <= 0.0
+        if late.any():
+            point = int(np.argmax(late))
+            raise ValueError(
+                f"trajectory has times that do not increase: "
+                f"{self.time_s[point + 1]:g} s comes after {self.time_s[point]:g} s"
+            )
+        finite = np.isfinite(self.angle_rad)
+        if not finite.all():
+            point, column = (int(i) for i in np.argwhere(~finite)[0])
+            raise ValueError(
+                f"trajectory has an angle of {self.angle_rad[point, column]} rad "
+                f"for joint {self.joints[column]} at {self.time_s[point]:g} s"
             )
 
     @property

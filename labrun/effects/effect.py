@@ -110,15 +110,6 @@ class Effect:
         defaults = {one.name: one.start_values(scale or Scale())[0] for one in self.parameters}
         return AttachedEffect(self, site, tuple(float({**defaults, **values}[name]) for name in names))
 
-    def neutral_values(self, scale: Scale | None = None) -> tuple[float, ...]:
-        """Return values at which it does nothing."""
-        scale = scale or Scale()
-        return tuple(
-            one.start_values(scale)[0] if one.neutral is None
-            else one.neutral if math.isinf(one.neutral) else one.neutral * scale.of(one.quantity)
-            for one in self.parameters
-        )  # fmt: skip
-
 
 @dataclass(frozen=True)
 class AttachedEffect:

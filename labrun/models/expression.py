@@ -1,13 +1,13 @@
 """Equations as a person types them: parsed, checked against a whitelist, and turned into Python source."""
 
 import ast
-import difflib
 import re
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from labrun.models.rewriting import CONSTANTS, UNARY, VARIADIC, as_number
+from labrun.nearest import nearest as nearest_name
 
 _FIXED_ARITY = {**dict.fromkeys(UNARY, 1), "atan2": 2, "clip": 3, "where": 3}
 FUNCTIONS = frozenset(_FIXED_ARITY) | frozenset(VARIADIC)
@@ -118,9 +118,9 @@ def parse(text: str) -> Expression:
 
 def nearest(name: str, known: "list[str] | tuple[str, ...] | frozenset[str] | set[str]") -> str:
     """Return a hint that names the nearest known name, or lists all of them."""
-    near = difflib.get_close_matches(name, sorted(known), n=1)
-    if near:
-        return f"did you mean {near[0]!r}?"
+    near = nearest_name(name, sorted(known))
+    if near is not None:
+        return f"did you mean {near!r}?"
     return f"known: {', '.join(sorted(known))}" if known else ""
 
 

@@ -18,6 +18,13 @@ def _gather(signals: FloatArray, channel: int, piece: FloatArray) -> None:
 
 
 @kernel
+def _keep(row: FloatArray, kept: FloatArray) -> None:
+    # An assignment of slices would make numba compile its error message, which takes longer than all the rest.
+    for k in range(row.size):
+        kept[k] = row[k]
+
+
+@kernel
 def filter_inputs(
     u: FloatArray,
     steps_s: FloatArray,
@@ -70,14 +77,14 @@ def filter_outputs(
     for e in range(addresses.size):
         c = channels[e]
         if not begun:
-            last[e] = y[0]
+            _keep(y[0], last[e])
             _gather(y[0], c, before)
             call_filter(addresses[e], before, before, 0.0, values, offsets[e], memory, memory_offsets[e], out)
             y[0, c] = out[1]
         for row in range(1, y.shape[0]):
             _gather(last[e], c, before)
             _gather(y[row], c, after)
-            last[e] = y[row]
+            _keep(y[row], last[e])
             call_filter(
                 addresses[e],
                 before,

@@ -1,7 +1,7 @@
 """What a model is: parameters, inputs, outputs, sites, and three compiled functions."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -261,8 +261,3 @@ class Model:
                 )
             return float(value)
         return float(rule)
-
-
-def names_of(items: "Sequence[Parameter | Input | Output | Site]") -> list[str]:
-    """Return the names of parameters, inputs, outputs or sites."""
-    return [item.name for item in items]

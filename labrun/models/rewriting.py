@@ -38,10 +38,10 @@ def as_number(node: ast.expr, known: Mapping[str, str]) -> ast.expr:
             result = ast.IfExp(_truth(node, known), ast.Constant(1.0), ast.Constant(0.0))
         case ast.UnaryOp(op=operator, operand=operand):
             result = ast.UnaryOp(operator, as_number(operand, known))
+        case ast.BinOp(left=left, op=ast.Pow(), right=right):
+            result = _power(as_number(left, known), right, known)
         case ast.BinOp(left=left, op=operation, right=right):
-            power = isinstance(operation, ast.Pow)
-            exponent = _exponent(right, known) if power else as_number(right, known)
-            result = ast.BinOp(as_number(left, known), operation, exponent)
+            result = ast.BinOp(as_number(left, known), operation, as_number(right, known))
         case ast.Call(func=ast.Name(id=name), args=arguments):
             result = _called(name, arguments, known)
         case _:
@@ -54,13 +54,16 @@ def _value(node: ast.Constant) -> float:
     return float(node.value)
 
 
-def _exponent(node: ast.expr, known: Mapping[str, str]) -> ast.expr:
-    """Keep a small whole exponent an integer: the compiler then multiplies instead of calling pow."""
-    if isinstance(node, ast.Constant):
-        value = _value(node)
+def _power(base: ast.expr, exponent: ast.expr, known: Mapping[str, str]) -> ast.expr:
+    """Keep a small whole exponent an integer: the compiler then multiplies instead of calling pow.
+
+    Any other power is a call, because Python folds ``(-1.0) ** 0.5`` to a complex constant; the call gives NaN.
+    """
+    if isinstance(exponent, ast.Constant):
+        value = _value(exponent)
         if value.is_integer() and value <= _LARGEST_INTEGER_POWER:
-            return ast.Constant(int(value))
-    return as_number(node, known)
+            return ast.BinOp(base, ast.Pow(), ast.Constant(int(value)))
+    return _call("np.power", base, as_number(exponent, known))
 
 
 def _called(name: str, arguments: list[ast.expr], known: Mapping[str, str]) -> ast.expr:

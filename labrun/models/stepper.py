@@ -104,10 +104,11 @@ class Stepper:
             return np.empty((0, len(self.model.outputs)))
         steps_s = np.full(count, self.step_s)
         before, after, laws = self._before, self._after, self._forces
-        filter_inputs(
-            u, steps_s, before.addresses, before.channels, before.offsets, before.values,
-            before.memory_offsets, before.memory, self._begun,
-        )  # fmt: skip
+        if before.addresses.size:
+            filter_inputs(
+                u, steps_s, before.addresses, before.channels, before.offsets, before.values,
+                before.memory_offsets, before.memory, self._begun,
+            )  # fmt: skip
         states = np.empty((count + 1, self._all.size))
         outputs = np.empty((count + 1, len(self.model.outputs)))
         model = self.model
@@ -117,7 +118,7 @@ class Stepper:
             laws.rate_states, laws.addresses, laws.sites, laws.inertial, laws.offsets, laws.values, laws.state_offsets,
             self._all, states, outputs,
         )  # fmt: skip
-        if written > 0:
+        if written > 0 and after.addresses.size:
             filter_outputs(
                 outputs[:written], self._last_outputs, steps_s, after.addresses, after.channels,
                 after.offsets, after.values, after.memory_offsets, after.memory, self._begun,

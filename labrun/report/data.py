@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.errors import PluginError, SpecError
 from labrun.search.leaders import condition_key, t_interval
 from labrun.search.result import Best
 from labrun.spec.experiment import Experiment, Value
@@ -89,11 +90,17 @@ class RunView:
         return self.unit_of(self.objective) if self.objective is not None else ""
 
     def unit_of(self, objective: str) -> str:
-        """Return the unit of an objective, from that of its channel in the first trial that has it."""
+        """Return the unit of an objective, from that of its channel in the first trial that has it.
+
+        Empty where the plugin that made the numbers is not installed: they stay readable without their unit.
+        """
         from labrun.objectives import make_objective
 
         table = self.experiment.objectives[objective]
-        return make_objective(objective, table).unit(self.channel_unit(table.channel))
+        try:
+            return make_objective(objective, table).unit(self.channel_unit(table.channel))
+        except (PluginError, SpecError):
+            return ""
 
     @cached_property
     def channel(self) -> str | None:

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from labrun.report.data import RunView
+from labrun.report.recorded import experiment_of
 from labrun.search.generation import read_generations
 from labrun.search.result import Best
-from labrun.spec.loading import loads_experiment
 from labrun.store.reading import open_run
 
 FIGURE = "figure.png"
@@ -27,20 +27,33 @@ def draw_run(folder: Path, best: Best | None) -> Path | None:
         The picture, ``figure.png``; None if no trial was accepted, so that there is nothing to draw.
     """
     with open_run(folder) as run:
-        experiment = loads_experiment(run.experiment_toml, run.name).experiment
         if not any(outcome.status == "done" for outcome in run.outcomes):
             return None
-        view = RunView(run, experiment, best)
-        path = folder / FIGURE
-        generations = read_generations(folder / "search")
-        if experiment.kind == "cmaes" and generations:
-            from labrun.report.search_progress import draw_search
+        view = RunView(run, experiment_of(run.experiment_toml, run.name), best)
+        return draw_view(view, folder / "search", folder / FIGURE)
 
-            return draw_search(view, generations, path)
-        if experiment.kind == "sweep" and view.objective is not None:
-            from labrun.report.sweep_map import draw_sweep
 
-            return draw_sweep(view, path)
-        from labrun.report.run_overlay import draw_plain_run
+def draw_view(view: RunView, search: Path | None, path: Path) -> Path:
+    """Draw a run that has accepted trials, as its kind asks for.
 
-        return draw_plain_run(view, path)
+    Parameters
+    ----------
+    view
+        The run.
+    search
+        Folder of its generations, if it has one.
+    path
+        Where the picture goes.
+    """
+    generations = read_generations(search) if search is not None else []
+    if view.experiment.kind == "cmaes" and generations:
+        from labrun.report.search_progress import draw_search
+
+        return draw_search(view, generations, path)
+    if view.experiment.kind == "sweep" and view.objective is not None:
+        from labrun.report.sweep_map import draw_sweep
+
+        return draw_sweep(view, path)
+    from labrun.report.run_overlay import draw_plain_run
+
+    return draw_plain_run(view, path)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labrun.report.data import RunView
+from labrun.report.recorded import experiment_of
+from labrun.report.recording_findings import RecordingFindings, is_imported, recording_findings
 from labrun.report.statistics import (
     Drift,
     Repeatability,
@@ -19,9 +21,9 @@ from labrun.report.statistics import (
     settling,
     stream_health,
 )
+from labrun.runner.settling import unsettled
 from labrun.search.engine import stored_result
 from labrun.search.result import Best
-from labrun.spec.loading import loads_experiment
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -47,6 +49,8 @@ class Findings:
         Number of trials by role and status: ``{"measure": {"done": 64}}``.
     spoiled
         Reasons of rejected and failed trials, with their number, most frequent first.
+    unsettled
+        Accepted trials before which the bench had not come to rest.
     bench_time_s
         From the first trial's start to the last one's end, by the run's clock.
     figure
@@ -75,6 +79,7 @@ class Findings:
     streams: list[StreamHealth]
     streams_of: int
     faults: list[str]
+    unsettled: int = 0
 
     def to_json(self) -> dict[str, Any]:
         """Return everything, JSON-ready."""
@@ -93,6 +98,7 @@ class Findings:
             "figure": None if self.figure is None else str(self.figure),
             "repeatability": as_json(self.repeatability),
             "drift": as_json(self.drift),
+            "unsettled": self.unsettled,
             "settling": None if self.settling is None else asdict(self.settling),
             "streams": as_json(self.streams),
             "streams_from_trials": self.streams_of,
@@ -106,15 +112,17 @@ class Findings:
         print_findings(self, console)
 
 
-def findings(run: "Run") -> Findings:
-    """Read what a run found.
+def findings(run: "Run") -> Findings | RecordingFindings:
+    """Read what a run found, or what a recording holds.
 
     Parameters
     ----------
     run
-        Open for reading; finished or not.
+        Open for reading; finished or not, measured or imported.
     """
-    experiment = loads_experiment(run.experiment_toml, run.name).experiment
+    if is_imported(run):
+        return recording_findings(run)
+    experiment = experiment_of(run.experiment_toml, run.name)
     folder = run.path if run.path.is_dir() else run.path.parent
     result = stored_result(folder)
     best = result.best if result is not None else None
@@ -133,7 +141,7 @@ def findings(run: "Run") -> Findings:
         kind=experiment.kind,
         seed=run.provenance.get("seed"),
         dry_run=run.provenance.get("dry_run"),
-        finished=result is not None,
+        finished=result is not None or any(event["event"] == "finished" for event in run.events),
         trials=trials,
         spoiled=dict(reasons.most_common()),
         bench_time_s=max(ends) - run.outcomes[0].started_s if ends else 0.0,
@@ -145,6 +153,7 @@ def findings(run: "Run") -> Findings:
         streams=stream_health(view, looked_at),
         streams_of=len(looked_at),
         faults=list(run.faults),
+        unsettled=sum(unsettled(outcome) for outcome in run.outcomes),
     )
 
 

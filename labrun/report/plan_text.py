@@ -3,7 +3,12 @@
 import shutil
 from pathlib import Path
 
-from labrun.runner.plan import JointPeak, Plan
+from labrun.report.words import duration_text
+from labrun.runner.plan import JointPeak, Plan, percent
+
+_NO_LIMIT = "no limit set"
+_NAMED = 6
+"""Of the constraints and limits that exclude part of a search space, so many are named."""
 
 
 def plan_text(plan: Plan, results: Path) -> str:
@@ -20,31 +25,44 @@ def plan_text(plan: Plan, results: Path) -> str:
     free = shutil.disk_usage(folder).free
     rates = ", ".join(f"{name} {rate:g} Hz" for name, rate in plan.rates_hz.items())
     lines = [
-        f"conditions  {plan.conditions}",
+        *_what_is_measured(plan),
         f"trials      {_between(str(plan.trials), str(plan.trials_at_most))}",
-        f"time        {_between(duration(plan.time_s), duration(plan.time_at_most_s))} on the bench, "
-        f"counting {plan.settle_s:g} s of settling a trial",
+        f"time        {_between(duration_text(plan.time_s), duration_text(plan.time_at_most_s))} on the bench, "
+        f"{_settling(plan)}",
         f"disk        {size(plan.disk_bytes)} of {size(free)} free",
         f"sensors     {rates or 'none'}",
     ]
     lines += [f"joint       {_joint(peak)}" for peak in plan.peaks]
+    lines += [f"note        {note}" for note in plan.notes]
     if plan.excess:
         lines.append(f"limits      {len(plan.excess)} of {plan.conditions} conditions leave a limit")
-    else:
+    elif plan.space is None:
         lines.append("limits      all conditions stay inside")
     return "\n".join(lines)
 
 
-def duration(seconds: float) -> str:
-    """Return a time in the two units that matter."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    days, hours = divmod(hours, 24)
-    if days:
-        return f"{days} d {hours} h"
-    if hours:
-        return f"{hours} h {minutes} min"
-    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
+def _what_is_measured(plan: Plan) -> list[str]:
+    space = plan.space
+    if space is None:
+        return [f"conditions  {plan.conditions}"]
+    lines = [
+        f"search      about {percent(space.share)} of the search space may run ({space.points:,} points looked at)"
+    ]
+    lines += [f"            {item}" for item in space.breaks[:_NAMED]]
+    if len(space.breaks) > _NAMED:
+        lines.append(f"            and {len(space.breaks) - _NAMED} more")
+    if space.start:
+        lines.append(f"start       the search starts where it may not run: {'; '.join(space.start)}")
+    return lines
+
+
+def _settling(plan: Plan) -> str:
+    if plan.settle_s == plan.settle_at_most_s:
+        return f"counting {plan.settle_s:g} s of settling a trial"
+    return (
+        f"counting {plan.settle_s:g} s of settling a trial (the least that evidence takes) to "
+        f"{plan.settle_at_most_s:g} s (its timeout)"
+    )
 
 
 def size(count: float) -> str:
@@ -63,10 +81,10 @@ def _between(least: str, most: str) -> str:
 def _joint(peak: JointPeak) -> str:
     low, high = peak.angle_deg
     angle = f"{low:.4g} to {high:.4g} deg"
-    if peak.angle_limit_deg is not None:
-        angle += f" (limit {peak.angle_limit_deg[0]:g} to {peak.angle_limit_deg[1]:g})"
+    limit = peak.angle_limit_deg
+    angle += f" ({_NO_LIMIT})" if limit is None else f" (limit {limit[0]:g} to {limit[1]:g})"
     speed = f"{peak.speed_deg_s:.4g} deg/s"
-    if peak.speed_limit_deg_s is not None:
-        speed += f" (limit {peak.speed_limit_deg_s:g})"
+    speed_limit = peak.speed_limit_deg_s
+    speed += f" ({_NO_LIMIT})" if speed_limit is None else f" (limit {speed_limit:g})"
     name = peak.joint if peak.joint == peak.device else f"{peak.joint} of {peak.device}"
     return f"{name}: {angle}, at most {speed}"

@@ -38,7 +38,7 @@ class LiveProgress:
             TextColumn("{task.description}"),
             BarColumn(bar_width=32),
             MofNCompleteColumn(),
-            TextColumn("trials"),
+            TextColumn("trials at most"),
             TextColumn("{task.fields[left]}", style="cyan"),
             console=self._console,
         )
@@ -65,7 +65,7 @@ class LiveProgress:
             self._live.stop()
 
     def total(self, trials: int | None) -> None:
-        """Set the number of trials to expect."""
+        """Set the greatest number of trials there can be."""
         self._bar.update(self._task, total=trials)
 
     def phase(self, text: str) -> None:
@@ -74,7 +74,7 @@ class LiveProgress:
 
     def trial(self, outcome: "TrialOutcome", done: int, total: int | None, remaining_s: float | None) -> None:
         """Count a trial, and show it."""
-        left = "" if remaining_s is None else f"{duration_text(remaining_s)} left"
+        left = "" if remaining_s is None else f"at most {duration_text(remaining_s)} left"
         self._bar.update(self._task, completed=done, total=total, left=left)
         values = ", ".join(f"{name} {value:.4g}" for name, value in outcome.objectives.items())
         line = Text.assemble(

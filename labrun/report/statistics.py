@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from labrun.report.data import Point, RunView
 from labrun.search.leaders import pooled_variance
+from labrun.store.timing import JUMP_S, StreamReport, stream_report
 from labrun.store.trial import Stream, TrialOutcome
 
 FloatArray = NDArray[np.float64]
@@ -69,13 +70,21 @@ class StreamHealth:
     Attributes
     ----------
     nominal_hz, actual_hz
-        Rate it should have, and median rate it had.
+        Rate it should have, and median rate at which it sampled, samples that were lost on the way included.
     jitter_s
-        Standard deviation of the time between samples, by the device's clock; median over trials.
+        Standard deviation of the time between samples, by the device's clock, gaps of lost samples left out; median
+        over trials.
     lost, saturated
         Samples that never arrived, and that stood at the end of the range.
     lost_share
         Of all samples the device made.
+    clock_offset_s
+        Run clock minus device clock, median over trials; None without samples. Sample times have it in them already.
+    clock_drift_ppm
+        How fast the offset changes, parts per million, over the run, or within trials where the device's clock began
+        anew between them; None where that is too short to tell.
+    glitches
+        Places where the device's time jumped, stood still or ran backwards.
     """
 
     device: str
@@ -86,6 +95,9 @@ class StreamHealth:
     lost: int
     lost_share: float
     saturated: int
+    clock_offset_s: float | None
+    clock_drift_ppm: float | None
+    glitches: int
 
 
 def repeatability(view: RunView) -> list[Repeatability]:
@@ -152,16 +164,31 @@ def _between(points: Sequence[Point]) -> float | None:
 
 
 def _health(name: str, streams: Sequence[Stream]) -> StreamHealth:
-    steps = [np.diff(stream.device_time_s) for stream in streams if len(stream.device_time_s) > 2]
+    reports = [stream_report(stream) for stream in streams if len(stream.time_s)]
+    regular = [report for report in reports if math.isfinite(report.rate_hz)]
     samples = sum(len(stream.time_s) for stream in streams)
     lost = sum(stream.lost for stream in streams)
     return StreamHealth(
         device=name,
         nominal_hz=streams[0].rate_hz,
-        actual_hz=float(np.median([1 / step.mean() for step in steps])) if steps else 0.0,
-        jitter_s=float(np.median([step.std() for step in steps])) if steps else 0.0,
+        actual_hz=float(np.median([report.rate_hz for report in regular])) if regular else 0.0,
+        jitter_s=float(np.median([report.jitter_s for report in regular])) if regular else 0.0,
         samples=samples,
         lost=lost,
         lost_share=lost / (samples + lost) if samples + lost else 0.0,
         saturated=sum(stream.saturated for stream in streams),
+        clock_offset_s=float(np.median([report.offset_s for report in reports])) if reports else None,
+        clock_drift_ppm=_clock_drift_ppm([stream for stream in streams if len(stream.time_s)], reports),
+        glitches=sum(report.glitches for report in reports),
     )
+
+
+def _clock_drift_ppm(streams: Sequence[Stream], reports: Sequence[StreamReport]) -> float | None:
+    """Return the drift from trial to trial, which tells most; within trials, where the device's clock began anew."""
+    starts_s = np.array([stream.device_time_s[0] for stream in streams])
+    offsets_s = np.array([report.offset_s for report in reports])
+    anew = (np.diff(starts_s) <= 0) | (np.abs(np.diff(offsets_s)) > JUMP_S)
+    if len(starts_s) > 2 and not anew.any():
+        return float(np.polyfit(starts_s - starts_s[0], offsets_s, 1)[0] * 1e6)
+    within = [report.drift_ppm for report in reports if report.drift_ppm is not None]
+    return float(np.median(within)) if within else None

@@ -7,10 +7,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from labrun.report.words import condition_text, duration_text, interval_text, quantity_text
+from labrun.report.words import clock_text, condition_text, duration_text, interval_text, quantity_text
+from labrun.search.result import unsettled_text
 
 if TYPE_CHECKING:
     from labrun.report.findings import Findings
+    from labrun.report.recording_findings import RecordingFindings
 
 _MOST_REASONS = 6
 _STATUSES = ("done", "rejected", "failed")
@@ -43,11 +45,40 @@ def print_findings(found: "Findings", console: Console | None = None) -> None:
         longest = f"longest {duration_text(found.settling.longest_s)}"
         text = f"settling: {reasons}; median {found.settling.median_s:.1f} s, {longest}"
         console.print(Text(text), highlight=False)
+    if found.unsettled:
+        warning = unsettled_text(found.unsettled, sum(by.get("done", 0) for by in found.trials.values()))
+        console.print(Text(f"warning: {warning}", style="bold yellow"), highlight=False)
     if found.streams:
         console.print(_streams(found))
     for name, path in (("run", found.run), ("figure", found.figure)):
         if path is not None:
             console.print(Text(f"{name:<7} {path}"), highlight=False, soft_wrap=True)
+
+
+def print_recording(found: "RecordingFindings", console: Console | None = None) -> None:
+    """Print what a recording holds: its channels, and its trials by condition."""
+    console = console or Console()
+    console.print(Text(f"Recording {found.experiment}", style="bold"))
+    lasting = f"{found.duration_s:.3g} s" if found.duration_s < 60 else duration_text(found.duration_s)
+    console.print(Text(f"{found.trials} trials, {lasting} of samples"), highlight=False)
+    for fault in found.faults:
+        console.print(Text(f"damaged: {fault}", style="yellow"))
+    channels = _table("channels", "channel", "kind", "unit", "rate")
+    for channel in found.channels:
+        channels.add_row(channel.name, channel.kind, channel.unit, f"{channel.rate_hz:.4g} Hz")
+    console.print(channels)
+    conditions = _table("trials by condition", "condition", "trials", "done", "duration")
+    for item in found.conditions:
+        shortest, longest = f"{item.shortest_s:.4g}", f"{item.longest_s:.4g}"
+        lasted = f"{longest} s" if shortest == longest else f"{shortest} to {longest} s"
+        name = condition_text(item.condition) or "(none given)"
+        conditions.add_row(name, str(item.trials), str(item.done), lasted)
+    console.print(conditions)
+    paths = {"run": found.run, "imported from": found.imported_from}
+    if found.run == found.imported_from:
+        paths = {"recording": found.run}
+    for name, path in paths.items():
+        console.print(Text(f"{name:<13} {path}"), highlight=False, soft_wrap=True)
 
 
 def _print_best(found: "Findings", console: Console) -> None:
@@ -105,14 +136,16 @@ def _drift(found: "Findings") -> Table:
 
 def _streams(found: "Findings") -> Table:
     title = f"streams, from {found.streams_of} trials"
-    table = _table(title, "device", "nominal", "actual", "jitter (sd)", "samples", "lost", "saturated")
+    columns = ("device", "rate, nominal", "jitter", "offset", "drift", "samples", "lost", "saturated")
+    table = _table(title, *columns)
+    table.collapse_padding = True  # with short words, all of it fits a terminal of 80 columns
     for item in found.streams:
         style = "yellow" if item.lost or item.saturated else ""
         table.add_row(
             item.device,
-            f"{item.nominal_hz:.4g} Hz",
-            f"{item.actual_hz:.4g} Hz",
+            f"{item.actual_hz:.4g}, {item.nominal_hz:.4g} Hz",
             f"{1000 * item.jitter_s:.2g} ms",
+            *clock_text(item),
             str(item.samples),
             f"{item.lost} ({100 * item.lost_share:.2g} %)",
             str(item.saturated),

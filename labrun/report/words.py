@@ -1,8 +1,12 @@
 """Numbers as people read them."""
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from labrun.spec.experiment import Value
+
+if TYPE_CHECKING:
+    from labrun.report.statistics import StreamHealth
 
 _UNIT_OF_SUFFIX = {
     "deg": "deg",
@@ -51,6 +55,15 @@ def duration_text(duration_s: float) -> str:
     if hours < 48:
         return f"{hours} h {minutes:02d} min"
     return f"{hours // 24} d {hours % 24} h"
+
+
+def clock_text(stream: "StreamHealth") -> tuple[str, str]:
+    """Return a device's clock offset and drift: ``12.03 s``, ``5.2 ppm``; empty where they are not known."""
+    offset_s, drift_ppm = stream.clock_offset_s, stream.clock_drift_ppm
+    return (
+        "" if offset_s is None else f"{offset_s:.4g} s",
+        "" if drift_ppm is None else f"{drift_ppm:.3g} ppm",
+    )
 
 
 def label(name: str, units: Mapping[str, str]) -> str:

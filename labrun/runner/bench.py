@@ -13,6 +13,11 @@ from labrun.runner.rig import Rig
 from labrun.runner.sensing import SensorWatch, limit_error
 
 _POSE_EVERY_S = 0.25
+_HEALTH_EVERY_S = 5.0
+"""A motor heats up in tens of seconds; asking more often would only load its bus."""
+_SPEED_SLACK = 1.25
+"""Measured speed over its limit: poses are not taken at the very moment they are asked for. A distance of
+`_POSE_SLACK_RAD` between two poses comes on top, for their noise."""
 _POSE_SLACK_RAD = float(np.radians(3.0))
 """How far a measured pose may stand beyond its limit: overshoot and play, not a runaway."""
 _TRAVEL_SLACK_M = 2e-3
@@ -45,6 +50,8 @@ class Bench:
         self._beat = beat
         self._watches = {n: SensorWatch(n, s, rig.limits[n], clock) for n, s in rig.sensors.items()}
         self._pose_due_s = -np.inf
+        self._health_due_s = -np.inf
+        self._poses: dict[str, tuple[float, Mapping[str, float]]] = {}
 
     def start_sensors(self) -> None:
         """Begin all streams."""
@@ -63,14 +70,14 @@ class Bench:
             raise failure
 
     def look(self) -> dict[str, Samples]:
-        """Check whether to stop, every sensor's new samples, poses and travel; return the samples.
+        """Check whether to stop, every sensor's new samples, poses, travel and health; return the samples.
 
         Raises
         ------
         Interrupted
             Someone asked to stop.
         DeviceError
-            A device fell silent, answered nonsense, or left a limit.
+            A device fell silent, answered nonsense, is not well, or left a limit.
         """
         self._check_stop()
         self._beat()
@@ -79,6 +86,8 @@ class Bench:
         if now_s >= self._pose_due_s:
             self._pose_due_s = now_s + _POSE_EVERY_S
             self._check_poses(now_s)
+        if now_s >= self._health_due_s:
+            self.check_health()
         return blocks
 
     def watch(self, until_s: float, handle: Handle | None = None) -> None:
@@ -158,11 +167,12 @@ class Bench:
 
     def check_health(self) -> None:
         """Ask every device how it is; DeviceError if one is not well, LimitExceededError if one is too hot."""
+        self._health_due_s = self.clock.now() + _HEALTH_EVERY_S
         for name, device in self.rig.devices.items():
             with blaming(name):
                 health = device.health()
             bound = self.rig.limits[name].temperature_c
-            if bound is not None and health.temperature_c is not None and health.temperature_c > bound:
+            if bound is not None and health.temperature_c is not None and not health.temperature_c <= bound:
                 raise limit_error(
                     name, Excess("temperature", health.temperature_c, bound, "degC", self.clock.now())
                 )
@@ -192,11 +202,17 @@ class Bench:
 
     def _check_poses(self, now_s: float) -> None:
         for name in self.rig.actuators:
-            bounds = self.rig.limits[name].angle_deg
+            limits = self.rig.limits[name]
+            if limits.angle_deg is None and limits.speed_deg_s is None:
+                continue
+            pose = self._pose(name)
+            if limits.speed_deg_s is not None:
+                self._check_speeds(name, pose, limits.speed_deg_s)
+            bounds = limits.angle_deg
             if bounds is None:
                 continue
             low, high = np.radians(bounds)
-            for joint, angle in self._pose(name).items():
+            for joint, angle in pose.items():
                 if not low - _POSE_SLACK_RAD <= angle <= high + _POSE_SLACK_RAD:
                     bound = bounds[1] if angle > high else bounds[0]
                     excess = Excess(
@@ -210,10 +226,26 @@ class Bench:
                 bound = travel[1] if position > travel[1] else travel[0]
                 raise limit_error(name, Excess("position", position, bound, "m", now_s))
 
+    def _check_speeds(self, name: str, pose: Mapping[str, float], bound_deg_s: float) -> None:
+        """Compare the way since the last pose with what the limit allows in that time."""
+        now_s = self.clock.now()  # after the answer: a slow bus must not make a joint look fast
+        before_s, before = self._poses.get(name, (now_s, pose))
+        self._poses[name] = (now_s, dict(pose))
+        passed_s = now_s - before_s
+        if passed_s <= 0.0:
+            return
+        allowed_rad = _SPEED_SLACK * np.radians(bound_deg_s) * passed_s + _POSE_SLACK_RAD
+        for joint, angle in pose.items():
+            way = angle - before.get(joint, angle)
+            if abs(way) > allowed_rad:
+                speed = float(np.degrees(way)) / passed_s
+                bound = math.copysign(bound_deg_s, speed)
+                raise limit_error(name, Excess(f"measured speed of {joint}", speed, bound, "deg/s", now_s))
+
 
 def _leads_back(excess: Excess, move: Trajectory) -> bool:
     """Tell whether a move leaves its limit only because it begins outside and goes home."""
-    return excess.unit == "deg" and excess.time_s <= float(move.time_s[0])
+    return excess.unit == "deg" and math.isfinite(excess.value) and excess.time_s <= float(move.time_s[0])
 
 
 def _complete(part: Trajectory, joints: tuple[str, ...], pose: Mapping[str, float]) -> Trajectory:

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from collections.abc import Collection, Sequence
 
-from labrun.errors import ExperimentError
+from labrun.errors import ExperimentError, PluginError
 from labrun.runner.clock import RealClock
 from labrun.runner.resolving import ResolvedDevice
 from labrun.runner.watchdog import ARM, BEAT, DISARM, QUIT, READY
@@ -70,6 +70,20 @@ class Watchdog:
             self.process.stdout.close()
         self.process.wait()
 
+    def abandon(self) -> None:
+        """Leave without farewell, so that the watchdog stops every actuator from scratch; never raises.
+
+        For a runner that could not stop one itself. A stop that takes long goes on after the runner's end.
+        """
+        try:
+            if self.process.stdin is not None:
+                self.process.stdin.close()
+            self.process.wait(timeout=5.0)
+        except (OSError, subprocess.TimeoutExpired):
+            pass
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+
     def _send(self, sign: bytes) -> None:
         assert self.process.stdin is not None  # noqa: S101  it was started with a pipe
         try:
@@ -84,13 +98,16 @@ class Watchdog:
 def start_watchdog(
     resolved: Sequence[ResolvedDevice], moving: Collection[str], timeout_s: float
 ) -> Watchdog | None:
-    """Start the watchdog for the devices that move and whose plugins offer an emergency stop; None if there are none.
+    """Start the watchdog for the devices that move; None if there are none.
 
     Raises
     ------
+    PluginError
+        The plugin of one that moves offers no emergency stop, so nothing could stop it if the runner died.
     ExperimentError
         The process did not get ready.
     """
+    _require_emergency_stop([item for item in resolved if item.name in moving])
     devices = [
         {
             "name": item.name,
@@ -98,7 +115,7 @@ def start_watchdog(
             "settings": item.settings.model_dump(mode="json", exclude_unset=True),
         }
         for item in resolved
-        if item.name in moving and callable(getattr(item.make, "emergency_stop", None))
+        if item.name in moving
     ]
     if not devices:
         return None
@@ -126,3 +143,15 @@ def start_watchdog(
             hint="its own message stands above; python -m labrun.runner.watchdog must run in this environment",
         )
     return watchdog
+
+
+def _require_emergency_stop(moving: Sequence[ResolvedDevice]) -> None:
+    lacking = [item for item in moving if not callable(getattr(item.make, "emergency_stop", None))]
+    if not lacking:
+        return
+    named = ", ".join(f"device {item.name} (plugin {item.plugin!r})" for item in lacking)
+    raise PluginError(
+        f"{named} moves, but has no emergency stop: nothing would stop it if this process died or hung",
+        hint="add a class method emergency_stop(cls, name, settings) to the plugin's class, which connects from "
+        "scratch and stops all motion; --dry-run works without it",
+    )

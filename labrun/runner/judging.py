@@ -46,8 +46,11 @@ class Judging:
             channel = self._tables[name].channel or "its channels"
             try:
                 value = float(objective(signals))
-            except (LabrunError, ArithmeticError, ValueError, LookupError) as error:
+            except LabrunError as error:
                 raise ObjectiveError(f"objective {name} of {channel}: {error}") from error
+            except Exception as error:  # a third party's own: it costs the trial, never what was recorded
+                cause = f"{type(error).__name__}: {error}"
+                raise ObjectiveError(f"objective {name} of {channel}: {cause}") from error
             if not math.isfinite(value):
                 raise ObjectiveError(f"objective {name} of {channel} is {value}, not a finite number")
             values[name] = value

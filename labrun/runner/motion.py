@@ -65,6 +65,7 @@ class MotionMaker:
     def __init__(self, experiment: Experiment) -> None:
         self._trial = experiment.trial
         self._rate_hz = experiment.gait.command_rate_hz
+        self._name = experiment.gait.plugin
         self._gait = make_gait(experiment.gait)
 
     @property
@@ -78,13 +79,25 @@ class MotionMaker:
         Raises
         ------
         PlanError
-            Cycles of a gait that has no period, or a carriage that stands still where its travel sets the length.
+            Cycles of a gait that has no period, a carriage that stands still where its travel sets the length, or a
+            gait whose angles, times or period are not finite numbers; names the gait.
         """
         period_s = self._gait.period_s(condition)
+        if period_s is not None and not 0.0 < period_s < math.inf:
+            raise self._no_motion(f"its period is {period_s} s")
         travel = self._travel(condition)
         cycles, duration_s, excess = self._length(condition, period_s, travel)
-        trajectory = self._gait.trajectory(condition, duration_s=duration_s, rate_hz=self._rate_hz)
+        try:
+            trajectory = self._gait.trajectory(condition, duration_s=duration_s, rate_hz=self._rate_hz)
+        except (ValueError, ArithmeticError) as error:
+            raise self._no_motion(str(error)) from error
         return TrialMotion(trajectory, duration_s, period_s, cycles, travel, excess)
+
+    def _no_motion(self, why: str) -> PlanError:
+        return PlanError(
+            f'gait "{self._name}" gives no motion: {why}',
+            hint="look at its expressions, or keep the condition out with a where constraint",
+        )
 
     def _travel(self, condition: Condition) -> Travel | None:
         move = self._trial.carriage

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
-from labrun.devices import Excess
+from labrun.devices import Excess, Limits
 from labrun.errors import LabrunError, PlanError
 from labrun.runner.clock import SimulatedClock
 from labrun.runner.measurement import Condition, describe
@@ -16,7 +16,7 @@ from labrun.runner.moves import smooth_move
 from labrun.runner.rig import Rig
 from labrun.runner.settling import settle_estimate_s
 from labrun.runner.wiring import check_wiring
-from labrun.spec.experiment import Experiment
+from labrun.spec.experiment import Experiment, Settle
 
 _SHOWN = 5
 _TRIAL_BYTES = 40_000
@@ -44,6 +44,44 @@ class ConditionExcess:
     excess: tuple[Excess, ...]
 
 
+def percent(share: float) -> str:
+    """Return a share as a person reads it: "84 %", "0.3 %"."""
+    return f"{100 * share:.0f} %" if share >= 0.1 or share == 0.0 else f"{100 * share:.2g} %"
+
+
+@dataclass(frozen=True, slots=True)
+class SpaceBreak:
+    """What keeps points of a search space from running: a constraint, or a limit at its worst; and how many it does."""
+
+    what: str
+    share: float
+
+    def __str__(self) -> str:
+        return f"{percent(self.share)} break: {self.what}"
+
+
+@dataclass(frozen=True, slots=True)
+class SearchSpace:
+    """How much of a search's space may run.
+
+    Attributes
+    ----------
+    points
+        How many were looked at.
+    share
+        About this share of the space satisfies every constraint and limit.
+    breaks
+        What excludes the rest, the most frequent first.
+    start
+        What the point that the search starts from breaks; empty if it may run.
+    """
+
+    points: int
+    share: float
+    breaks: tuple[SpaceBreak, ...]
+    start: tuple[str, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class Plan:
     """What a run would do.
@@ -51,13 +89,14 @@ class Plan:
     Attributes
     ----------
     conditions
-        How many there are.
+        How many there are; of a search, how many points of its space were looked at.
     trials, trials_at_most
         Trials with the least and the greatest number of repeats, reference trials included.
     time_s, time_at_most_s
-        How long they take on the bench, settling as estimated.
-    settle_s
-        The settle time a trial is counted with: the least that evidence takes.
+        How long they take on the bench.
+    settle_s, settle_at_most_s
+        The settle times that `time_s` and `time_at_most_s` count a trial with: the least that evidence takes, and the
+        timeout.
     disk_bytes
         Of `trials`, uncompressed.
     peaks
@@ -66,6 +105,13 @@ class Plan:
         Sample rate of each sensor.
     excess
         Conditions that leave a limit.
+    settle_at_most_s
+        See `settle_s`.
+    space
+        Of a search, which chooses its conditions as it goes: how much of its space may run. Peaks are then those of
+        the points its constraints allow.
+    notes
+        What is no error, but worth a word.
     """
 
     conditions: int
@@ -78,6 +124,9 @@ class Plan:
     peaks: tuple[JointPeak, ...]
     rates_hz: dict[str, float]
     excess: tuple[ConditionExcess, ...] = ()
+    settle_at_most_s: float = 0.0
+    space: SearchSpace | None = None
+    notes: tuple[str, ...] = ()
 
     def require_feasible(self) -> None:
         """Raise PlanError if any condition leaves a limit: the first few, and how many there are."""
@@ -103,6 +152,7 @@ class Plan:
             "time_s": self.time_s,
             "time_at_most_s": self.time_at_most_s,
             "settle_s_assumed": self.settle_s,
+            "settle_s_at_most": self.settle_at_most_s,
             "disk_bytes": self.disk_bytes,
             "joints": {
                 peak.joint: {
@@ -115,6 +165,8 @@ class Plan:
                 for peak in self.peaks
             },
             "rates_hz": self.rates_hz,
+            "search_space": None if self.space is None else asdict(self.space),
+            "notes": list(self.notes),
             "outside_limits": [
                 {"condition": dict(item.condition), "excess": [str(excess) for excess in item.excess]}
                 for item in self.excess
@@ -157,7 +209,7 @@ class Planner:
 
     def excess_of(self, condition: Condition) -> list[Excess]:
         """Return every limit a condition would leave, with its size; empty if it can be run."""
-        return self._excess(self._motions.motion(condition))
+        return self._excess(self._motion(condition))
 
     def plan(self, conditions: Sequence[Condition]) -> Plan:
         """Check all conditions; see `plan`."""
@@ -176,6 +228,8 @@ class Planner:
         broken += self._fixed_excess()
         least, most = (self._with_references(len(times) * n) for n in (trial.repeats.min, trial.repeats.max))
         mean_s = float(np.mean(times)) if times else 0.0
+        settle_s, settle_at_most_s = settle_estimate_s(trial.settle), _settle_at_most_s(trial.settle)
+        slow_s = mean_s - settle_s + settle_at_most_s
         recorded_s = float(np.mean(samples)) if samples else 0.0
         bytes_s = sum(s.rate_hz * _SAMPLE_BYTES * (len(s.channels) + 3) for s in self._rig.sensors.values())
         return Plan(
@@ -183,13 +237,20 @@ class Planner:
             trials=least,
             trials_at_most=most,
             time_s=least * mean_s,
-            time_at_most_s=most * mean_s,
-            settle_s=settle_estimate_s(trial.settle),
+            time_at_most_s=most * slow_s,
+            settle_s=settle_s,
+            settle_at_most_s=settle_at_most_s,
             disk_bytes=int(least * (_TRIAL_BYTES + bytes_s * recorded_s)),
             peaks=tuple(self._peaks(peaks)),
             rates_hz={name: sensor.rate_hz for name, sensor in self._rig.sensors.items()},
             excess=tuple(broken),
+            notes=tuple(self._unlimited(peaks)),
         )
+
+    def _unlimited(self, peaks: _Peaks) -> Iterable[str]:
+        for device in dict.fromkeys(self._rig.joints[joint] for joint in peaks.low_deg):
+            if self._rig.limits[device] == Limits():
+                yield f"{device} has no limit set: whatever is asked of its joints will be commanded"
 
     def _motion(self, condition: Condition) -> TrialMotion:
         try:
@@ -256,6 +317,12 @@ class Planner:
                 limits.angle_deg,
                 limits.speed_deg_s,
             )
+
+
+def _settle_at_most_s(rule: Settle | None) -> float:
+    if rule is None:
+        return 0.0
+    return rule.hold_s if rule.until == "time" else rule.timeout_s
 
 
 def _describe_rig(experiment: Experiment) -> Rig:

@@ -1,25 +1,39 @@
 """Whether the ports of a run on hardware are there, before anything is opened."""
 
-import difflib
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, get_args
 
 from pydantic import BaseModel
+
+from labrun.nearest import nearest
 
 _SERIAL = ("/dev/", "COM", "\\\\.\\COM")
 
 
 def port_of(settings: BaseModel) -> str | None:
     """Return the serial port a device's settings name; None for a network address or no port at all."""
+    return next(iter(_serial_ports(settings)), None)
+
+
+def ports_of(settings: BaseModel) -> list[str]:
+    """Return what only one run at a time may use: every port of a device's settings, serial or not, and its host."""
+    found: list[str] = []
     for name, field in type(settings).model_fields.items():
-        value = getattr(settings, name)
-        if (
-            (name == "port" or "port" in field.metadata)
-            and isinstance(value, str)
-            and value.startswith(_SERIAL)
-        ):
-            return value
-    return None
+        if name in ("port", "host") or "port" in field.metadata or _holds_port(field.annotation):
+            value = getattr(settings, name)
+            found += [value] if isinstance(value, str) else value if isinstance(value, list | tuple) else []
+    return [port for port in found if isinstance(port, str) and port]
+
+
+def _holds_port(annotation: Any) -> bool:
+    """Tell whether a type is `Port`, or made of it: ``Port | None``, ``tuple[Port, ...]``."""
+    marks = getattr(annotation, "__metadata__", ())
+    return "port" in marks or any(_holds_port(part) for part in get_args(annotation))
+
+
+def _serial_ports(settings: BaseModel) -> list[str]:
+    return [port for port in ports_of(settings) if port.startswith(_SERIAL)]
 
 
 def existing_ports() -> list[str]:
@@ -30,15 +44,17 @@ def existing_ports() -> list[str]:
 
 
 def missing_ports(settings: Mapping[str, BaseModel]) -> list[str]:
-    """Return one sentence for every device whose serial port does not exist."""
+    """Return one sentence for every serial port of a device that does not exist."""
     problems = []
     for device, table in settings.items():
-        port = port_of(table)
-        if port is None or Path(port).exists():
-            continue
-        there = existing_ports()
-        near = difflib.get_close_matches(port, there, n=1, cutoff=0.8)
-        known = f"ports of this machine: {', '.join(there)}" if there else "this machine has no serial port"
-        nearest = f"; {near[0]} is there" if near else ""
-        problems.append(f"device {device}: port {port} does not exist{nearest} ({known})")
+        for port in _serial_ports(table):
+            if Path(port).exists():
+                continue
+            there = existing_ports()
+            near = nearest(port, there, cutoff=0.8)
+            known = (
+                f"ports of this machine: {', '.join(there)}" if there else "this machine has no serial port"
+            )
+            beside = f"; {near} is there" if near else ""
+            problems.append(f"device {device}: port {port} does not exist{beside} ({known})")
     return problems

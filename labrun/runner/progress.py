@@ -17,7 +17,7 @@ class Progress(Protocol):
     ) -> None: ...
 
     def total(self, trials: int | None) -> None:
-        """Set the number of trials to expect; None if nobody can know."""
+        """Set the greatest number of trials there can be; None if nobody can know."""
         ...
 
     def phase(self, text: str) -> None:

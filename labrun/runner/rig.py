@@ -9,10 +9,11 @@ import numpy as np
 from labrun.devices import Actuator, Carriage, Clock, Device, DeviceContext, Identity, Limits, Scene, Sensor
 from labrun.errors import DeviceError, LabrunError, RequestError, SpecError
 from labrun.registry import load
+from labrun.runner.faults import blaming
 from labrun.runner.guard import Watchdog, start_watchdog
 from labrun.runner.ports import missing_ports
 from labrun.runner.resolving import STAND_IN, ResolvedDevice, resolve
-from labrun.runner.safety import stop_all
+from labrun.runner.safety import PATIENCE_S, stop_all
 from labrun.spec.experiment import Experiment
 
 _SCENE_STREAM = 0x5CE
@@ -44,12 +45,18 @@ class Rig:
         dry_run: bool,
         watchdog_s: float = 2.0,
     ) -> None:
+        if watchdog_s < PATIENCE_S:
+            raise SpecError(
+                f"rig.watchdog_s = {watchdog_s:g} is shorter than the {PATIENCE_S:g} s that devices get to stop",
+                hint=f"give {PATIENCE_S:g} or more",
+            )
         self.resolved = tuple(resolved)
         self.clock = clock
         self.scene = scene
         self.dry_run = dry_run
         self.watchdog: Watchdog | None = None
         self._watchdog_s = watchdog_s
+        self._all_stopped = True
         self.devices: dict[str, Device] = {}
         self.limits: dict[str, Limits] = {}
         for number, item in enumerate(resolved):
@@ -138,19 +145,28 @@ class Rig:
         )
 
     def close(self) -> None:
-        """Disconnect every device, whatever each of them says."""
+        """Disconnect every device, whatever each of them says; the watchdog stops what `safe_stop` could not."""
         self._each(self.devices, lambda device: device.close())
         if self.watchdog is not None:
-            self.watchdog.end()
+            if self._all_stopped:
+                self.watchdog.end()
+            else:
+                self.watchdog.abandon()
             self.watchdog = None
 
     def safe_stop(self) -> list[str]:
         """Stop all motion, at any moment, from any thread; never raises. Return what could not be stopped, and why."""
-        return stop_all({**self.actuators, **self.carriages})
+        failures = stop_all({**self.actuators, **self.carriages}, self.beat)
+        self._all_stopped = not failures
+        return failures
 
     def identities(self) -> dict[str, Identity]:
-        """Ask every device what it is."""
-        return {name: device.identify() for name, device in self.devices.items()}
+        """Ask every device what it is; DeviceError if one cannot say."""
+        found: dict[str, Identity] = {}
+        for name, device in self.devices.items():
+            with blaming(name):
+                found[name] = device.identify()
+        return found
 
     def arm(self) -> None:
         """Tell the watchdog that actuators may move from now on."""
@@ -168,9 +184,10 @@ class Rig:
             self.watchdog.beat()
 
     def reopen(self, name: str) -> None:
-        """Disconnect a device that failed and connect it anew."""
+        """Disconnect a device that failed and connect it anew; DeviceError if it does not come back."""
         self._each({name: self.devices[name]}, lambda device: device.close())
-        self.devices[name].open()
+        with blaming(name):
+            self.devices[name].open()
 
     def reseed(self, seed: int, trial_index: int) -> None:
         """Give every device that draws random numbers those of this trial, so that a resumed run repeats itself."""

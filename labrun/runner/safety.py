@@ -3,22 +3,32 @@
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
 from labrun.devices import Device
+from labrun.errors import LabrunError
+from labrun.runner.clock import RealClock
 from labrun.runner.faults import Interrupted
 
-_PATIENCE_S = 2.0
-"""How long one device's stop may take before the others' results are reported without it."""
+PATIENCE_S = 2.0
+"""How long the devices' stops may take before the others' results are reported without one that hangs."""
+_BEAT_S = 0.05
 
 
-def stop_all(devices: Mapping[str, Device]) -> list[str]:
+def stop_all(devices: Mapping[str, Device], beat: Callable[[], object] = lambda: None) -> list[str]:
     """Stop every device at the same time; never raises.
 
     Each stop runs in a thread of its own: a device that hangs cannot keep the others moving, and a driver whose lock
     the interrupted main thread holds gets it as soon as that thread goes on.
+
+    Parameters
+    ----------
+    devices
+        By name.
+    beat
+        Called while waiting: a stop that hangs is no reason for the watchdog to kill the runner with its data.
 
     Returns
     -------
@@ -42,10 +52,15 @@ def stop_all(devices: Mapping[str, Device]) -> list[str]:
             stop(name, device)
             continue
         threads[name] = thread
+    clock = RealClock()
+    deadline_s = clock.now() + PATIENCE_S
     for name, thread in threads.items():
-        thread.join(_PATIENCE_S)
+        while thread.is_alive() and (left_s := deadline_s - clock.now()) > 0:
+            thread.join(min(_BEAT_S, left_s))
+            with suppress(LabrunError):  # the watchdog is gone: the stop goes on without it
+                beat()
         if thread.is_alive():
-            failures[name] = f"{name} did not stop within {_PATIENCE_S:g} s"
+            failures[name] = f"{name} did not stop within {PATIENCE_S:g} s"
     return list(failures.values())
 
 

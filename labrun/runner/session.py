@@ -17,7 +17,7 @@ from labrun.runner.progress import Progress, SilentProgress
 from labrun.runner.repeats import needs_another
 from labrun.runner.rig import Rig
 from labrun.runner.safety import StopRequest, interruptible
-from labrun.runner.settling import needs_baseline
+from labrun.runner.settling import needs_baseline, unsettled
 from labrun.runner.trial import TrialRequest, TrialRunner
 from labrun.runner.wiring import check_wiring
 from labrun.spec.experiment import Experiment, RepeatRule
@@ -80,6 +80,7 @@ class Session:
         self._since_reference: int | None = None
         self._previous: TrialOutcome | None = None
         self._expected: int | None = None
+        self._warned = False
         self.index = 0
         """Index of the next trial."""
         self.new_trials = 0
@@ -200,9 +201,32 @@ class Session:
         self.new_trials += 1
         outcome = self._note(result.outcome)
         self._progress.trial(outcome, len(self.outcomes), self._expected, self._remaining_s())
+        if unsettled(outcome):
+            self._warn_unsettled(outcome)
         if result.fault is not None:
             self._after_fault(result.fault)
         return outcome
+
+    def _warn_unsettled(self, outcome: TrialOutcome) -> None:
+        """Journal every trial on a restless bench; tell the person of the first, the run's end tells their share."""
+        settle = outcome.settle
+        if settle is None:
+            return
+        self._folder.journal.append(
+            "settle-timeout",
+            sync=False,
+            index=outcome.index,
+            after_s=settle.duration_s,
+            channel=settle.channel,
+        )
+        if self._warned:
+            return
+        self._warned = True
+        spread = "" if settle.spread is None else f": {settle.channel} still spreads by {settle.spread:.3g}"
+        self._progress.note(
+            f"warning: trial {outcome.index} was recorded although the bench had not come to rest in "
+            f'{settle.duration_s:.0f} s{spread}; trial.settle.on_timeout = "reject" or "stop" would not accept that'
+        )
 
     def _note(self, outcome: TrialOutcome) -> TrialOutcome:
         self.index += 1

@@ -9,7 +9,7 @@ from labrun.runner.bench import Bench
 from labrun.runner.rig import Rig
 from labrun.runner.settle import BaselineMeter, Bounds, SettleDetector, Watched
 from labrun.spec.experiment import Settle
-from labrun.store.trial import SettleCurve, SettleSummary
+from labrun.store.trial import SettleCurve, SettleSummary, TrialOutcome
 
 _BASELINE_HOLDS = 6.0
 _BASELINE_S = 10.0
@@ -159,6 +159,11 @@ def _ended(rule: Settle, detector: SettleDetector, bounds: Bounds, reason: str, 
 def _too_few(watched: tuple[Watched, ...], rule: Settle) -> str:
     names = ", ".join(item.name for item in watched)
     return f"{names} gave too few samples in {rule.hold_s:g} s to tell motion from noise"
+
+
+def unsettled(outcome: TrialOutcome) -> bool:
+    """Tell whether a trial counts although the bench had not come to rest before it."""
+    return outcome.status == "done" and outcome.settle is not None and outcome.settle.reason == "timeout"
 
 
 def settle_estimate_s(rule: Settle | None) -> float:

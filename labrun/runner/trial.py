@@ -125,7 +125,11 @@ class TrialRunner:
             self._stop(request.index, error)
             self._keep_unfinished(draft, writer, error)
             raise
-        self._judge(draft, writer)
+        try:
+            self._judge(draft, writer)
+        except BaseException as error:
+            self._keep_unfinished(draft, writer, error)
+            raise
         return TrialResult(self._store(draft, writer))
 
     def _measure(self, request: TrialRequest, draft: _Draft) -> None:

@@ -102,7 +102,6 @@ class _Search:
         if experiment.cmaes is None or goal is None:
             raise PlanError("a search needs a table [cmaes] and an objective with a goal")
         self._table: CmaEs = experiment.cmaes
-        _check_sizes(self._table)
         self._objective, direction = goal
         self._sign = -1.0 if direction == "maximise" else 1.0
         self._experiment = experiment
@@ -163,7 +162,7 @@ class _Search:
             )
         else:
             point = rng.random(len(table.variables))
-        population = table.population or 4 + int(3 * math.log(len(table.variables)))
+        population = table.population_size
         factor = 2**restart  # IPOP: Auger & Hansen (2005), doi:10.1109/CEC.2005.1554902
         parents = None if table.parents is None else table.parents * factor
         return Strategy(point, table.step_size, population * factor, parents, rng)
@@ -260,22 +259,3 @@ class _Search:
     def _tell_progress(self, candidates: Sequence[Candidate]) -> None:
         if not any(item.violations.feasible for item in candidates):
             self._progress.note(f"generation {self._watch.generation}: no candidate may run; none was run")
-
-
-def _check_sizes(table: CmaEs) -> None:
-    if len(table.variables) < 2:
-        raise PlanError(
-            "CMA-ES searches over at least two variables",
-            hint='one variable is found more surely by kind = "sweep"',
-        )
-    population = table.population or 4 + int(3 * math.log(len(table.variables)))
-    if table.parents is not None and 2 * table.parents > population:
-        raise PlanError(
-            f"cmaes.parents = {table.parents} is more than half of the population of {population}",
-            hint=f"parents selects the better part of a generation: at most {population // 2}",
-        )
-    if table.reevaluate > population - 2:
-        raise PlanError(
-            f"cmaes.reevaluate = {table.reevaluate} leaves no room for new candidates in a population of {population}",
-            hint="measure a few leaders again, for example reevaluate = 3",
-        )

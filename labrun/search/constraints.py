@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.errors import SpecError
-from labrun.spec.expression import evaluate
+from labrun.spec.expression import ExpressionError, evaluate
+from labrun.spec.positions import KeyPath
+from labrun.spec.problem import dotted
 
 FloatArray = NDArray[np.float64]
 
@@ -26,6 +28,8 @@ class Constraint:
     ----------
     text
         The expression as the file has it.
+    key
+        Where in the file that is, such as ``("sweep", "where", 0)``.
 
     Raises
     ------
@@ -34,6 +38,7 @@ class Constraint:
     """
 
     text: str
+    key: KeyPath = ()
 
     def __post_init__(self) -> None:
         _check(self._tree(), self.text)
@@ -47,8 +52,16 @@ class Constraint:
 
         In the unit of the expression's sides. Under `and` the misses add up, under `or` the least one counts.
         Words that are not equal (or must not be) miss by 1.
+
+        Raises
+        ------
+        ConstraintError
+            It cannot be computed there, for example because a root of something negative is not a number.
         """
-        return np.asarray(_violation(self._tree(), names), dtype=float)
+        try:
+            return np.asarray(_violation(self._tree(), names), dtype=float)
+        except ExpressionError as error:
+            raise ConstraintError(self, str(error)) from error
 
     def _tree(self) -> ast.expr:
         try:
@@ -57,9 +70,27 @@ class Constraint:
             raise SpecError(f"constraint {self.text!r} cannot be read: {error.msg}") from error
 
 
-def constraints(texts: Sequence[str]) -> list[Constraint]:
-    """Return the constraints of a file's `where` list."""
-    return [Constraint(text) for text in texts]
+class ConstraintError(SpecError):
+    """A constraint that cannot be computed for the values it has to judge.
+
+    Attributes
+    ----------
+    key
+        Where in the file the constraint stands.
+    """
+
+    def __init__(self, constraint: Constraint, reason: str) -> None:
+        place = f"{dotted(constraint.key)}: " if constraint.key else ""
+        super().__init__(
+            f"{place}constraint {constraint.text!r}: {reason}",
+            hint="a constraint needs a finite value everywhere in the ranges of what varies",
+        )
+        self.key = constraint.key
+
+
+def constraints(texts: Sequence[str], table: str = "") -> list[Constraint]:
+    """Return the constraints of a file's `where` list, which stands in `table`."""
+    return [Constraint(text, (table, "where", n) if table else ()) for n, text in enumerate(texts)]
 
 
 def _check(tree: ast.expr, text: str) -> None:

@@ -63,7 +63,7 @@ def start_of_search(experiment: Experiment) -> Condition:
 
 def sweep_conditions(sweep: Sweep, seed: int) -> list[Condition]:
     """Return the conditions of a sweep: the crossed axes of a grid, or `samples` points of a space-filling design."""
-    where = constraints(sweep.where)
+    where = constraints(sweep.where, "sweep")
     if sweep.design == "grid":
         columns = _grid(sweep)
         keep = _kept(columns, where, "points of the grid")

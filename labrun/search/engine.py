@@ -1,18 +1,18 @@
 """A run from its open rig to its picture; the same for a new run and for one that is resumed."""
 
 import json
-import signal
-import threading
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from labrun.errors import LabrunError
+from labrun.errors import ExperimentError
 from labrun.search.design import conditions
+from labrun.search.ending import resumable, terminate_like_interrupt
 from labrun.search.forecast import expected_trials
 from labrun.search.leaders import Measured, honest_best
-from labrun.search.result import Best, RunResult, resume_line
+from labrun.search.result import Best, RunResult, reason_lines, resume_line
 from labrun.search.watching import BestSoFar
 from labrun.spec.experiment import Experiment
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 RESULT_FILE = "result.json"
 
 Draw = Callable[[Path, Best | None], Path | None]
-"""Draws a run into its folder and returns the picture; given by whoever starts the run, since reports stand above searches."""
+"""Draws a run into its folder and returns the picture; given by whoever starts the run: reports stand above it."""
 
 
 def carry_out(
@@ -45,7 +45,8 @@ def carry_out(
     Interrupted
         Ctrl-C, or a request to terminate.
     ExperimentError
-        The experiment failed. As after an interrupt, the hint says how to go on.
+        The experiment failed. As after an interrupt, the hint says how to go on. Or it came to its end without an
+        answer, see `require_answer`: the data are packed.
     """
     from labrun.runner.faults import LimitReached
     from labrun.runner.session import Session
@@ -54,15 +55,41 @@ def carry_out(
     unit = objective_unit(experiment, rig, goal[0]) if goal is not None else ""
     if goal is not None:
         progress = BestSoFar(progress, *goal, unit, experiment.trial.repeats.min)
-    with folder.lock(), _resumable(folder), _terminate_like_interrupt():
+    with folder.lock(), resumable(folder), terminate_like_interrupt():
         session = Session(experiment, rig, folder, rig.clock, seed, progress, limit)
         try:
-            best = _measure(experiment, rig, session, folder.path, seed, unit, progress)
+            best = _measure(experiment, rig, session, folder, seed, unit, progress)
         except LimitReached:
             folder.journal.append("limit-reached", limit=limit)
             progress.note(f"stopped after {limit} new trials; to go on: {resume_line(folder.path)}")
             return _result(folder, best=None, figure=None, finished=False)
-        return _finish(folder, best, progress, draw)
+        result = _finish(folder, best, progress, draw)
+    return require_answer(result, experiment)
+
+
+def require_answer(result: RunResult, experiment: Experiment) -> RunResult:
+    """Return the result of a finished run if it answers anything.
+
+    Raises
+    ------
+    ExperimentError
+        No trial was accepted, or there is a goal and no best could be named. The run stays packed and readable.
+    """
+    if result.done == 0:
+        problem = "no trial was accepted"
+    elif experiment.goal is not None and result.best is None:
+        name, direction = experiment.goal
+        problem = f"nothing can be named that would {direction} {name}: too few trials were accepted"
+    else:
+        return result
+    counts = f"{result.done} done, {result.rejected} rejected, {result.failed} failed"
+    error = ExperimentError(
+        "\n".join([f"{problem} ({counts})", *reason_lines(result.reasons)]),
+        hint=f"everything recorded is kept and packed in {result.run}: labrun show {result.run}; "
+        "mend the cause and start a new run",
+    )
+    error.details.update(result.to_json())
+    raise error
 
 
 @contextmanager
@@ -76,11 +103,11 @@ def connected(rig: "Rig") -> Iterator["Rig"]:
     DeviceError
         A device cannot be opened.
     """
-    from labrun.runner.ports import port_of
+    from labrun.runner.ports import ports_of
     from labrun.store.rig_lock import lock_ports
 
     settings = [] if rig.dry_run else [item.settings for item in rig.resolved]
-    ports = [port for table in settings if (port := port_of(table) or getattr(table, "host", None))]
+    ports = [port for table in settings for port in ports_of(table)]
     with lock_ports(ports) if ports else nullcontext(), rig:
         yield rig
 
@@ -94,14 +121,24 @@ def stored_result(run: Path) -> RunResult | None:
     trials = record["trials"]
     figure = run / record["figure"] if record["figure"] is not None else None
     best = None if record["best"] is None else Best.from_record(record["best"])
-    return RunResult(run, trials["done"], trials["rejected"], trials["failed"], best, figure, finished=True)
+    return RunResult(
+        run,
+        trials["done"],
+        trials["rejected"],
+        trials["failed"],
+        best,
+        figure,
+        finished=True,
+        reasons=record.get("reasons", {}),
+        unsettled=record.get("unsettled", 0),
+    )
 
 
 def _measure(
     experiment: Experiment,
     rig: "Rig",
     session: "Session",
-    run: Path,
+    folder: "RunFolder",
     seed: int,
     unit: str,
     progress: "Progress",
@@ -111,11 +148,11 @@ def _measure(
         from labrun.runner.plan import Planner
         from labrun.search.cmaes import search_by_cmaes
 
-        session.expect(expected_trials(experiment, ()))
+        _expect(session, folder, expected_trials(experiment, ()))
         found = search_by_cmaes(
             experiment,
             session,
-            run / "search",
+            folder.path / "search",
             limit_excesses=Planner(experiment, rig).excess_of,
             seed=seed,
             progress=progress,
@@ -123,13 +160,19 @@ def _measure(
     else:
         planned = conditions(experiment, seed)
         table = experiment.run if experiment.kind == "run" else experiment.sweep
-        session.expect(expected_trials(experiment, planned))
+        _expect(session, folder, expected_trials(experiment, planned))
         found = session.measure(planned, order="shuffled" if table is None else table.order)
     if experiment.goal is None:
         return None
     progress.phase("fresh repeats of the leaders")
     name, direction = experiment.goal
     return honest_best(session, found, objective=name, goal=direction, unit=unit, leaders=experiment.leaders)
+
+
+def _expect(session: "Session", folder: "RunFolder", trials: int | None) -> None:
+    """Say how many trials there will be, here and to whoever watches the run from elsewhere."""
+    folder.journal.append("expected", sync=False, trials=trials)
+    session.expect(trials)
 
 
 def objective_unit(experiment: Experiment, rig: "Rig", name: str) -> str:
@@ -143,9 +186,7 @@ def objective_unit(experiment: Experiment, rig: "Rig", name: str) -> str:
     return make_objective(name, table).unit(units.get(channel, ""))
 
 
-def _finish(
-    folder: "RunFolder", best: Best | None, progress: "Progress", draw: Draw | None
-) -> RunResult:
+def _finish(folder: "RunFolder", best: Best | None, progress: "Progress", draw: Draw | None) -> RunResult:
     from labrun.store.disk import replace_durably, saving
 
     progress.phase("packing run.h5")
@@ -157,9 +198,14 @@ def _finish(
         "run": folder.path.name,
         "best": None if best is None else best.to_record(),
         "figure": None if figure is None else figure.name,
+        "reasons": dict(result.reasons),
+        "unsettled": result.unsettled,
     }
     with saving(RESULT_FILE, folder.path):
         replace_durably(folder.path / RESULT_FILE, json.dumps(record, indent=2).encode())
+    if result.unsettled:
+        folder.journal.append("unsettled", trials=result.unsettled, of=result.done)
+        progress.note(result.unsettled_text())
     folder.journal.append("finished", trials=record["trials"])
     return _result(folder, best=best, figure=figure, finished=True)
 
@@ -175,64 +221,15 @@ def _drawn(draw: Draw, run: Path, best: Best | None, progress: "Progress") -> Pa
 
 
 def _result(folder: "RunFolder", *, best: Best | None, figure: Path | None, finished: bool) -> RunResult:
-    statuses = [outcome.status for outcome in folder.outcomes().values()]
+    from labrun.runner.settling import unsettled
+
+    outcomes = list(folder.outcomes().values())
+    statuses = [outcome.status for outcome in outcomes]
     done, rejected, failed = (statuses.count(status) for status in ("done", "rejected", "failed"))
-    return RunResult(folder.path, done, rejected, failed, best, figure, finished)
-
-
-@contextmanager
-def _resumable(folder: "RunFolder") -> Iterator[None]:
-    """Journal why a run ended early, and tell the person how to go on."""
-    from labrun.runner.faults import Interrupted
-
-    try:
-        yield
-    except KeyboardInterrupt as interrupt:  # between two measurements; during one the session sees to it
-        _journal_end(folder, "interrupted", "Ctrl-C")
-        message = f"interrupted by Ctrl-C: actuators are stopped, {_saved(folder)}"
-        raise Interrupted(message, hint=_go_on(folder)) from interrupt
-    except LabrunError as error:
-        _journal_end(folder, "interrupted" if isinstance(error, Interrupted) else "failed", str(error))
-        go_on = f"{_saved(folder)}; {_go_on(folder)}"
-        error.hint = go_on if error.hint is None else f"{error.hint}\n  {go_on}"
-        raise
-    except Exception as error:
-        _journal_end(folder, "failed", f"{type(error).__name__}: {error}")
-        error.add_note(f"{_saved(folder)}; {_go_on(folder)}")
-        raise
-
-
-def _go_on(folder: "RunFolder") -> str:
-    return f"to go on: {resume_line(folder.path)}"
-
-
-def _journal_end(folder: "RunFolder", event: str, reason: str) -> None:
-    try:
-        folder.journal.append(event, reason=reason)
-    except (OSError, LabrunError):  # a full disk: the error that brought us here tells more
-        return
-
-
-def _saved(folder: "RunFolder") -> str:
-    try:
-        count = len(folder.outcomes())
-    except (OSError, LabrunError):
-        return f"what was measured is kept in {folder.path}"
-    return f"{count} trials are kept in {folder.path}"
-
-
-@contextmanager
-def _terminate_like_interrupt() -> Iterator[None]:
-    """Let SIGTERM (a shutdown, a batch system) end a run as Ctrl-C does: actuators first, then the data."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def interrupt(_signal: int, _frame: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    reasons = Counter(
+        f"{outcome.status}: {outcome.reason}" for outcome in outcomes if outcome.status != "done"
+    )
+    timed_out = sum(unsettled(outcome) for outcome in outcomes)
+    return RunResult(
+        folder.path, done, rejected, failed, best, figure, finished, dict(reasons.most_common()), timed_out
+    )

@@ -1,5 +1,6 @@
 """New runs, and the check of a plan."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -7,14 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labrun.errors import SpecError
-from labrun.search.design import conditions
+from labrun.search.constraints import ConstraintError
+from labrun.search.design import Condition, conditions
 from labrun.search.engine import Draw, carry_out, connected
 from labrun.search.forecast import most_trials
 from labrun.search.result import Best, RunResult
 from labrun.search.resume import resume, source_of
 
 if TYPE_CHECKING:
-    from labrun.runner.plan import Plan
+    from labrun.runner.plan import Plan, Planner
     from labrun.runner.progress import Progress
     from labrun.runner.rig import Rig
     from labrun.spec.experiment import Experiment
@@ -26,8 +28,8 @@ __all__ = ["Best", "RunResult", "check", "execute", "resume"]
 def check(loaded: "LoadedExperiment", *, dry_run: bool = False, seed: int = 0) -> "Plan":
     """Return the whole plan, checked against every limit; nothing is connected, moved or written.
 
-    A search chooses its conditions as it goes and keeps them inside the limits itself: of its plan the starting
-    point stands for all, and the number of trials is the most that its stop rules allow.
+    A search chooses its conditions as it goes and keeps them inside the limits itself: its plan says how much of its
+    space may run and what keeps out the rest, and the number of trials is the most that its stop rules allow.
 
     Parameters
     ----------
@@ -49,7 +51,7 @@ def check(loaded: "LoadedExperiment", *, dry_run: bool = False, seed: int = 0) -
             f"{loaded.path} names no scene, so there is no bench to simulate",
             hint='add scene = "..." to [rig]; labrun plugins lists the scenes',
         )
-    return _plan(loaded.experiment, seed, None)
+    return _plan(loaded, seed, None)
 
 
 def execute(
@@ -94,7 +96,7 @@ def execute(
     clock = SimulatedClock() if dry_run else RealClock()
     progress.phase("checking the plan")
     rig = Rig.build(loaded.experiment, clock=clock, seed=seed, dry_run=dry_run)
-    _plan(loaded.experiment, seed, rig).require_feasible()
+    _plan(loaded, seed, rig).require_feasible()
     progress.phase("connecting")
     with connected(rig):
         origin = {
@@ -106,16 +108,20 @@ def execute(
         return carry_out(loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress, draw=draw)
 
 
-def _plan(experiment: "Experiment", seed: int, rig: "Rig | None") -> "Plan":
-    from labrun.runner.plan import ConditionExcess, Planner, plan
+def _plan(loaded: "LoadedExperiment", seed: int, rig: "Rig | None") -> "Plan":
+    from labrun.runner.plan import ConditionExcess, Planner
 
-    chosen = conditions(experiment, seed)
-    found = plan(experiment, chosen, rig=rig)
-    if experiment.kind == "cmaes":
-        found = _as_search(found, experiment)
+    experiment = loaded.experiment
+    planner = Planner(experiment, rig)
+    try:
+        found = _search_plan(experiment, planner) if experiment.kind == "cmaes" else None
+        chosen = [] if found is not None else conditions(experiment, seed)
+    except ConstraintError as error:
+        raise SpecError(f"{loaded.place(error.key)}: {error}") from error
+    found = _counted(planner.plan(chosen) if found is None else found, experiment, chosen)
     reference = experiment.trial.reference
     if reference is not None:
-        excess = Planner(experiment, rig).excess_of(reference.condition)
+        excess = planner.excess_of(reference.condition)
         if excess:
             found = replace(
                 found, excess=(*found.excess, ConditionExcess(reference.condition, tuple(excess)))
@@ -123,19 +129,36 @@ def _plan(experiment: "Experiment", seed: int, rig: "Rig | None") -> "Plan":
     return found
 
 
-def _as_search(found: "Plan", experiment: "Experiment") -> "Plan":
-    """Count the trials of a search; its start may lie outside a limit, since no candidate that does ever runs."""
-    start = conditions(experiment)[0]
-    excess = tuple(item for item in found.excess if item.condition != start)
-    trials = most_trials(experiment, ())
-    share = trials / found.trials
-    most = experiment.trial.repeats.max / experiment.trial.repeats.min
+def _search_plan(experiment: "Experiment", planner: "Planner") -> "Plan":
+    """Return the plan of the points that a search's constraints allow: those outside a limit never run."""
+    from labrun.search.survey import allowed_points, at_points, survey
+
+    assert experiment.cmaes is not None  # noqa: S101  (the file would not have loaded)
+    allowed = allowed_points(experiment.cmaes)
+    found = planner.plan(allowed.conditions or conditions(experiment))
+    space = survey(experiment, allowed, found, planner.excess_of)
+    outside = {id(item) for item in at_points(found.excess, allowed.conditions)}
+    return replace(found, space=space, excess=tuple(item for item in found.excess if id(item) not in outside))
+
+
+def _counted(found: "Plan", experiment: "Experiment", chosen: Sequence[Condition]) -> "Plan":
+    """Count every trial of the run: references and the honest best as well, and all that a search may take."""
+    repeats, leaders = experiment.trial.repeats, experiment.leaders.count
+    least = most_trials(experiment, chosen)
+    most = most_trials(experiment, chosen, repeats=repeats.max)
+    notes = found.notes
+    written = "count" in experiment.leaders.model_fields_set
+    if experiment.goal is not None and chosen and len(chosen) < leaders and written:
+        notes = (
+            *notes,
+            f"leaders.count = {leaders} is more than the {len(chosen)} conditions: all of them are measured again",
+        )
     return replace(
         found,
-        trials=trials,
-        trials_at_most=round(trials * most),
-        time_s=found.time_s * share,
-        time_at_most_s=found.time_s * share * most,
-        disk_bytes=int(found.disk_bytes * share),
-        excess=excess,
+        trials=least,
+        trials_at_most=most,
+        time_s=found.time_s / found.trials * least,
+        time_at_most_s=found.time_at_most_s / found.trials_at_most * most,
+        disk_bytes=int(found.disk_bytes / found.trials * least),
+        notes=notes,
     )

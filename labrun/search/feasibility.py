@@ -1,6 +1,6 @@
 """Which candidates of a search may run, and what those that may not cost."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.devices import Excess
-from labrun.errors import SpecError
+from labrun.errors import RequestError
 from labrun.search.constraints import constraints
 from labrun.search.design import Condition
 from labrun.spec.experiment import CmaEs, Penalty
@@ -51,7 +51,7 @@ class Feasibility:
     def __init__(self, search: CmaEs, limit_excesses: LimitExcesses) -> None:
         self._search = search
         self._limits = limit_excesses
-        self._where = constraints(search.where)
+        self._where = constraints(search.where, "cmaes")
 
     def of(self, conditions: Sequence[Condition]) -> list[Violations]:
         """Return what each condition violates; nothing is moved to find out."""
@@ -80,7 +80,7 @@ class Feasibility:
     def _limit_excesses(self, condition: Condition, *, already_out: bool) -> list[tuple[float, str]]:
         try:
             excesses = self._limits(condition)
-        except SpecError:
+        except RequestError:
             # A gait need not be computable where a constraint forbids it, but must be where it may run.
             if already_out:
                 return []
@@ -89,14 +89,19 @@ class Feasibility:
 
     @cached_property
     def _scales(self) -> list[float]:
-        from scipy.stats import qmc
-
-        variables = self._search.variables
-        lower = [float(variable.start) for variable in variables.values()]
-        upper = [float(variable.stop) for variable in variables.values()]
-        points = qmc.scale(qmc.Sobol(len(variables), scramble=False).random(_PROBES), lower, upper)
-        columns: Mapping[str, FloatArray] = {name: points[:, i] for i, name in enumerate(variables)}
+        columns = probes(self._search, _PROBES)
         return [float(np.max(item.violation(columns))) or 1.0 for item in self._where]
+
+
+def probes(search: CmaEs, count: int) -> dict[str, FloatArray]:
+    """Return `count` (a power of two) Sobol points that fill the search space evenly, a column a variable."""
+    from scipy.stats import qmc
+
+    variables = search.variables
+    lower = [float(variable.start) for variable in variables.values()]
+    upper = [float(variable.stop) for variable in variables.values()]
+    points = qmc.scale(qmc.Sobol(len(variables), scramble=False).random(count), lower, upper)
+    return {name: points[:, index] for index, name in enumerate(variables)}
 
 
 def penalised(

@@ -8,7 +8,7 @@ from labrun.spec.experiment import CmaEs, Experiment
 
 
 def expected_trials(experiment: Experiment, conditions: Sequence[Condition]) -> int | None:
-    """Return the number of trials of a whole run; None if only the search itself will know.
+    """Return the greatest number of trials that a whole run can have; None would be an open end, and no run has one.
 
     Parameters
     ----------
@@ -17,33 +17,44 @@ def expected_trials(experiment: Experiment, conditions: Sequence[Condition]) -> 
 
     Notes
     -----
-    Counts the least number of repeats, the reference trials, and the trials that name and confirm the honest best.
+    Counts the greatest number of repeats, the reference trials, and the trials that name and confirm the honest best.
+    A search that stagnates ends sooner, and candidates that may not run take no trial.
     """
-    stop = experiment.cmaes.stop if experiment.kind == "cmaes" and experiment.cmaes is not None else None
-    if stop is not None and (stop.stagnation is not None or stop.step_size_below is not None):
-        return None
-    return most_trials(experiment, conditions)
+    return most_trials(experiment, conditions, repeats=experiment.trial.repeats.max)
 
 
-def most_trials(experiment: Experiment, conditions: Sequence[Condition]) -> int:
-    """Return `expected_trials`, for a search the most that its stop rules allow.
+def most_trials(
+    experiment: Experiment, conditions: Sequence[Condition], *, repeats: int | None = None
+) -> int:
+    """Return the number of trials with so many repeats of a condition, for a search the most its stop rules allow.
 
-    Candidates that may not run, and rules that end a search sooner, make it less; restarts are counted with the
-    first population.
+    Parameters
+    ----------
+    repeats
+        The least number that the file allows, if None.
     """
+    least = experiment.trial.repeats.min
+    repeats = least if repeats is None else repeats
+    candidates = len(conditions)
+    measured = candidates * repeats
     if experiment.kind == "cmaes" and experiment.cmaes is not None:
-        measured = _most_of_search(experiment.cmaes, experiment.trial.repeats.min)
-    else:
-        measured = len(conditions) * experiment.trial.repeats.min
+        candidates, measured = _most_of_search(experiment.cmaes, least, repeats)
     reference = experiment.trial.reference
     references = 0 if reference is None else math.ceil(measured / reference.every)
     leaders = experiment.leaders
-    count = leaders.count if experiment.kind == "cmaes" else min(leaders.count, len(conditions))
-    honest = 0 if experiment.goal is None else (count + 1) * leaders.repeats
+    honest = 0 if experiment.goal is None else (min(leaders.count, candidates) + 1) * leaders.repeats
     return measured + references + honest
 
 
-def _most_of_search(search: CmaEs, repeats: int) -> int:
-    population = search.population or 4 + int(3 * math.log(len(search.variables)))
-    most = search.stop.iterations * population * repeats
-    return most if search.stop.trials is None else min(most, search.stop.trials)
+def _most_of_search(search: CmaEs, least: int, repeats: int) -> tuple[int, int]:
+    """Return the most candidates, and the most trials of them."""
+    population = search.population_size * 2**search.restarts
+    candidates = search.stop.iterations * population
+    measured = candidates * repeats
+    if search.stop.trials is not None:
+        # A generation begins if its least number of repeats fits in; more repeats may carry it beyond. The first one
+        # always begins.
+        within = max(search.stop.trials, search.population_size * least)
+        measured = min(measured, within + population * (repeats - least))
+        candidates = min(candidates, within // least)
+    return candidates, measured

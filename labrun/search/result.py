@@ -1,11 +1,13 @@
 """What a run comes to."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from labrun.spec.experiment import Value
+
+_MOST_REASONS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +79,10 @@ class RunResult:
         None without an objective that has a goal, and while the run is not finished.
     figure
         Path of the picture; None while the run is not finished.
+    reasons
+        Why trials were rejected or failed, with their number, most frequent first.
+    unsettled
+        Trials that count although the bench had not come to rest before them.
     """
 
     run: Path
@@ -86,6 +92,8 @@ class RunResult:
     best: Best | None
     figure: Path | None
     finished: bool
+    reasons: Mapping[str, int] = field(default_factory=dict)
+    unsettled: int = 0
 
     def to_json(self) -> dict[str, Any]:
         """Return what `--json` prints for run, sweep, cmaes and resume."""
@@ -98,6 +106,9 @@ class RunResult:
     def to_text(self) -> str:
         """Return what the terminal shows at the end."""
         lines = [f"trials    {self.done} done, {self.rejected} rejected, {self.failed} failed"]
+        lines += reason_lines(self.reasons)
+        if self.unsettled:
+            lines.append(f"warning   {self.unsettled_text()}")
         if self.best is not None:
             lines += _best_lines(self.best)
         lines.append(f"run       {self.run}")
@@ -106,6 +117,25 @@ class RunResult:
         if not self.finished:
             lines.append(f"to go on  {resume_line(self.run)}")
         return "\n".join(lines)
+
+    def unsettled_text(self) -> str:
+        """Return the warning about trials that were recorded on a bench that was not at rest."""
+        return unsettled_text(self.unsettled, self.done)
+
+
+def reason_lines(reasons: Mapping[str, int]) -> list[str]:
+    """Return the most frequent reasons of rejected and failed trials, one a line, and how many others there are."""
+    lines = [f"  {count} x {reason}" for reason, count in list(reasons.items())[:_MOST_REASONS]]
+    others = sum(list(reasons.values())[_MOST_REASONS:])
+    return [*lines, f"  {others} x other reasons"] if others else lines
+
+
+def unsettled_text(unsettled: int, done: int) -> str:
+    """Return the warning about trials that were recorded on a bench that was not at rest."""
+    return (
+        f"{unsettled} of {done} accepted trials ({100 * unsettled / max(done, 1):.0f} %) were recorded before the "
+        'bench had come to rest: settling ran into trial.settle.timeout_s, and on_timeout = "go-on"'
+    )
 
 
 def resume_line(run: Path) -> str:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from labrun.errors import LabrunError, RequestError
-from labrun.search.engine import Draw, carry_out, connected, stored_result
+from labrun.search.engine import Draw, carry_out, connected, require_answer, stored_result
 from labrun.search.result import RunResult, resume_line
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def resume(
     Raises
     ------
     RequestError
-        The experiment file has changed since (says which keys), or the folder is no run.
+        The experiment file has changed since (says which keys), the folder is no run, or an imported recording.
     """
     from labrun.runner.clock import RealClock, SimulatedClock
     from labrun.runner.rig import Rig
@@ -51,8 +51,13 @@ def resume(
         if not is_finished(run):  # killed between the result and the journal's last line
             folder.journal.append("finished")
         progress.note(f"{run} is finished; nothing was left to do")
-        return result
+        return require_answer(result, loads_experiment(folder.spec_toml, run.parent.name).experiment)
     origin = folder.provenance
+    if "imported_from" in origin:
+        raise RequestError(
+            f"{run} is a recording made elsewhere, imported from {origin['imported_from']}: nothing is left to resume",
+            hint=f"labrun show {run} shows it",
+        )
     changes = changed_keys(origin)
     if changes:
         _refuse_or_note(run, origin, changes, accept_changed_spec, progress)

@@ -2,8 +2,9 @@
 
 from collections.abc import Iterator, Mapping
 
+from labrun.nearest import nearest
 from labrun.spec.catalogue import DeviceInfo
-from labrun.spec.names import nearest, suggest
+from labrun.spec.names import suggest
 from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem
 

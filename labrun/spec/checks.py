@@ -5,21 +5,33 @@ the others. Whatever has the wrong shape is passed over here: validation reports
 """
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
+from labrun.nearest import nearest
 from labrun.spec.catalogue import DeviceInfo, examine
 from labrun.spec.channels import check_channel
 from labrun.spec.expression import CONSTANTS, FUNCTIONS, ExpressionError, is_comparison, names_in
+from labrun.spec.fit_checks import check_fit
 from labrun.spec.let import order
-from labrun.spec.names import nearest, suggest
+from labrun.spec.names import suggest
 from labrun.spec.plugin_checks import check_plugins, gait_names
 from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem
 from labrun.spec.raw_tables import condition_names, listed_conditions, table
+from labrun.spec.unit_checks import check_units
 
 
-def cross_check(data: Mapping[str, Any]) -> list[Problem]:
-    """Return everything that does not fit together."""
+def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Problem]:
+    """Return everything that does not fit together.
+
+    Parameters
+    ----------
+    data
+        The file as it was read.
+    path
+        The file; without it (a spec stored with a run) nothing beside it is looked for.
+    """
     problems: list[Problem] = []
     devices: dict[str, DeviceInfo] = {}
     for name, device in table(data, "rig", "devices").items():
@@ -28,9 +40,11 @@ def cross_check(data: Mapping[str, Any]) -> list[Problem]:
             problems += found
     conditions = condition_names(data)
     problems += check_plugins(data, devices)
+    problems += check_fit(data, path)
     problems += _check_joints(data, devices)
     problems += _check_references(data, devices)
     problems += _check_conditions(data, conditions)
+    problems += check_units(data, conditions)
     problems += _check_expressions(data, conditions)
     return problems
 
@@ -106,11 +120,6 @@ def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Pro
     reference = table(data, "trial", "reference").get("condition")
     if isinstance(reference, dict):
         yield from _same_names(reference, ("trial", "reference", "condition"), names)
-    for name in table(data, "units"):
-        if name not in names:
-            yield Problem(
-                ("units", name), f"no condition has this name; {suggest(name, names, kind='names')}"
-            )
     let = table(data, "gait", "let")
     for name in names:
         taken = "a part of let" if name in let else "a function" if name in FUNCTIONS else None

@@ -2,7 +2,8 @@
 
 from pydantic_core import ErrorDetails
 
-from labrun.spec.names import nearest, unit_of
+from labrun.nearest import nearest
+from labrun.spec.names import unit_of
 from labrun.spec.positions import KeyPath
 from labrun.spec.problem import shown
 

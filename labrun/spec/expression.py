@@ -256,12 +256,24 @@ def _finite(result: Any, expression: str, names: Mapping[str, Operand]) -> float
         raise ExpressionError(f'expression "{expression}" gives {result!r}, which is not a number')
     bad = ~np.isfinite(array)
     if bad.any():
-        worst = array[bad].flat[0] if array.ndim else array[()]
+        first = np.unravel_index(int(np.argmax(bad)), bad.shape)
         tree = _parse(expression)[0]
-        raise ExpressionError(f'expression "{expression}" gives {worst}{_values(names, tree)}')
+        there = {name: _element(value, array.shape, first) for name, value in names.items()}
+        raise ExpressionError(f'expression "{expression}" gives {array[first]}{_values(there, tree)}')
     if array.ndim == 0:
         return float(array)
     return array if array.dtype.kind == "b" else array.astype(float, copy=False)
+
+
+def _element(value: Operand, shape: tuple[int, ...], index: tuple[Any, ...]) -> Operand:
+    """Return what a name stood for where an element of the result was computed."""
+    if not isinstance(value, np.ndarray):
+        return value
+    try:
+        element: Operand = np.broadcast_to(value, shape)[index].item()
+    except ValueError:  # reduced on the way to the result
+        return value
+    return element
 
 
 def _values(names: Mapping[str, Operand], tree: ast.AST) -> str:

@@ -3,14 +3,14 @@
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
 from labrun.errors import RequestError
+from labrun.nearest import nearest
 from labrun.spec.checks import cross_check
 from labrun.spec.experiment import Experiment
-from labrun.spec.names import nearest
 from labrun.spec.overrides import apply_overrides
 from labrun.spec.positions import KeyPath, Positions, locate
 from labrun.spec.problem import LocatedProblem, Problem, SpecFileError, dotted
@@ -31,12 +31,26 @@ class LoadedExperiment:
         The file. Of a stored experiment, its name alone.
     resolved_toml
         The experiment with overrides and defaults written out; loading it gives an equal experiment.
+    origins
+        The keys that overrides have set, and the override each came from.
     """
 
     experiment: Experiment
     name: str
     path: Path
     resolved_toml: str
+    origins: Mapping[KeyPath, str] = field(default_factory=dict, compare=False)
+
+    def place(self, key: KeyPath) -> str:
+        """Return where the value of a key comes from: "file:line:column", or the override that brought it."""
+        for path, override in self.origins.items():
+            if key[: len(path)] == path:
+                return override
+        try:
+            position = locate(self.path.read_text(encoding="utf-8")).of_value(key)
+        except (OSError, UnicodeDecodeError):  # the file of a stored experiment is its name alone
+            return str(self.path)
+        return f"{self.path}:{position.line}:{position.column}"
 
 
 def load_experiment(path: Path, overrides: Sequence[str] = ()) -> LoadedExperiment:
@@ -62,31 +76,50 @@ def load_experiment(path: Path, overrides: Sequence[str] = ()) -> LoadedExperime
         raise RequestError(f"experiment file {path} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise RequestError(f"experiment file {path} is not text in UTF-8 (byte {error.start})") from error
-    return _load(text, path.stem, path, overrides)
+    return _load(text, path.stem, path, overrides, beside=path)
 
 
-def loads_experiment(text: str, name: str) -> LoadedExperiment:
+def loads_experiment(text: str, name: str, *, plugins: bool = True) -> LoadedExperiment:
     """Read an experiment from its text, for example from the spec stored with a run.
+
+    Parameters
+    ----------
+    text
+        The file's content.
+    name
+        What the experiment is filed under.
+    plugins
+        False to read what a run stored: how its tables fit together, and to the plugins, was checked when the run
+        began. The plugins need not be installed to look at what they measured.
 
     Raises
     ------
     SpecFileError
         All that is wrong with it.
     """
-    return _load(text, name, Path(f"{name}.toml"), ())
+    return _load(text, name, Path(f"{name}.toml"), (), plugins=plugins)
 
 
-def _load(text: str, name: str, path: Path, overrides: Sequence[str]) -> LoadedExperiment:
+def _load(
+    text: str,
+    name: str,
+    path: Path,
+    overrides: Sequence[str],
+    *,
+    beside: Path | None = None,
+    plugins: bool = True,
+) -> LoadedExperiment:
     data = _parse(text, path)
     _expand_short_forms(data, overrides)
     origins = apply_overrides(data, overrides)
     experiment, problems = validate(Experiment, data)
-    problems += cross_check(data)
+    if plugins:
+        problems += cross_check(data, beside)
     if experiment is None or problems:
         where = _Places(path, locate(text), origins, data)
         raise SpecFileError(str(path), where.of_all(problems))
     return LoadedExperiment(
-        cast("Experiment", experiment), name, path, resolved(cast("Experiment", experiment))
+        cast("Experiment", experiment), name, path, resolved(cast("Experiment", experiment)), origins
     )
 
 

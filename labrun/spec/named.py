@@ -34,6 +34,6 @@ def load_named(
     if kind is not None and found != kind:
         raise RequestError(
             f"{loaded.name} is no {kind}: its file says kind = {found!r}",
-            hint=f"labrun {found if found in ('run', 'sweep', 'cmaes') else 'run'} {name}",
+            hint=f"labrun {found} {name}",
         )
     return loaded

@@ -1,9 +1,10 @@
-"""Names people type: the nearest valid one, and units at the end of a key."""
+"""Names people type: what to suggest for a wrong one, and units at the end of a key."""
 
-import difflib
 import math
 from collections.abc import Iterable
 from typing import NamedTuple
+
+from labrun.nearest import nearest
 
 
 class Unit(NamedTuple):
@@ -19,6 +20,7 @@ UNITS: dict[str, Unit] = {
     "rad": Unit("rad", "angle", 1.0),
     "deg_s": Unit("deg/s", "angular speed", math.pi / 180),
     "rad_s": Unit("rad/s", "angular speed", 1.0),
+    "rpm": Unit("rpm", "angular speed", math.pi / 30),
     "s": Unit("s", "time", 1.0),
     "ms": Unit("ms", "time", 1e-3),
     "min": Unit("min", "time", 60.0),
@@ -43,27 +45,22 @@ UNITS: dict[str, Unit] = {
 }
 """Units by the suffix that stands for them in a key."""
 
-
-def nearest(name: str, known: Iterable[str]) -> str | None:
-    """Return the known name most like `name`, or None if none is alike."""
-    candidates = list(known)
-    folded = {candidate.casefold(): candidate for candidate in reversed(candidates)}
-    found = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=0.6)
-    if found:
-        return folded[found[0]]
-    # Names of one letter are like nothing: "freq" or "f0" for "f".
-    starts = [known for key, known in folded.items() if key and name.casefold().startswith(key)]
-    return starts[0] if len(starts) == 1 else None
+KNOWN_UNITS = (
+    *dict.fromkeys(unit.label for unit in UNITS.values()),
+    "1", "%", "us", "kg/s", "kg/m^3", "m/s^2", "deg/s^2", "rad/s^2", "Pa", "kPa", "J", "W", "V", "A", "mA", "N/m",
+    "N m/rad", "N m s/rad", "kg m^2",
+)  # fmt: skip
+"""Units that a person may give to conditions, for tables and figures; "1" has none."""
 
 
-def suggest(name: str, known: Iterable[str], *, kind: str = "known") -> str:
+def suggest(name: str, known: Iterable[str], *, kind: str = "known names") -> str:
     """Return "did you mean ...?", or the list of what there is when nothing is alike."""
     candidates = list(known)
     near = candidates[0] if len(candidates) == 1 else nearest(name, candidates)
     if near is not None:
         return f'did you mean "{near}"?'
     if not candidates:
-        return f"there are no {kind} names here" if kind == "known" else f"there is no {kind} here"
+        return "none is installed" if kind == "installed" else f"there are no {kind} here"
     shown = ", ".join(candidates[:12]) + (", ..." if len(candidates) > 12 else "")
     return f"{kind}: {shown}"
 
@@ -85,13 +82,23 @@ def unit_of(key: str) -> str | None:
 
 
 def same_quantity(key: str, known: Iterable[str]) -> str | None:
-    """Return the known key that names the same quantity in another unit: "timeout_s" for "timeout_ms" or "timeout"."""
+    """Return the known key that names the same quantity in another unit: "timeout_s" for "timeout_ms" or "timeout".
+
+    Of several, such as "speed_m_s" and "speed_deg_s" for "speed_rpm", it is the one of the same dimension.
+    """
     stem, suffix = split_unit(key)
-    for candidate in known:
-        other_stem, other_suffix = split_unit(candidate)
-        if other_suffix is not None and stem == other_stem and suffix != other_suffix:
-            return candidate
-    return None
+    found = [
+        (candidate, other)
+        for candidate in known
+        for other_stem, other in [split_unit(candidate)]
+        if other is not None and stem == other_stem and suffix != other
+    ]
+    alike = [
+        name
+        for name, other in found
+        if suffix is not None and UNITS[other].dimension == UNITS[suffix].dimension
+    ]
+    return next(iter([*alike, *(name for name, _ in found)]), None)
 
 
 def convert(value: object, key: str, to_key: str) -> float | None:

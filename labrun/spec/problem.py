@@ -42,6 +42,10 @@ class LocatedProblem:
         key = self.key + ("" if self.value is None else f" = {shown(self.value)}")
         return ": ".join(part for part in (self.origin, key, self.message) if part)
 
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields by name, for scripts."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
 
 class SpecFileError(SpecError):
     """Everything that is wrong with one experiment file.
@@ -60,6 +64,7 @@ class SpecFileError(SpecError):
         if len(lines) > 1:
             lines.insert(0, f"{name}: {len(problems)} errors")
         super().__init__("\n".join(lines), hint=hint)
+        self.details["problems"] = [problem.to_json() for problem in self.problems]
 
 
 def dotted(path: KeyPath) -> str:

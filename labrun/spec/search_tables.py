@@ -1,5 +1,6 @@
 """The tables that say which trials there are: conditions one by one, sweeps, searches."""
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
@@ -143,9 +144,33 @@ class CmaEs(Table):
     """Leaders of a generation that are measured again in the next one."""
     stop: StopRules = StopRules()
 
+    @property
+    def population_size(self) -> int:
+        """Candidates of a generation: `population`, or Hansen's default for this number of variables."""
+        return self.population or 4 + int(3 * math.log(len(self.variables)))
+
     @model_validator(mode="after")
-    def _parents_fit(self) -> "CmaEs":
+    def _sizes_fit(self) -> "CmaEs":
+        population = self.population_size
         with Faults() as faults:
-            if self.parents is not None and self.population is not None and self.parents > self.population:
-                faults.add("parents", f"{self.parents} is more than population = {self.population}")
+            if len(self.variables) < 2:
+                faults.add(
+                    "variables",
+                    'CMA-ES searches over at least two variables; one is found more surely by kind = "sweep"',
+                    of=("variables",),
+                )
+            if self.parents is not None and 2 * self.parents > population:
+                faults.add(
+                    "parents",
+                    f"more than half of the population of {population}: parents selects the better part of a "
+                    f"generation, at most {population // 2}",
+                    of=("parents", "population", "variables"),
+                )
+            if self.reevaluate > population - 2:
+                faults.add(
+                    "reevaluate",
+                    f"leaves no room for new candidates in a population of {population}: measure a few leaders again, "
+                    "for example 3",
+                    of=("reevaluate", "population", "variables"),
+                )
         return self

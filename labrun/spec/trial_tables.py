@@ -1,8 +1,9 @@
 """The tables of a trial: how long, how often, and what makes it trustworthy."""
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
 from labrun.spec.fault import Faults
 from labrun.spec.table import Expression, Number, Table, Value
@@ -17,6 +18,21 @@ class RepeatRule(Table):
     min: PositiveInt
     max: PositiveInt
     standard_error: dict[str, PositiveFloat] = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _table_or_number(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping | RepeatRule):
+            raise ValueError("a whole number, or a table { min = 3, max = 10 }")
+        return data
+
+    @field_validator("standard_error", mode="before")
+    @classmethod
+    def _bound_of_each(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping):
+            bound = f"{data:g}" if isinstance(data, float | int) else "..."
+            raise ValueError(f"a table with a bound for each objective by its name: {{ thrust = {bound} }}")
+        return data
 
     @model_validator(mode="after")
     def _ordered(self) -> "RepeatRule":
@@ -104,12 +120,23 @@ class TrialTable(Table):
     @model_validator(mode="after")
     def _one_length(self) -> "TrialTable":
         with Faults() as faults:
+            length = ("cycles", "duration_s")
             if self.cycles is None and self.duration_s is None:
-                faults.add(None, "has no length: give either cycles or duration_s")
+                faults.add(None, "has no length: give either cycles or duration_s", of=length)
             if self.cycles is not None and self.duration_s is not None:
-                faults.add("duration_s", "the trial has two lengths: give either cycles or duration_s")
+                faults.add(
+                    "duration_s", "the trial has two lengths: give either cycles or duration_s", of=length
+                )
             if isinstance(self.cycles, int) and self.discard_cycles >= self.cycles:
-                faults.add("discard_cycles", f"{self.discard_cycles} leaves nothing of {self.cycles} cycles")
+                faults.add(
+                    "discard_cycles",
+                    f"{self.discard_cycles} leaves nothing of {self.cycles} cycles",
+                    of=("cycles", "discard_cycles"),
+                )
             if self.cycles == "fit" and self.carriage is None:
-                faults.add("cycles", '"fit" needs a carriage, whose travel sets the length')
+                faults.add(
+                    "cycles",
+                    '"fit" needs a carriage, whose travel sets the length',
+                    of=("cycles", "carriage"),
+                )
         return self

@@ -9,8 +9,9 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from labrun.nearest import nearest
 from labrun.spec.expectation import expectation
-from labrun.spec.names import UNITS, convert, nearest, same_quantity, split_unit, suggest, unit_of
+from labrun.spec.names import UNITS, convert, same_quantity, split_unit, suggest, unit_of
 from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem
 
@@ -191,10 +192,13 @@ class _Repair:
         return unknown_key(path, table.get(path[-1]), known)
 
     def _faults(self, path: KeyPath, error: ErrorDetails) -> Iterator[Problem]:
-        for key, message in error["ctx"]["faults"]:
+        for key, message, of in error["ctx"]["faults"]:
             full = (*path, *key)
-            # A rule over several keys says nothing new once one of them has been refused.
-            refused = any(item[:-1] == path for item in self._refused)
+            # A rule over several keys says nothing new once one of them, or something inside, has been refused.
+            refused = any(
+                (item[:-1] == path and (of is None or item[-1] in of)) or (key and item[: len(full)] == full)
+                for item in self._refused
+            )
             if not refused and not self._follows_from_repair(full):
                 yield Problem(full, message, at_value=bool(key))
             if key:

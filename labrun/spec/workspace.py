@@ -3,7 +3,6 @@
 import shutil
 from pathlib import Path
 
-import labrun
 from labrun.errors import RequestError
 from labrun.spec.names import suggest
 
@@ -12,7 +11,7 @@ _RESULTS = "results"
 
 def shipped_experiments() -> Path:
     """Return the folder of the experiments that come with labrun: in the installed package, or the checkout."""
-    package = Path(labrun.__file__).parent
+    package = Path(__file__).parents[1]
     installed = package / "shipped_experiments"
     return installed if installed.is_dir() else package.parent / "experiments"
 

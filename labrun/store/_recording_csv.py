@@ -1,7 +1,6 @@
 """CSV columns of a recording: a fast way for good files, a slow one that finds every fault of bad ones."""
 
 import csv
-import difflib
 import io
 import math
 from collections.abc import Mapping, Sequence
@@ -9,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from labrun.nearest import nearest
 
 FloatArray = NDArray[np.float64]
 _SHOWN_PER_KIND = 3
@@ -54,9 +55,9 @@ def read_columns(
 def _read_text(path: Path, listed_at: str) -> tuple[str | None, str]:
     if not path.is_file():
         here = sorted(entry.name for entry in path.parent.glob("*.csv")) if path.parent.is_dir() else []
-        near = difflib.get_close_matches(path.name, here, n=1)
+        near = nearest(path.name, here)
         return None, f"{listed_at}: the file {path} does not exist" + (
-            f"; did you mean {near[0]}?" if near else ""
+            f"; did you mean {near}?" if near else ""
         )
     data = path.read_bytes()
     try:
@@ -79,13 +80,9 @@ def _header_faults(path: Path, header: Sequence[str], wanted: Sequence[str]) -> 
             f"{path}:1: columns are separated by {mark}; expected commas (and a point in decimal numbers)"
         ]
     for name in missing:
-        near = difflib.get_close_matches(
-            name, [other for other in header if other not in wanted], n=1, cutoff=0.4
-        )
+        near = nearest(name, [other for other in header if other not in wanted], cutoff=0.4)
         there = (
-            f"the nearest is {near[0]!r}"
-            if near
-            else "there are " + ", ".join(repr(other) for other in header)
+            f"the nearest is {near!r}" if near else "there are " + ", ".join(repr(other) for other in header)
         )
         faults.append(f"{path}:1: column {name!r} is missing; {there}")
     return faults
@@ -127,11 +124,11 @@ def _row_faults(path: Path, lines: Sequence[str], header: Sequence[str], wanted:
 
     columns = {name: list(header).index(name) for name in wanted}
     ends = _early_ends(lines, len(header), columns)
-    for name, line in ends.items():
+    for name, end in ends.items():
         note(
             "short",
             name,
-            f"{path}:{line + 1}: column {name!r} ends after line {line}; the file goes on to line {len(lines)}",
+            f"{path}:{end + 1}: column {name!r} ends after line {end}; the file goes on to line {len(lines)}",
         )
     previous, previous_line = -math.inf, 0
     for number, line in enumerate(lines[1:], start=2):

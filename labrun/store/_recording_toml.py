@@ -1,6 +1,5 @@
 """`recording.toml`: its channels and trials, and every fault with its line."""
 
-import difflib
 import math
 import re
 import tomllib
@@ -9,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
+from labrun.nearest import nearest
 from labrun.spec.positions import KeyPath, locate
 
 Kind = Literal["input", "output"]
@@ -16,6 +16,10 @@ Between = Literal["linear", "hold", "band-limited"]
 _KINDS = ("input", "output")
 _BETWEENS = ("linear", "hold", "band-limited")
 _UNNUMBERED = 0
+_FOLDER_NAME = re.compile(r"(?![.\s])[^/\\\x00-\x1f\x7f]+(?<![.\s])")
+"""Runs are filed under the experiment's name: it is one folder, inside the results."""
+_LONGEST_NAME = 120
+"""Bytes; file systems take 255, and a temporary file's name is longer than what it stands for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +79,20 @@ class _Reader:
 
     def read(self, data: Mapping[str, Any]) -> tuple[Contents, list[str]]:
         self._known(data, ("experiment", "channels", "trials"), (), "the file")
-        name = data.get("experiment", self._path.parent.name)
+        folder = self._path.parent.resolve().name
+        name = data.get("experiment", folder)
         if not isinstance(name, str) or not name:
             self._fault(("experiment",), f"experiment is a name in quotes, not {name!r}")
-            name = self._path.parent.name
+        elif not _FOLDER_NAME.fullmatch(name) or len(name.encode()) > _LONGEST_NAME:
+            origin = "" if "experiment" in data else " (the folder's own, as recording.toml gives none)"
+            self._fault(
+                ("experiment",),
+                f'experiment is {name!r}{origin}; expected the name of one folder, such as "ring-down": '
+                f"no slash, backslash or control character, no point or space at either end, "
+                f"at most {_LONGEST_NAME} bytes",
+            )
         contents = Contents(
-            name, self._channels(data.get("channels", {})), self._trials(data.get("trials", []))
+            str(name), self._channels(data.get("channels", {})), self._trials(data.get("trials", []))
         )
         return contents, self._faults
 
@@ -227,5 +239,5 @@ class _Reader:
 
 
 def _nearest(found: str, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(found, known, n=1)
-    return f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(known)}"
+    near = nearest(found, known)
+    return f"did you mean {near!r}?" if near else f"expected one of {', '.join(known)}"

@@ -2,6 +2,7 @@
 
 import csv
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -9,11 +10,15 @@ from labrun.errors import RequestError
 from labrun.store import packed_file, table
 from labrun.store.disk import fsync_file, saving
 from labrun.store.reading import Run
+from labrun.store.recording import is_recording
+from labrun.store.trial import TrialOutcome
 
 SUFFIXES = {"csv": ".csv", "netcdf": ".nc"}
 
 
-def export_run(run: Run, to: str, output: Path | None = None) -> Path:
+def export_run(
+    run: Run, to: str, output: Path | None = None, *, outcomes: Sequence[TrialOutcome] | None = None
+) -> Path:
     """Write a run in another format.
 
     Parameters
@@ -21,27 +26,46 @@ def export_run(run: Run, to: str, output: Path | None = None) -> Path:
     to
         ``"csv"`` or ``"netcdf"``.
     output
-        The file; without it, ``<experiment>-<run>.csv`` (or ``.nc``) in the run's folder.
+        The file; without it, ``<experiment>-<run>.csv`` (or ``.nc``) in the run's folder; of a recording folder,
+        which is left as it is, ``<name>.csv`` in the current directory.
+    outcomes
+        Rows of the CSV in place of the run's own, for one that has columns more.
 
     Raises
     ------
     RequestError
-        Unknown format.
+        Unknown format, `output` is a folder, or a file of the recording.
     StoreError
         The file cannot be written.
     """
     if to not in SUFFIXES:
         raise RequestError(f"a run cannot be exported to {to!r}", hint=f"formats: {', '.join(SUFFIXES)}")
-    folder = run.path if run.path.is_dir() else run.path.parent
-    target = output if output is not None else folder / f"{run.name}-{run.identifier}{SUFFIXES[to]}"
+    target = output if output is not None else _beside(run, SUFFIXES[to])
+    if target.is_dir():
+        raise RequestError(
+            f"--output {target} is a folder; expected the file to write",
+            hint=f"--output {target / _beside(run, SUFFIXES[to]).name}",
+        )
+    if is_recording(run.path) and target.exists() and target.resolve().parent == run.path.resolve():
+        raise RequestError(
+            f"{target} is there already, in the recording that is to be exported",
+            hint="name another --output",
+        )
     if to == "csv":
-        to_csv(run, target)
+        to_csv(run, target, outcomes)
     else:
         to_netcdf(run, target)
     return target
 
 
-def to_csv(run: Run, output: Path) -> None:
+def _beside(run: Run, suffix: str) -> Path:
+    if is_recording(run.path):
+        return Path(f"{run.name}{suffix}")
+    folder = run.path if run.path.is_dir() else run.path.parent
+    return folder / f"{run.name}-{run.identifier}{suffix}"
+
+
+def to_csv(run: Run, output: Path, outcomes: Sequence[TrialOutcome] | None = None) -> None:
     """Write one row a trial: index, conditions, repeat, status, objectives; then role, reason and times.
 
     Numbers are written so that they come back bit for bit; an empty cell is a number that there is not.
@@ -51,7 +75,7 @@ def to_csv(run: Run, output: Path) -> None:
     StoreError
         The file cannot be written.
     """
-    columns = table.variables(run.outcomes, {})
+    columns = table.variables(run.outcomes if outcomes is None else outcomes, {})
     with saving(output.name, output.parent, "the run itself is untouched"):
         output.parent.mkdir(parents=True, exist_ok=True)
         with output.open("w", newline="", encoding="utf-8") as file:

@@ -109,11 +109,6 @@ class RunFolder:
         data: dict[str, Any] = json.loads(text)
         return data
 
-    def update_provenance(self, **entries: Any) -> None:
-        """Add entries known only later (the identities of the devices), durably."""
-        with saving(PROVENANCE, self.path):
-            replace_durably(self.path / PROVENANCE, _json({**self.provenance, **entries}))
-
     @contextmanager
     def lock(self) -> Iterator[None]:
         """Hold the run for this process; may be entered again by who holds it.
@@ -205,6 +200,8 @@ class RunFolder:
             role=outcome.role,
             repeat=outcome.repeat,
             status=outcome.status,
+            reason=outcome.reason,
+            objectives=outcome.objectives,
             **described,
         )
         if self._known is not None:

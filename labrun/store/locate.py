@@ -1,10 +1,10 @@
 """Which run is meant by what a person types."""
 
-import difflib
 import tomllib
 from pathlib import Path
 
 from labrun.errors import RequestError
+from labrun.nearest import nearest
 from labrun.store.folder import PACKED, SPEC
 from labrun.store.journal import Journal
 
@@ -101,9 +101,9 @@ def _unknown(target: str, results: Path) -> RequestError:
             hint=f"labrun {_command(files[target])} {target} --dry-run makes one",
         )
     with_runs = sorted({run.parent.name for run in all_runs(results)})
-    near = difflib.get_close_matches(target, [*with_runs, *files], n=1)
+    near = nearest(target, [*with_runs, *files])
     if near:
-        hint = f"did you mean {near[0]!r}?"
+        hint = f"did you mean {near!r}?"
     elif with_runs:
         hint = f"experiments with runs: {', '.join(with_runs)}"
     else:

@@ -3,6 +3,7 @@
 import fcntl
 import json
 import os
+import platform
 import weakref
 from datetime import UTC, datetime
 from pathlib import Path
@@ -43,7 +44,7 @@ class FileLock:
         RigBusyError
             Someone else holds it: names process id, start and command.
         """
-        descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
+        descriptor = _opened(self.path)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -55,6 +56,7 @@ class FileLock:
             ) from None
         note = {
             "pid": os.getpid(),
+            "machine": platform.node(),
             "since": datetime.now(UTC).isoformat(timespec="seconds"),
             "subject": self.subject,
         }
@@ -74,6 +76,14 @@ class FileLock:
             os.close(self._descriptor)
             self._descriptor = None
         _held.discard(self)
+
+
+def _opened(path: Path) -> int:
+    # Made only if it is missing: in a sticky folder the kernel refuses O_CREAT on a file of another user.
+    try:
+        return os.open(path, os.O_RDWR)
+    except FileNotFoundError:
+        return os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
 
 
 def _holder(descriptor: int) -> str:

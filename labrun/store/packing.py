@@ -3,23 +3,17 @@
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from labrun.errors import StoreError
 from labrun.store import packed_file
 from labrun.store.disk import fsync_directory, fsync_file, saving
+from labrun.store.folder import PACKED, TRIALS, RunFolder
 from labrun.store.sources import TrialSources
 from labrun.store.trial import TrialOutcome
 from labrun.store.trial_file import trial_files
 
-if TYPE_CHECKING:
-    from labrun.store.folder import RunFolder
 
-PACKED = "run.h5"
-TRIALS = "trials"
-
-
-def pack(folder: "RunFolder") -> Path:
+def pack(folder: RunFolder) -> Path:
     """Put all trials of a run into ``run.h5``, verify it, and only then remove the trial files.
 
     A run that was packed before and went on is packed anew from both. A crash at any instant leaves the old
@@ -55,7 +49,7 @@ def pack(folder: "RunFolder") -> Path:
 
 
 def _write_verified(
-    folder: "RunFolder", target: Path, outcomes: Mapping[int, TrialOutcome], sources: TrialSources
+    folder: RunFolder, target: Path, outcomes: Mapping[int, TrialOutcome], sources: TrialSources
 ) -> None:
     partial = target.with_name(f"{PACKED}.partial")
     try:

@@ -1,6 +1,5 @@
 """A recording: `recording.toml` beside CSV files, measured by anyone. Read whole, or refused with every fault."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -150,12 +149,3 @@ def condition_label(condition: Mapping[str, float | str]) -> str:
         for name, value in condition.items()
     ]
     return ", ".join(parts)
-
-
-def condition_key(condition: Mapping[str, float | str]) -> tuple[tuple[str, float | str], ...]:
-    """Return a hashable form in which equal conditions are equal, whatever the order of their names."""
-    return tuple(sorted((name, _plain(value)) for name, value in condition.items()))
-
-
-def _plain(value: float | str) -> float | str:
-    return value if isinstance(value, str) or math.isnan(value) else float(value)

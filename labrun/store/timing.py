@@ -29,7 +29,7 @@ class StreamReport:
     offset_s
         Run clock minus device clock at the start of the stream.
     drift_ppm
-        How fast the offset changes, parts per million; 0 where the trial is too short to tell.
+        How fast the offset changes, parts per million; None where the trial is too short to tell.
     glitches
         Places where the device's time jumped, stood still or ran backwards.
     """
@@ -38,7 +38,7 @@ class StreamReport:
     jitter_s: float
     lost: int
     offset_s: float
-    drift_ppm: float
+    drift_ppm: float | None
     glitches: int
 
 
@@ -105,11 +105,11 @@ class ClockMap:
         return self._knots[0][0][1] if self._knots else np.nan
 
     @property
-    def drift_ppm(self) -> float:
-        """Change of the offset over the longest epoch, parts per million of device time."""
+    def drift_ppm(self) -> float | None:
+        """Change of the offset over the longest epoch, parts per million of device time; None below three windows."""
         knots = max(self._knots, key=len, default=[])
         if len(knots) < 3:
-            return 0.0
+            return None
         time_s, offset_s = np.array(knots).T
         return float(np.polyfit(time_s - time_s[0], offset_s, 1)[0] * 1e6)
 
@@ -160,38 +160,12 @@ class TimeMapper:
         return lifted
 
 
-def trial_time(
-    device_time_s: FloatArray, host_time_s: FloatArray, *, rate_hz: float, start_s: float
-) -> tuple[FloatArray, int]:
-    """Map a whole stream to trial-relative time.
-
-    Parameters
-    ----------
-    device_time_s, host_time_s : (n,)
-        As the device gave them.
-    rate_hz
-        Nominal rate.
-    start_s
-        The run clock's time at the start of the trial.
-
-    Returns
-    -------
-    time_s : (n,)
-        Strictly increasing, s.
-    glitches
-        Number of places where the device's time had to be mended.
-    """
-    clock = ClockMap(rate_hz)
-    clock.learn(device_time_s, host_time_s)
-    return clock.mapper(start_s)(device_time_s), clock.glitches
-
-
 def stream_report(stream: Stream) -> StreamReport:
     """Tell rate, jitter, losses and clock of one stream."""
     clock = ClockMap(stream.rate_hz)
     clock.learn(stream.device_time_s, stream.host_time_s)
     if len(stream.time_s) < 2:
-        return StreamReport(np.nan, np.nan, stream.lost, clock.offset_s, 0.0, clock.glitches)
+        return StreamReport(np.nan, np.nan, stream.lost, clock.offset_s, None, clock.glitches)
     steps = np.diff(stream.time_s)
     typical = float(np.median(steps))
     rate_hz = (len(steps) + stream.lost) / float(stream.time_s[-1] - stream.time_s[0])

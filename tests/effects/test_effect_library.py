@@ -19,7 +19,8 @@ LABELS = [f"{one.id}-{one.kind}" for one in shipped()]
 @pytest.mark.parametrize("between", ["linear", "hold"])
 def test_an_effect_vanishes_at_its_neutral_value(effect, between):
     model = MODEL.with_between({"torque": between})
-    attached = AttachedEffect(effect, SITES[effect.kind], effect.neutral_values())
+    neutral = [one.starts[0] if one.neutral is None else one.neutral for one in effect.parameters]
+    attached = AttachedEffect(effect, SITES[effect.kind], tuple(neutral))
     plain = simulate(model, TIME, DRIVE, substeps=4)
     assert simulate(model, TIME, DRIVE, effects=[attached], substeps=4).outputs == pytest.approx(
         plain.outputs, abs=1e-12

@@ -134,6 +134,11 @@ def test_any_text_is_either_an_equation_or_a_clear_error_and_never_runs(text):
     assert set(re.findall(r"[A-Za-z_]+", re.sub(r"\d[\d.]*(e[+-]?\d+)?", "", source))) <= allowed
 
 
+def test_a_root_of_a_negative_constant_is_not_a_number_instead_of_complex():
+    model = parse_model('name = "static"\n[outputs]\ny = "(-1)^0.5 + 2^0.5"\n', "static.toml")
+    assert math.isnan(_call(model.output.address, (0.0,), 1)[0])
+
+
 def test_powers_bind_as_in_mathematics():
     outputs = 'p = "-a^2"\nq = "2^a^2"\nr = "a^-1"\ns = "(a > 1) + (b > 1)"'
     text = f'name = "static"\ninputs = ["a", "b", "c"]\n[outputs]\n{outputs}'

@@ -30,13 +30,15 @@ class MemoryRun:
         force = (
             outcome.objectives.get("thrust", 0.0) + 0.3 * wave + 0.02 * rng.standard_normal(len(time_s)) + 1.0
         )
+        kept = np.setdiff1d(np.arange(len(time_s)), 5 + 7 * np.arange(self.lost))
+        time_s = time_s[kept]
         stream = Stream(
             "wrench",
             (Channel("force_x", "N"),),
             time_s,
             time_s,
             time_s,
-            force[:, None],
+            force[kept, None],
             self.rate_hz,
             lost=self.lost,
         )

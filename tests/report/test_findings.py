@@ -4,14 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import tomli_w
 from memory_run import MemoryRun, sweep_view
 from rich.console import Console
 
+from labrun.errors import SpecError
 from labrun.report.data import RunView
-from labrun.report.findings import Findings
+from labrun.report.findings import Findings, findings
 from labrun.report.progress import LiveProgress
 from labrun.report.statistics import drift, repeatability, settling, stream_health
 from labrun.report.words import duration_text, label
+from labrun.spec.loading import loads_experiment
+from labrun.store.folder import RunFolder
+from labrun.store.reading import open_run
 from labrun.store.trial import TrialOutcome
 
 
@@ -67,6 +72,43 @@ def test_streams_are_reported_with_rate_jitter_and_losses():
     assert found.jitter_s == pytest.approx(0.0, abs=1e-9)
     assert found.lost == 6
     assert found.lost_share == pytest.approx(6 / (found.samples + 6))
+    assert (found.clock_offset_s, found.clock_drift_ppm) == (0.0, None)
+
+
+def test_a_clock_is_reported_with_its_offset_and_the_drift_from_trial_to_trial():
+    view = sweep_view(lambda c: 0.0, {"f": [1, 2]}, repeats=3)
+
+    class OwnClock(MemoryRun):
+        def streams(self, index):
+            stream = super().streams(index)["wrench"]
+            host_time_s = stream.host_time_s + 60.0 * index
+            device_time_s = (host_time_s + 12.0) * (1 - self.drift)
+            return {"wrench": replace(stream, device_time_s=device_time_s, host_time_s=host_time_s)}
+
+    run = OwnClock(view.run.outcomes)
+    run.drift = 50e-6
+    (found,) = stream_health(RunView(run, view.experiment, None), range(6))
+    assert found.clock_offset_s == pytest.approx(-12.0, abs=0.02)
+    assert found.clock_drift_ppm == pytest.approx(50, abs=1)
+    assert found.glitches == 0
+
+
+def test_a_stored_run_is_read_where_its_plugins_are_not_installed(tmp_path):
+    text = tomli_w.dumps(
+        sweep_view(lambda c: 0.0, {"f": [1]}).experiment.model_dump(by_alias=True, exclude_none=True)
+    )
+    text = text.replace('"cycle-mean"', '"gone:Mean"').replace('"robotiq-ft300"', '"gone:Wrench"')
+    text = text.replace('"sine"', '"gone:Sine"')
+    folder = RunFolder.create(tmp_path, "fin", text, {"seed": 1})
+    for index in range(3):
+        folder.writer(index).finish(
+            TrialOutcome(index, {"f": 1.0}, index, objectives={"thrust": 1.0 + index}), None, None
+        )
+    found = findings(open_run(folder.path))
+    assert found.repeatability[0].sd == pytest.approx(1.0)
+    assert found.repeatability[0].unit == ""
+    with pytest.raises(SpecError, match="gone"):
+        loads_experiment(text, "fin")
 
 
 def found_of(view, tmp_path, **changes):
@@ -96,6 +138,20 @@ def test_findings_print_everything_one_asks_of_a_run(tmp_path):
         "figure",
     ):
         assert expected in text
+
+
+def test_clocks_of_the_streams_are_printed_whole_in_80_columns(tmp_path):
+    view = sweep_view(lambda c: c["f"], {"f": [1, 2]})
+    (health,) = stream_health(view, [0, 1])
+    console = Console(file=io.StringIO(), width=80)
+    streams = [
+        replace(health, clock_offset_s=812.34, clock_drift_ppm=-51.0, jitter_s=9.6e-4, samples=20235, lost=12)
+    ]
+    found_of(view, tmp_path, streams=streams).print(console)
+    (row,) = [line for line in console.file.getvalue().splitlines() if line.strip().startswith("wrench")]
+    assert "812.3 s" in row
+    assert "-51 ppm" in row
+    assert "…" not in console.file.getvalue()
 
 
 def test_findings_are_json_without_holes(tmp_path):

@@ -95,6 +95,12 @@ class Servo:
         runaway_after_s: float | None = None
         stop_fails: bool = False
         pose_fails_after_s: float | None = None
+        hot_after_s: float | None = None
+        dash_after_s: float | None = None
+        open_log: str | None = None
+        reopen_fails: bool = False
+        identify_fails: bool = False
+        stop_hangs_s: float = 0.0
 
     def __init__(self, name, settings, context):
         self.name = name
@@ -104,18 +110,29 @@ class Servo:
         self.scene = context.scene
         self.angle_rad = 0.0
         self.moves = []
+        self.opened_s = None
+        self.side = 1.0
 
     def open(self):
+        witness(self.settings.open_log, f"open {self.name}")
+        if self.opened_s is not None and self.settings.reopen_fails:
+            raise OSError("the port is gone")
         self.opened_s = self.clock.now()
 
     def identify(self):
+        if self.settings.identify_fails:
+            raise OSError("no answer")
         return Identity("pond servo", serial="1")
 
     def health(self):
+        hot = self.settings.hot_after_s
+        if hot is not None and self.clock.now() - self.opened_s > hot:
+            return Health(temperature_c=90.0)
         return Health(temperature_c=self.settings.temperature_c)
 
     def safe_stop(self):
         witness(self.settings.stop_log, f"safe_stop {self.name} {os.getpid()}")
+        time.sleep(self.settings.stop_hangs_s)
         if self.settings.stop_fails:
             raise OSError("the cable is gone")
 
@@ -132,6 +149,10 @@ class Servo:
         runaway = self.settings.runaway_after_s
         if runaway is not None and self.clock.now() - self.opened_s > runaway:
             return {"tail": 3.0}
+        dash = self.settings.dash_after_s
+        if dash is not None and self.clock.now() - self.opened_s > dash:
+            self.side = -self.side
+            return {"tail": self.side}
         return {"tail": self.angle_rad}
 
     def follow(self, trajectory: Trajectory, start_s):

@@ -168,14 +168,3 @@ def test_pure_noise_counts_as_stagnation(tmp_path):
     bench = AnalyticBench(lambda c: 0.0, noise=1.0, repeats=RepeatRule(min=3, max=3))
     search(experiment, bench, tmp_path)
     assert len(read_generations(tmp_path)) < 60
-
-
-def test_more_parents_than_half_the_population_are_refused(tmp_path):
-    experiment = search_experiment(box("ab"), population=10, parents=6)
-    with pytest.raises(PlanError, match="parents = 6"):
-        search(experiment, AnalyticBench(hill), tmp_path)
-
-
-def test_a_search_over_one_variable_is_refused_with_what_would_do(tmp_path):
-    with pytest.raises(PlanError, match="two variables"):
-        search(search_experiment(box("a")), AnalyticBench(hill), tmp_path)

@@ -5,7 +5,8 @@ import signal
 import pytest
 from analytic_bench import search_experiment
 
-from labrun.errors import LabrunError, PlanError, RequestError
+from labrun.errors import LabrunError, PlanError, RequestError, SpecError
+from labrun.report.plan_text import plan_text
 from labrun.runner.faults import Interrupted
 from labrun.runner.progress import SilentProgress
 from labrun.search.execute import check, execute, resume
@@ -176,11 +177,111 @@ def test_a_seed_that_is_not_given_is_drawn_and_stored(write, tmp_path):
     assert len(seeds) == 2
 
 
-def test_the_trials_of_an_open_ended_search_are_not_promised():
+def test_the_trials_of_a_search_are_promised_as_the_most_there_can_be():
     from labrun.search.forecast import expected_trials
 
     variables = {"a": {"from": 0, "to": 1}, "b": {"from": 0, "to": 1}}
-    open_ended = search_experiment(variables, stop={"iterations": 1000, "stagnation": 10})
-    assert expected_trials(open_ended, ()) is None
     bounded = search_experiment(variables, population=10, stop={"iterations": 7})
     assert expected_trials(bounded, ()) == 70 + 6 * 5
+    stagnating = search_experiment(variables, population=10, stop={"iterations": 7, "stagnation": 3})
+    assert expected_trials(stagnating, ()) == 70 + 6 * 5
+    restarted = search_experiment(variables, population=10, restarts=1, stop={"iterations": 7, "trials": 100})
+    assert expected_trials(restarted, ()) == 100 + 6 * 5
+
+
+def test_the_plan_of_a_sweep_counts_every_trial_the_run_has(write, dry_run):
+    path = write("sweep", extra="[trial.reference]\nevery = 5\ncondition = { a = 30, f = 1.2 }\n")
+    plan = check(load_experiment(path))
+    assert plan.trials == plan.trials_at_most == 12 + 3 + 3 * 3 == dry_run(path).done
+
+
+def test_more_leaders_than_conditions_are_noticed(write):
+    path = write("sweep")
+    path.write_text(path.read_text().replace("count = 2", "count = 99999"))
+    plan = check(load_experiment(path))
+    assert plan.trials == 12 + 7 * 3
+    assert any("leaders.count = 99999" in note for note in plan.notes)
+
+
+def test_the_time_of_a_plan_ranges_from_the_least_settling_to_its_timeout(write):
+    path = write("sweep")
+    quiet = '{ until = "quiet", hold_s = 2, timeout_s = 50 }'
+    path.write_text(path.read_text().replace('{ until = "time", hold_s = 1 }', quiet))
+    plan = check(load_experiment(path))
+    assert (plan.settle_s, plan.settle_at_most_s) == (4.0, 50.0)
+    assert plan.time_at_most_s - plan.time_s == pytest.approx(plan.trials * 46.0)
+
+
+def test_an_actuator_without_limits_is_noticed(write, tmp_path):
+    loaded = load_experiment(write("sweep"), ["rig.devices.tail.limits={}"])
+    plan = check(loaded)
+    assert any(note.startswith("tail has no limit set") for note in plan.notes)
+    assert plan_text(plan, tmp_path).count("no limit set") == 3
+
+
+def test_the_plan_of_a_search_says_how_much_of_its_space_may_run(write, tmp_path):
+    plan = check(load_experiment(write("cmaes"), ["cmaes.where=['a <= 35']"]))
+    assert plan.space.share == pytest.approx(0.5, abs=0.01)
+    assert plan.peaks[0].angle_deg == pytest.approx((-35, 35), abs=0.5)
+    text = plan_text(plan, tmp_path)
+    assert "about 50 % of the search space may run" in text
+    assert "stay inside" not in text
+    assert plan.report()["search_space"]["share"] == plan.space.share
+
+
+def test_a_bound_that_a_linked_parameter_breaks_is_named_in_the_plan_of_a_search(write):
+    linked = ['gait.joints.tail.amplitude_deg="-2*a"', 'cmaes.where=["a <= 60"]']
+    plan = check(load_experiment(write("cmaes"), linked))
+    angles = [item for item in plan.space.breaks if item.what.startswith("angle of tail")]
+    assert plan.space.share < 0.45
+    assert sum(item.share for item in angles) == pytest.approx(0.6, abs=0.02)  # a above 30 of 10 to 60
+    assert "60 deg, at worst" in angles[0].what
+
+
+def test_a_search_that_starts_outside_a_limit_says_so(write, tmp_path):
+    loaded = load_experiment(write("cmaes"), ["rig.devices.tail.limits.angle_deg=[-30, 30]"])
+    plan = check(loaded)
+    assert any("angle of tail" in text for text in plan.space.start)
+    assert "the search starts where it may not run" in plan_text(plan, tmp_path)
+    plan.require_feasible()
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ("rig.devices.tail.limits.angle_deg=[-1, 1]", "angle of tail"),
+        ('cmaes.where=["a > 100"]', "100 % break: a > 100"),
+    ],
+)
+def test_a_search_of_which_nothing_may_run_is_refused_before_a_folder_is_made(
+    write, tmp_path, override, says
+):
+    loaded = load_experiment(write("cmaes"), [override])
+    for attempt in (
+        lambda: check(loaded),
+        lambda: execute(loaded, results=tmp_path / "r", dry_run=True, progress=SilentProgress()),
+    ):
+        with pytest.raises(PlanError, match="nothing of the search space may run") as caught:
+            attempt()
+        assert says in str(caught.value)
+        assert "resume" not in str(caught.value)
+    assert not (tmp_path / "r").exists()
+
+
+@pytest.mark.parametrize(("kind", "values"), [("sweep", "a = 30"), ("cmaes", "a = 10")])
+def test_a_constraint_that_is_not_a_number_somewhere_is_told_with_its_place_and_the_values(
+    write, tmp_path, kind, values
+):
+    path = write(kind)
+    text = path.read_text()
+    bad = 'where = ["a > 0", "sqrt(a - 40) >= 0"]\n'
+    text = text.replace('where = ["a * f <= 70"]\n', bad) if kind == "cmaes" else text + bad
+    path.write_text(text)
+    line = text[: text.index("sqrt")].count("\n") + 1
+    loaded = load_experiment(path)
+    with pytest.raises(SpecError) as caught:
+        execute(loaded, results=tmp_path / "r", dry_run=True, progress=SilentProgress())
+    assert f"{path}:{line}:" in str(caught.value)
+    assert f"{kind}.where[1]" in str(caught.value)
+    assert values in str(caught.value)
+    assert not (tmp_path / "r").exists()

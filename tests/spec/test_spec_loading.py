@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from labrun.errors import RequestError
 from labrun.spec.loading import load_experiment, loads_experiment
+from labrun.spec.names import suggest
 from labrun.spec.problem import SpecFileError
 
 
@@ -259,3 +260,112 @@ def test_whatever_a_file_holds_it_is_refused_with_places_and_never_with_a_crash(
         loads_experiment(tomli_w.dumps(tree), "odd")
     assert caught.value.problems
     assert all(problem.line is not None for problem in caught.value.problems)
+
+
+SEARCH = (
+    ('kind = "sweep"', 'kind = "cmaes"'),
+    ("[sweep]", "[cmaes]"),
+    (
+        "axes = { a = { from = 10, to = 60, step = 5 }, f = [0.5, 1.0, 1.5] }",
+        "population = 10\nvariables = { a = { from = 1, to = 6 }, f = { from = 1, to = 2 } }",
+    ),
+)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "says"),
+    [
+        ("population = 10", "population = 10\nparents = 6", "cmaes.parents", "at most 5"),
+        ("population = 10", "population = 10\nreevaluate = 9", "cmaes.reevaluate", "no room for new candidates"),
+        ("population = 10", "parents = 4", "cmaes.parents", "the population of 6"),
+    ],
+)  # fmt: skip
+def test_sizes_of_a_search_that_do_not_fit_are_told_with_their_place(problems, old, new, key, says):
+    (problem,) = problems(*SEARCH, (old, new))
+    assert problem.key == key
+    assert problem.line is not None
+    assert says in problem.message
+
+
+def test_a_search_over_one_variable_is_refused_with_what_would_do(problems):
+    (problem,) = problems(*SEARCH, (", f = { from = 1, to = 2 }", ""), ('"f"', "1"), ("a * f", "a"))
+    assert problem.key == "cmaes.variables"
+    assert 'kind = "sweep"' in problem.message
+
+
+@pytest.mark.parametrize("kind", ["track", "design"])
+def test_a_kind_of_a_later_version_is_refused_with_the_kinds_there_are(problems, kind):
+    (problem,) = problems(('kind = "sweep"', f'kind = "{kind}"'))
+    assert f"kind {kind} is not in this version" in problem.message
+    assert '"run" or "sweep" or "cmaes"' in problem.message
+
+
+@pytest.mark.parametrize(
+    ("fit", "key", "says"),
+    [
+        ('method = "hing"', "fit.method", 'did you mean "hinge"?'),
+        ('model = "models/hinge.toml"', "fit.model", "no such model file"),
+        ('model = "hinge-pendulm"', "fit.model", 'did you mean "hinge-pendulum"?'),
+        ('model = "nothing_here:model"', "fit.model", "cannot be imported"),
+    ],
+)
+def test_what_a_fit_lacks_is_told_before_the_experiment_is_run(problems, fit, key, says):
+    (problem,) = problems(("[objectives.thrust]", f"[fit]\n{fit}\n[objectives.thrust]"))
+    assert problem.key == key
+    assert says in problem.message
+
+
+def test_a_stored_experiment_is_read_without_the_model_file_beside_the_original(good):
+    text = good.replace("[objectives.thrust]", '[fit]\nmodel = "gone.toml"\n[objectives.thrust]')
+    assert loads_experiment(text, "thrust").experiment.fit.model == "gone.toml"
+
+
+@pytest.mark.parametrize(
+    ("units", "says"),
+    [
+        ('a = "parsecs"', "unknown unit"),
+        ('a = "Hz"', "gait.joints.tail.amplitude_deg takes a in deg"),
+        ('f = "hz"', 'did you mean "Hz"?'),
+    ],
+)
+def test_a_unit_is_one_that_exists_and_that_the_gait_takes(problems, units, says):
+    (problem,) = problems(("[objectives.thrust]", f"[units]\n{units}\n[objectives.thrust]"))
+    assert problem.key == f"units.{units[0]}"
+    assert says in problem.message
+
+
+def test_a_wrong_key_hides_neither_a_channel_nor_a_rule_over_other_keys_of_its_table(problems):
+    found = problems(
+        ("repeats = 3", "retries = -1"),
+        ("discard_cycles = 1", "discard_cycles = 5"),
+        ('{ channel = "wrench.force_x", timeout_s = 60 }', '{ channel = "wrench.force_q", hold_s = -1 }'),
+    )
+    assert {problem.key for problem in found} == {
+        "trial.retries", "trial.discard_cycles", "trial.settle.channel", "trial.settle.hold_s",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "says"),
+    [
+        ("speed_deg_s = 528", "speed_rpm = 90", "rig.devices.tail.limits.speed_rpm", "write speed_deg_s = 540"),
+        ("[-60, 60]", "[60, -60]", "rig.devices.tail.limits.angle_deg", "60 is not below -60"),
+        ("repeats = 3", 'repeats = "abc"', "trial.repeats", "a whole number, or a table { min = 3, max = 10 }"),
+        ("repeats = 3", "repeats = 1e9", "trial.repeats", "a whole number, or"),
+        (
+            "repeats = 3",
+            "repeats = { min = 1, max = 3, standard_error = 0.001 }",
+            "trial.repeats.standard_error",
+            "{ thrust = 0.001 }",
+        ),
+        ("step = 5", "step = -5", "sweep.axes.a.step", "more than 0"),
+    ],
+)  # fmt: skip
+def test_a_message_names_the_key_and_what_is_allowed_there(problems, old, new, key, says):
+    (problem,) = problems((old, new))
+    assert problem.key == key
+    assert says in problem.message
+
+
+def test_nothing_to_choose_from_is_said_in_the_plural():
+    assert suggest("x", [], kind="carriages") == "there are no carriages here"

@@ -63,6 +63,12 @@ def test_an_unknown_format_is_refused_with_the_known_ones(run):
         export_run(run, "xlsx")
 
 
+def test_a_folder_to_write_to_is_a_wrong_request(run, tmp_path):
+    with pytest.raises(RequestError, match=r"is a folder; expected the file") as caught:
+        export_run(run, "csv", tmp_path)
+    assert run.identifier in caught.value.hint
+
+
 def test_a_file_that_cannot_be_written_says_so_and_leaves_nothing(run, tmp_path, monkeypatch):
     def refuse(*_):
         raise OSError(28, "No space left on device")

@@ -1,5 +1,7 @@
 """A recording made elsewhere becomes a run like any other."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -27,7 +29,7 @@ condition = { release = 20, body = "wide" }
 
 
 def recording(folder, rows="0.0,1.0,0.1\n0.1,2.0,0.2\n0.35,3.0,0.3\n"):
-    folder.mkdir()
+    folder.mkdir(parents=True)
     (folder / "recording.toml").write_text(TOML)
     for name in ("a", "b"):
         (folder / f"{name}.csv").write_text("time_s,torque,angle\n" + rows)
@@ -61,6 +63,30 @@ def test_a_recording_with_faults_leaves_no_run(tmp_path):
             recording(tmp_path / "swing", rows="0.0,1.0,0.1\n0.0,2.0,0.2\n"), tmp_path / "results"
         )
     assert not list(tmp_path.glob("results/*/*"))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../../evil", "..", ".", "/evil", "a/b", "a\\\\b", ".hidden", "end.", " ", "a\\u0000b", "n" * 121],
+)
+def test_a_name_that_is_not_one_folder_is_refused_with_file_and_line(tmp_path, name):
+    folder = recording(tmp_path / "inner" / "swing")
+    path = folder / "recording.toml"
+    path.write_text(path.read_text().replace('"swing"', f'"{name}"'))
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(RecordingError, match=r"recording\.toml:1: experiment is .* the name of one folder"):
+        import_recording(folder, tmp_path / "inner" / "results")
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_recording_without_a_name_has_its_folders_wherever_it_is_read_from(tmp_path, monkeypatch):
+    folder = recording(tmp_path / "swing 1")
+    path = folder / "recording.toml"
+    path.write_text(path.read_text().replace('experiment = "swing"', ""))
+    (folder / "inner").mkdir()
+    monkeypatch.chdir(folder / "inner")
+    run = import_recording(Path(".."), tmp_path / "results")
+    assert run.parent == tmp_path / "results" / "swing 1"
 
 
 @pytest.mark.parametrize("name", ["ring-down", "xl330-servo", "emps", "silverbox"])

@@ -1,12 +1,14 @@
 """Two runs never share a port."""
 
 import os
+import stat
 import subprocess
 import sys
 
 import pytest
 
-from labrun.errors import RigBusyError
+from labrun.errors import RequestError, RigBusyError
+from labrun.store import rig_lock
 from labrun.store.rig_lock import lock_folder, lock_ports
 
 HOLD = """
@@ -71,8 +73,55 @@ def test_a_forked_child_does_not_keep_the_lock_of_its_dead_parent(tmp_path):
     os.waitpid(child, 0)
 
 
-def test_locks_stand_in_the_users_runtime_folder(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    assert tmp_path in lock_folder().parents
-    with lock_ports(["/dev/ttyUSB0"]):
-        assert len(list(lock_folder().glob("*.lock"))) == 1
+def test_locks_stand_where_every_user_of_the_machine_looks(monkeypatch, tmp_path):
+    before = lock_folder()
+    assert before.name == "labrun"
+    for variable in ("XDG_RUNTIME_DIR", "TMPDIR", "HOME"):
+        monkeypatch.setenv(variable, str(tmp_path))
+    assert lock_folder() == before
+    everyones, private = tmp_path / "everyones", tmp_path / "private"
+    everyones.mkdir()
+    everyones.chmod(0o1777)
+    private.mkdir(mode=0o700)
+    monkeypatch.setattr(rig_lock, "_SHARED", (private, everyones))
+    assert lock_folder() == everyones / "labrun"
+
+
+def test_locks_are_open_to_every_user_whatever_the_umask(tmp_path):
+    folder = tmp_path / "labrun"
+    before = os.umask(0o077)
+    try:
+        with lock_ports(["/dev/ttyUSB0"], folder):
+            (lock,) = folder.iterdir()
+            assert stat.S_IMODE(folder.stat().st_mode) == 0o1777
+            assert stat.S_IMODE(lock.stat().st_mode) == 0o666
+    finally:
+        os.umask(before)
+
+
+def test_a_lock_is_made_once_and_only_opened_afterwards(tmp_path, monkeypatch):
+    with lock_ports(["/dev/ttyUSB0"], tmp_path):
+        pass
+    flags = []
+    real = os.open
+
+    def noted(path, flag, *rest):
+        if str(path).endswith(".lock"):
+            flags.append(flag)
+        return real(path, flag, *rest)
+
+    monkeypatch.setattr(os, "open", noted)
+    with lock_ports(["/dev/ttyUSB0"], tmp_path):
+        pass
+    # O_CREAT alone on another user's file in a sticky folder is refused by the kernel (fs.protected_regular).
+    assert all(flag & os.O_EXCL or not flag & os.O_CREAT for flag in flags)
+
+
+def test_a_folder_that_cannot_be_made_is_an_error_that_says_what_to_do(tmp_path):
+    (tmp_path / "file").touch()
+    with (
+        pytest.raises(RequestError, match="port /dev/ttyUSB0 cannot be locked") as caught,
+        lock_ports(["/dev/ttyUSB0"], tmp_path / "file" / "labrun"),
+    ):
+        pass
+    assert "mode 1777" in str(caught.value)

@@ -8,10 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labrun.devices import Channel
-from labrun.store.timing import ClockMap, stream_report, trial_time
+from labrun.store.timing import ClockMap, stream_report
 from labrun.store.trial import Stream
 
 RATE_HZ = 200.0
+
+
+def trial_time(device_time_s, host_time_s, *, rate_hz, start_s):
+    """Return a whole stream's trial-relative times, and how many of them had to be mended."""
+    clock = ClockMap(rate_hz)
+    clock.learn(device_time_s, host_time_s)
+    return clock.mapper(start_s)(device_time_s), clock.glitches
 
 
 def received(true_time_s, rng, *, delay_s=2e-3, least_s=0.0):
@@ -140,3 +147,4 @@ def test_a_stream_of_one_sample_has_no_rate():
     report = stream_report(stream(np.array([1.0]), np.array([2.0])))
     assert np.isnan(report.rate_hz)
     assert report.offset_s == 1.0
+    assert report.drift_ppm is None

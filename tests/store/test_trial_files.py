@@ -216,12 +216,6 @@ def test_a_mark_changes_the_status_now_and_when_opened_again(tmp_path):
         folder.mark(9, "rejected", "")
 
 
-def test_provenance_can_be_completed_later(tmp_path):
-    folder = stored_runs.new_run(tmp_path)
-    folder.update_provenance(devices={"wrench": {"serial": "FT1"}})
-    assert RunFolder.open(folder.path).provenance == {"seed": 7, "devices": {"wrench": {"serial": "FT1"}}}
-
-
 def test_a_file_is_readable_with_plain_h5py(tmp_path):
     folder = stored_runs.new_run(tmp_path)
     stored_runs.store(folder, 2)

@@ -1,0 +1,210 @@
+"""What there is to see of a run that is being executed elsewhere."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from labrun.errors import LabrunError, RequestError
+from labrun.report.snapshot import BestYet, Snapshot, State, event_text
+from labrun.report.words import duration_text
+from labrun.search.engine import stored_result
+from labrun.search.leaders import condition_key
+from labrun.search.result import Best, resume_line
+from labrun.spec.experiment import Experiment
+from labrun.spec.loading import loads_experiment
+from labrun.store.folder import JOURNAL, SPEC
+from labrun.store.table import known_units
+from labrun.store.watched_trials import Trace, read_trace
+from labrun.store.watching import RunWatch, SeenTrial
+
+if TYPE_CHECKING:
+    from labrun.devices import Clock
+
+_CLOCKS_AGREE_S = 60.0
+_LAST_TRIALS = 6
+
+
+class Watcher:
+    """Looks at a run again and again; reads only, and locks nothing.
+
+    Parameters
+    ----------
+    target
+        The run folder, or the ``run.h5`` in it.
+    clock
+        Tells the time between two looks.
+    channel
+        Whose last trace to show, ``device.channel``; that of the objective if None.
+
+    Raises
+    ------
+    RequestError
+        There is nothing to watch: a packed file without its folder.
+    """
+
+    def __init__(self, target: Path, clock: "Clock", channel: str | None = None) -> None:
+        folder = target.parent if target.is_file() else target
+        if not (folder / SPEC).is_file() and not (folder / JOURNAL).is_file():
+            raise RequestError(
+                f"{target} has no journal to follow: it is a finished run, packed into one file",
+                hint=f"labrun show {target}",
+            )
+        self.folder = folder
+        self._watch = RunWatch(folder, clock)
+        self._channel = channel
+        self._spec = ""
+        self._spec_fault = ""
+        self._experiment: Experiment | None = None
+        self._trace: Trace | None = None
+        self._units: dict[str, str] = {}
+        self._trace_of = -1
+
+    def look(self) -> Snapshot:
+        """Return the run as it is now.
+
+        Raises
+        ------
+        RequestError
+            The trials have no such channel; names those there are.
+        """
+        watch = self._watch
+        watch.poll()
+        dead = watch.dead_process() if watch.ended is None else None
+        if dead is not None:
+            watch.poll()  # it may have said why just before it went
+        self._read_spec()
+        self._read_trace()
+        state, reason = self._state(dead)
+        statuses = [trial.status for trial in watch.trials.values()]
+        latest = sorted(watch.trials.values(), key=lambda trial: -trial.index)[:_LAST_TRIALS]
+        result = self._result() if state == "finished" else None
+        return Snapshot(
+            run=self.folder,
+            experiment=self.folder.absolute().parent.name,
+            title="" if self._experiment is None else self._experiment.title,
+            state=state,
+            reason=reason,
+            trials={status: statuses.count(status) for status in ("done", "rejected", "failed")},
+            expected=watch.expected,
+            remaining_s=watch.remaining_s() if state == "running" else None,
+            event=event_text(watch.last),
+            event_utc=None if watch.last is None else str(watch.last.get("time_utc", "")),
+            quiet_s=watch.quiet_s,
+            last_trials=tuple(latest),
+            best=self._best(),
+            honest_best=result,
+            trace=self._trace,
+            units=self._units,
+            resume=resume_line(self.folder) if state in ("silent", "dead", "stopped") else None,
+            notes=tuple(self._notes()),
+        )
+
+    def _state(self, dead: int | None) -> tuple[State, str]:
+        watch = self._watch
+        if watch.last is None:
+            return "starting", ""
+        if watch.ended is not None:
+            if watch.ended["event"] == "finished":
+                return "finished", ""
+            return "stopped", event_text(watch.ended)
+        if dead is not None:
+            return "dead", f"its process {dead} is gone: it was killed, or the machine was restarted"
+        if watch.is_silent:
+            return "silent", "nothing was written for longer than this run has ever paused"
+        return "running", ""
+
+    def _read_spec(self) -> None:
+        if self._spec:
+            return
+        try:
+            self._spec = (self.folder / SPEC).read_text(encoding="utf-8")
+            self._experiment = loads_experiment(
+                self._spec, self.folder.absolute().parent.name, plugins=False
+            ).experiment
+        except OSError:  # not there yet, or the network folder does not answer
+            return
+        except LabrunError as error:  # an imported recording
+            self._spec_fault = str(error.args[0]).splitlines()[0]
+
+    def _read_trace(self) -> None:
+        trials = self._watch.trials
+        newest = max((index for index, trial in trials.items() if trial.objectives), default=None)
+        newest = max(trials, default=None) if newest is None else newest
+        if newest is None or newest == self._trace_of:
+            return
+        trace = read_trace(self.folder, newest, self._wanted())
+        if trace is None:
+            return  # between trials/ and run.h5, or nothing was recorded: the last one stays
+        if self._channel is not None and self._channel not in trace.channels:
+            raise RequestError(
+                f"trial {newest} of {self.folder} has no channel {self._channel!r}",
+                hint=f"recorded were: {', '.join(trace.channels)}",
+            )
+        self._trace, self._trace_of = trace, newest
+        if self._spec:
+            self._units = known_units(self._spec, trace.channels)
+
+    def _wanted(self) -> Sequence[str]:
+        if self._channel is not None:
+            return (self._channel,)
+        if self._experiment is None:
+            return ()
+        return list(_channels_of(self._experiment))
+
+    def _best(self) -> BestYet | None:
+        if self._experiment is None or self._experiment.goal is None:
+            return None
+        objective, direction = self._experiment.goal
+        repeats = self._experiment.trial.repeats.min
+        return best_yet(self._watch.trials.values(), objective, direction, repeats)
+
+    def _result(self) -> Best | None:
+        try:
+            result = stored_result(self.folder)
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        return None if result is None else result.best
+
+    def _notes(self) -> Iterable[str]:
+        difference_s = self._watch.clock_difference_s
+        if difference_s is not None and abs(difference_s) > _CLOCKS_AGREE_S:
+            yield (
+                f"the folder's file times and the run's own clock are {duration_text(abs(difference_s))} apart: "
+                "the clocks differ, or this is a copy"
+            )
+        if self._spec_fault:
+            yield f"the best is not known here: {self._spec_fault}"
+        if self._watch.tail.unreadable:
+            yield f"{self._watch.tail.unreadable} lines of the journal cannot be read"
+
+
+def best_yet(
+    trials: Iterable[SeenTrial], objective: str, goal: Literal["maximise", "minimise"], repeats: int
+) -> BestYet | None:
+    """Return the best mean among the conditions with the full number of repeats (any, before there is one).
+
+    Reference trials do not count, nor do trials that were rejected or failed.
+    """
+    groups: dict[object, list[SeenTrial]] = {}
+    for trial in trials:
+        if trial.status == "done" and trial.role != "reference" and objective in trial.objectives:
+            groups.setdefault(condition_key(trial.condition), []).append(trial)
+    sign = 1.0 if goal == "maximise" else -1.0
+    found: tuple[tuple[bool, float], BestYet] | None = None
+    for group in groups.values():
+        mean = float(np.mean([trial.objectives[objective] for trial in group]))
+        rank = (len(group) >= repeats, sign * mean)
+        if found is None or rank > found[0]:
+            found = rank, BestYet(dict(group[0].condition), objective, mean, len(group))
+    return None if found is None else found[1]
+
+
+def _channels_of(experiment: Experiment) -> Iterable[str]:
+    """Yield the channels that matter most first: the goal's, other objectives', those that are fitted."""
+    goal = experiment.goal
+    names = ([] if goal is None else [goal[0]]) + list(experiment.objectives)
+    yield from (channel for name in names if (channel := experiment.objectives[name].channel) is not None)
+    if experiment.fit is not None:
+        yield from experiment.fit.signals.values()

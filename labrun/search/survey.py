@@ -1,0 +1,125 @@
+"""A look at a search's space before the search: how much of it may run, and what keeps out the rest."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labrun.devices import Excess
+from labrun.errors import PlanError
+from labrun.runner.plan import ConditionExcess, Plan, SearchSpace, SpaceBreak, percent
+from labrun.search.constraints import constraints
+from labrun.search.design import Condition, start_of_search
+from labrun.search.feasibility import Feasibility, LimitExcesses, probes
+from labrun.search.leaders import condition_key
+from labrun.spec.experiment import CmaEs, Experiment
+
+_POINTS = 8192
+"""Looked at for the constraints, which cost nothing."""
+_MOTIONS = 512
+"""Of the points that the constraints allow, so many are looked at for the limits, which takes a trajectory each."""
+_NAMED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Allowed:
+    """Points of a search space that its constraints allow.
+
+    Attributes
+    ----------
+    conditions
+        Evenly spread; the first few hundred of them.
+    share
+        Of all points.
+    breaks
+        The constraints that exclude the others.
+    """
+
+    conditions: list[Condition]
+    share: float
+    breaks: tuple[SpaceBreak, ...]
+
+
+def allowed_points(search: CmaEs) -> Allowed:
+    """Return points of the space that every `where` allows.
+
+    Raises
+    ------
+    PlanError
+        There is none, and the start is none either.
+    ConstraintError
+        A constraint cannot be computed somewhere in the space.
+    """
+    columns = probes(search, _POINTS)
+    keep = np.ones(_POINTS, dtype=bool)
+    breaks = []
+    for constraint in constraints(search.where, "cmaes"):
+        holds = np.broadcast_to(constraint.holds(columns), (_POINTS,))
+        keep &= holds
+        if not holds.all():
+            breaks.append(SpaceBreak(constraint.text, 1.0 - float(holds.mean())))
+    chosen = np.flatnonzero(keep)[:_MOTIONS]
+    found: list[Condition] = [
+        {name: float(column[index]) for name, column in columns.items()} for index in chosen
+    ]
+    return Allowed(found, float(keep.mean()), tuple(breaks))
+
+
+def survey(experiment: Experiment, allowed: Allowed, found: Plan, excess_of: LimitExcesses) -> SearchSpace:
+    """Return how much of a search's space may run.
+
+    Parameters
+    ----------
+    experiment
+        With a table [cmaes].
+    allowed
+        The points looked at.
+    found
+        Their plan.
+    excess_of
+        Returns which limits a condition would leave.
+
+    Raises
+    ------
+    PlanError
+        No point that was looked at may run.
+    """
+    assert experiment.cmaes is not None  # noqa: S101  (there would be no points)
+    start = Feasibility(experiment.cmaes, excess_of).of([start_of_search(experiment)])[0]
+    outside = at_points(found.excess, allowed.conditions)
+    inside = 1.0 - len(outside) / len(allowed.conditions) if allowed.conditions else 0.0
+    by_limits = _limit_breaks(outside, len(allowed.conditions), allowed.share)
+    breaks = tuple(sorted((*allowed.breaks, *by_limits), key=lambda item: -item.share))
+    space = SearchSpace(_POINTS, allowed.share * inside, breaks, start.texts)
+    if space.share == 0.0 and not start.feasible:
+        named = "".join(f"\n  {item}" for item in breaks[:_NAMED])
+        raise PlanError(
+            f"nothing of the search space may run: {percent(allowed.share)} of {_POINTS:,} points satisfy the "
+            f"constraints, but none of them stays inside the limits{named}"
+            if allowed.conditions
+            else f"nothing of the search space may run: the constraints leave none of {_POINTS:,} points{named}",
+            hint="widen the ranges of the variables, or loosen the constraint or limit that excludes most",
+        )
+    return space
+
+
+def at_points(excess: Iterable[ConditionExcess], points: Sequence[Condition]) -> list[ConditionExcess]:
+    """Return what breaks a limit at one of the points; what every trial would break is not among it."""
+    keys = {condition_key(point) for point in points}
+    return [item for item in excess if condition_key(item.condition) in keys]
+
+
+def _limit_breaks(outside: Sequence[ConditionExcess], points: int, share: float) -> list[SpaceBreak]:
+    """Return each limit that points leave, with the share of the whole space that does."""
+    found: dict[tuple[str, float], list[Excess]] = {}
+    for item in outside:
+        for excess in item.excess:
+            found.setdefault((excess.quantity, excess.bound), []).append(excess)
+    return [_limit_break(several, share * len(several) / points) for several in found.values()]
+
+
+def _limit_break(several: Sequence[Excess], share: float) -> SpaceBreak:
+    worst = max(several, key=lambda item: abs(item.value - item.bound))
+    side = "above" if worst.value > worst.bound else "below"
+    text = f"{worst.quantity} {side} {worst.bound:.4g} {worst.unit}, at worst {worst.value:.4g} {worst.unit}"
+    return SpaceBreak(text, share)

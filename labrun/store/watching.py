@@ -1,0 +1,206 @@
+"""A run that another process executes, perhaps on another machine, as its folder shows it."""
+
+import json
+import os
+import platform
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from labrun.devices import Clock
+from labrun.store.folder import JOURNAL, TRIALS
+from labrun.store.journal_tail import JournalTail, stamp_s
+from labrun.store.trial import Role, Status
+
+_ENDS = ("finished", "failed", "interrupted", "limit-reached")
+_LEAST_SILENCE_S = 15.0
+_SILENCE = 3.0
+"""A run is silent when it says nothing for so many times the longest pause it has made."""
+_RATED_TRIALS = 50
+_BETWEEN_LOOKS_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class SeenTrial:
+    """A stored trial, as the journal tells of it."""
+
+    index: int
+    condition: Mapping[str, float | str]
+    repeat: int
+    role: Role
+    status: Status
+    reason: str
+    objectives: Mapping[str, float]
+    stored_utc_s: float | None
+
+
+class RunWatch:
+    """Follows a run folder by reading its journal again and again; never writes there, never locks.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    clock
+        Tells how much time passes between two looks.
+
+    Attributes
+    ----------
+    trials
+        By index, with later marks applied.
+    expected
+        Number of trials the run expects in all; None if it cannot know.
+    last
+        The last event; None before the first.
+    ended
+        The event that ended the run, if none has followed.
+    """
+
+    def __init__(self, folder: Path, clock: Clock) -> None:
+        self.folder = folder
+        self._clock = clock
+        self.tail = JournalTail(folder / JOURNAL)
+        self._looked = False
+        self._quiet_before_s = 0.0
+        self._heard_s = clock.now()
+        self._clear()
+
+    def _clear(self) -> None:
+        self.trials: dict[int, SeenTrial] = {}
+        self.expected: int | None = None
+        self.last: dict[str, Any] | None = None
+        self.ended: dict[str, Any] | None = None
+        self._prepared: dict[int, dict[str, Any]] = {}
+        self._longest_pause_s = 0.0
+        self._trial_stamps_s: list[float] = []
+
+    def poll(self) -> bool:
+        """Look at the folder; tell whether there was anything new."""
+        events, anew = self.tail.read()
+        if anew:
+            self._clear()
+        for event in events:
+            # A line from another version, or one that someone edited, may lack anything.
+            with suppress(KeyError, TypeError, ValueError, AttributeError):
+                self._take(event)
+        if events:
+            self._heard_s = self._clock.now()
+            self._quiet_before_s = 0.0 if self._looked else self._age_at_first_look_s()
+        self._looked = True
+        return bool(events)
+
+    @property
+    def quiet_s(self) -> float:
+        """How long ago the last event was, s.
+
+        Between two looks by this machine's monotonic clock alone; before the first look by the file's time and the
+        event's stamp, whichever makes less, since the clocks of other machines may be wrong.
+        """
+        return self._quiet_before_s + self._clock.now() - self._heard_s
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether nothing came for longer than the run has ever paused."""
+        return self.quiet_s > max(_LEAST_SILENCE_S, _SILENCE * self._longest_pause_s)
+
+    @property
+    def clock_difference_s(self) -> float | None:
+        """How far the clock of the folder's machine is ahead of the clock of the one that runs; None if unknown."""
+        stamp = None if self.last is None else stamp_s(self.last)
+        changed = self.tail.changed_utc_s
+        return None if stamp is None or changed is None else changed - stamp
+
+    def dead_process(self) -> int | None:
+        """Return the number of the process that ran this, if it ran on this machine and is gone; None if not known."""
+        if self.quiet_s < _BETWEEN_LOOKS_S:
+            return None
+        try:
+            note = json.loads((self.folder / ".lock").read_bytes())
+            if note["machine"] != platform.node():
+                return None
+            process = int(note["pid"])
+            os.kill(process, 0)
+        except ProcessLookupError:
+            return process
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        return None
+
+    def remaining_s(self) -> float | None:
+        """Return the time left by the pace of the last trials; None if nobody can know."""
+        stamps = self._trial_stamps_s[-_RATED_TRIALS:]
+        if self.expected is None or len(stamps) < 2 or self.ended is not None:
+            return None
+        each_s = (stamps[-1] - stamps[0]) / (len(stamps) - 1)
+        return max(0.0, each_s * (self.expected - len(self.trials)))
+
+    def _age_at_first_look_s(self) -> float:
+        now = datetime.now(UTC).timestamp()
+        stamp = None if self.last is None else stamp_s(self.last)
+        ages = [now - time for time in (stamp, self.tail.changed_utc_s) if time is not None]
+        return min((age for age in ages if age >= 0), default=0.0)
+
+    def _take(self, event: dict[str, Any]) -> None:
+        kind = event["event"]
+        self._note_pause(event)
+        self.last = event
+        self.ended = event if kind in _ENDS else None
+        if kind == "expected":
+            self.expected = event["trials"]
+        elif kind == "prepare":
+            self._take_lost_lines(event["index"])
+            self._prepared[event["index"]] = event
+        elif kind == "trial":
+            self._store(event)
+        elif kind == "mark" and event["index"] in self.trials:
+            marked = self.trials[event["index"]]
+            self.trials[event["index"]] = replace(marked, status=event["status"], reason=event["reason"])
+        elif kind == "damaged":
+            self.trials.pop(event["index"], None)
+
+    def _note_pause(self, event: dict[str, Any]) -> None:
+        if event["event"] == "resumed":
+            self._trial_stamps_s = []  # what the pause took says nothing of the pace
+            return
+        before, now = None if self.last is None else stamp_s(self.last), stamp_s(event)
+        if before is not None and now is not None and self.ended is None:
+            self._longest_pause_s = max(self._longest_pause_s, now - before)
+
+    def _store(self, event: dict[str, Any]) -> None:
+        index = event["index"]
+        prepared = self._prepared.pop(index, {})
+        stamp = stamp_s(event)
+        self.trials[index] = SeenTrial(
+            index,
+            prepared.get("condition", {}),
+            event["repeat"],
+            event["role"],
+            event["status"],
+            event.get("reason", ""),
+            event.get("objectives", {}),
+            stamp,
+        )
+        if stamp is not None:
+            self._trial_stamps_s.append(stamp)
+
+    def _take_lost_lines(self, index: int) -> None:
+        """Take up trials whose line a crash kept from the journal: the run has gone on to a later one."""
+        from labrun.store.watched_trials import read_outcome
+
+        for lost in [earlier for earlier in self._prepared if earlier < index]:
+            prepared = self._prepared.pop(lost)
+            outcome = read_outcome(self.folder / TRIALS, lost)
+            if outcome is not None:
+                self.trials[lost] = SeenTrial(
+                    lost,
+                    outcome.condition,
+                    outcome.repeat,
+                    outcome.role,
+                    outcome.status,
+                    outcome.reason,
+                    outcome.objectives,
+                    stamp_s(prepared),
+                )

@@ -1,0 +1,37 @@
+"""Whatever an objective does, the recording is kept."""
+
+import pytest
+
+from labrun.runner.judging import Judging
+from labrun.store.reading import open_run
+
+ONE = [{"a": 10, "f": 1.0}]
+
+
+@pytest.mark.parametrize(
+    ("plugin", "cause"),
+    [("Raising", "RuntimeError: the reference file is gone"), ("Forgetful", "TypeError: ")],
+)
+def test_an_objective_that_raises_anything_fails_its_trial_by_name_and_keeps_the_samples(lab, plugin, cause):
+    lab = lab(
+        trial__repeats=1,
+        objectives__lift={"plugin": f"bad_objectives:{plugin}", "channel": "cell.force_x"},
+    )
+    (found,) = lab.session.measure(ONE)
+    outcome = found.outcomes[0]
+    assert outcome.status == "failed"
+    assert f"objective lift of cell.force_x: {cause}" in outcome.reason
+    with open_run(lab.folder.path) as run:
+        assert len(run.stream(0, "cell").values) >= 300
+
+
+def test_a_judgement_that_breaks_altogether_keeps_the_recording(lab, monkeypatch):
+    def broken(self, *_):
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr(Judging, "judge", broken)
+    lab = lab(trial__repeats=1)
+    with pytest.raises(RuntimeError, match="out of memory"):
+        lab.session.measure(ONE)
+    (outcome,) = lab.folder.outcomes().values()
+    assert (outcome.status, outcome.reason) == ("failed", "cut short: out of memory")

@@ -1,0 +1,37 @@
+"""A motion that is no motion never leaves the plan."""
+
+import pytest
+from paddle_lab import experiment_with
+
+from labrun.errors import PlanError
+from labrun.runner.plan import excess_of, plan
+
+CONDITION = {"a": 10, "f": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("gait", "why"), [("Lost", "an angle of nan rad for joint tail"), ("Timeless", "its period is nan s")]
+)
+def test_a_gait_that_is_not_a_number_is_a_plan_error_naming_gait_and_condition(gait, why):
+    experiment = experiment_with(gait__plugin=f"bad_gaits:{gait}")
+    for check in (lambda: plan(experiment, [CONDITION]), lambda: excess_of(experiment, CONDITION)):
+        with pytest.raises(PlanError) as caught:
+            check()
+        text = str(caught.value)
+        assert text.startswith(f'a = 10, f = 1: gait "bad_gaits:{gait}" gives no motion: ')
+        assert why in text
+
+
+def test_a_condition_that_is_not_a_number_is_a_plan_error():
+    with pytest.raises(PlanError, match="a = nan"):
+        plan(experiment_with(), [{"a": float("nan"), "f": 1.0}])
+
+
+@pytest.mark.parametrize("timeout_s", [0.001, 1.9])
+def test_a_watchdog_less_patient_than_a_stop_is_refused(timeout_s):
+    from labrun.errors import SpecError
+
+    with pytest.raises(
+        SpecError, match=r"rig.watchdog_s = .* is shorter than the 2 s that devices get to stop"
+    ):
+        plan(experiment_with(rig__watchdog_s=timeout_s), [CONDITION])
