@@ -13,7 +13,10 @@ from labrun_plugins.simulated.shaft import Shaft
 
 _COUNT_RAD = 2 * np.pi / 4096
 _SPEED_RAD_S = 330 * 0.229 * 2 * np.pi / 60
-_SHAFT = Shaft(frame_s=0.005, step_rad=_COUNT_RAD, dead_band_rad=0.0, speed_rad_s=_SPEED_RAD_S, lag_s=0.015)
+_SHAFT = Shaft(
+    frame_s=0.005, step_rad=_COUNT_RAD, dead_band_rad=0.0, speed_rad_s=_SPEED_RAD_S,
+    natural_hz=15.0, damping=0.8,
+)  # fmt: skip
 
 
 class Joint(BaseModel):
@@ -45,7 +48,8 @@ class DynamixelSettings(SimulatedSettings):
 class SimulatedDynamixel(SimulatedJoints):
     """XM430-W210 in position mode: 4096 counts a turn both ways, 330 x 0.229 rev/min at most.
 
-    Counts and velocity limit are those of the control table. Chosen: 200 group writes per second, 15 ms lag.
+    Counts and velocity limit are those of the control table. Chosen: 200 group writes per second, a closed loop of
+    15 Hz with damping ratio 0.8.
     """
 
     Settings: ClassVar[type[DeviceSettings]] = DynamixelSettings

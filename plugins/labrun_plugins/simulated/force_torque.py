@@ -1,10 +1,13 @@
 """What the simulated force/torque sensors share: six axes with noise, offset, drift and resolution."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labrun.devices import Channel, DeviceContext, FloatArray
+from labrun.models.calling import kernel
 from labrun_plugins.simulated.sensor import SimulatedSensor
 from labrun_plugins.simulated.settings import SimulatedSettings
 from labrun_plugins.simulated.stream import Timing
@@ -50,22 +53,35 @@ class SimulatedForceTorque(SimulatedSensor):
             channels=CHANNELS, rate_hz=rate_hz, timing=timing, full_scale=np.array(axes.full_scale),
             counts_frames=counts_frames, has_clock=has_clock,
         )  # fmt: skip
-        self._resolution = np.array(axes.resolution)
-        self._noise_sd = np.array(axes.noise_sd)
-        self._offset = context.rng.standard_normal(6) * axes.offset_sd
-        self._drift = context.rng.standard_normal(6) * axes.offset_sd * axes.drift_share
+        offset = context.rng.standard_normal(6) * axes.offset_sd
+        drift = context.rng.standard_normal(6) * axes.offset_sd * axes.drift_share
+        self._constants = np.array([axes.noise_sd, offset, drift, axes.resolution])
         signals = () if context.scene is None else context.scene.signals
-        self._felt = [index for index, axis in enumerate(_NAMES) if axis in signals]
-        self._felt_names = [_NAMES[index] for index in self._felt]
+        self._felt_names = tuple(axis for axis in _NAMES if axis in signals)
+        self._felt = np.array([_NAMES.index(axis) for axis in self._felt_names], dtype=np.int64)
 
     def _measure(self, time_s: FloatArray) -> FloatArray:
-        values = self._rng.standard_normal((len(time_s), 6))
-        values *= self._noise_sd
-        values += self._offset
-        values += np.sin(2 * np.pi / _DRIFT_PERIOD_S * time_s)[:, None] * self._drift
-        if self._felt:
-            values[:, self._felt] += self.scene.observe(self._felt_names, time_s)
-        values /= self._resolution
-        np.round(values, out=values)
-        values *= self._resolution
-        return values
+        noise = self._rng.standard_normal((len(time_s), 6))
+        felt = (
+            self.scene.observe(self._felt_names, time_s) if self._felt_names else np.empty((len(time_s), 0))
+        )
+        _read(noise, felt, time_s, self._felt, self._constants)
+        return noise
+
+
+@kernel
+def _read(
+    values: FloatArray, felt: FloatArray, time_s: FloatArray, axes: NDArray[np.int64], constants: FloatArray
+) -> None:
+    """Turn standard noise into readings: noise, offset and drift added to what is felt, in whole steps.
+
+    `constants` holds noise, offset, amplitude of the drift, and resolution of each axis, shape (4, 6).
+    """
+    for i in range(len(values)):
+        drift = math.sin(2.0 * math.pi / _DRIFT_PERIOD_S * time_s[i])
+        for k in range(values.shape[1]):
+            values[i, k] = values[i, k] * constants[0, k] + constants[1, k] + drift * constants[2, k]
+        for j in range(len(axes)):
+            values[i, axes[j]] += felt[i, j]
+        for k in range(values.shape[1]):
+            values[i, k] = np.round(values[i, k] / constants[3, k]) * constants[3, k]

@@ -11,6 +11,9 @@ from labrun_plugins.simulated.device import SimulatedDevice
 from labrun_plugins.simulated.settings import SimulatedSettings
 from labrun_plugins.simulated.shaft import Shaft
 
+_SPEED_OVER_S = 1e-3
+"""A shaft that is moving when it gets another command keeps its speed, which is taken over this long."""
+
 
 class SimulatedJoints(SimulatedDevice):
     """Drives joints of the scene through servos.
@@ -77,7 +80,7 @@ class SimulatedJoints(SimulatedDevice):
         self._check(trajectory)
         for joint in self.joints:
             command = trajectory.only((joint,))
-            motion = self._shaft.motion(joint, command, self._angle(self._motion, joint, start_s))
+            motion = self._shaft.motion(joint, command, *self._state(joint, start_s))
             self._commanded[joint] = (start_s, command)
             self._move(joint, motion, start_s)
 
@@ -131,6 +134,11 @@ class SimulatedJoints(SimulatedDevice):
         self._motion[joint] = (start_s, motion)
         turned = Trajectory((joint,), motion.time_s, self._signs[joint] * motion.angle_rad, motion.period_s)
         self.scene.drive(joint, turned, start_s)
+
+    def _state(self, joint: str, time_s: float) -> tuple[float, float]:
+        """Return the shaft's angle and speed at a time."""
+        before, here = (self._angle(self._motion, joint, time_s - back_s) for back_s in (_SPEED_OVER_S, 0.0))
+        return here, (here - before) / _SPEED_OVER_S
 
     @staticmethod
     def _angle(moves: Mapping[str, tuple[float, Trajectory]], joint: str, time_s: float) -> float:

@@ -11,8 +11,9 @@ from labrun_plugins.simulated.settings import SimulatedSettings
 from labrun_plugins.simulated.shaft import Shaft
 
 _SHAFT = Shaft(
-    frame_s=0.005, step_rad=1e-6, dead_band_rad=0.0, speed_rad_s=float(np.radians(720.0)), lag_s=0.01
-)
+    frame_s=0.005, step_rad=1e-6, dead_band_rad=0.0, speed_rad_s=float(np.radians(720.0)),
+    natural_hz=25.0, damping=0.8,
+)  # fmt: skip
 
 
 class Joint(BaseModel):
@@ -30,7 +31,7 @@ class ServoSettings(SimulatedSettings):
 
 
 class SimulatedServo(SimulatedJoints):
-    """A servo better than real ones (chosen): 200 commands/s, 10 ms lag, 720 deg/s, no dead band."""
+    """A servo better than real ones (chosen): 200 commands/s, 25 Hz, 720 deg/s, no dead band."""
 
     Settings: ClassVar[type[DeviceSettings]] = ServoSettings
     model = "servo (simulated)"

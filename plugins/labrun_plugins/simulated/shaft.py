@@ -1,5 +1,6 @@
 """From what a servo is told to what its shaft does."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,56 +13,83 @@ _SUBSTEP_S = 0.005
 
 @dataclass(frozen=True, slots=True)
 class Shaft:
-    """A position servo.
+    """A position servo with its horn and what hangs on it: a second-order closed loop of limited speed.
 
     Attributes
     ----------
     frame_s
-        Time between two commands that the servo takes note of.
+        Time between two commands that the servo takes note of; a whole number of 5 ms.
     step_rad
         Quantization of the command.
     dead_band_rad
-        A command that differs from the position by less than this moves nothing.
+        A command that differs by no more than this from the one being followed is not taken note of.
     speed_rad_s
         Greatest speed.
-    lag_s
-        Time constant of the position loop.
+    natural_hz, damping
+        Natural frequency and damping ratio of the closed loop.
     """
 
     frame_s: float
     step_rad: float
     dead_band_rad: float
     speed_rad_s: float
-    lag_s: float
+    natural_hz: float
+    damping: float
 
-    def motion(self, joint: str, trajectory: Trajectory, from_rad: float) -> Trajectory:
-        """Return the shaft's motion for a commanded trajectory of one joint, starting at `from_rad`.
+    def motion(
+        self, joint: str, trajectory: Trajectory, from_rad: float, from_rad_s: float = 0.0
+    ) -> Trajectory:
+        """Return the shaft's motion for a commanded trajectory of one joint, from this angle and speed on.
 
-        The command is sampled once a frame, quantized and held; the shaft follows with a first-order lag
-        below its greatest speed, and stays put within the dead band.
+        The command is sampled once a frame, quantized and held. Between two points 5 ms apart the loop
+        ``x'' = w^2 (command - x) - 2 D w x'`` is solved exactly; its speed is then cut to the greatest one.
         """
-        # After the last command the shaft still needs its lag, or the way at full speed, to arrive.
+        # After the last command the shaft still needs its settling time, or the way at full speed, to arrive.
         commanded = trajectory.angle_rad[:, 0]
-        reach = float(np.max(np.abs(commanded - from_rad)))
-        tail_s = 10 * self.lag_s + self.frame_s + reach / self.speed_rad_s
-        count = int(np.ceil((trajectory.duration_s + tail_s) / _SUBSTEP_S)) + 1
-        time_s = np.arange(count, dtype=np.float64) * _SUBSTEP_S
-        frame_time_s = np.floor(time_s / self.frame_s + 1e-9) * self.frame_s
+        reach = max(float(commanded.max()) - from_rad, from_rad - float(commanded.min()))
+        tail_s = 1.5 / self.natural_hz + self.frame_s + reach / self.speed_rad_s
+        count = math.ceil((trajectory.duration_s + tail_s) / _SUBSTEP_S) + 1
+        hold = round(self.frame_s / _SUBSTEP_S)
+        frame_time_s = np.arange(-(-count // hold), dtype=np.float64) * self.frame_s
         command = np.interp(frame_time_s, trajectory.time_s, commanded)
-        command = np.round(command / self.step_rad) * self.step_rad
-        gain = 1.0 - np.exp(-_SUBSTEP_S / self.lag_s)
-        angle = _follow(command, from_rad, gain, self.speed_rad_s * _SUBSTEP_S, self.dead_band_rad)
+        angle = _follow(
+            command, hold, count, from_rad, from_rad_s, self._transition(),
+            self.step_rad, self.dead_band_rad, self.speed_rad_s,
+        )  # fmt: skip
+        time_s = np.arange(count, dtype=np.float64) * _SUBSTEP_S
         return Trajectory((joint,), time_s, angle[:, None], trajectory.period_s)
+
+    def _transition(self) -> FloatArray:
+        """Return the matrix that takes error (command - x) and speed one substep on, shape (2, 2)."""
+        natural = 2.0 * math.pi * self.natural_hz
+        decay = self.damping * natural
+        damped = natural * math.sqrt(1.0 - self.damping**2)
+        cosine, sine = math.cos(damped * _SUBSTEP_S), math.sin(damped * _SUBSTEP_S) / damped
+        transition = np.array([
+            [cosine + decay * sine, -sine],
+            [natural**2 * sine, cosine - decay * sine],
+        ])  # fmt: skip
+        return math.exp(-decay * _SUBSTEP_S) * transition
 
 
 @kernel
-def _follow(command: FloatArray, start: float, gain: float, most: float, dead_band: float) -> FloatArray:
-    angle = np.empty(len(command))
-    position = start
-    for i in range(len(command)):
-        angle[i] = position
-        error = command[i] - position
-        if abs(error) > dead_band:
-            step = gain * error
-            position += max(-most, min(most, step))
-    return angle
+def _follow(
+    command: FloatArray, hold: int, count: int, angle_rad: float, speed_rad_s: float, transition: FloatArray,
+    step_rad: float, dead_band_rad: float, most_rad_s: float,
+) -> FloatArray:  # fmt: skip
+    angles = np.empty(count)
+    angle, speed, goal = angle_rad, speed_rad_s, angle_rad
+    for i in range(count):
+        angles[i] = angle
+        if i % hold == 0:
+            told = np.round(command[i // hold] / step_rad) * step_rad
+            if abs(told - goal) > dead_band_rad:
+                goal = told
+        error = goal - angle
+        next_error = transition[0, 0] * error + transition[0, 1] * speed
+        speed = transition[1, 0] * error + transition[1, 1] * speed
+        if abs(speed) > most_rad_s:
+            speed = most_rad_s if speed > 0.0 else -most_rad_s
+            next_error = error - speed * _SUBSTEP_S
+        angle = goal - next_error
+    return angles

@@ -6,6 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.devices import FloatArray
+from labrun.models.calling import kernel
+
+IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +60,7 @@ class SampleStream:
     _start_s: float = 0.0
     _next: int = 0
     _last_arrival_s: float = 0.0
-    _under_way: tuple[NDArray[np.int64], FloatArray] = field(
+    _under_way: tuple[IntArray, FloatArray] = field(
         default_factory=lambda: (np.empty(0, dtype=np.int64), np.empty(0))
     )
     _last_seen: int = -1
@@ -76,17 +79,21 @@ class SampleStream:
         end = int((now_s - self._start_s) * self.rate_hz + 1e-6) + 1
         numbers, host_s = self._under_way
         if end > self._next:
-            new_numbers = np.arange(self._next, end)
-            self._next = end
-            delay = self.timing.latency_s + rng.exponential(self.timing.jitter_s, len(new_numbers))
-            arrival = np.maximum.accumulate(self._start_s + new_numbers / self.rate_hz + delay)
-            np.maximum(arrival, self._last_arrival_s, out=arrival)
-            self._last_arrival_s = float(arrival[-1])
+            delay = self.timing.latency_s + rng.exponential(self.timing.jitter_s, end - self._next)
             share = self.timing.lost_share + extra_lost_share
-            if share > 0:
-                kept = rng.random(len(new_numbers)) >= share
-                new_numbers, arrival = new_numbers[kept], arrival[kept]
-            numbers, host_s = np.concatenate([numbers, new_numbers]), np.concatenate([host_s, arrival])
+            dice = rng.random(len(delay)) if share > 0 else np.ones(len(delay))
+            numbers, host_s, self._last_arrival_s = _sent(
+                numbers,
+                host_s,
+                self._next,
+                delay,
+                dice,
+                share,
+                self._start_s,
+                self.rate_hz,
+                self._last_arrival_s,
+            )
+            self._next = end
         count = int(np.searchsorted(host_s, now_s, side="right"))
         self._under_way = (numbers[count:], host_s[count:])
         if count == 0:
@@ -98,3 +105,24 @@ class SampleStream:
         taken = self._start_s + numbers / self.rate_hz
         device = (taken + self.timing.clock_offset_s) * (1 + self.timing.clock_drift)
         return Arrivals(taken, device, host_s, lost)
+
+
+@kernel
+def _sent(
+    numbers: IntArray, host_s: FloatArray, first: int, delay_s: FloatArray, dice: FloatArray, lost_share: float,
+    start_s: float, rate_hz: float, last_arrival_s: float,
+) -> tuple[IntArray, FloatArray, float]:  # fmt: skip
+    """Add samples from number `first` on to those under way, but for the lost ones; none overtakes another."""
+    waiting, new = len(numbers), len(delay_s)
+    all_numbers, all_host_s = np.empty(waiting + new, np.int64), np.empty(waiting + new)
+    for i in range(waiting):
+        all_numbers[i] = numbers[i]
+        all_host_s[i] = host_s[i]
+    count = waiting
+    for i in range(new):
+        last_arrival_s = max(last_arrival_s, start_s + (first + i) / rate_hz + delay_s[i])
+        if dice[i] >= lost_share:
+            all_numbers[count] = first + i
+            all_host_s[count] = last_arrival_s
+            count += 1
+    return all_numbers[:count], all_host_s[:count], last_arrival_s

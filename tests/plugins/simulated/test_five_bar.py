@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from labrun_plugins.simulated.scenes.five_bar import ARC_RAD, blocked, greatest_difference, hinge_axes
+from labrun_plugins.simulated.scenes.five_bar import ARC_RAD, greatest_difference, hinge_axes, reached
 from labrun_plugins.simulated.scenes.plates import WATER_KG_M3, plate_force
 from scipy.spatial.transform import Rotation
 
@@ -28,7 +28,7 @@ def _closure_residual(axes):
 @settings(deadline=None)
 @given(first=ANGLE, second=ANGLE)
 def test_the_loop_closes_and_all_arcs_stay_72_degrees(first, second):
-    axes = hinge_axes(*blocked(first, second))
+    axes = hinge_axes(*reached(first, second))
     arcs = np.arctan2(
         np.linalg.norm(np.cross(axes, np.roll(axes, -1, 0)), axis=1),
         np.sum(axes * np.roll(axes, -1, 0), axis=1),
@@ -41,7 +41,7 @@ def test_the_loop_closes_and_all_arcs_stay_72_degrees(first, second):
 @settings(deadline=None)
 @given(first=ANGLE, second=ANGLE)
 def test_the_servo_links_stand_where_the_servos_turned_them(first, second):
-    first, second = blocked(first, second)
+    first, second = reached(first, second)
     axes = hinge_axes(first, second)
     flat = hinge_axes(0.0, 0.0)
     for servo, link, angle, sense in [(0, 1, first, -1), (4, 3, second, 1)]:
@@ -54,7 +54,7 @@ def test_the_servo_links_stand_where_the_servos_turned_them(first, second):
 def test_swapping_the_servos_mirrors_the_mechanism_and_negating_them_folds_it_to_the_other_side(
     first, second
 ):
-    first, second = blocked(first, second)
+    first, second = reached(first, second)
     axes = hinge_axes(first, second)
     np.testing.assert_allclose(hinge_axes(second, first), axes[::-1] * [1, -1, 1], atol=1e-9)
     assume(abs(first + second) > 1e-9)
@@ -77,22 +77,37 @@ def test_the_sheet_passes_smoothly_through_flat():
 
 @settings(deadline=None)
 @given(total=st.floats(-3.0, 3.0), excess=st.floats(0.001, 0.5))
-def test_beyond_the_greatest_difference_no_loop_closes_and_servos_are_blocked_before_it(total, excess):
+def test_beyond_the_greatest_difference_no_loop_closes_and_servos_yield_before_it(total, excess):
     most = greatest_difference(total)
     assume(most + excess < 3.0)
     beyond = most + excess
+    first, second = reached((total + beyond) / 2, (total - beyond) / 2)
+    assert abs(first - second) <= 0.85 * most + 1e-12
     with pytest.raises(ValueError, match="no loop closes"):
         hinge_axes((total + beyond) / 2, (total - beyond) / 2)
 
 
 @settings(deadline=None)
 @given(first=ANGLE, second=ANGLE)
-def test_blocking_is_continuous_and_leaves_angles_alone_that_close(first, second):
-    here = np.array(blocked(first, second))
-    near = np.array(blocked(first + 1e-7, second - 1e-7))
-    assert np.abs(here - near).max() < 1e-5
-    if abs(first - second) < 0.9 * greatest_difference(first + second):
-        np.testing.assert_allclose(here, [first, second], atol=1e-12)
+def test_saturation_keeps_the_sum_never_widens_the_difference_and_leaves_angles_alone_well_inside(
+    first, second
+):
+    here = reached(first, second)
+    total, difference = first + second, first - second
+    assert sum(here) == pytest.approx(total, abs=1e-12)
+    assert 0.0 <= (here[0] - here[1]) * np.sign(difference) <= abs(difference)
+    if abs(total) > 1.0 and abs(difference) < 0.3 * greatest_difference(total):
+        assert here[0] - here[1] == pytest.approx(difference, rel=0.02)
+
+
+@pytest.mark.parametrize("lead_rad", [0.1, 0.5, 1.0])
+def test_fin_axes_move_without_kink_or_jump_through_flat_however_far_the_servos_are_apart(lead_rad):
+    step = 1e-3
+    sums = np.arange(-1.5, 1.5, step)
+    axes = np.array([hinge_axes(*reached((total + lead_rad) / 2, (total - lead_rad) / 2)) for total in sums])
+    rate = np.diff(axes, axis=0) / step
+    assert np.abs(rate).max() < 4.0  # rad per rad of the servos' sum
+    assert np.abs(np.diff(rate, axis=0)).max() < 0.1
 
 
 @settings(deadline=None)

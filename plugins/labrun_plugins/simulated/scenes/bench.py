@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labrun.devices import FloatArray, Trajectory
 from labrun.errors import ExperimentError, SpecError
@@ -41,6 +42,7 @@ class Bench:
         self._rng = rng
         self._columns = {signal: column for column, signal in enumerate(self.signals)}
         self._drives = {joint: JointDrive() for joint in self.joints}
+        self._wanted: dict[tuple[str, ...], NDArray[np.int64]] = {}
         self._history = History(self.step_s, len(self.signals))
         self._began = False
 
@@ -64,7 +66,7 @@ class Bench:
 
     def observe(self, signals: Sequence[str], time_s: FloatArray) -> FloatArray:
         """Return the true signals at ascending times, shape (n, signals)."""
-        columns = [self._columns[signal] for signal in signals]
+        columns = self._columns_of(tuple(signals))
         if len(time_s) == 0:
             return np.empty((0, len(columns)))
         self._begin(float(time_s[0]))
@@ -75,6 +77,13 @@ class Bench:
             times = np.arange(first, first + count, dtype=np.float64) * self.step_s
             self._history.append(self._advance(times))
         return self._history.at(columns, time_s)
+
+    def _columns_of(self, signals: tuple[str, ...]) -> NDArray[np.int64]:
+        known = self._wanted.get(signals)
+        if known is None:
+            known = np.array([self._columns[signal] for signal in signals], dtype=np.int64)
+            self._wanted[signals] = known
+        return known
 
     def snapshot(self) -> dict[str, Any]:
         """Return the whole memory of the bench as JSON-ready values."""

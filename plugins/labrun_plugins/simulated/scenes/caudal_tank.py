@@ -10,6 +10,7 @@ from pydantic import PositiveFloat
 from labrun.devices import FloatArray
 from labrun.effects.quantities import Scale
 from labrun.errors import ExperimentError
+from labrun.models.calling import kernel
 from labrun.models.stepper import Stepper
 from labrun_plugins.simulated.scenes.bench import Bench
 from labrun_plugins.simulated.scenes.caudal_model import (
@@ -21,10 +22,10 @@ from labrun_plugins.simulated.scenes.caudal_model import (
 )
 from labrun_plugins.simulated.scenes.delays import DelayLine
 from labrun_plugins.simulated.scenes.hidden import described, hidden_effects
-from labrun_plugins.simulated.scenes.servo_model import joint_stepper
+from labrun_plugins.simulated.scenes.servo_model import joint_model, joint_stepper
 from labrun_plugins.simulated.scenes.settings import BenchSettings
 
-_SCALE = Scale(coordinate=1.0, rate=0.5, acceleration=5.0, force=0.3, signal=0.5, time_s=0.2)
+_SCALE = Scale(coordinate=1.0, rate=0.5, acceleration=5.0, force=0.3, signal=0.5, time_s=2.0)
 
 
 class CaudalTankSettings(BenchSettings):
@@ -49,7 +50,7 @@ class CaudalTank(Bench):
     """
 
     Settings: ClassVar[type[BenchSettings]] = CaudalTankSettings
-    step_s = 0.005
+    step_s = 0.01
     joints = ("tail",)
     signals: Mapping[str, str] = {
         "force_x": "N", "force_y": "N", "force_z": "N", "torque_x": "N m", "torque_y": "N m", "torque_z": "N m",
@@ -59,13 +60,11 @@ class CaudalTank(Bench):
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
         self._model = self._with_errors(caudal_model())
-        self._servo = joint_stepper(self.joints, self.step_s)
         on_joints = [one for one in self._settings.hide if one.site in self.joints]
         in_water = [one for one in self._settings.hide if one.site not in self.joints]
-        hidden_joints = hidden_effects(on_joints, self._servo.model, _SCALE)
+        hidden_joints = hidden_effects(on_joints, joint_model(self.joints), _SCALE)
         self._hidden = hidden_effects(in_water, self._model, _SCALE) + hidden_joints
-        if hidden_joints:
-            self._servo = joint_stepper(self.joints, self.step_s, hidden_joints)
+        self._servo = joint_stepper(self.joints, self.step_s, hidden_joints) if hidden_joints else None
         water = [effect for effect in self._hidden if effect not in hidden_joints]
         self._stepper = Stepper(self._model, effects=water, step_s=self.step_s)
         self._tip_rad = 0.0
@@ -91,34 +90,36 @@ class CaudalTank(Bench):
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
         commanded = self._drives["tail"].angles(time_s)
-        servo = self._servo.advance(np.append(self._joint_before, commanded)[:, None])[:, 0]
-        self._joint_before = commanded[-1:].copy()
+        servo = commanded
+        if self._servo is not None:
+            servo = self._servo.advance(np.append(self._joint_before, commanded)[:, None])[:, 0]
+            self._joint_before = commanded[-1:].copy()
         tip = self._tip(servo)
         rate = (servo - tip) / TIP_LAG_S
         late = self._late.after(rate, self._steps(AMPLITUDE_DEAD_S), self._steps(AMPLITUDE_DEAD_S + ECHO_S))
         (late_angle,) = self._angle.after(servo, self._steps(ANGLE_DEAD_S))
         noise = self._settings.noise / math.sqrt(self.step_s) * self._rng.standard_normal((len(time_s), 2))
-        inputs = np.column_stack([tip, rate, *late, late_angle, noise])
-        force = self._stepper.advance(np.concatenate([self._inputs_before, inputs]))
+        inputs = np.empty((len(time_s) + 1, len(self._model.inputs)))
+        inputs[0] = self._inputs_before
+        for column, values in enumerate((tip, rate, *late, late_angle)):
+            inputs[1:, column] = values
+        inputs[1:, 5:] = noise
+        force = self._stepper.advance(inputs)
         self._inputs_before = inputs[-1:].copy()
         if not self._stepper.finite:
             raise ExperimentError("the simulated caudal tank blew up", hint="hide a weaker effect, or none")
-        forward, side, zero = force[:, 0], force[:, 1], np.zeros(len(time_s))
         bar = self._settings.bar_length_m
-        return np.column_stack([forward, side, zero, bar * side, -bar * forward, zero, servo])
+        rows = np.zeros((len(time_s), len(self.signals)))
+        rows[:, :2] = force
+        rows[:, 3], rows[:, 4] = bar * force[:, 1], -bar * force[:, 0]
+        rows[:, 6] = servo
+        return rows
 
     def _tip(self, servo: FloatArray) -> FloatArray:
         """Return the tip's angle: the servo's, behind by a first-order lag."""
-        from scipy.signal import lfilter
-
-        # Exact for a servo angle that goes straight from one grid point to the next.
-        decay = math.exp(-self.step_s / TIP_LAG_S)
-        ramp = TIP_LAG_S / self.step_s * (1.0 - decay)
-        before = (ramp - decay) * self._servo_rad + decay * self._tip_rad
-        tip, _ = lfilter([1.0 - ramp, ramp - decay], [1.0, -decay], servo, zi=[before])
-        self._servo_rad = float(servo[-1])
-        self._tip_rad = float(tip[-1])
-        return np.asarray(tip)
+        tip = _lagged(servo, self._servo_rad, self._tip_rad, self.step_s / TIP_LAG_S)
+        self._servo_rad, self._tip_rad = float(servo[-1]), float(tip[-1])
+        return tip
 
     def _memory(self) -> dict[str, Any]:
         return {
@@ -128,7 +129,7 @@ class CaudalTank(Bench):
             "angle": self._angle.snapshot(),
             "joint_before": self._joint_before.tolist(),
             "inputs_before": self._inputs_before.tolist(),
-            "servo": self._servo.snapshot(),
+            "servo": None if self._servo is None else self._servo.snapshot(),
             "stepper": self._stepper.snapshot(),
         }
 
@@ -139,5 +140,19 @@ class CaudalTank(Bench):
         self._angle.restore(memory["angle"])
         self._joint_before = np.array(memory["joint_before"])
         self._inputs_before = np.array(memory["inputs_before"])
-        self._servo.restore(memory["servo"])
+        if self._servo is not None:
+            self._servo.restore(memory["servo"])
         self._stepper.restore(memory["stepper"])
+
+
+@kernel
+def _lagged(values: FloatArray, value: float, lagged: float, step: float) -> FloatArray:
+    """Return values behind by a first-order lag, exact where they go straight; `step` is in time constants."""
+    decay = math.exp(-step)
+    ramp = (1.0 - decay) / step
+    behind = np.empty(len(values))
+    for i in range(len(values)):
+        lagged = decay * lagged + (ramp - decay) * value + (1.0 - ramp) * values[i]
+        value = values[i]
+        behind[i] = lagged
+    return behind

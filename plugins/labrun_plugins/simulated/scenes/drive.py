@@ -29,6 +29,10 @@ class JointDrive:
 
     def angles(self, time_s: FloatArray) -> FloatArray:
         """Return the commanded angles at ascending times, shape (n,)."""
+        if self._moves and len(time_s):
+            start_s, times, points = self._moves[-1]
+            if time_s[0] >= start_s + times[-1]:  # at rest, as nearly always
+                return np.full(len(time_s), points[-1])
         angle = np.full(len(time_s), self.rest_rad)
         for start_s, times, points in self._moves:
             first = int(np.searchsorted(time_s, start_s))

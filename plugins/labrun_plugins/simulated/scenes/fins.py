@@ -1,16 +1,19 @@
 """Loads on the fish's fins: two pectoral five-bars and a tail, as flat plates in water that remembers.
 
-The outer links of each five-bar are the fin: two sectors of 72 degrees, cut into blade elements, each with
-the force of `plates`. The tail is two plates, the second of which follows the first with a lag (a flexible
-sheet).
+The outer links of each five-bar carry the fin: blades that span its two sectors of 72 degrees from 11 to 15.5
+cm from the mechanism's centre (chosen, with the range of gaits, so that good turning gaits give some 0.05 N m),
+cut into blade elements, each with the force of `plates`. They are a laminate that bends: their axes follow the
+mechanism's with a lag (twice 25 ms, chosen), which makes of the snap through the flat state a swing. Added mass
+is left out: its force averages out over a cycle. The tail is two plates, the second of which follows the first
+with a lag (a flexible sheet).
 
 Each fin sets the water around it in motion: its reaction accelerates an entrained mass of water, whose speed
-dies out over seconds (chosen: 8 kg, 2.5 s). The next strokes, and the next trial, meet that water; towing
+dies out over seconds (chosen: 8 kg, 2 s). The next strokes, and the next trial, meet that water; towing
 leaves it behind within 0.15 m (chosen: about a fin's length).
 
 Body frame: x forward, y left, z up; the left side mirrors the right one (y -> -y), so that equal angles of
 right and left joints are a mirrored motion. At zero angles a pectoral fin is a flat sheet that points
-sideways; its normal points up and forward, 22 degrees from up (chosen: its drag at neutral then matches the
+sideways; its normal points up and forward, 27 degrees from up (chosen: its drag at neutral then matches the
 measured one, see `fire_model`).
 """
 
@@ -20,20 +23,20 @@ import numpy as np
 
 from labrun.devices import FloatArray
 from labrun.models.calling import kernel
-from labrun_plugins.simulated.scenes.five_bar import ARC_RAD, blocked, link_axes
+from labrun_plugins.simulated.scenes.five_bar import ARC_RAD, link_axes, reached
 from labrun_plugins.simulated.scenes.plates import plate_force
 
 JOINTS = ("right_1", "right_2", "left_1", "left_2", "tail")
 
 _ROOT_M = (0.05, 0.05, 0.0)
-_TILT_RAD = math.radians(22.0)
-_INNER_M, _OUTER_M = 0.03, 0.12
+_TILT_RAD = math.radians(27.0)
+_INNER_M, _OUTER_M = 0.11, 0.155
 _RINGS, _DIRECTIONS = 2, 4
 _TAIL_ROOT_M = -0.25
 _TAIL_PIECE_M, _TAIL_HEIGHT_M = 0.06, 0.10
 _TAIL_LAG_S = 0.08
 _ENTRAINED_KG = 8.0
-_WAKE_S = 2.5
+_WAKE_S = 2.0
 _LEFT_BEHIND_M = 0.15
 
 _edges = np.linspace(_INNER_M, _OUTER_M, _RINGS + 1)
@@ -43,25 +46,49 @@ _RING_M2 = 0.5 * (ARC_RAD / 2.0) * (_edges[1:] ** 2 - _edges[:-1] ** 2)
 """Area of a blade element: half a sector."""
 FIN_AREA_M2 = float(4 * _RING_M2.sum())
 
-FIN_MEMORY = 2 * _DIRECTIONS * 3 + 2
-"""Numbers that `fin_loads` keeps in `motion`: directions of the blade elements, and both tail angles."""
+_BEND_S = 0.025
+_STAGES = 2
+
+_ELEMENTS = 2 * _DIRECTIONS * 3
+_BENT = 2 * _STAGES * 9
+FIN_MEMORY = _ELEMENTS + _BENT + 2
+"""Numbers that `fin_loads` keeps in `motion`: directions of the blade elements, axes of both fins as they are
+bent in each stage of the lag, and both tail angles."""
 
 
 @kernel
-def _directions(
-    theta_1: float, theta_2: float, axes: FloatArray, directions: FloatArray, normals: FloatArray
-) -> None:
-    """Write the directions of a fin's blade elements and the two normals, in the mechanism's coordinates."""
-    first, second = blocked(theta_1, theta_2)
-    link_axes(first, second, axes)
+def _bend(axes: FloatArray, share: float, bent: FloatArray, now: FloatArray) -> None:
+    """Let a fin's axes follow its mechanism's by this share of the way, and write them, as unit vectors."""
+    for axis in range(3):
+        for i in range(3):
+            value = axes[axis, i]
+            for stage in range(_STAGES):
+                bent[stage, axis, i] += share * (value - bent[stage, axis, i])
+                value = bent[stage, axis, i]
+            now[axis, i] = value
+    _normalize(now)
+
+
+@kernel
+def _directions(axes: FloatArray, directions: FloatArray, normals: FloatArray) -> None:
+    """Write the directions of a fin's blade elements and the normals of its links, all unit vectors."""
     near, far = math.sin(0.75 * ARC_RAD) / math.sin(ARC_RAD), math.sin(0.25 * ARC_RAD) / math.sin(ARC_RAD)
     for link in range(2):
         for i in range(3):
             directions[2 * link, i] = near * axes[link, i] + far * axes[2, i]
             directions[2 * link + 1, i] = far * axes[link, i] + near * axes[2, i]
-        for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3
-            normals[link, i] = (axes[link, j] * axes[2, k] - axes[link, k] * axes[2, j]) / math.sin(ARC_RAD)
+            normals[link, i] = axes[link, j] * axes[2, k] - axes[link, k] * axes[2, j]
+    _normalize(directions)
+    _normalize(normals)
+
+
+@kernel
+def _normalize(vectors: FloatArray) -> None:
+    for row in range(len(vectors)):
+        size = math.sqrt(vectors[row, 0] ** 2 + vectors[row, 1] ** 2 + vectors[row, 2] ** 2)
+        for i in range(3):
+            vectors[row, i] /= size
 
 
 @kernel
@@ -111,15 +138,22 @@ def fin_loads(
     """
     count = len(joints)
     loads = np.zeros((count, 7))
-    axes, normals = np.empty((3, 3)), np.empty((2, 3))
+    mechanism, axes, normals = np.empty((2, 3, 3)), np.empty((3, 3)), np.empty((2, 3))
     now = np.empty((_DIRECTIONS, 3))
-    before = motion[: 2 * _DIRECTIONS * 3].reshape(2, _DIRECTIONS, 3)
+    before = motion[:_ELEMENTS].reshape(2, _DIRECTIONS, 3)
+    bent = motion[_ELEMENTS : _ELEMENTS + _BENT].reshape(2, _STAGES, 3, 3)
+    share = 1.0 - math.exp(-step_s / _BEND_S)
     fin = np.zeros(6)
     for n in range(count):
         for which in range(2):
             side = -1.0 if which == 0 else 1.0
-            fin[:] = 0.0
-            _directions(joints[n, 2 * which], joints[n, 2 * which + 1], axes, now, normals)
+            for i in range(6):
+                fin[i] = 0.0
+            first, second = joints[n, 2 * which], joints[n, 2 * which + 1]
+            if n == 0 or first != joints[n - 1, 2 * which] or second != joints[n - 1, 2 * which + 1]:
+                link_axes(*reached(first, second), mechanism[which])
+            _bend(mechanism[which], share, bent[which], axes)
+            _directions(axes, now, normals)
             _to_body(side, now, _DIRECTIONS)
             _to_body(side, normals, 2)
             for d in range(_DIRECTIONS):
@@ -141,12 +175,15 @@ def fin_loads(
                         _ROOT_M[0] + radius * now[d, 0], side * _ROOT_M[1] + radius * now[d, 1],
                         _ROOT_M[2] + radius * now[d, 2],
                     )  # fmt: skip
-            before[which] = now
+            for d in range(_DIRECTIONS):
+                for i in range(3):
+                    before[which, d, i] = now[d, i]
             _take_along(wake, which, fin, tow_m_s[n], step_s)
             for i in range(6):
                 loads[n, i] += fin[i]
             loads[n, 6] += math.sqrt(fin[0] ** 2 + fin[1] ** 2 + fin[2] ** 2)
-        fin[:] = 0.0
+        for i in range(6):
+            fin[i] = 0.0
         _tail(joints[n, 4], tow_m_s[n], step_s, motion, wake, fin)
         _take_along(wake, 2, fin, tow_m_s[n], step_s)
         for i in range(6):
@@ -192,6 +229,7 @@ def _tail(
 def motion_at(joints: FloatArray) -> FloatArray:
     """Return the `motion` memory of fins at rest at these joint angles, shape (FIN_MEMORY,)."""
     motion = np.zeros(FIN_MEMORY)
-    fin_loads(joints[None, :], np.zeros(1), 1.0, motion, np.zeros((3, 3)))
+    # One step that is longer than any lag.
+    fin_loads(joints[None, :], np.zeros(1), 1e6, motion, np.zeros((3, 3)))
     motion[-1] = joints[4]
     return motion

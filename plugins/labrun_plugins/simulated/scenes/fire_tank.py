@@ -16,17 +16,17 @@ from labrun_plugins.simulated.scenes.fins import JOINTS, fin_loads, motion_at
 from labrun_plugins.simulated.scenes.fire_model import OUTPUTS, fire_model
 from labrun_plugins.simulated.scenes.hidden import described, hidden_effects
 from labrun_plugins.simulated.scenes.memory import packed, unpacked
-from labrun_plugins.simulated.scenes.servo_model import joint_stepper
+from labrun_plugins.simulated.scenes.servo_model import joint_model, joint_stepper
 from labrun_plugins.simulated.scenes.settings import BenchSettings
 from labrun_plugins.simulated.scenes.tow import Carriage
 
-_SCALE = Scale(coordinate=0.5, rate=0.2, acceleration=1.0, force=0.3, signal=0.5, time_s=0.2)
+_SCALE = Scale(coordinate=0.5, rate=0.2, acceleration=1.0, force=0.3, signal=0.5, time_s=2.0)
 
 
 class FireTankSettings(BenchSettings):
     """`mount_height_m`: the sensor sits this far above the fish's centre, at the end of the arm."""
 
-    mount_height_m: PositiveFloat = 0.3
+    mount_height_m: PositiveFloat = 0.15
 
 
 class FireTank(Bench):
@@ -34,7 +34,7 @@ class FireTank(Bench):
 
     Physics and sources: see `five_bar`, `plates`, `fins` and `fire_model`.
 
-    A trial leaves moving water at each fin (2.5 s), waves between the walls (about 6 s) and vortices (3 s)
+    A trial leaves moving water at each fin (2 s), waves between the walls (about 6 s) and vortices (2 s)
     behind.
 
     Signals: ``force_x`` ... ``torque_z`` at the sensor (x forward, y left, z up), ``position`` of the
@@ -43,7 +43,7 @@ class FireTank(Bench):
     """
 
     Settings: ClassVar[type[BenchSettings]] = FireTankSettings
-    step_s = 0.005
+    step_s = 0.01
     joints = JOINTS
     signals: Mapping[str, str] = {
         **{one.name: one.unit for one in OUTPUTS}, "position": "m", **dict.fromkeys(JOINTS, "rad"),
@@ -54,11 +54,10 @@ class FireTank(Bench):
         self._model = self._with_errors(fire_model(self._settings.mount_height_m))
         on_joints = [one for one in self._settings.hide if one.site in self.joints]
         in_water = [one for one in self._settings.hide if one.site not in self.joints]
-        plain = joint_stepper(self.joints, self.step_s)
-        joint_effects = hidden_effects(on_joints, plain.model, _SCALE)
+        joint_effects = hidden_effects(on_joints, joint_model(self.joints), _SCALE)
         water_effects = hidden_effects(in_water, self._model, _SCALE)
         self._hidden = water_effects + joint_effects
-        self._servo = joint_stepper(self.joints, self.step_s, joint_effects)
+        self._servo = joint_stepper(self.joints, self.step_s, joint_effects) if joint_effects else None
         self._stepper = Stepper(self._model, effects=water_effects, step_s=self.step_s)
         self._carriage = Carriage()
         self._motion = motion_at(np.zeros(len(JOINTS)))
@@ -81,18 +80,26 @@ class FireTank(Bench):
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
         count = len(time_s)
-        commanded = np.column_stack([self._drives[joint].angles(time_s) for joint in self.joints])
-        joints = self._servo.advance(np.concatenate([self._joints_before, commanded]))
-        self._joints_before = commanded[-1:].copy()
+        commanded = np.empty((count, len(self.joints)))
+        for column, joint in enumerate(self.joints):
+            commanded[:, column] = self._drives[joint].angles(time_s)
+        joints = commanded
+        if self._servo is not None:
+            joints = self._servo.advance(np.concatenate([self._joints_before, commanded]))
+            self._joints_before = commanded[-1:].copy()
         position, speed, acceleration = self._carriage.motion(time_s)
-        loads = fin_loads(np.ascontiguousarray(joints), speed, self.step_s, self._motion, self._wake)
+        loads = fin_loads(joints, speed, self.step_s, self._motion, self._wake)
         noise = self._settings.noise / math.sqrt(self.step_s) * self._rng.standard_normal((count, 3))
-        inputs = np.column_stack([loads, speed, acceleration, noise])
-        wrench = self._stepper.advance(np.concatenate([self._inputs_before, inputs]))
+        inputs = np.empty((count + 1, len(self._model.inputs)))
+        inputs[0] = self._inputs_before
+        inputs[1:, :7], inputs[1:, 7], inputs[1:, 8], inputs[1:, 9:] = loads, speed, acceleration, noise
+        wrench = self._stepper.advance(inputs)
         self._inputs_before = inputs[-1:].copy()
         if not self._stepper.finite:
             raise ExperimentError("the simulated fire tank blew up", hint="hide a weaker effect, or none")
-        return np.column_stack([wrench, position, joints])
+        rows = np.empty((count, len(self.signals)))
+        rows[:, :6], rows[:, 6], rows[:, 7:] = wrench, position, joints
+        return rows
 
     def _memory(self) -> dict[str, Any]:
         return {
@@ -101,7 +108,7 @@ class FireTank(Bench):
             "wake": packed(self._wake),
             "joints_before": packed(self._joints_before),
             "inputs_before": packed(self._inputs_before),
-            "servo": self._servo.snapshot(),
+            "servo": None if self._servo is None else self._servo.snapshot(),
             "stepper": self._stepper.snapshot(),
         }
 
@@ -111,5 +118,6 @@ class FireTank(Bench):
         self._wake = unpacked(memory["wake"])
         self._joints_before = unpacked(memory["joints_before"])
         self._inputs_before = unpacked(memory["inputs_before"])
-        self._servo.restore(memory["servo"])
+        if self._servo is not None:
+            self._servo.restore(memory["servo"])
         self._stepper.restore(memory["stepper"])

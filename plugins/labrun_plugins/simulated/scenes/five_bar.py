@@ -12,10 +12,17 @@ exactly: an iteration on the closure would stall at the flat state, where its Ja
 Flat is not only singular, it is a crossing of branches, and beside it no loop closes when the servos turn
 against each other: the outer links are then stretched. In the coordinates ``u = theta_1 + theta_2`` and ``v =
 theta_1 - theta_2`` a loop closes for ``|v| <= v_max(u)``, with ``v_max(0) = 0``. Two choices make the motion
-unique and continuous (chosen for the simulation; the source is silent): the outer links fold to the side of
-the sign of `u`, so that the sheet goes smoothly through flat; and where servos are told to stretch the outer
-links they are blocked at 95 % of `v_max`, so that a crossing never becomes a touching, where speeds would be
-infinite.
+unique and smooth (chosen for the simulation; the source is silent). The outer links fold to the side of the
+sign of `u`, so that the sheet goes smoothly through flat. And where servos are told to stretch the outer
+links, the laminate bends and the servos yield: `v` is not stopped hard, it saturates smoothly,
+
+    ``v -> v / (1 + (v / m)^4)^(1/4)``,
+    ``m(u) = s u^2 / sqrt(u^2 + 0.4^2) / (1 + (s u / 2.4)^4)^(1/4)``,  ``s = v_max'(0) = 2.058``.
+
+The limit `m` follows `v_max` where it can, and stays below 85 % of it everywhere, because `v_max` itself has a
+corner (at u = 0.785) and a crossing must never become a touching, where speeds would be infinite. It leaves
+angles well inside alone (1.5 % less at half of `m`), and brings `v` to zero without a kink where the sheet is
+flat.
 """
 
 import math
@@ -30,7 +37,9 @@ _C = math.cos(ARC_RAD)
 _S = math.sin(ARC_RAD)
 _HALF = ARC_RAD / 2.0
 _REACH = math.cos(2.0 * ARC_RAD)
-_MOST_OF_REACH = 0.95
+_FLAT_SLOPE = 2.058
+_FLAT_RAD = 0.4
+_WIDEST_RAD = 2.4
 _MOST_RAD = math.radians(100.0)
 
 
@@ -55,13 +64,19 @@ def greatest_difference(sum_rad: float) -> float:
 
 
 @kernel
-def blocked(theta_1: float, theta_2: float) -> tuple[float, float]:
-    """Return the angles the servos really reach, rad: their sum goes through, their difference is blocked."""
+def reached(theta_1: float, theta_2: float) -> tuple[float, float]:
+    """Return the angles the servos really reach, rad: their sum goes through, their difference saturates."""
     first = max(-_MOST_RAD, min(_MOST_RAD, theta_1))
     second = max(-_MOST_RAD, min(_MOST_RAD, theta_2))
     total, difference = first + second, first - second
-    most = _MOST_OF_REACH * greatest_difference(total)
-    difference = max(-most, min(most, difference))
+    straight = _FLAT_SLOPE * total * total / math.sqrt(total * total + _FLAT_RAD * _FLAT_RAD)
+    bend = (_FLAT_SLOPE * total / _WIDEST_RAD) ** 2
+    most = straight / math.sqrt(math.sqrt(1.0 + bend * bend))
+    # The same as in the module's docstring, without dividing by a limit that may be zero.
+    square, most_square = difference * difference, most * most
+    sizes = math.sqrt(math.sqrt(square * square + most_square * most_square))
+    if sizes > 0.0:
+        difference *= most / sizes
     return 0.5 * (total + difference), 0.5 * (total - difference)
 
 
@@ -75,7 +90,7 @@ def link_axes(theta_1: float, theta_2: float, axes: FloatArray) -> None:
     Parameters
     ----------
     theta_1, theta_2
-        Servo angles, rad, as `blocked` returns them.
+        Servo angles, rad, as `reached` returns them.
     axes : (3, 3)
         Receives unit vectors: end of link 1, end of link 2, meeting axis.
     """

@@ -1,12 +1,17 @@
 """What happened on a bench lately, on its own time grid, to be looked up between the grid points."""
 
+import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labrun.devices import FloatArray
 from labrun.errors import ExperimentError
+from labrun.models.calling import kernel
 from labrun_plugins.simulated.scenes.memory import packed, unpacked
+
+IntArray = NDArray[np.int64]
 
 
 class History:
@@ -51,7 +56,7 @@ class History:
         self._rows[self._count : need] = rows
         self._count = need
 
-    def at(self, columns: list[int], time_s: FloatArray) -> FloatArray:
+    def at(self, columns: IntArray, time_s: FloatArray) -> FloatArray:
         """Return the signals at these times, linear between grid points, shape (n, columns).
 
         Raises
@@ -59,22 +64,17 @@ class History:
         ExperimentError
             A time that is no longer, or not yet, known.
         """
-        # Absolute until the weight is known: what has been forgotten must not change the rounding.
-        position = time_s / self.step_s
-        point = np.floor(position)
-        weight = (position - point)[:, None]
-        index = point.astype(np.int64) - self._first
-        low, high = int(index.min()), int(index.max())
-        if low < 0 or high + 1 >= self._count:
+        found = np.empty((len(time_s), len(columns)))
+        known_rows = self._rows[: self._count]
+        if not _interpolate(
+            known_rows, self._first, self.step_s, columns, np.ascontiguousarray(time_s), found
+        ):
             known = f"{self._first * self.step_s:.3f} ... {(self.end - 1) * self.step_s:.3f} s"
             raise ExperimentError(
                 f"the simulated bench was asked for {time_s.min():.3f} ... {time_s.max():.3f} s, it knows {known}",
                 hint="sensors must be read at least every two minutes of a dry run",
             )
-        window = self._rows[low : high + 2, columns]
-        index -= low
-        below = window[index]
-        return np.asarray(below + weight * (window[index + 1] - below))
+        return found
 
     def snapshot(self, span_s: float) -> list[Any]:
         """Return the last stretch as JSON-ready values."""
@@ -86,3 +86,22 @@ class History:
         rows = unpacked(stored[1])
         self._first, self._count = int(stored[0]), 0
         self.append(rows)
+
+
+@kernel
+def _interpolate(
+    rows: FloatArray, first: int, step_s: float, columns: IntArray, time_s: FloatArray, found: FloatArray
+) -> bool:
+    """Write the values between grid points; False where a time is not known."""
+    for i in range(len(time_s)):
+        # Absolute until the weight is known: what has been forgotten must not change the rounding.
+        position = time_s[i] / step_s
+        point = math.floor(position)
+        weight = position - point
+        index = int(point) - first
+        if index < 0 or index + 1 >= len(rows):
+            return False
+        for j in range(len(columns)):
+            below = rows[index, columns[j]]
+            found[i, j] = below + weight * (rows[index + 1, columns[j]] - below)
+    return True
