@@ -80,8 +80,9 @@ def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  
 
 def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
     """Forward and side force on the fish, N."""
-    # 0 where the returning wave is in phase with the tail (or there is none), 2 in antiphase.
-    discord = max(0.0, x[5] - x[6]) / (x[5] + _QUIET)
+    # 0 where the returning wave is in phase with the tail (or there is none yet), 2 in antiphase. It grows with the
+    # wave's own power beside the tail's: the first wave to come back changes the thrust smoothly.
+    discord = max(0.0, x[5] - x[6]) / (0.5 * (x[4] + x[5]) + _QUIET)
     gain = 1.0 - 2.0 * math.tanh(_ECHO_STRENGTH * p[3] * discord)
     # The jet swings with the tail; its mean is weaker than its strength by J0(swing), which (5.5) contains.
     swing = 1.0 + p[1] * p[1] * _SWING_GAIN * x[4]
