@@ -1,5 +1,6 @@
 """The picture of a fit: measured and simulated, and what is left, for the trials that tell most."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -18,6 +19,12 @@ _ACROSS = 3
 _MOST_SWINGS = 24
 """More turns than this in one panel are a solid block of ink: a section is shown instead."""
 _SECTION_SWINGS = 10
+# inches; a layout that measures every label takes as long as all the drawing
+_CELL = (3.7, 2.85)
+_HEADING = 0.6
+_MARGIN = 0.72
+_PANELS = ((1.72, 1.5), (2.44, 0.52))
+"""How far the lower edges of overlay and residual lie below the cell's upper one, and how high they are."""
 _MEASURED, _SIMULATED, _LEFT, _INK, _GRID = "#9aa5b1", "#c2410c", "#1d4e89", "#1f2933", "#e4e7eb"
 _STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans", "font.size": 8.5, "axes.edgecolor": "#7b8794", "axes.linewidth": 0.6,
@@ -42,33 +49,44 @@ def draw_fit(result: FitResult, path: Path) -> Path:
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     misfit = _misfits(result)
     shown, marks = shown_trials(misfit)
     outputs = result.dataset.outputs
     across = min(_ACROSS, len(shown)) if len(shown) != 4 else 2
     rows = -(-len(shown) // across) * len(outputs)
+    width, height = max(_CELL[0] * across, 5.5), _CELL[1] * rows + _HEADING
     with rc_context(cast("Any", _STYLE)):
-        figure = Figure(figsize=(max(3.7 * across, 5.5), 2.75 * rows + 0.95), dpi=150)
+        figure = Figure(figsize=(width, height), dpi=150)
         FigureCanvasAgg(figure)
-        figure.set_layout_engine(ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.05, hspace=0.06, wspace=0.04))
-        cells = figure.subfigures(rows, across, squeeze=False)
         for place, trial in enumerate(shown):
             for column in range(len(outputs)):
-                cell = cells[(place // across) * len(outputs) + column][place % across]
+                row, of_row = (place // across) * len(outputs) + column, place % across
+                left, top = of_row * width / across, height - _HEADING - row * _CELL[1]
                 _panel(
-                    cell,
+                    [
+                        figure.add_axes(
+                            (
+                                (left + _MARGIN) / width,
+                                (top - below) / height,
+                                (width / across - _MARGIN - 0.12) / width,
+                                tall / height,
+                            )
+                        )
+                        for below, tall in _PANELS
+                    ],
                     result,
                     trial,
                     column,
                     marks.get(trial, ""),
                     first=place == 0 and column == 0,
-                    left=place % across == 0,
+                    left=of_row == 0,
                 )
-        figure.suptitle(_title(result, len(shown)), fontsize=10, x=0.01, ha="left", linespacing=1.5)
+        figure.text(
+            0.1 / width, 1 - 0.1 / height, _title(result, len(shown)), fontsize=10, va="top", linespacing=1.5
+        )
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, format="png")
+        figure.savefig(path, format="png", pil_kwargs={"compress_level": 3})
     return path
 
 
@@ -106,13 +124,20 @@ def _title(result: FitResult, shown: int) -> str:
 
 
 def _panel(
-    cell: Any, result: FitResult, trial: int, column: int, mark: str, *, first: bool, left: bool
+    axes: "Sequence[Axes]",
+    result: FitResult,
+    trial: int,
+    column: int,
+    mark: str,
+    *,
+    first: bool,
+    left: bool,
 ) -> None:
     data = result.dataset.trials[trial]
     output = result.dataset.outputs[column]
     time_s, measured = data.time_s, data.outputs[:, column]
     residual = result.residuals[trial][:, column]
-    overlay, rest = cell.subplots(2, 1, height_ratios=(2.4, 1.0))
+    overlay, rest = axes
     section = _section(time_s, measured, residual)
     inside = (time_s >= section[0]) & (time_s <= section[1])
     overlay.plot(
@@ -149,7 +174,7 @@ def _panel(
     rest.set_xlabel("time, s" if whole else "time, s (shaded: the section above)")
     if left:
         overlay.set_ylabel(_with_unit(output.name, output.unit))
-        rest.set_ylabel(_with_unit("residual", unit))
+        rest.set_ylabel(_with_unit("residual", unit).replace(", ", ",\n"))
     rms = float(np.sqrt(np.mean(residual**2)))
     note = f"RMS {scale * rms:.3g} {unit}" + (f", {mark}" if mark else "")
     overlay.set_title(_shortened(data.label), loc="left", fontweight="bold")

@@ -1,20 +1,22 @@
 """Fourier series of one swing, differentiated analytically, as in chapter 3 of the source work."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
 
 from labrun.errors import FitError
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 _EXTENSION = 1.25
 """Fundamental period over record length."""
 _LOWEST, _HIGHEST = 1.5, 4.0
 """Range of the highest harmonic, in units of the swing's own frequency."""
-_SMALLEST_SINGULAR = 1e-9
+_RIDGE = 1e-13
+"""Squared singular values below this share of the number of samples count as nothing."""
 _TRIM = 0.05
 
 
@@ -46,9 +48,9 @@ def fit_fourier(time_s: FloatArray, angle: FloatArray, label: str = "the record"
     A decaying record is not periodic, and a series over its own length would ring at both ends. The series is
     therefore given a fundamental period 1.25 times the record's length (a Fourier extension: Boyd 2002,
     Huybrechs 2010), in whose free quarter it may close as it likes; the least-squares problem is then ill-conditioned,
-    which a truncated singular value decomposition takes care of. The order is the one with the smallest Bayesian
-    information criterion between 1.5 and 4 times the swing's own frequency: higher harmonics would only follow noise,
-    which two differentiations multiply.
+    which a slight ridge takes care of. The order is the one with the smallest Bayesian information criterion between
+    1.5 and 4 times the swing's own frequency: higher harmonics would only follow noise, which two differentiations
+    multiply.
     Derivatives are least certain at the ends: 5 % of the record, or half a swing if that is longer, is dropped at each.
 
     Parameters
@@ -76,46 +78,68 @@ def fit_fourier(time_s: FloatArray, angle: FloatArray, label: str = "the record"
     lowest = max(int(_LOWEST * frequency_hz * period_s), 2)
     highest = int(min(_HIGHEST * frequency_hz * period_s, len(time_s) / 4))
     centred = time_s - 0.5 * (time_s[0] + time_s[-1])
-    order = _best_order(centred, angle, period_s, lowest, max(highest, lowest))
-    omega = 2.0 * np.pi * np.arange(1, order + 1) / period_s
-    coefficients = np.linalg.lstsq(_basis(centred, period_s, order), angle, rcond=_SMALLEST_SINGULAR)[0]
-    noise = float(np.sqrt(np.mean((angle - _basis(centred, period_s, order) @ coefficients) ** 2)))
+    waves = _waves(centred, period_s, max(highest, lowest))
+    order, coefficients = _series(waves, angle, lowest)
+    noise = float(np.sqrt(np.mean((angle - (waves[:, : order + 1] @ coefficients).real) ** 2)))
     trim_s = max(_TRIM * duration_s, 0.5 / frequency_hz)
     inside = np.abs(centred) <= 0.5 * duration_s - trim_s
-    basis = _basis(centred[inside], period_s, order)
-    constant, cosines, sines = coefficients[0], coefficients[1::2], coefficients[2::2]
-
-    def value(first: NDArray[Any], second: NDArray[Any]) -> FloatArray:
-        return np.asarray(basis[:, 1::2] @ first + basis[:, 2::2] @ second)
-
-    return FourierSwing(
-        time_s[inside],
-        constant + value(cosines, sines),
-        value(omega * sines, -omega * cosines),
-        -value(omega**2 * cosines, omega**2 * sines),
-        order,
-        noise,
+    turn = 2j * np.pi / period_s * np.arange(order + 1)
+    values = waves[inside, : order + 1] @ np.column_stack(
+        [coefficients, turn * coefficients, turn**2 * coefficients]
     )
+    return FourierSwing(time_s[inside], values[:, 0].real, values[:, 1].real, values[:, 2].real, order, noise)
 
 
-def _basis(time_s: FloatArray, period_s: float, order: int) -> FloatArray:
-    """Return 1, cos, sin, cos 2, sin 2, ... as columns."""
-    phase = 2.0 * np.pi / period_s * np.outer(time_s, np.arange(1, order + 1))
-    basis = np.ones((len(time_s), 2 * order + 1))
-    basis[:, 1::2], basis[:, 2::2] = np.cos(phase), np.sin(phase)
-    return basis
+def _waves(time_s: FloatArray, period_s: float, highest: int) -> ComplexArray:
+    """Return exp(i m w t) for m = 0 ... highest as columns, by repeated multiplication."""
+    waves = np.ones((len(time_s), highest + 1), dtype=complex)
+    waves[:, 1] = np.exp(2j * np.pi / period_s * time_s)
+    known = 1
+    while known < highest:
+        new = min(known, highest - known)
+        waves[:, known + 1 : known + 1 + new] = waves[:, 1 : new + 1] * waves[:, known : known + 1]
+        known += new
+    return waves
 
 
-def _best_order(time_s: FloatArray, angle: FloatArray, period_s: float, lowest: int, highest: int) -> int:
-    """Return the order of smallest BIC; one QR of the largest basis gives the residual of all smaller ones."""
-    basis, _ = np.linalg.qr(_basis(time_s, period_s, highest))
-    explained = np.cumsum((basis.T @ angle) ** 2)
+def _series(waves: ComplexArray, angle: FloatArray, lowest: int) -> tuple[int, ComplexArray]:
+    """Return the order of smallest BIC and its complex coefficients (angle = Re sum c_m exp(i m w t)).
+
+    Products of two waves are waves, so that the normal equations need the sums of single waves only; one Cholesky
+    factor of the largest holds the factors, and so the residuals, of all smaller ones.
+    """
+    number, highest = len(angle), waves.shape[1] - 1
+    sums = np.concatenate([waves.sum(axis=0), waves[:, 1:].T @ waves[:, -1]])
+    gram = _gram(sums, highest)
+    gram[np.diag_indices_from(gram)] += _RIDGE * number
+    pulls = angle @ waves
+    right = np.empty(2 * highest + 1)
+    right[0], right[1::2], right[2::2] = pulls[0].real, pulls[1:].real, -pulls[1:].imag
+    factor = cholesky(gram, lower=True)
+    forward = solve_triangular(factor, right, lower=True)
     orders = np.arange(lowest, highest + 1)
-    number = len(angle)
-    floor = 1e-20 * float(angle @ angle)
-    left = np.maximum(float(angle @ angle) - explained[2 * orders], floor)
+    total = float(angle @ angle)
+    left = np.maximum(total - np.cumsum(forward**2)[2 * orders], 1e-20 * total)
     criterion = number * np.log(left / number) + np.log(number) * (2 * orders + 1)
-    return int(orders[np.argmin(criterion)])
+    order = int(orders[np.argmin(criterion)])
+    size = 2 * order + 1
+    solved = solve_triangular(factor[:size, :size], forward[:size], lower=True, trans="T")
+    return order, np.concatenate([solved[:1], solved[1::2] + 1j * solved[2::2]])
+
+
+def _gram(sums: ComplexArray, highest: int) -> FloatArray:
+    """Return B'B of the basis 1, cos, -sin, cos 2, -sin 2, ... from the sums of exp(i m w t)."""
+    index = np.arange(highest + 1)
+    apart = index[:, None] - index
+    difference = np.where(apart >= 0, sums[np.abs(apart)], np.conj(sums[np.abs(apart)]))
+    together = sums[index[:, None] + index]
+    gram = np.empty((2 * highest + 2, 2 * highest + 2))
+    gram[0::2, 0::2] = 0.5 * (together + difference).real
+    gram[1::2, 1::2] = 0.5 * (difference - together).real
+    gram[1::2, 0::2] = -0.5 * (together + difference).imag
+    gram[0::2, 1::2] = gram[1::2, 0::2].T
+    # the sine of order zero is no part of the basis
+    return np.delete(np.delete(gram, 1, axis=0), 1, axis=1)
 
 
 def _dominant_frequency(time_s: FloatArray, angle: FloatArray) -> float:

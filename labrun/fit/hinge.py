@@ -1,88 +1,30 @@
 """Stiffness and damping of a hinge from free swings, both ways: chapter 3's, and by simulation."""
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labrun.errors import FitError
-from labrun.fit.dataset import Dataset
+from labrun.fit.correlation import correlation_length
+from labrun.fit.dataset import Dataset, FitTrial
 from labrun.fit.fourier import FourierSwing, fit_fourier
+from labrun.fit.hinge_findings import agreement_warnings, body_warning, release_findings, residual_warning
+from labrun.fit.hinge_model import FOUND, Body, hinge_model, taken_as_stated
 from labrun.fit.notes import Note, silent
-from labrun.fit.output_error import FEW_TRIALS, correlation_length, fit_model
+from labrun.fit.output_error import FEW_TRIALS, fit_model
+from labrun.fit.releases import Release, fit_release, fourier_system, fourier_values, mean_over_releases
 from labrun.fit.resampling import resample_trials
-from labrun.fit.result import Estimate, FitResult, rounded
+from labrun.fit.result import Estimate, FitResult
 
 if TYPE_CHECKING:
-    from labrun.models import Model, Parameter
+    from labrun.models import Model
 
 FloatArray = NDArray[np.float64]
 
 _BLOCKS = 10
-_CLOSE = 5e-3
-_ABOVE_NOISE = 2.0
-"""A residual this many times the sensor's noise is not noise: the model lacks something."""
-
-
-@dataclass(frozen=True, slots=True)
-class FourierEstimate:
-    """Chapter 3's estimate.
-
-    Attributes
-    ----------
-    estimates
-        By name, as in the model: stiffness, damping, and gravity_torque where that is not known.
-    noise
-        Root mean square over the swings of what the Fourier series left, rad.
-    """
-
-    estimates: dict[str, Estimate]
-    noise: float
-
-
-def hinge_model(known: "Model | None") -> "Model":
-    """Return eq. (3.5) with what another model knows of the body.
-
-    Parameters
-    ----------
-    known
-        A model with the parameters `inertia` (I_G + m r^2, kg m^2) and `gravity_torque` (m g r, N m), such as
-        that of the experiment or of a recording; values and tolerances are taken over, those of `stiffness` and
-        `damping` too where it has them.
-
-    Raises
-    ------
-    FitError
-        No model, or one that knows neither.
-    """
-    from labrun.models import load_model
-
-    model = load_model(Path(__file__).with_name("hinge.toml"))
-    stated = {} if known is None else {parameter.name: parameter for parameter in known.parameters}
-    missing = [name for name in ("inertia", "gravity_torque") if name not in stated]
-    if missing:
-        source = "no model says" if known is None else f"model {known.name} does not have"
-        raise FitError(
-            f"a hinge fit needs the body's {' and '.join(missing)}, which {source}",
-            hint="a swing alone gives ratios only: name a model with the parameters inertia (kg m^2) and "
-            "gravity_torque (N m) by --model",
-        )
-    parameters = tuple(_taken_over(parameter, stated) for parameter in model.parameters)
-    angle = known.outputs[0].name if known is not None and known.outputs else "angle"
-    if angle == "angle":
-        return replace(model, parameters=parameters)
-    outputs = tuple(replace(output, name=angle) for output in model.outputs)
-    return replace(model, parameters=parameters, outputs=outputs)
-
-
-def _taken_over(parameter: "Parameter", stated: "dict[str, Parameter]") -> "Parameter":
-    if parameter.name not in stated:
-        return parameter
-    other = stated[parameter.name]
-    free = parameter.name in ("stiffness", "damping")
-    return replace(parameter, value=other.value, tolerance="free" if free else other.tolerance)
 
 
 def fit_hinge(
@@ -97,11 +39,17 @@ def fit_hinge(
 
     ``(I_G + m r^2) theta'' = -k theta - b theta' - m g r sin(theta)``; the printed gravity term lacks r.
 
-    `stiffness` and `damping` come from simulating every swing from free initial states (output error, `fit_model`),
+    `stiffness` and `damping` come from simulating every swing from free initial states (output error),
     `stiffness_fourier` and `damping_fourier` from chapter 3's way: a Fourier series of every swing, differentiated
-    analytically (`fit_fourier`), then linear least squares over all swings. Both intervals come from resampling whole
-    trials. Where the gravity torque is not known, it is estimated too; only swings of large angles tell it (sine)
-    from a linear spring.
+    analytically (`fit_fourier`), then linear least squares.
+
+    A hinge differs from release to release (Table 3.2: by 2.3 % in k, 3.2 % in b), and a common k would run out of
+    phase within seconds. Every release is therefore fitted by itself; the estimates are means over releases, with
+    intervals from resampling whole releases, and how much releases differ is among the findings. The body is
+    taken as stated; what its tolerance means for the result is a warning.
+
+    Where the gravity torque is not known, or there is one release only, one k and b (and gravity torque) are fitted
+    to all swings together; only swings of large angles tell gravity (sine) from a linear spring.
 
     Parameters
     ----------
@@ -110,124 +58,143 @@ def fit_hinge(
     known
         See `hinge_model`.
     starts
-        Of the simulation; few are enough, because the Fourier estimate is the first of them.
+        Of the simulation of all swings together; few are enough, because the Fourier estimate is the first of them.
 
     Raises
     ------
     FitError
-        Mass properties are missing; swings too short; an angle in another unit.
+        Mass properties are missing; swings too short; an angle in another unit; swings that eq. (3.5) does not follow.
     """
     if len(dataset.outputs) != 1 or dataset.outputs[0].unit != "rad":
         named = ", ".join(f"{output.name} ({output.unit})" for output in dataset.outputs)
         raise FitError(f"a hinge fit takes one angle in rad; {dataset.name} gives {named}")
     model = hinge_model(known)
+    body = Body.of(model)
+    model = taken_as_stated(model)
     note("Fourier series of every swing")
-    fourier = fit_fourier_hinge(dataset, model, rng)
+    swings = [fit_fourier(trial.time_s, trial.outputs[:, 0], trial.label) for trial in dataset.trials]
+    if body.gravity_torque is None or len(dataset.trials) == 1:
+        result = _together(dataset, model, body, swings, rng, starts, note)
+    else:
+        result = _one_by_one(dataset, model, body, swings, rng, note)
+    warnings = result.warnings
+    if len(dataset.trials) < FEW_TRIALS and len(dataset.trials) > 1:
+        warnings = (*warnings, f"the Fourier intervals, too, rest on {len(dataset.trials)} trials only")
+    warnings = (*warnings, *body_warning(body, result.parameters["stiffness"].value))
+    return replace(result, warnings=warnings)
+
+
+def _one_by_one(
+    dataset: Dataset,
+    model: "Model",
+    body: Body,
+    swings: Sequence[FourierSwing],
+    rng: np.random.Generator,
+    note: Note,
+) -> FitResult:
+    kept: list[tuple[FitTrial, FourierSwing, Release]] = []
+    refused: list[FitError] = []
+    for number, (trial, swing) in enumerate(zip(dataset.trials, swings, strict=True), start=1):
+        note(f"release {number} of {len(swings)}")
+        try:
+            kept.append((trial, swing, fit_release(model, dataset, trial, swing, body)))
+        except FitError as error:
+            refused.append(error)
+    if len(kept) < max(2, len(refused)):
+        raise refused[0]
+    trials, swings, releases = zip(*kept, strict=True)
+    left_out = dataset.left_out + len(refused)
+    dataset = replace(dataset, trials=trials, left_out=left_out)
+    units = [parameter.unit for name in FOUND for parameter in model.parameters if parameter.name == name]
+    found = mean_over_releases(np.array([release.values for release in releases]), units, rng)
+    fourier = mean_over_releases(np.array([release.fourier for release in releases]), units, rng)
+    simulated = tuple(release.simulated for release in releases)
+    squares = [
+        (trial.outputs - outputs) ** 2 for trial, outputs in zip(dataset.trials, simulated, strict=True)
+    ]
+    rmse = float(np.sqrt(np.mean(np.concatenate(squares))))
+    findings, trends = release_findings(releases, units)
+    warnings = [f"left out: {error.args[0]}" for error in refused]
+    if len(trials) < FEW_TRIALS:
+        warnings.append(
+            f"intervals rest on {len(trials)} trials only and are coarse; {FEW_TRIALS} or more would support them"
+        )
+    noise = float(np.sqrt(np.mean([swing.noise**2 for swing in swings])))
+    warnings += [*trends, *agreement_warnings(found, fourier), *residual_warning(rmse, noise)]
+    return FitResult(
+        "hinge",
+        model.name,
+        dataset,
+        {**found, **_renamed(fourier)},
+        {parameter.name: parameter.value for parameter in model.parameters if parameter.tolerance == 0},
+        {dataset.outputs[0].name: rmse},
+        simulated,
+        tuple(release.initial_state for release in releases),
+        tuple(warnings),
+        findings=tuple(findings),
+        by_trial=tuple(_named(release) for release in releases),
+    )
+
+
+def _named(release: Release) -> dict[str, float]:
+    ways = (("", release.values), ("_fourier", release.fourier))
+    found = {f"{name}{way}": float(values[place]) for way, values in ways for place, name in enumerate(FOUND)}
+    return {**found, "amplitude_rad": release.amplitude_rad}
+
+
+def _renamed(fourier: dict[str, Estimate]) -> dict[str, Estimate]:
+    return {f"{name}_fourier": estimate for name, estimate in fourier.items()}
+
+
+def _together(
+    dataset: Dataset,
+    model: "Model",
+    body: Body,
+    swings: Sequence[FourierSwing],
+    rng: np.random.Generator,
+    starts: int,
+    note: Note,
+) -> FitResult:
+    fourier = _fourier_together(swings, body, model, rng)
     # chapter 3's estimate is an excellent start for the simulation
-    start = {name: estimate.value for name, estimate in fourier.estimates.items() if estimate.value != 0.0}
-    stated = {parameter.name: parameter for parameter in model.parameters}
-    start = {name: value for name, value in start.items() if stated[name].tolerance == "free"}
+    start = {name: estimate.value for name, estimate in fourier.items() if estimate.value != 0.0}
     result = fit_model(model.with_values(start), dataset, rng=rng, starts=starts, note=note, method="hinge")
-    parameters = dict(result.parameters)
-    for name, estimate in fourier.estimates.items():
-        parameters[f"{name}_fourier"] = estimate
-    warnings = [*result.warnings, *_findings(result, fourier, model, dataset, rng)]
+    noise = float(np.sqrt(np.mean([swing.noise**2 for swing in swings])))
+    warnings = [
+        *result.warnings,
+        *agreement_warnings(dict(result.parameters), fourier),
+        *residual_warning(result.rmse[dataset.outputs[0].name], noise),
+        *_without_spring(result, model, dataset, rng),
+    ]
+    parameters = {**result.parameters, **_renamed(fourier)}
     return replace(result, parameters=parameters, warnings=tuple(warnings))
 
 
-def fit_fourier_hinge(dataset: Dataset, model: "Model", rng: np.random.Generator) -> FourierEstimate:
-    """Return chapter 3's estimate: linear least squares in the derivatives of a Fourier series of every swing.
-
-    Unknown are stiffness and damping, and the gravity torque where the model does not know it exactly; then its stated
-    value and tolerance count as one measurement. The inertia is taken as stated, and a tolerance of it widens the
-    intervals.
-    """
-    swings = [fit_fourier(trial.time_s, trial.outputs[:, 0], trial.label) for trial in dataset.trials]
-    stated = {parameter.name: parameter for parameter in model.parameters}
-    inertia, gravity = stated["inertia"], stated["gravity_torque"]
-    names = ["stiffness", "damping"] + ["gravity_torque"] * (gravity.tolerance != 0)
-    prior_value, prior_sigma = np.zeros(len(names)), np.full(len(names), np.inf)
-    if gravity.tolerance not in (0, "free"):
-        prior_value[2], prior_sigma[2] = gravity.value, float(gravity.tolerance) * abs(gravity.value)
-    systems = [_system(swing, inertia.value, gravity.value, len(names)) for swing in swings]
-    units = systems if len(systems) > 1 else _pieces(*systems[0])
-    values, residuals = _solve(units, prior_value, prior_sigma, noise=1.0)
-    # a residual that stays correlated counts for fewer measurements against the prior
+def _fourier_together(
+    swings: Sequence[FourierSwing], body: Body, model: "Model", rng: np.random.Generator
+) -> dict[str, Estimate]:
+    """Return chapter 3's estimate from all swings at once; intervals by resampling swings, or pieces of one."""
+    names = [*FOUND, *["gravity_torque"] * (body.gravity_torque is None)]
+    systems = [fourier_system(swing, body) for swing in swings]
+    if len(systems) == 1:
+        matrix, right = systems[0]
+        systems = list(zip(np.array_split(matrix, _BLOCKS), np.array_split(right, _BLOCKS), strict=True))
+    values = fourier_values(swings, body)
+    residuals = [right - matrix @ values for matrix, right in systems]
     noise = float(np.sqrt(np.mean(np.concatenate(residuals) ** 2) * correlation_length(residuals)))
-    noise = max(noise, 1e-12 * abs(inertia.value))
-    values, residuals = _solve(units, prior_value, prior_sigma, noise)
-    information = np.array([matrix.T @ matrix for matrix, _ in units]) / noise**2
-    score = np.array([matrix.T @ left for (matrix, _), left in zip(units, residuals, strict=True)]) / noise**2
-    resampled = resample_trials(information, score, rng=rng, prior_sigma=prior_sigma)
-    draws = resampled.draws
-    if not isinstance(inertia.tolerance, str) and inertia.tolerance > 0:
-        step = inertia.tolerance
-        heavier = [_system(swing, inertia.value * (1 + step), gravity.value, len(names)) for swing in swings]
-        moved, _ = _solve(heavier, prior_value, prior_sigma, noise)
-        draws = draws + np.outer(rng.standard_normal(len(draws)), moved - values)
-    spread = np.percentile(draws, [2.5, 97.5], axis=0)
-    estimates = {}
-    for index, name in enumerate(names):
-        low, high = min(spread[0, index], 0.0), max(spread[1, index], 0.0)
-        value = float(values[index])
-        estimates[name] = Estimate(value, (value + float(low), value + float(high)), stated[name].unit)
-    return FourierEstimate(estimates, float(np.sqrt(np.mean([swing.noise**2 for swing in swings]))))
-
-
-def _system(
-    swing: FourierSwing, inertia: float, gravity: float, unknowns: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return matrix and right side of eq. (3.5), one row a sample."""
-    columns = [swing.angle, swing.rate]
-    right = -inertia * swing.acceleration
-    if unknowns == 3:
-        columns.append(np.sin(swing.angle))
-    else:
-        right = right - gravity * np.sin(swing.angle)
-    return np.column_stack(columns), right
-
-
-def _pieces(matrix: FloatArray, right: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    return list(zip(np.array_split(matrix, _BLOCKS), np.array_split(right, _BLOCKS), strict=True))
-
-
-def _solve(
-    systems: list[tuple[FloatArray, FloatArray]],
-    prior_value: FloatArray,
-    prior_sigma: FloatArray,
-    noise: float,
-) -> tuple[FloatArray, list[FloatArray]]:
-    weights = np.where(np.isfinite(prior_sigma), noise / prior_sigma, 0.0)
-    matrix = np.vstack([*(matrix for matrix, _ in systems), np.diag(weights)])
-    right = np.concatenate([*(right for _, right in systems), weights * prior_value])
-    values = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    return values, [right - matrix @ values for matrix, right in systems]
-
-
-def _findings(
-    result: FitResult, fourier: FourierEstimate, model: "Model", dataset: Dataset, rng: np.random.Generator
-) -> list[str]:
-    """Return what comparing both ways, the noise and the model without a spring says."""
-    findings = []
-    if len(dataset.trials) < FEW_TRIALS:
-        findings.append(f"the Fourier intervals, too, rest on {len(dataset.trials)} trials only")
-    for name in fourier.estimates:
-        simulated, differentiated = result.parameters.get(name), fourier.estimates[name]
-        if simulated is not None and _apart(simulated, differentiated):
-            findings.append(
-                f"the two ways disagree on {name}: {_text(simulated)} by simulation, "
-                f"{_text(differentiated)} by Fourier derivatives; "
-                "on a swing that follows eq. (3.5) they agree"
-            )
-    rmse = result.rmse[dataset.outputs[0].name]
-    if rmse > _ABOVE_NOISE * fourier.noise:
-        findings.append(
-            f"eq. (3.5) leaves {1e3 * rmse:.2g} mrad where a Fourier series of each swing leaves "
-            f"{1e3 * fourier.noise:.2g} mrad: "
-            "the swing has forces that it lacks, such as dry friction or air drag, and they bias its parameters"
+    noise = max(noise, 1e-12 * body.inertia)
+    information = np.array([matrix.T @ matrix for matrix, _ in systems]) / noise**2
+    score = np.array([matrix.T @ left for (matrix, _), left in zip(systems, residuals, strict=True)])
+    spread = resample_trials(information, score / noise**2, rng=rng)
+    units = {parameter.name: parameter.unit for parameter in model.parameters}
+    return {
+        name: Estimate(
+            float(values[place]),
+            (float(values[place] + spread.low[place]), float(values[place] + spread.high[place])),
+            units[name],
         )
-    findings += _without_spring(result, model, dataset, rng)
-    return findings
+        for place, name in enumerate(names)
+    }
 
 
 def _without_spring(
@@ -242,25 +209,10 @@ def _without_spring(
         replace(parameter, value=0.0, tolerance=0.0) if parameter.name == "stiffness" else parameter
         for parameter in model.parameters
     )
-    values = {
-        name: estimate.value
-        for name, estimate in result.parameters.items()
-        if name in ("damping", "gravity_torque")
-    }
+    values = {name: estimate.value for name, estimate in result.parameters.items() if name != "stiffness"}
     plain = fit_model(replace(model, parameters=fixed).with_values(values), dataset, rng=rng, starts=1)
     with_spring, without = 1e3 * result.rmse[output], 1e3 * plain.rmse[output]
     return [
         f"without any spring the residual is {without:.3g} mrad, with it {with_spring:.3g} mrad: "
         "nothing here shows a stiffness of the hinge"
     ]
-
-
-def _apart(one: Estimate, other: Estimate) -> bool:
-    """Tell whether two intervals do not meet, and the values differ by more than numbers do."""
-    close = abs(one.value - other.value) <= _CLOSE * max(abs(one.value), abs(other.value))
-    return not close and (one.ci95[1] < other.ci95[0] or other.ci95[1] < one.ci95[0])
-
-
-def _text(estimate: Estimate) -> str:
-    value, low, high = rounded(estimate)
-    return f"{value} ({low} ... {high})"

@@ -138,7 +138,20 @@ def interval_warnings(
     return warnings
 
 
-def start_warnings(outcomes: Sequence[StartOutcome], problem: Problem, *, direction_named: bool) -> list[str]:
+def sign_warnings(estimates: Mapping[str, Estimate], problem: Problem) -> list[str]:
+    """Return warnings on parameters whose sign is surely not that of the stated value."""
+    return [
+        f"{name} came out {'negative' if estimate.value < 0 else 'positive'} "
+        f"({rounded(estimate)[0]} {estimate.unit}), the stated value is not ({stated:g}): a sign convention, or "
+        "physics that the model lacks; bounds in the model (lower, upper) would hold it"
+        for (name, estimate), stated in zip(estimates.items(), problem.values[problem.free], strict=True)
+        if estimate.value * stated < 0 and not estimate.contains_zero
+    ]
+
+
+def start_warnings(
+    outcomes: Sequence[StartOutcome], estimates: Mapping[str, Estimate], *, direction_named: bool
+) -> list[str]:
     """Return warnings where starts disagree in a way that should worry: outcomes come best first."""
     if len(outcomes) < 2:
         return []
@@ -151,7 +164,7 @@ def start_warnings(outcomes: Sequence[StartOutcome], problem: Problem, *, direct
             f"{outcomes[1].misfit / best.misfit:.3g} times the misfit ({_listed(outcomes[1])})"
         )
     other = next(
-        (outcome for outcome in agreeing[1:] if not direction_named and _differs(outcome, best, problem)),
+        (outcome for outcome in agreeing[1:] if not direction_named and _differs(outcome, best, estimates)),
         None,
     )
     if other is not None:
@@ -170,11 +183,13 @@ def start_warnings(outcomes: Sequence[StartOutcome], problem: Problem, *, direct
     return warnings
 
 
-def _differs(one: StartOutcome, other: StartOutcome, problem: Problem) -> bool:
+def _differs(one: StartOutcome, best: StartOutcome, estimates: Mapping[str, Estimate]) -> bool:
+    """Tell whether another set of parameters is one that the intervals do not hold."""
     return any(
-        abs(one.parameters[name] - other.parameters[name])
-        > 0.05 * max(abs(one.parameters[name]), abs(other.parameters[name]))
-        for name in problem.names
+        abs(one.parameters[name] - best.parameters[name])
+        > 0.05 * max(abs(one.parameters[name]), abs(best.parameters[name]))
+        and not estimate.ci95[0] <= one.parameters[name] <= estimate.ci95[1]
+        for name, estimate in estimates.items()
     )
 
 

@@ -8,13 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.errors import FitError
+from labrun.fit.correlation import correlation_length
 from labrun.fit.dataset import Dataset
-from labrun.fit.identifiability import Curvature, interval_warnings, start_warnings, undetermined
+from labrun.fit.descent import minimise
+from labrun.fit.identifiability import (
+    Curvature,
+    interval_warnings,
+    sign_warnings,
+    start_warnings,
+    undetermined,
+)
 from labrun.fit.notes import Note, silent
 from labrun.fit.problem import Problem
 from labrun.fit.resampling import resample_trials
 from labrun.fit.result import Estimate, FitResult, StartOutcome
-from labrun.fit.search import Minimum, minimise, search
+from labrun.fit.search import Minimum, search
 
 if TYPE_CHECKING:
     from labrun.effects import AttachedEffect
@@ -127,25 +135,6 @@ def residual_noise(problem: Problem, z: FloatArray) -> Noise:
     return Noise(sigma, correlated)
 
 
-def correlation_length(parts: Sequence[FloatArray]) -> float:
-    """Return the integrated autocorrelation of pieces of one signal, in samples: 1 + 2 sum of correlations.
-
-    The sum ends where the correlation first turns negative (Geyer 1992, the initial positive sequence).
-    """
-    longest = max(len(part) for part in parts)
-    total = np.zeros(longest)
-    for part in parts:
-        # about zero, not about its own mean: a constant residual is the most correlated one
-        spectrum = np.fft.rfft(part, 2 * len(part))
-        total[: len(part)] += np.fft.irfft(spectrum.real**2 + spectrum.imag**2, 2 * len(part))[: len(part)]
-    if total[0] <= 0.0:
-        return 1.0
-    correlation = total / total[0]
-    negative = np.flatnonzero(correlation < 0.0)
-    end = int(negative[0]) if len(negative) else longest
-    return float(np.clip(1.0 + 2.0 * np.sum(correlation[1:end]), 1.0, longest))
-
-
 def _result(
     problem: Problem,
     z: FloatArray,
@@ -194,8 +183,9 @@ def _result(
         named = findings.named
         warnings += findings.warnings
         warnings += interval_warnings(estimates, problem, named)
+        warnings += sign_warnings(estimates, problem)
     outcomes = _outcomes(problem, minima)
-    warnings += start_warnings(outcomes, problem, direction_named=bool(named))
+    warnings += start_warnings(outcomes, estimates, direction_named=bool(named))
     fixed = {parameter.name: parameter.value for parameter in model.parameters if parameter.tolerance == 0}
     states = tuple(problem.initial_state(index, own) for index, own in enumerate(owns))
     return FitResult(

@@ -1,5 +1,7 @@
 """Small parts of a fit's problem: sizes of outputs and priors, beginnings of trials, difference quotients."""
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -67,19 +69,30 @@ def cut_drive(drive: "Drive", trial: FitTrial) -> "Drive":
     return replace(drive, time_s=trial.time_s, steps_s=drive.steps_s[:steps], u=drive.u[:steps], u_last=last)
 
 
-def difference(
-    before: FloatArray | None,
-    after: FloatArray | None,
-    base: FloatArray,
-    low: float,
+def slope(
+    residual: Callable[[float], FloatArray | None],
     centre: float,
-    high: float,
+    base: FloatArray,
+    step: float,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    central: bool = True,
 ) -> FloatArray:
-    """Return the slope from two simulations, from one of them where the other is not finite, else zero."""
-    if before is not None and after is not None and high > low:
-        return (after - before) / (high - low)
-    if after is not None and high > centre:
-        return (after - base) / (high - centre)
-    if before is not None and centre > low:
-        return (base - before) / (centre - low)
+    """Return the derivative at `centre` by differences, inside bounds.
+
+    To both sides if `central`, else to one; to the other side alone where the simulation is not finite, zero where it
+    is so nowhere.
+    """
+    before, after = max(centre - step, low), min(centre + step, high)
+    ahead = residual(after) if after > centre else None
+    if ahead is not None and not central:
+        return (ahead - base) / (after - centre)
+    behind = residual(before) if before < centre else None
+    if ahead is not None and behind is not None:
+        return (ahead - behind) / (after - before)
+    if ahead is not None:
+        return (ahead - base) / (after - centre)
+    if behind is not None:
+        return (base - behind) / (centre - before)
     return np.zeros_like(base)

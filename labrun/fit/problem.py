@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.fit.dataset import Dataset
-from labrun.fit.pieces import beginning, channel_spread, cut_drive, difference, output_of_state, prior_sigma
+from labrun.fit.dataset import Dataset, FitTrial
+from labrun.fit.pieces import beginning, channel_spread, cut_drive, output_of_state, prior_sigma, slope
 
 if TYPE_CHECKING:
     from labrun.effects import AttachedEffect
@@ -24,6 +24,7 @@ _HUGE = 1e3
 _FIRST_SAMPLES = 3
 """How many samples "first" averages: few, because the output may already move."""
 _GUESS_SUBSTEPS = 4
+_GUESS_ROUNDS = 3
 _MOST_SUBSTEPS = 64
 _PROBED_TRIALS = 3
 _LOOSE = 1e4
@@ -94,6 +95,7 @@ class Problem:
             state for state, name in enumerate(model.states) if model.initial.get(name, "free") == "free"
         ]
         self.state_scale = self._state_scale()
+        self._first = [self._first_values(trial) for trial in dataset.trials]
         self.substeps = _GUESS_SUBSTEPS if substeps is None else substeps
         self._drives = self._prepared()
         if substeps is None:
@@ -144,12 +146,10 @@ class Problem:
 
     def initial_state(self, trial: int, own: FloatArray) -> FloatArray:
         """Return the initial state of one trial, shape (k,)."""
-        data = self.dataset.trials[trial]
-        means = np.mean(data.outputs[:_FIRST_SAMPLES], axis=0)
-        first = {output.name: float(mean) for output, mean in zip(self.model.outputs, means, strict=True)}
         names = [self.model.states[state] for state in self.free_states]
         free = dict(zip(names, own * self.state_scale, strict=True))
-        return self.model.initial_state(data.condition, first=first, free=free)
+        condition = self.dataset.trials[trial].condition
+        return self.model.initial_state(condition, first=self._first[trial], free=free)
 
     def simulate(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray | None:
         """Return the outputs (n, m) of one trial; None where they are not finite."""
@@ -200,45 +200,65 @@ class Problem:
         """Return the root mean square of the weighted residuals, without prior."""
         return float(np.sqrt(sum(float(part @ part) for part in self.residuals(z)) / self.samples))
 
-    def blocks(self, z: FloatArray) -> Blocks:
-        """Return residuals and their derivatives by the scaled variables."""
-        residual = self.residuals(z)
+    def blocks(
+        self, z: FloatArray, residual: list[FloatArray] | None = None, *, central: bool = True
+    ) -> Blocks:
+        """Return residuals (or take them as known) and their derivatives by the scaled variables.
+
+        Differences to one side only cost half as much, and are good enough to find the way.
+        """
+        residual = self.residuals(z) if residual is None else residual
         parameters = self.parameters(z)
         shared, own = [], []
         for index, base in enumerate(residual):
             start = self.own(z, index)
             columns = [
-                self._by_parameter(parameters, index, start, variable, base) for variable in range(self.size)
+                self._by_parameter(parameters, index, start, variable, base, central)
+                for variable in range(self.size)
             ]
             shared.append(np.column_stack(columns) if columns else np.empty((len(base), 0)))
             columns = [
-                self._by_state(parameters, index, start, variable, base) for variable in range(self.own_size)
+                self._by_state(parameters, index, start, variable, base, central)
+                for variable in range(self.own_size)
             ]
             own.append(np.column_stack(columns) if columns else np.empty((len(base), 0)))
         return Blocks(shared, own, residual)
 
     def _by_parameter(
-        self, parameters: FloatArray, trial: int, own: FloatArray, variable: int, base: FloatArray
+        self,
+        parameters: FloatArray,
+        trial: int,
+        own: FloatArray,
+        variable: int,
+        base: FloatArray,
+        central: bool,
     ) -> FloatArray:
-        scale, place = self.scale[variable], self.free[variable]
-        centre = parameters[place] / scale
-        low, high = max(centre - _STEP, self.lower[variable]), min(centre + _STEP, self.upper[variable])
-        ends = []
-        for value in (low, high):
+        place = self.free[variable]
+
+        def residual(value: float) -> FloatArray | None:
             changed = parameters.copy()
-            changed[place] = value * scale
-            ends.append(self.trial_residual(changed, trial, own) if value != centre else base)
-        return difference(ends[0], ends[1], base, low, centre, high)
+            changed[place] = value * self.scale[variable]
+            return self.trial_residual(changed, trial, own)
+
+        centre = float(parameters[place] / self.scale[variable])
+        low, high = float(self.lower[variable]), float(self.upper[variable])
+        return slope(residual, centre, base, _STEP, low, high, central=central)
 
     def _by_state(
-        self, parameters: FloatArray, trial: int, own: FloatArray, variable: int, base: FloatArray
+        self,
+        parameters: FloatArray,
+        trial: int,
+        own: FloatArray,
+        variable: int,
+        base: FloatArray,
+        central: bool,
     ) -> FloatArray:
-        ends = []
-        for step in (-_STEP, _STEP):
+        def residual(value: float) -> FloatArray | None:
             changed = own.copy()
-            changed[variable] += step
-            ends.append(self.trial_residual(parameters, trial, changed))
-        return difference(ends[0], ends[1], base, -_STEP, 0.0, _STEP)
+            changed[variable] = value
+            return self.trial_residual(parameters, trial, changed)
+
+        return slope(residual, float(own[variable]), base, _STEP, central=central)
 
     def guess(self, parameters: FloatArray) -> FloatArray:
         """Return free initial states, scaled, one trial after the other, from the first samples of each trial.
@@ -252,16 +272,23 @@ class Problem:
             for place, state in enumerate(self.free_states):
                 column = output_of_state(self.model, self.model.states[state])
                 own[place] = 0.0 if column is None else trial.outputs[0, column] / self.state_scale[place]
-            for _ in range(3):
+            for _ in range(_GUESS_ROUNDS if self.own_size else 0):
                 base = short.trial_residual(parameters, index, own)
-                if base is None or not self.own_size:
+                if base is None:
                     break
-                slope = np.column_stack(
-                    [short._by_state(parameters, index, own, place, base) for place in range(self.own_size)]
+                slopes = np.column_stack(
+                    [
+                        short._by_state(parameters, index, own, place, base, False)
+                        for place in range(self.own_size)
+                    ]
                 )
-                own = own - np.linalg.lstsq(slope, base, rcond=1e-8)[0]
+                own = own - np.linalg.lstsq(slopes, base, rcond=1e-8)[0]
             guesses.append(own)
         return np.concatenate(guesses) if guesses else np.empty(0)
+
+    def _first_values(self, trial: FitTrial) -> dict[str, float]:
+        means = np.mean(trial.outputs[:_FIRST_SAMPLES], axis=0)
+        return {output.name: float(mean) for output, mean in zip(self.model.outputs, means, strict=True)}
 
     def _state_scale(self) -> FloatArray:
         """Return a typical size of each free state: of the output it is, or of an output per sample-rate-free time."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit  # scipy.stats takes half a second to import
 
 FloatArray = NDArray[np.float64]
 
@@ -100,7 +101,10 @@ def _leverage_corrected(information: FloatArray, score: FloatArray, total: Float
 
 
 def _student_over_normal(trials: int) -> float:
-    from scipy import stats
-
     quantile = 0.5 * (1.0 + LEVEL)
-    return float(stats.t.ppf(quantile, trials - 1) / stats.norm.ppf(quantile))
+    return student(trials - 1, quantile) / float(ndtri(quantile))
+
+
+def student(freedom: int, quantile: float = 0.5 * (1.0 + LEVEL)) -> float:
+    """Return a quantile of Student's t."""
+    return float(stdtrit(freedom, quantile))

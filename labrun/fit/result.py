@@ -1,5 +1,7 @@
 """What a fit found, for scripts and for people."""
 
+import shutil
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -57,6 +59,10 @@ class FitResult:
         What the data could not determine, and what else a person should know before trusting the numbers.
     figure
         Path of the picture, once drawn.
+    findings
+        What else the data show, in sentences.
+    by_trial
+        Estimates of every trial by itself, where the method makes them.
     """
 
     method: str
@@ -70,6 +76,8 @@ class FitResult:
     warnings: tuple[str, ...] = ()
     starts: tuple[StartOutcome, ...] = field(default=())
     figure: Path | None = None
+    findings: tuple[str, ...] = ()
+    by_trial: tuple[Mapping[str, float], ...] = ()
 
     @property
     def residuals(self) -> tuple[FloatArray, ...]:
@@ -90,11 +98,18 @@ class FitResult:
             "warnings": list(self.warnings),
         }
 
-    def to_text(self) -> str:
-        """Return what ``labrun fit`` prints: the table, and where the figure is."""
-        return self.table() + (f"\n\n  figure: {self.figure}" if self.figure is not None else "")
+    def to_text(self, width: int | None = None) -> str:
+        """Return what ``labrun fit`` prints: the table, and where the figure is.
 
-    def table(self) -> str:
+        Parameters
+        ----------
+        width
+            Columns to wrap sentences at; those of the terminal if None.
+        """
+        width = shutil.get_terminal_size((100, 24)).columns if width is None else width
+        return self.table(width) + (f"\n\n  figure: {self.figure}" if self.figure is not None else "")
+
+    def table(self, width: int = 100) -> str:
         """Return the estimates as aligned text for a terminal."""
         trials = len(self.dataset.trials)
         left_out = f", {self.dataset.left_out} left out" if self.dataset.left_out else ""
@@ -115,8 +130,13 @@ class FitResult:
         lines += ["", "  root mean square of measured - simulated"]
         for output in self.dataset.outputs:
             lines.append(f"    {output.name}: {self.rmse[output.name]:.4g} {output.unit}")
-        if self.warnings:
-            lines += ["", *[f"  ! {warning}" for warning in self.warnings]]
+        told = [("- ", finding) for finding in self.findings] + [("! ", warning) for warning in self.warnings]
+        if told:
+            lines.append("")
+        for mark, sentence in told:
+            lines += textwrap.wrap(
+                sentence, width, initial_indent=f"  {mark}", subsequent_indent="    ", break_on_hyphens=False
+            )
         return "\n".join(lines)
 
 

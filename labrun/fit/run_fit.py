@@ -98,6 +98,11 @@ def fit(
         "method": result.method,
         "source": str(target),
         "fixed": dict(result.fixed),
+        "findings": list(result.findings),
+        "by_trial": [
+            {"trial": trial.label, **found}
+            for trial, found in zip(result.dataset.trials, result.by_trial, strict=False)
+        ],
     }
     (folder / NUMBERS).write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
     return result
@@ -115,7 +120,8 @@ def _fitted(
     note(f"reading {target}")
     starts = METHODS[method] if starts is None else starts
     if method == "hinge":
-        from labrun.fit.hinge import fit_hinge, hinge_model
+        from labrun.fit.hinge import fit_hinge
+        from labrun.fit.hinge_model import hinge_model
 
         hinge = hinge_model(model)
         names = {output.name for output in hinge.outputs}
@@ -159,7 +165,7 @@ def plan_of(target: Path, workspace: Path, *, need_model: bool = True) -> FitPla
     run = open_run(target)
     if imported_channels(run.experiment_toml):
         return FitPlan()
-    table = loads_experiment(run.experiment_toml, run.name).experiment.fit
+    table = loads_experiment(run.experiment_toml, run.name, plugins=False).experiment.fit
     return FitPlan() if table is None else plan_from(table, None, workspace, need_model=need_model)
 
 

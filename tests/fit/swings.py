@@ -37,7 +37,13 @@ def swing(
         return [rate, torque / inertia]
 
     solved = solve_ivp(
-        derivative, (0.0, time_s[-1]), [release_rad, 0.0], t_eval=time_s, rtol=1e-10, atol=1e-12
+        derivative,
+        (0.0, time_s[-1]),
+        [release_rad, 0.0],
+        method="DOP853",
+        t_eval=time_s,
+        rtol=1e-9,
+        atol=1e-11,
     )
     return time_s, solved.y[0]
 

@@ -109,6 +109,19 @@ def test_the_text_tells_everything_the_numbers_do(recording: Path, tmp_path: Pat
         assert expected in text
 
 
+def test_sentences_are_wrapped_at_the_width_of_the_terminal() -> None:
+    dataset = dataset_of([swing(0.5, duration_s=1.0, rate_hz=50.0)])
+    result = FitResult(
+        "hinge", "hinge", dataset, {}, {}, {"angle": 0.01}, (), (), ("long " * 40,), findings=("also " * 30,)
+    )
+    lines = result.to_text(60).split("\n")
+    assert max(map(len, lines)) <= 60
+    assert sum("long" in line for line in lines) > 2
+    assert (
+        sum(line.startswith("  ! ") for line in lines) == sum(line.startswith("  - ") for line in lines) == 1
+    )
+
+
 def test_a_recording_without_a_model_says_how_to_name_one(recording: Path, tmp_path: Path) -> None:
     bare = tmp_path / "bare"
     bare.mkdir()

@@ -1,0 +1,114 @@
+"""Where the bench's time went, and how well the sensors kept theirs."""
+
+from labrun.report.bench_time import STEPS, BenchTime
+from labrun.report.html_elements import Content, Html, element, joined, paragraph, section, share_bar, table
+from labrun.report.html_words import counted, share_text
+from labrun.report.report_source import ReportSource
+from labrun.report.words import clock_text, duration_text
+
+_LEAST_JITTER_S = 1e-8
+"""Below this, jitter is the rounding of the stored times."""
+
+
+def timing_section(source: ReportSource) -> Html | None:
+    """Return bench time by step and the health of the streams; None before any trial."""
+    if not source.run.outcomes:
+        return None
+    return section("timing", "Timing", _bench(source), _streams(source))
+
+
+def _bench(source: ReportSource) -> Html | None:
+    spent = source.bench_time
+    if spent is None:
+        return None
+    longest = max(STEPS, key=spent.of)
+    text = (
+        f"{duration_text(spent.total_s)} of bench time, {_each(source, spent)} a trial; "
+        f"{share_text(spent.of(longest), spent.total_s)} went to {_WORDS[longest]}."
+    )
+    rows: list[list[Content]] = [
+        [
+            _WORDS[step],
+            share_bar(spent.of(step) / spent.total_s),
+            share_text(spent.of(step), spent.total_s),
+            duration_text(spent.of(step)),
+            f"{spent.median_s(step):.2g} s" if spent.median_s(step) < 10 else f"{spent.median_s(step):.0f} s",
+        ]
+        for step in STEPS
+        if step in spent.steps
+    ]
+    rates = "" if not source.dry_run else " Storing takes no time on the simulated clock of a dry run."
+    return joined(
+        [
+            paragraph(text),
+            table(("step", "", "share", "in all", "median of a trial"), rows, words=(0, 1)),
+            paragraph(f"By the journal; pauses of an interrupted run are not counted.{rates}", class_="note"),
+        ]
+    )
+
+
+_WORDS = {
+    "move": "moving to the start",
+    "settle": "settling",
+    "tare": "taring",
+    "record": "recording",
+    "safe pose": "moving to the safe pose",
+    "store": "storing",
+}
+
+
+def _each(source: ReportSource, spent: BenchTime) -> str:
+    mean_s = spent.total_s / len(source.run.outcomes)
+    return f"{mean_s:.3g} s" if mean_s < 60 else duration_text(mean_s)
+
+
+def _streams(source: ReportSource) -> Html | None:
+    if not source.streams:
+        return None
+    channels = source.run.streams(source.run.outcomes[0].index)
+    rows: list[list[Content]] = []
+    for item in source.streams:
+        stream = channels.get(item.device)
+        names = (
+            ", ".join(f"{c.name} ({c.unit})" if c.unit else c.name for c in stream.channels) if stream else ""
+        )
+        rows.append(
+            [
+                item.device,
+                names,
+                f"{item.nominal_hz:.4g}",
+                f"{item.actual_hz:.4g}",
+                f"{1000 * item.jitter_s:.2g}" if item.jitter_s > _LEAST_JITTER_S else "0",
+                *clock_text(item),
+                str(item.samples),
+                f"{item.lost} ({share_text(item.lost, item.samples + item.lost)})" if item.lost else "0",
+                str(item.saturated),
+            ]
+        )
+    columns = (
+        "device", "channels", "nominal (Hz)", "actual (Hz)", "jitter, sd (ms)", "clock offset", "drift",
+        "samples", "lost", "saturated",
+    )  # fmt: skip
+    looked = len(source.streams_looked_at)
+    of = (
+        f"all {looked}"
+        if looked == len(source.run.outcomes)
+        else f"{looked} of {len(source.run.outcomes)}, evenly over the run"
+    )
+    return joined(
+        [
+            element("h3", "Streams"),
+            table(
+                columns,
+                rows,
+                words=(0, 1),
+                marked=[n for n, s in enumerate(source.streams) if s.saturated],
+            ),
+            paragraph(
+                f"From {counted(looked, 'trial')} ({of}). Jitter is the sd of the time between samples by the device's "
+                "own clock, gaps of lost samples left out. The offset is the run's clock minus the device's; sample "
+                "times have it in them already.",
+                class_="note",
+            ),
+        ]
+    )

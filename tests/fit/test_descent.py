@@ -1,0 +1,76 @@
+"""The descent finds what scipy's general solver finds, at a cost that grows with the number of trials only."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from test_output_error import driven, oscillator
+
+from labrun.fit.descent import NormalEquations, minimise
+from labrun.fit.problem import Problem
+from labrun.models import Model
+
+FloatArray = NDArray[np.float64]
+
+
+def begun(model: Model, trials: int = 4) -> tuple[Problem, FloatArray]:
+    problem = Problem(
+        model, driven(np.random.default_rng(1), trials, noise=0.01, scatter=0.05, duration_s=2.0)
+    )
+    stated = problem.values[problem.free] / problem.scale
+    return problem, np.concatenate([stated, problem.guess(problem.values)])
+
+
+def whole(problem: Problem, z: FloatArray) -> FloatArray:
+    return np.concatenate([*problem.residuals(z), problem.prior_residual(z)])
+
+
+@pytest.mark.parametrize("tolerances", [{}, {"mass": 0.05}, {"stiffness": 0.02}])
+def test_it_ends_where_scipys_trust_region_ends(tolerances: dict[str, float | str]) -> None:
+    problem, z = begun(oscillator(**tolerances))
+    ours = minimise(problem, z)
+    theirs = least_squares(lambda x: whole(problem, x), z, x_scale="jac", ftol=1e-12, xtol=1e-12)
+    np.testing.assert_allclose(ours, theirs.x, rtol=1e-4, atol=1e-6)
+    assert np.sum(whole(problem, ours) ** 2) == pytest.approx(2 * theirs.cost, rel=1e-7)
+
+
+def test_a_bound_holds_where_scipys_holds() -> None:
+    problem, z = begun(oscillator())
+    upper = np.array([35.0, np.inf]) / problem.scale
+    ours = minimise(problem, z, upper=upper)
+    limits = np.concatenate([upper, np.full(len(z) - 2, np.inf)])
+    theirs = least_squares(
+        lambda x: whole(problem, x), z, bounds=(-np.inf, limits), x_scale="jac", ftol=1e-12, xtol=1e-12
+    )
+    assert ours[0] == upper[0]
+    np.testing.assert_allclose(ours, theirs.x, rtol=1e-3, atol=1e-4)
+
+
+def test_the_eliminated_step_is_the_step_of_the_whole_system() -> None:
+    problem, z = begun(oscillator(mass=0.1))
+    blocks = problem.blocks(z)
+    equations = NormalEquations.of(problem, z, blocks)
+    rows = [len(part) for part in blocks.residual]
+    jacobian = np.zeros((sum(rows) + problem.size, len(z)))
+    row = 0
+    for trial, count in enumerate(rows):
+        own = problem.size + trial * problem.own_size
+        jacobian[row : row + count, : problem.size] = blocks.shared[trial]
+        jacobian[row : row + count, own : own + problem.own_size] = blocks.own[trial]
+        row += count
+    jacobian[row:, : problem.size] = np.diag(-problem.scale / problem.pull_sigma)
+    residual = whole(problem, z)
+    damping = 1e-3 * np.sum(jacobian**2, axis=0)
+    expected = -np.linalg.solve(jacobian.T @ jacobian + np.diag(damping), jacobian.T @ residual)
+    step = equations.step(damping, np.zeros(problem.size, dtype=bool))
+    np.testing.assert_allclose(step, expected, rtol=1e-6)
+    fall = residual @ residual - np.sum((residual + jacobian @ step) ** 2)
+    assert equations.gain(step) == pytest.approx(fall, rel=1e-6)
+    np.testing.assert_allclose(equations.diagonal, np.sum(jacobian**2, axis=0))
+
+
+def test_a_parameter_without_effect_stays_where_it_is() -> None:
+    problem, z = begun(oscillator(), trials=2)
+    equations = NormalEquations.of(problem, z, problem.blocks(z))
+    held = np.array([True, False])
+    assert equations.step(1e-3 * equations.diagonal, held)[0] == 0.0
