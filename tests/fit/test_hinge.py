@@ -134,7 +134,7 @@ def test_air_drag_shows_as_damping_that_grows_with_the_release() -> None:
     extrapolated = re.search(r"small swings it is (\S+)", told)
     assert extrapolated is not None
     assert float(extrapolated[1]) == pytest.approx(DAMPING, rel=0.03)
-    assert result.parameters["damping"].value > 1.05 * DAMPING
+    assert result.parameters["damping"].value > 1.03 * DAMPING
     assert result.parameters["stiffness"].value == pytest.approx(STIFFNESS, rel=2e-3)
 
 
@@ -151,14 +151,19 @@ def test_a_release_that_is_no_swing_is_left_out_and_named() -> None:
     assert result.parameters["stiffness"].value == pytest.approx(STIFFNESS, rel=2e-3)
 
 
-def test_one_release_alone_is_fitted_with_an_interval_from_its_pieces() -> None:
-    dataset = swings(noise_rad=1e-3)
-    result = fit_hinge(replace(dataset, trials=dataset.trials[2:3]), body(), rng=np.random.default_rng(0))
-    assert any("one trial only" in warning for warning in result.warnings)
-    for way in ("", "_fourier"):
-        low, high = result.parameters["stiffness" + way].ci95
-        # one interval in twenty misses the truth: twice its width hardly ever does
-        assert low - (high - low) / 2 < STIFFNESS < high + (high - low) / 2
+def test_one_release_alone_is_fitted_with_intervals_from_its_pieces_that_mostly_hold_the_truth() -> None:
+    rng = np.random.default_rng(5)
+    time_s, angle = swing(np.radians(30.0))
+    held = {"": 0, "_fourier": 0}
+    for _ in range(12):
+        noisy = dataset_of([(time_s, angle + 1e-3 * rng.normal(size=len(angle)))])
+        result = fit_hinge(noisy, body(), rng=np.random.default_rng(0))
+        assert any("one trial only" in warning for warning in result.warnings)
+        for way in held:
+            low, high = result.parameters["stiffness" + way].ci95
+            held[way] += low < STIFFNESS < high
+    # 95 % intervals: nine or more of twelve, except once in several thousand times
+    assert min(held.values()) >= 9
 
 
 def test_a_pendulum_without_spring_shows_a_stiffness_around_zero() -> None:
