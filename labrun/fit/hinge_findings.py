@@ -109,7 +109,7 @@ def _told(name: str, line: Trend, small_deg: float, large_deg: float) -> str:
         ("damping", "falls"): "dry friction does that, which eq. (3.5) lacks",
     }.get((name, way), "the spring is not linear, or the angle's zero is not where the hinge is flat")
     value, low, high = rounded(line.at_rest)
-    sure = f"95 % interval \N{PLUS-MINUS SIGN}{100 * line.growth_half_width:.0f} %"
+    sure = f"95 % interval \N{PLUS-MINUS SIGN}{100 * line.growth_half_width:.1g} %"
     return (
         f"{name} {way} from {line.small:.3g} to {line.large:.3g} {line.at_rest.unit} between releases from "
         f"{small_deg:.0f} and from {large_deg:.0f} deg "

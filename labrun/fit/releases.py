@@ -82,7 +82,7 @@ def fit_release(
         parameters[problem.free],
         fourier,
         _sigma(problem, z),
-        float(np.max(np.abs(swing.angle))),
+        float(np.max(np.abs(simulated))),
         simulated,
         problem.initial_state(0, own),
     )

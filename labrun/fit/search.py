@@ -1,5 +1,6 @@
 """The search for the best parameters: several starts, growing pieces of the trials, then the whole of them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ _GROWTH = (0.1, 0.35)
 """Shares of every trial that a distant start is fitted to first: over a short time there are few false minima."""
 _SAME = 0.01
 """Descents whose parameters differ by less than this share are in one valley."""
+_ABOUT_AS_GOOD = 1.05
 _DECADES = 0.5
 """Starts of a free parameter lie within this many decades of its stated value."""
 
@@ -77,7 +79,26 @@ def search(problem: Problem, rng: np.random.Generator, *, starts: int, note: Not
         follow("the stated values, piece by piece", stated, growing=True)
         for number, start in enumerate(_screened(problem, rng, starts - 2), start=1):
             follow(f"start {number} of {starts - 2}", start, growing=True)
-    return sorted(minima, key=lambda minimum: minimum.misfit)
+    return _polished(minima, lambda z: descend(problem, z, 1e-7, 40), problem)
+
+
+def _polished(
+    minima: list[Minimum], descend: Callable[[FloatArray], FloatArray], problem: Problem
+) -> list[Minimum]:
+    """Follow those that are about as good as the best to their ends, where most of them turn out to be one."""
+    best = min(minimum.misfit for minimum in minima)
+    ends: list[Minimum] = []
+    for minimum in sorted(minima, key=lambda minimum: minimum.misfit):
+        if minimum.misfit > _ABOUT_AS_GOOD * best:
+            ends.append(minimum)
+            continue
+        same = next((end for end in ends if _close(minimum.z, end.z)), None)
+        if same is None:
+            z = descend(minimum.z)
+            same = next((end for end in ends if _close(z[: problem.size], end.z[: problem.size])), None)
+            same = Minimum(minimum.label, z, problem.misfit(z)) if same is None else same
+        ends.append(replace(same, label=minimum.label))
+    return sorted(ends, key=lambda minimum: minimum.misfit)
 
 
 def _close(one: FloatArray, other: FloatArray) -> bool:
