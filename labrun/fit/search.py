@@ -1,6 +1,6 @@
 """The search for the best parameters: several starts, growing pieces of the trials, then the whole of them."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,67 +38,69 @@ def search(problem: Problem, rng: np.random.Generator, *, starts: int, note: Not
     their misfit on short pieces, and the best of them followed. A descent that comes close to a minimum another one has
     found is taken to end there.
 
-    Parameters keep the sign of their stated value here: beyond zero there may be minima that fit as well and that
-    nobody can build, such as a negative resistance. What the data demand shows when the best minimum is refined without
-    that limit.
+    On their way down, parameters keep the sign of their stated value: beyond zero there may be minima that fit as well
+    and that nobody can build, such as a negative resistance. A descent that ends at zero is let go on through it:
+    there the data demand the other sign.
     """
     stated = problem.values[problem.free] / problem.scale
     lower = np.where(stated > 0, np.maximum(problem.lower, 0.0), problem.lower)
     upper = np.where(stated < 0, np.minimum(problem.upper, 0.0), problem.upper)
-    minima: list[Minimum] = []
 
-    def joined(z: FloatArray) -> Minimum | None:
-        return next((known for known in minima if _close(z[: problem.size], known.z[: problem.size])), None)
-
-    def descend(part: Problem, z: FloatArray, tolerance: float, evaluations: int) -> FloatArray:
+    def descend(
+        part: Problem,
+        z: FloatArray,
+        tolerance: float,
+        evaluations: int,
+        known: list[Minimum],
+        signed: bool = True,
+    ) -> FloatArray:
         return minimise(
             part,
             z,
-            lower=lower,
-            upper=upper,
+            lower=lower if signed else None,
+            upper=upper if signed else None,
             tolerance=tolerance,
             evaluations=evaluations,
             central=False,
-            stop=lambda at: part is problem and joined(at) is not None,
+            stop=lambda at: _joined(at[: part.size], known) is not None,
         )
 
-    def follow(label: str, start: FloatArray, *, growing: bool) -> None:
+    def follow(label: str, start: FloatArray, *, growing: bool) -> Minimum:
         note(f"fitting from {label}")
         z = np.concatenate([start, problem.guess(problem.parameters(start))])
         for share in _GROWTH if growing else ():
-            z = descend(problem.beginning(share), z, 1e-3, 12)
-        z = descend(problem, z, 1e-5, 30)
-        known = joined(z)
-        if known is None:
-            minima.append(Minimum(label, z, problem.misfit(z)))
-        else:
-            minima.append(replace(known, label=label))
+            z = descend(problem.beginning(share), z, 1e-3, 12, [])
+        z = descend(problem, z, 1e-5, 30, minima)
+        shared = z[: problem.size]
+        if np.any((shared <= lower) & (lower > problem.lower) | (shared >= upper) & (upper < problem.upper)):
+            z = descend(problem, z, 1e-5, 30, minima, signed=False)
+        return ended(label, z, minima)
 
-    follow("the stated values", stated, growing=False)
+    def ended(label: str, z: FloatArray, known: list[Minimum]) -> Minimum:
+        same = _joined(z[: problem.size], known)
+        return Minimum(label, z, problem.misfit(z)) if same is None else replace(same, label=label)
+
+    minima: list[Minimum] = []
+    minima.append(follow("the stated values", stated, growing=False))
     if problem.size and starts > 1:
-        follow("the stated values, piece by piece", stated, growing=True)
+        minima.append(follow("the stated values, piece by piece", stated, growing=True))
         for number, start in enumerate(_screened(problem, rng, starts - 2), start=1):
-            follow(f"start {number} of {starts - 2}", start, growing=True)
-    return _polished(minima, lambda z: descend(problem, z, 1e-7, 40), problem)
-
-
-def _polished(
-    minima: list[Minimum], descend: Callable[[FloatArray], FloatArray], problem: Problem
-) -> list[Minimum]:
-    """Follow those that are about as good as the best to their ends, where most of them turn out to be one."""
+            minima.append(follow(f"start {number} of {starts - 2}", start, growing=True))
+    # those about as good as the best are followed to their ends, where most of them turn out to be one
     best = min(minimum.misfit for minimum in minima)
     ends: list[Minimum] = []
     for minimum in sorted(minima, key=lambda minimum: minimum.misfit):
-        if minimum.misfit > _ABOUT_AS_GOOD * best:
+        if minimum.misfit <= _ABOUT_AS_GOOD * best:
+            z = descend(problem, minimum.z, 1e-7, 40, ends, signed=False)
+            ends.append(ended(minimum.label, z, ends))
+        else:
             ends.append(minimum)
-            continue
-        same = next((end for end in ends if _close(minimum.z, end.z)), None)
-        if same is None:
-            z = descend(minimum.z)
-            same = next((end for end in ends if _close(z[: problem.size], end.z[: problem.size])), None)
-            same = Minimum(minimum.label, z, problem.misfit(z)) if same is None else same
-        ends.append(replace(same, label=minimum.label))
     return sorted(ends, key=lambda minimum: minimum.misfit)
+
+
+def _joined(shared: FloatArray, known: Sequence[Minimum]) -> Minimum | None:
+    """Return the known minimum whose valley this point lies in."""
+    return next((one for one in known if _close(shared, one.z[: len(shared)])), None)
 
 
 def _close(one: FloatArray, other: FloatArray) -> bool:

@@ -1,5 +1,6 @@
 """The figure of a plain run: traces of every condition, and its objectives with their repeats."""
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from labrun.store.trial import TrialOutcome
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+_TITLE_WIDTH = 48
 _MOST_CONDITIONS = 12
 _MOST_REPEATS = 8
 _COLUMNS = 3
@@ -102,7 +104,7 @@ def _with_units(view: RunView, trial: TrialOutcome) -> str:
     parts = [
         condition_text({k: v}) + (f" {units[k]}" if k in units else "") for k, v in trial.condition.items()
     ]
-    return ", ".join(parts)
+    return textwrap.fill(", ".join(parts), _TITLE_WIDTH)
 
 
 def _objective(axes: "Axes", view: RunView, points: Sequence[Point]) -> None:
@@ -115,7 +117,11 @@ def _objective(axes: "Axes", view: RunView, points: Sequence[Point]) -> None:
         axes.plot([position - 0.22, position + 0.22], [point.mean] * 2, color=COLOURS[0], linewidth=2)
         if point.ci95 is not None:
             axes.plot([position] * 2, point.ci95, color=COLOURS[0], linewidth=1.2)
-    names = [condition_text(point.condition) for point in ordered]
+    varying = [name for name in ordered[0].condition if len({point.condition[name] for point in ordered}) > 1]
+    names = [
+        condition_text({name: point.condition[name] for name in varying or point.condition})
+        for point in ordered
+    ]
     if len(names) > _MOST_CONDITIONS:
         axes.set_xlabel("conditions, in ascending order")
         axes.set_xticks([])
