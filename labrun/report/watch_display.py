@@ -48,14 +48,18 @@ def watch(watcher: Watcher, console: Console, clock: "Clock", every_s: float) ->
         The last look.
     """
     snapshot = watcher.look()
-    with Live(render(snapshot, console), console=console, auto_refresh=False) as live:
-        try:
-            while snapshot.state != "finished":
-                clock.sleep(every_s)
-                snapshot = watcher.look()
-                live.update(render(snapshot, console), refresh=True)
-        except KeyboardInterrupt:
-            pass
+    live = Live(render(snapshot, console), console=console, auto_refresh=False)
+    try:
+        # Started inside: Ctrl-C during the first drawing, too, must give the cursor back and end well.
+        live.start(refresh=True)
+        while snapshot.state != "finished":
+            clock.sleep(every_s)
+            snapshot = watcher.look()
+            live.update(render(snapshot, console), refresh=True)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        live.stop()
     return snapshot
 
 

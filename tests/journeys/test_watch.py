@@ -128,5 +128,7 @@ def _in_terminal(command: list[str], cwd: Path, interrupt_after: str | None = No
             except OSError:  # the other end is closed
                 break
         os.close(terminal)
-    assert process.returncode == 0, shown.decode()
-    return shown.decode()
+    # Ctrl-C may cut a drawing in the middle of a character.
+    text = shown.decode(errors="replace")
+    assert process.returncode == 0, text
+    return text
