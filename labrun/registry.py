@@ -1,4 +1,4 @@
-"""Plugins by name: entry points of six groups, or "package.module:Class"."""
+"""Plugins by name: entry points of labrun's groups, or "package.module:Class"."""
 
 import importlib
 from dataclasses import dataclass
@@ -13,6 +13,10 @@ GROUPS = (
     "labrun.devices",
     "labrun.gaits",
     "labrun.objectives",
+    "labrun.controllers",
+    "labrun.references",
+    "labrun.feedbacks",
+    "labrun.fits",
     "labrun.models",
     "labrun.effects",
     "labrun.scenes",

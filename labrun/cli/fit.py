@@ -20,7 +20,19 @@ def fit(
         typer.Argument(help="A run or recording to fit in the way the experiment TARGET declares."),
     ] = None,
     model: Annotated[
-        str | None, typer.Option(help="Model: a TOML file, a plugin, or package.module:object.")
+        str | None,
+        typer.Option(
+            help="A model (TOML file, plugin, package.module:object), or a fit by name: hinge, hinge-maps, "
+            "least-squares, fopdt, transfer-function, pid.",
+        ),
+    ] = None,
+    more: Annotated[
+        list[str] | None,
+        typer.Option("--with", metavar="TARGET", help="A further run of the same fit; repeatable."),
+    ] = None,
+    overrides: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="A setting of the fit, e.g. poles=2; repeatable."),
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="First make a dry run of the experiment TARGET, then fit that.")
@@ -46,7 +58,15 @@ def fit(
             target = str(dry_run_of(target, seed, results))
         with _status() as note:
             result = fit_request(
-                target, recording, model=model, seed=seed, results=results, workspace=Path.cwd(), note=note
+                target,
+                recording,
+                more=more or (),
+                model=model,
+                overrides=overrides or (),
+                seed=seed,
+                results=results,
+                workspace=Path.cwd(),
+                note=note,
             )
         if as_json:
             print_json(result.to_json())

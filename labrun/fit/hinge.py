@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from labrun.errors import FitError
 from labrun.fit.correlation import correlation_length
 from labrun.fit.dataset import Dataset, FitTrial
+from labrun.fit.estimate import Estimate
 from labrun.fit.fourier import FourierSwing, fit_fourier
 from labrun.fit.hinge_findings import agreement_warnings, body_warning, release_findings, residual_warning
 from labrun.fit.hinge_model import FOUND, Body, hinge_model, taken_as_stated
@@ -17,7 +18,7 @@ from labrun.fit.notes import Note, silent
 from labrun.fit.output_error import FEW_TRIALS, fit_model
 from labrun.fit.releases import Release, fit_release, fourier_system, fourier_values, mean_over_releases
 from labrun.fit.resampling import resample_trials
-from labrun.fit.result import Estimate, FitResult
+from labrun.fit.result import FitResult
 
 if TYPE_CHECKING:
     from labrun.models import Model

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.fit.estimate import Estimate, rounded
 from labrun.fit.hinge_model import FOUND, Body
 from labrun.fit.releases import Release
 from labrun.fit.resampling import student
-from labrun.fit.result import Estimate, rounded
 
 FloatArray = NDArray[np.float64]
 

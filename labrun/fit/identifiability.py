@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.fit.estimate import Estimate, rounded
 from labrun.fit.problem import Problem
-from labrun.fit.result import Estimate, StartOutcome, rounded
+from labrun.fit.result import StartOutcome
 
 FloatArray = NDArray[np.float64]
 

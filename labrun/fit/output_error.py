@@ -11,6 +11,7 @@ from labrun.errors import FitError
 from labrun.fit.correlation import correlation_length
 from labrun.fit.dataset import Dataset
 from labrun.fit.descent import minimise
+from labrun.fit.estimate import Estimate
 from labrun.fit.identifiability import (
     Curvature,
     interval_warnings,
@@ -21,7 +22,7 @@ from labrun.fit.identifiability import (
 from labrun.fit.notes import Note, silent
 from labrun.fit.problem import Problem
 from labrun.fit.resampling import resample_trials
-from labrun.fit.result import Estimate, FitResult, StartOutcome
+from labrun.fit.result import FitResult, StartOutcome
 from labrun.fit.search import Minimum, search
 
 if TYPE_CHECKING:

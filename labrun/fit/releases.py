@@ -11,11 +11,11 @@ from labrun.errors import FitError
 from labrun.fit.correlation import correlation_length
 from labrun.fit.dataset import Dataset, FitTrial
 from labrun.fit.descent import NormalEquations, minimise
+from labrun.fit.estimate import Estimate
 from labrun.fit.fourier import FourierSwing
 from labrun.fit.hinge_model import FOUND, Body
 from labrun.fit.problem import Problem
 from labrun.fit.resampling import resample_trials
-from labrun.fit.result import Estimate
 
 if TYPE_CHECKING:
     from labrun.models import Model

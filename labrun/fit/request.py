@@ -1,28 +1,30 @@
 """What `labrun fit` was asked for: which data, by which method, with which model."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from labrun.errors import RequestError
+from labrun.fit.method import Fitted, is_method
 from labrun.fit.notes import Note, silent
 from labrun.fit.run_fit import FitPlan, fit, plan_from
+from labrun.spec.overrides import apply_overrides
 from labrun.store.locate import find_run
 from labrun.store.recording import is_recording
-
-if TYPE_CHECKING:
-    from labrun.fit.result import FitResult
 
 
 def fit_request(
     target: str,
     data: str | None = None,
     *,
+    more: Sequence[str] = (),
     model: str | None = None,
+    overrides: Sequence[str] = (),
     seed: int | None = None,
     results: Path,
     workspace: Path,
     note: Note = silent,
-) -> "FitResult":
+) -> Fitted:
     """Fit what a person named.
 
     Parameters
@@ -33,8 +35,12 @@ def fit_request(
     data
         A recording folder or run to fit in the way of the experiment `target`. A recording with a model.toml of its own
         is fitted with what that knows of the body that was measured.
+    more
+        Further runs or recordings of the same fit, named like `target`.
     model
-        A model file or plugin, instead of the one the experiment or the recording names.
+        A model file or plugin, or a fit by name, instead of what the experiment or the recording names.
+    overrides
+        Settings of the fit, ``key=value``.
     seed
         Of starts and resamples; 0 if None, so that the same data give the same numbers.
     results, workspace
@@ -50,9 +56,20 @@ def fit_request(
         The model cannot be fitted to these data.
     """
     folder = _data(target if data is None else data, results)
-    plan = None if data is None else _declared(target, folder, workspace, need_model=model is None)
+    need_model = model is None or is_method(model)
+    plan = None if data is None else _declared(target, folder, workspace, need_model=need_model)
+    settings: dict[str, Any] = {}
+    apply_overrides(settings, overrides)
     return fit(
-        folder, model=model, plan=plan, results=results, workspace=workspace, seed=seed or 0, note=note
+        folder,
+        more=[_data(one, results) for one in more],
+        model=model,
+        settings=settings,
+        plan=plan,
+        results=results,
+        workspace=workspace,
+        seed=seed or 0,
+        note=note,
     )
 
 

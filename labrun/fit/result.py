@@ -1,32 +1,19 @@
 """What a fit found, for scripts and for people."""
 
 import shutil
-import textwrap
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labrun.fit.dataset import Dataset
+from labrun.fit.estimate import Estimate, parameters_json
+from labrun.fit.text import estimate_lines, heading, rmse_lines, told_lines
 
 FloatArray = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """A fitted number with its 95 % interval, in its unit."""
-
-    value: float
-    ci95: tuple[float, float]
-    unit: str
-
-    @property
-    def contains_zero(self) -> bool:
-        """Tell whether the interval cannot tell the number from zero."""
-        return self.ci95[0] <= 0.0 <= self.ci95[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +67,16 @@ class FitResult:
     by_trial: tuple[Mapping[str, float], ...] = ()
 
     @property
+    def data_name(self) -> str:
+        """Name of the run or recording."""
+        return self.dataset.name
+
+    @property
+    def kind(self) -> Literal["recording", "run"]:
+        """What the data are."""
+        return self.dataset.kind
+
+    @property
     def residuals(self) -> tuple[FloatArray, ...]:
         """Measured minus simulated, per trial (n, m)."""
         pairs = zip(self.dataset.trials, self.simulated, strict=True)
@@ -87,12 +84,8 @@ class FitResult:
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun fit --json`` prints."""
-        parameters = {
-            name: {"value": estimate.value, "ci95": list(estimate.ci95), "unit": estimate.unit}
-            for name, estimate in self.parameters.items()
-        }
         return {
-            "parameters": parameters,
+            "parameters": parameters_json(self.parameters),
             "rmse": dict(self.rmse),
             "figure": None if self.figure is None else str(self.figure),
             "warnings": list(self.warnings),
@@ -111,44 +104,30 @@ class FitResult:
 
     def table(self, width: int = 100) -> str:
         """Return the estimates as aligned text for a terminal."""
-        trials = len(self.dataset.trials)
-        left_out = f", {self.dataset.left_out} left out" if self.dataset.left_out else ""
-        lines = [
-            f"{self.model_name} fitted to {self.dataset.name}: {trials} trial{'s' * (trials != 1)}{left_out}",
-            "",
-        ]
-        rows = [("", "value", "95 % interval", "")]
-        for name, estimate in self.parameters.items():
-            value, low, high = rounded(estimate)
-            rows.append((name, value, f"{low} ... {high}", estimate.unit))
-        rows += [(name, f"{value:.6g}", "as given", "") for name, value in self.fixed.items()]
-        widths = [max(len(row[column]) for row in rows) for column in range(3)]
-        for name, value, interval, unit in rows:
-            lines.append(
-                f"  {name:<{widths[0]}}  {value:>{widths[1]}}  {interval:<{widths[2]}}  {unit}".rstrip()
-            )
-        lines += ["", "  root mean square of measured - simulated"]
-        for output in self.dataset.outputs:
-            lines.append(f"    {output.name}: {self.rmse[output.name]:.4g} {output.unit}")
-        told = [("- ", finding) for finding in self.findings] + [("! ", warning) for warning in self.warnings]
-        if told:
-            lines.append("")
-        for mark, sentence in told:
-            lines += textwrap.wrap(
-                sentence, width, initial_indent=f"  {mark}", subsequent_indent="    ", break_on_hyphens=False
-            )
-        return "\n".join(lines)
+        units = {output.name: output.unit for output in self.dataset.outputs}
+        return "\n".join(
+            [
+                heading(self.model_name, self.dataset.name, len(self.dataset.trials), self.dataset.left_out),
+                "",
+                *estimate_lines(self.parameters, self.fixed),
+                *rmse_lines(self.rmse, units),
+                *told_lines(self.findings, self.warnings, width),
+            ]
+        )
 
+    def record(self) -> dict[str, Any]:
+        """Return what is stored with the numbers of `to_json`."""
+        return {
+            "fixed": dict(self.fixed),
+            "findings": list(self.findings),
+            "by_trial": [
+                {"trial": trial.label, **found}
+                for trial, found in zip(self.dataset.trials, self.by_trial, strict=False)
+            ],
+        }
 
-def rounded(estimate: Estimate) -> tuple[str, str, str]:
-    """Return value and interval with the digits the interval supports: two of its half-width."""
-    low, high = estimate.ci95
-    half = 0.5 * (high - low)
-    if half <= 0 or not np.isfinite(half):
-        return f"{estimate.value:.6g}", f"{low:.6g}", f"{high:.6g}"
-    largest = max(abs(estimate.value), abs(low), abs(high))
-    digits = int(np.clip(np.floor(np.log10(largest)) - np.floor(np.log10(half)) + 2, 2, 9))
-    if 1e-3 <= largest < 1e6:
-        decimals = max(int(digits - 1 - np.floor(np.log10(largest))), 0)
-        return f"{estimate.value:.{decimals}f}", f"{low:.{decimals}f}", f"{high:.{decimals}f}"
-    return f"{estimate.value:.{digits - 1}e}", f"{low:.{digits - 1}e}", f"{high:.{digits - 1}e}"
+    def draw(self, folder: Path, stem: str) -> "FitResult":
+        """Draw overlay and residuals into ``<folder>/<stem>.png``, and return the result with its figure."""
+        from labrun.fit.figure import draw_fit
+
+        return replace(self, figure=draw_fit(self, folder / f"{stem}.png"))

@@ -2,63 +2,75 @@
 
 import json
 import secrets
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from labrun.errors import RequestError
-from labrun.fit.dataset import load_dataset
+from labrun.fit.method import FitJob, Fitted, is_method, make_method, takes
 from labrun.fit.notes import Note, silent
-from labrun.fit.result import FitResult
 from labrun.store.recording import is_recording
 
 if TYPE_CHECKING:
     from labrun.models import Model
     from labrun.spec.experiment import FitTable
 
-METHODS = {"model": 5, "hinge": 2}
-"""Fits by name, and how many starts each takes; a hinge fit starts from its own Fourier estimate."""
-FIGURE, NUMBERS = "fit.png", "fit.json"
-
 
 @dataclass(frozen=True, slots=True)
 class FitPlan:
-    """How to fit: from a run's experiment, or from what lies beside a recording."""
+    """How to fit: from a run's experiment, or from what lies beside a recording.
+
+    `settings` are those of `method`; of another method, `methods` has its own, over those of `settings` it knows too.
+    """
 
     method: str = "model"
     model: "Model | None" = None
     signals: Mapping[str, str] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    methods: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def settings_of(self, method: str) -> dict[str, Any]:
+        """Return the settings of a method."""
+        shared = {k: v for k, v in self.settings.items() if method == self.method or takes(method, k)}
+        return {**shared, **self.methods.get(method, {})}
 
 
 def fit(
     target: Path,
     *,
+    more: Sequence[Path] = (),
     model: str | Path | None = None,
     method: str | None = None,
     signals: Mapping[str, str] | None = None,
+    settings: Mapping[str, Any] | None = None,
     results: Path = Path("results"),
     workspace: Path = Path(),
     plan: FitPlan | None = None,
     seed: int = 0,
     starts: int | None = None,
     note: Note = silent,
-) -> FitResult:
-    """Fit a model to a recording or a run, draw the figure, and store both.
+) -> Fitted:
+    """Fit a recording or a run, draw the figure, and store both.
 
     Parameters
     ----------
     target
         A recording folder, a run folder or a run.h5.
+    more
+        Further ones that belong to the same fit.
     model
-        A model file, plugin or shipped name. Else the experiment's `[fit] model`; else the recording's model.toml.
+        A model file, plugin or shipped name; or the name of a fit, which is then the method. Else the experiment's
+        `[fit] model`; else the recording's model.toml.
     method
-        "model" or "hinge". Else the experiment's `[fit] method`; else "model".
+        A fit by name. Else the experiment's `[fit] method`; else "model".
     signals
         See `load_dataset`; adds to the experiment's `[fit] signals`.
+    settings
+        Of the method; over the experiment's own.
     results
         Where the figure of a recording goes: ``results/<recording>/fit-<time>/``. A recording itself is never written
         to; the fit of a run is kept in the run's own folder, under ``fit/``.
@@ -73,71 +85,50 @@ def fit(
 
     Raises
     ------
-    RequestError
-        Unknown method, no model named, data that do not match the model.
+    PluginError, RequestError
+        Unknown method, no model named, settings or data that do not hold.
     FitError
         The model cannot be fitted to these data.
     """
-    from labrun.fit.figure import draw_fit
     from labrun.models import load_model
 
     target = Path(target)
+    if isinstance(model, str) and is_method(model):
+        method, model = model, None
     given = load_model(model) if model is not None else None
     plan = plan or plan_of(target, workspace, need_model=given is None)
     method = method or plan.method
-    if method not in METHODS:
-        raise RequestError(f"unknown fit method {method!r}", hint=f"methods are {', '.join(METHODS)}")
-    wanted = {**plan.signals, **(signals or {})}
-    result = _fitted(target, given or plan.model, method, wanted, np.random.default_rng(seed), starts, note)
+    way = make_method(method, {**plan.settings_of(method), **(settings or {})})
+    note(f"reading {target}")
+    job = FitJob(
+        target,
+        np.random.default_rng(seed),
+        tuple(more),
+        given or plan.model,
+        {**plan.signals, **(signals or {})},
+        starts,
+        note,
+    )
+    result = way(job)
     note("drawing")
     folder = _output_folder(target, result, results)
-    result = replace(result, figure=draw_fit(result, folder / FIGURE))
+    stem = _stem(result)
+    result = result.draw(folder, stem)
     numbers = {
         **result.to_json(),
         "model": result.model_name,
         "method": result.method,
         "source": str(target),
-        "fixed": dict(result.fixed),
-        "findings": list(result.findings),
-        "by_trial": [
-            {"trial": trial.label, **found}
-            for trial, found in zip(result.dataset.trials, result.by_trial, strict=False)
-        ],
+        **result.record(),
     }
-    (folder / NUMBERS).write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
+    (folder / f"{stem}.json").write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
     return result
 
 
-def _fitted(
-    target: Path,
-    model: "Model | None",
-    method: str,
-    signals: Mapping[str, str],
-    rng: np.random.Generator,
-    starts: int | None,
-    note: Note,
-) -> FitResult:
-    note(f"reading {target}")
-    starts = METHODS[method] if starts is None else starts
-    if method == "hinge":
-        from labrun.fit.hinge import fit_hinge
-        from labrun.fit.hinge_model import hinge_model
-
-        hinge = hinge_model(model)
-        names = {output.name for output in hinge.outputs}
-        dataset = load_dataset(
-            target, hinge, {name: channel for name, channel in signals.items() if name in names}
-        )
-        return fit_hinge(dataset, model, rng=rng, starts=starts, note=note)
-    if model is None:
-        raise RequestError(
-            f"no model named for {target}",
-            hint="name one with --model FILE, or as [fit] model in the experiment, "
-            "or put model.toml beside recording.toml",
-        )
-    from labrun.fit.output_error import fit_model
-
-    return fit_model(model, load_dataset(target, model, signals), rng=rng, starts=starts, note=note)
+def _stem(result: Fitted) -> str:
+    """Return what the files of a fit are called: several fits of a run stand side by side."""
+    name = result.model_name if result.method == "model" else result.method
+    return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name) or "model"
 
 
 def plan_of(target: Path, workspace: Path, *, need_model: bool = True) -> FitPlan:
@@ -179,14 +170,14 @@ def plan_from(
     model = None
     if need_model and table.model is not None:
         model = load_model(find_model_file(table.model, experiment, workspace) or table.model)
-    return FitPlan(table.method, model, table.signals)
+    return FitPlan(table.method, model, table.signals, table.settings, table.methods)
 
 
-def _output_folder(target: Path, result: FitResult, results: Path) -> Path:
-    if result.dataset.kind == "run":
+def _output_folder(target: Path, result: Fitted, results: Path) -> Path:
+    if result.kind == "run":
         folder = (target.parent if target.is_file() else target) / "fit"
     else:
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-        folder = results / result.dataset.name / f"fit-{stamp}-{secrets.token_hex(2)}"
+        folder = results / result.data_name / f"fit-{stamp}-{secrets.token_hex(2)}"
     folder.mkdir(parents=True, exist_ok=True)
     return folder

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from labrun.fit.result import Estimate, rounded
+from labrun.fit.estimate import Estimate, rounded
 from labrun.report.html_elements import Content, Html, element, joined, paragraph, picture, section, table
 from labrun.report.html_words import spaced
 from labrun.report.report_source import ReportSource

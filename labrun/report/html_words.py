@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping
 
-from labrun.fit.result import Estimate, rounded
+from labrun.fit.estimate import Estimate, rounded
 from labrun.report.words import value_text
 from labrun.spec.experiment import Value
 

@@ -1,4 +1,4 @@
-"""The table [fit]: whether the model it names is there."""
+"""The table [fit]: whether the method and the model it names are there, and its settings hold."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -6,17 +6,18 @@ from typing import Any
 
 from labrun import registry
 from labrun.spec.names import suggest
-from labrun.spec.plugin_checks import load_plugin
+from labrun.spec.plugin_checks import check_settings, load_plugin
 from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem
 from labrun.spec.raw_tables import table
 from labrun.spec.workspace import find_model_file, shipped_experiments
 
 _GROUP = "labrun.models"
+_METHODS = "labrun.fits"
 
 
 def check_fit(data: Mapping[str, Any], experiment: Path | None) -> Iterator[Problem]:
-    """Yield what is wrong with the model of a fit, as far as that shows without reading it.
+    """Yield what is wrong with a fit's methods, settings and model, as far as that shows without reading the model.
 
     Parameters
     ----------
@@ -25,7 +26,19 @@ def check_fit(data: Mapping[str, Any], experiment: Path | None) -> Iterator[Prob
     experiment
         The file. Without it there is no telling which folder a model would be beside, and nothing is looked for.
     """
-    model = table(data, "fit").get("model")
+    fit = table(data, "fit")
+    method = fit.get("method", "model") if fit else None
+    loaded, problems = load_plugin(_METHODS, method, ("fit", "method"))
+    yield from problems
+    if loaded is not None:
+        yield from check_settings(loaded, table(fit, "settings"), ("fit", "settings"), [])
+    for name, settings in table(fit, "methods").items():
+        loaded, problems = load_plugin(_METHODS, name, ("fit", "methods", name))
+        yield from problems
+        if loaded is not None and isinstance(settings, Mapping):
+            shared = {k: v for k, v in table(fit, "settings").items() if k in loaded.Settings.model_fields}
+            yield from check_settings(loaded, {**shared, **settings}, ("fit", "methods", name), [])
+    model = fit.get("model")
     path: KeyPath = ("fit", "model")
     if experiment is None or not isinstance(model, str):
         return

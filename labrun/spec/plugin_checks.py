@@ -62,10 +62,11 @@ def _check_scene(data: Mapping[str, Any]) -> Iterator[Problem]:
         return
     loaded, problems = load_plugin("labrun.scenes", plugin, at)
     yield from problems
-    yield from _check_settings(loaded, keys, path, ["plugin"])
+    yield from check_settings(loaded, keys, path, ["plugin"])
 
 
-def _check_settings(plugin: Any, keys: Mapping[str, Any], path: KeyPath, own: list[str]) -> Iterator[Problem]:
+def check_settings(plugin: Any, keys: Mapping[str, Any], path: KeyPath, own: list[str]) -> Iterator[Problem]:
+    """Yield what is wrong with a plugin's keys; those of `own` are read by someone else."""
     model = getattr(plugin, "Settings", None)
     if isinstance(model, type) and issubclass(model, BaseModel):
         settings = {key: value for key, value in keys.items() if key not in own}
@@ -76,7 +77,7 @@ def _check_gait(data: Mapping[str, Any]) -> Iterator[Problem]:
     gait = table(data, "gait")
     loaded, problems = load_plugin("labrun.gaits", gait.get("plugin"), ("gait", "plugin"))
     yield from problems
-    yield from _check_settings(loaded, gait, ("gait",), list(GaitTable.model_fields))
+    yield from check_settings(loaded, gait, ("gait",), list(GaitTable.model_fields))
     model = getattr(loaded, "JointKeys", None)
     joints = {joint: keys for joint, keys in table(gait, "joints").items() if isinstance(keys, dict)}
     if isinstance(model, type) and issubclass(model, BaseModel):
@@ -103,7 +104,7 @@ def _check_objective(
 ) -> Iterator[Problem]:
     loaded, problems = load_plugin("labrun.objectives", objective.get("plugin"), (*path, "plugin"))
     yield from problems
-    yield from _check_settings(loaded, objective, path, list(ObjectiveTable.model_fields))
+    yield from check_settings(loaded, objective, path, list(ObjectiveTable.model_fields))
     yield from check_channel(objective.get("channel"), (*path, "channel"), devices)
     if getattr(loaded, "needs_channel", False) and objective.get("channel") is None:
         yield Problem(path, 'the key "channel" is missing: which channel this number is made of')

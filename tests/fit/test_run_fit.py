@@ -9,9 +9,10 @@ import pytest
 from swings import dataset_of, swing
 
 from labrun.errors import RequestError
+from labrun.fit.estimate import Estimate, rounded
 from labrun.fit.figure import draw_fit, shown_trials
 from labrun.fit.request import fit_request
-from labrun.fit.result import Estimate, FitResult, rounded
+from labrun.fit.result import FitResult
 from labrun.fit.run_fit import fit
 from labrun.store.importing import import_recording
 
@@ -68,13 +69,15 @@ def test_a_recording_is_fitted_into_the_results_and_left_untouched(recording: Pa
     assert gravity["ci95"][0] <= gravity["value"] <= gravity["ci95"][1]
     assert gravity["value"] == pytest.approx(0.06, rel=1e-3)
     assert found["rmse"]["angle"] == pytest.approx(1e-3, rel=0.1)
-    assert json.loads((result.figure.parent / "fit.json").read_text())["parameters"] == found["parameters"]
+    assert (
+        json.loads((result.figure.parent / "pendulum.json").read_text())["parameters"] == found["parameters"]
+    )
 
 
 def test_a_run_is_fitted_inside_its_own_folder(recording: Path, tmp_path: Path) -> None:
     run = import_recording(recording, tmp_path / "results")
     result = fit(run, model=recording / "model.toml")
-    assert result.figure == run / "fit" / "fit.png"
+    assert result.figure == run / "fit" / "pendulum.png"
     packed = fit(run / "run.h5", model=recording / "model.toml")
     assert packed.figure == result.figure
     assert packed.parameters == result.parameters
@@ -104,7 +107,7 @@ def test_the_text_tells_everything_the_numbers_do(recording: Path, tmp_path: Pat
         "angle:",
         "rad",
         "as given",
-        "fit.png",
+        "pendulum.png",
     ):
         assert expected in text
 
@@ -135,7 +138,7 @@ def test_a_recording_without_a_model_says_how_to_name_one(recording: Path, tmp_p
 def test_a_target_that_is_not_there_and_a_method_unknown_are_refused(recording: Path, tmp_path: Path) -> None:
     with pytest.raises(RequestError, match="no recording or run"):
         fit(tmp_path / "nothing")
-    with pytest.raises(RequestError, match="methods are model, hinge"):
+    with pytest.raises(RequestError, match="unknown fit plugin"):
         fit(recording, method="spline")
 
 

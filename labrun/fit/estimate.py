@@ -1,0 +1,43 @@
+"""A fitted number with its interval, and how many of its digits mean something."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A fitted number with its 95 % interval, in its unit."""
+
+    value: float
+    ci95: tuple[float, float]
+    unit: str
+
+    @property
+    def contains_zero(self) -> bool:
+        """Tell whether the interval cannot tell the number from zero."""
+        return self.ci95[0] <= 0.0 <= self.ci95[1]
+
+
+def parameters_json(parameters: Mapping[str, Estimate]) -> dict[str, Any]:
+    """Return estimates as ``labrun fit --json`` prints them."""
+    return {
+        name: {"value": estimate.value, "ci95": list(estimate.ci95), "unit": estimate.unit}
+        for name, estimate in parameters.items()
+    }
+
+
+def rounded(estimate: Estimate) -> tuple[str, str, str]:
+    """Return value and interval with the digits the interval supports: two of its half-width."""
+    low, high = estimate.ci95
+    half = 0.5 * (high - low)
+    if half <= 0 or not np.isfinite(half):
+        return f"{estimate.value:.6g}", f"{low:.6g}", f"{high:.6g}"
+    largest = max(abs(estimate.value), abs(low), abs(high))
+    digits = int(np.clip(np.floor(np.log10(largest)) - np.floor(np.log10(half)) + 2, 2, 9))
+    if 1e-3 <= largest < 1e6:
+        decimals = max(int(digits - 1 - np.floor(np.log10(largest))), 0)
+        return f"{estimate.value:.{decimals}f}", f"{low:.{decimals}f}", f"{high:.{decimals}f}"
+    return f"{estimate.value:.{digits - 1}e}", f"{low:.{digits - 1}e}", f"{high:.{digits - 1}e}"

@@ -1,0 +1,148 @@
+"""What a way of fitting is: a plugin that turns recorded data into numbers with intervals."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, cast
+
+import numpy as np
+from pydantic import BaseModel
+
+from labrun import registry
+from labrun.errors import RequestError
+from labrun.fit.notes import Note, silent
+from labrun.spec.problem import dotted
+from labrun.spec.validation import validate
+
+if TYPE_CHECKING:
+    from labrun.models import Model
+
+GROUP = "labrun.fits"
+
+
+@dataclass(frozen=True, slots=True)
+class FitJob:
+    """What to fit.
+
+    Attributes
+    ----------
+    target
+        A recording folder, a run folder or a run.h5.
+    rng
+        Of starts and resamples.
+    more
+        Further runs or recordings that belong to the same fit (``--with``).
+    model
+        The model that was named, if any was.
+    signals
+        Which recorded channel is which input or output of the model.
+    starts
+        How many; None is what the method takes by itself.
+    note
+        Called with what is being done.
+    """
+
+    target: Path
+    rng: np.random.Generator
+    more: tuple[Path, ...] = ()
+    model: "Model | None" = None
+    signals: Mapping[str, str] = field(default_factory=dict)
+    starts: int | None = None
+    note: Note = silent
+
+
+class Fitted(Protocol):
+    """What every fit gives back; `FitResult` and `FitSummary` are two."""
+
+    @property
+    def method(self) -> str:
+        """The fit's name."""
+        ...
+
+    @property
+    def model_name(self) -> str:
+        """What was fitted."""
+        ...
+
+    @property
+    def data_name(self) -> str:
+        """Name of the run or recording."""
+        ...
+
+    @property
+    def kind(self) -> Literal["recording", "run"]:
+        """What the data are."""
+        ...
+
+    def to_json(self) -> dict[str, Any]:
+        """Return parameters, rmse, figure and warnings: what ``labrun fit --json`` prints."""
+        ...
+
+    def to_text(self, width: int | None = None) -> str:
+        """Return what ``labrun fit`` prints."""
+        ...
+
+    def record(self) -> dict[str, Any]:
+        """Return what is stored with the numbers of `to_json`, JSON-ready."""
+        ...
+
+    def draw(self, folder: Path, stem: str) -> Self:
+        """Write the figure ``<stem>.png`` and any other file into `folder`; return the result that names them."""
+        ...
+
+
+class FitMethod(Protocol):
+    """A way of fitting with its settings."""
+
+    def __call__(self, job: FitJob) -> Fitted:
+        """Fit.
+
+        Raises
+        ------
+        RequestError
+            Data or a model that this way of fitting cannot take.
+        FitError
+            Nothing can be fitted to these data.
+        """
+        ...
+
+
+class FitPlugin(Protocol):
+    """The class an entry point of group ``labrun.fits`` names.
+
+    `Settings` is a pydantic model of its keys of ``[fit.settings]`` and ``--set``.
+    """
+
+    Settings: type[BaseModel]
+
+    def __call__(self, settings: Any) -> FitMethod:
+        """Make the method of its validated settings."""
+        ...
+
+
+def is_method(name: str) -> bool:
+    """Tell whether a fit of that name is installed."""
+    return registry.is_installed(GROUP, name)
+
+
+def takes(method: str, key: str) -> bool:
+    """Tell whether a fit has a setting of that name."""
+    return key in cast("FitPlugin", registry.load(GROUP, method)).Settings.model_fields
+
+
+def make_method(name: str, settings: Mapping[str, Any]) -> FitMethod:
+    """Return a way of fitting.
+
+    Raises
+    ------
+    PluginError
+        Unknown, with the nearest name, or one that does not import.
+    RequestError
+        Settings that do not hold; all of them at once.
+    """
+    plugin = cast("FitPlugin", registry.load(GROUP, name))
+    known, problems = validate(plugin.Settings, dict(settings), ("fit", "settings"))
+    if problems or known is None:
+        told = [f"{dotted(item.path)}: {item.message}" for item in problems]
+        raise RequestError("\n".join([f"fit {name}: settings that do not hold", *told]))
+    return plugin(known)
