@@ -54,6 +54,10 @@ def draw_view(view: RunView, search: Path | None, path: Path) -> Path:
         from labrun.report.sweep_map import draw_sweep
 
         return draw_sweep(view, path)
+    if view.experiment.kind == "track":
+        from labrun.report.track_figure import draw_track
+
+        return draw_track(view, path)
     from labrun.report.run_overlay import draw_plain_run
 
     return draw_plain_run(view, path)

@@ -21,9 +21,11 @@ from labrun.report.statistics import (
     settling,
     stream_health,
 )
+from labrun.report.stored_fits import StoredFit, stored_fits
 from labrun.runner.settling import unsettled
 from labrun.search.engine import stored_result
 from labrun.search.result import Best
+from labrun.store.folder import SPEC
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -49,8 +51,6 @@ class Findings:
         Number of trials by role and status: ``{"measure": {"done": 64}}``.
     spoiled
         Reasons of rejected and failed trials, with their number, most frequent first.
-    unsettled
-        Accepted trials before which the bench had not come to rest.
     bench_time_s
         From the first trial's start to the last one's end, by the run's clock.
     figure
@@ -59,6 +59,10 @@ class Findings:
         How many trials the health of the streams was taken from, evenly over the run.
     faults
         What was found damaged on disk.
+    unsettled
+        Accepted trials before which the bench had not come to rest.
+    fits
+        What `labrun fit` made of it.
     """
 
     run: Path
@@ -80,6 +84,7 @@ class Findings:
     streams_of: int
     faults: list[str]
     unsettled: int = 0
+    fits: tuple[StoredFit, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return everything, JSON-ready."""
@@ -103,6 +108,7 @@ class Findings:
             "streams": as_json(self.streams),
             "streams_from_trials": self.streams_of,
             "faults": self.faults,
+            "fits": [dict(fit.numbers) for fit in self.fits if not fit.fault],
         }
 
     def print(self, console: "Console | None" = None) -> None:
@@ -154,6 +160,7 @@ def findings(run: "Run") -> Findings | RecordingFindings:
         streams_of=len(looked_at),
         faults=list(run.faults),
         unsettled=sum(unsettled(outcome) for outcome in run.outcomes),
+        fits=tuple(stored_fits(folder if (folder / SPEC).is_file() else None)),
     )
 
 

@@ -4,10 +4,8 @@ from labrun.report.bench_time import STEPS, BenchTime
 from labrun.report.html_elements import Content, Html, element, joined, paragraph, section, share_bar, table
 from labrun.report.html_words import counted, share_text
 from labrun.report.report_source import ReportSource
+from labrun.report.statistics import LEAST_JITTER_S
 from labrun.report.words import clock_text, duration_text
-
-_LEAST_JITTER_S = 1e-8
-"""Below this, jitter is the rounding of the stored times."""
 
 
 def timing_section(source: ReportSource) -> Html | None:
@@ -78,7 +76,7 @@ def _streams(source: ReportSource) -> Html | None:
                 names,
                 f"{item.nominal_hz:.4g}",
                 f"{item.actual_hz:.4g}",
-                f"{1000 * item.jitter_s:.2g}" if item.jitter_s > _LEAST_JITTER_S else "0",
+                f"{1000 * item.jitter_s:.2g}" if item.jitter_s > LEAST_JITTER_S else "0",
                 *clock_text(item),
                 str(item.samples),
                 f"{item.lost} ({share_text(item.lost, item.samples + item.lost)})" if item.lost else "0",

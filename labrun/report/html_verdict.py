@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 from labrun.report.html_elements import Content, Html, element, joined, paragraph
-from labrun.report.html_fits import fit_files
 from labrun.report.html_trust import most_hidden
 from labrun.report.html_words import (
     condition_with_units,
@@ -15,6 +14,7 @@ from labrun.report.html_words import (
     spaced,
 )
 from labrun.report.report_source import ReportSource
+from labrun.report.stored_fits import stored_fits
 from labrun.report.words import duration_text, quantity_text
 from labrun.search.leaders import condition_key
 from labrun.search.result import Best, resume_line
@@ -258,7 +258,7 @@ def _range(source: ReportSource, objective: str) -> str:
 
 
 def _fitted(source: ReportSource) -> Html | None:
-    if not fit_files(source):
+    if not stored_fits(source.folder):
         return None
     return paragraph(
         "A model was fitted to it: ", element("a", "parameters with their intervals", href="#fits"), "."

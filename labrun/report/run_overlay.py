@@ -25,7 +25,7 @@ _COLUMNS = 3
 
 def draw_plain_run(view: RunView, path: Path) -> Path:
     """Draw a run of listed conditions and save it: traces by condition, then the objective over all of them."""
-    groups = _groups(view)
+    groups = groups_of(view)
     channel = view.channel
     shown = list(groups.values())[:_MOST_CONDITIONS] if channel is not None else []
     points = view.points(view.objective) if view.objective is not None else []
@@ -49,12 +49,13 @@ def draw_plain_run(view: RunView, path: Path) -> Path:
                 if number % columns == 0:
                     axes.set_ylabel(view.trace_label)
         if points:
-            _objective(parts[-1][0].subplots(1, 1), view, points)
+            objective_panel(parts[-1][0].subplots(1, 1), view, points)
         heading(figure, view.experiment.title, _subtitle(view, groups, len(shown)))
         return save(figure, path)
 
 
-def _groups(view: RunView) -> dict[object, list[TrialOutcome]]:
+def groups_of(view: RunView) -> dict[object, list[TrialOutcome]]:
+    """Return the accepted trials of every condition, in the order of the conditions' values."""
     groups: dict[object, list[TrialOutcome]] = {}
     for outcome in view.run.outcomes:
         if outcome.status == "done" and outcome.role != "reference":
@@ -86,7 +87,7 @@ def _traces(axes: "Axes", view: RunView, trials: Sequence[TrialOutcome], channel
         trace = view.trace(trial, channel)
         if trace is not None:
             axes.plot(*trace, color=COLOURS[number % len(COLOURS)], linewidth=0.8, alpha=0.75)
-    axes.set_title(_with_units(view, trials[0]))
+    axes.set_title(condition_title(view, trials[0]))
     count = (
         f"{len(repeats)} repeats"
         if len(repeats) == len(trials)
@@ -99,7 +100,8 @@ def _traces(axes: "Axes", view: RunView, trials: Sequence[TrialOutcome], channel
     zero_line(axes)
 
 
-def _with_units(view: RunView, trial: TrialOutcome) -> str:
+def condition_title(view: RunView, trial: TrialOutcome) -> str:
+    """Return a trial's condition with units, folded to fit over a panel."""
     units = view.experiment.units
     parts = [
         condition_text({k: v}) + (f" {units[k]}" if k in units else "") for k, v in trial.condition.items()
@@ -107,7 +109,8 @@ def _with_units(view: RunView, trial: TrialOutcome) -> str:
     return textwrap.fill(", ".join(parts), _TITLE_WIDTH)
 
 
-def _objective(axes: "Axes", view: RunView, points: Sequence[Point]) -> None:
+def objective_panel(axes: "Axes", view: RunView, points: Sequence[Point]) -> None:
+    """Draw the objective over all conditions: single trials, means, intervals."""
     ordered = sorted(points, key=lambda point: [_sortable(value) for value in point.condition.values()])
     for position, point in enumerate(ordered):
         spread = np.linspace(-0.16, 0.16, len(point.values)) if len(point.values) > 1 else np.zeros(1)

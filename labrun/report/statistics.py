@@ -16,6 +16,9 @@ from labrun.store.trial import Stream, TrialOutcome
 
 FloatArray = NDArray[np.float64]
 
+LEAST_JITTER_S = 1e-8
+"""Below this, jitter is the rounding of the stored times."""
+
 
 @dataclass(frozen=True, slots=True)
 class Repeatability:

@@ -7,6 +7,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from labrun.fit.estimate import rounded
+from labrun.report.statistics import LEAST_JITTER_S
+from labrun.report.stored_fits import StoredFit
 from labrun.report.words import clock_text, condition_text, duration_text, interval_text, quantity_text
 from labrun.search.result import unsettled_text
 
@@ -42,14 +45,16 @@ def print_findings(found: "Findings", console: Console | None = None) -> None:
         console.print(_drift(found))
     if found.settling is not None:
         reasons = ", ".join(f"{count} {reason}" for reason, count in found.settling.reasons.items())
-        longest = f"longest {duration_text(found.settling.longest_s)}"
-        text = f"settling: {reasons}; median {found.settling.median_s:.1f} s, {longest}"
+        median, longest = (_waited(one) for one in (found.settling.median_s, found.settling.longest_s))
+        text = f"settling: {reasons}; median {median}, longest {longest}"
         console.print(Text(text), highlight=False)
     if found.unsettled:
         warning = unsettled_text(found.unsettled, sum(by.get("done", 0) for by in found.trials.values()))
         console.print(Text(f"warning: {warning}", style="bold yellow"), highlight=False)
     if found.streams:
         console.print(_streams(found))
+    for fit in found.fits:
+        print_fit(fit, console)
     for name, path in (("run", found.run), ("figure", found.figure)):
         if path is not None:
             console.print(Text(f"{name:<7} {path}"), highlight=False, soft_wrap=True)
@@ -99,6 +104,28 @@ def _print_best(found: "Findings", console: Console) -> None:
     )
 
 
+def print_fit(fit: StoredFit, console: Console) -> None:
+    """Print a fit's estimates and what it says of itself."""
+    if fit.fault:
+        console.print(
+            Text(f"fit {fit.path.name} cannot be read: {fit.fault}", style="yellow"), highlight=False
+        )
+        return
+    table = _table(f"fit: {fit.title}", "parameter", "value, 95 % interval", "unit")
+    for name, estimate in fit.estimates.items():
+        value, low, high = rounded(estimate)
+        table.add_row(name, f"{value} [{low}, {high}]", estimate.unit)
+    console.print(table)
+    for sentence in fit.sentences("findings"):
+        console.print(Text(f"- {sentence}"), highlight=False)
+    for sentence in fit.sentences("warnings"):
+        console.print(Text(f"! {sentence}", style="yellow"), highlight=False)
+
+
+def _waited(time_s: float) -> str:
+    return f"{time_s:.1f} s" if time_s < 60 else duration_text(time_s)
+
+
 def _table(title: str, *columns: str) -> Table:
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     for number, column in enumerate(columns):
@@ -144,7 +171,7 @@ def _streams(found: "Findings") -> Table:
         table.add_row(
             item.device,
             f"{item.actual_hz:.4g}, {item.nominal_hz:.4g} Hz",
-            f"{1000 * item.jitter_s:.2g} ms",
+            f"{1000 * item.jitter_s:.2g} ms" if item.jitter_s > LEAST_JITTER_S else "0 ms",
             *clock_text(item),
             str(item.samples),
             f"{item.lost} ({100 * item.lost_share:.2g} %)",

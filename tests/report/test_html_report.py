@@ -200,3 +200,12 @@ def test_show_knows_an_imported_recording_too(tmp_path):
     done = CliRunner().invoke(app, ["show", str(run), "--json"])
     assert done.exit_code == 0
     assert json.loads(done.stdout)["finished"] is True
+
+
+def test_tables_and_findings_of_a_fit_are_shown_as_it_prints_them(copy):
+    table = {"title": "baskets", "header": ["basket", "MAE"], "rows": [["a, b", "7.9 %"], ["torn"]]}
+    write_fit(copy, {"parameters": {}, "findings": ["it would take a, b"], "tables": [table, "nonsense"]})
+    words = words_of(page_of(copy))
+    assert "baskets basket MAE a, b 7.9 %" in words
+    assert "it would take a, b" in words
+    assert "torn" not in words

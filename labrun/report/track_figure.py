@@ -1,0 +1,123 @@
+"""The figure of a closed-loop run: how each controller follows its reference, what it sets, how far it is off."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from labrun.report.data import FloatArray, RunView
+from labrun.report.run_overlay import condition_title, groups_of, objective_panel
+from labrun.report.style import COLOURS, INK, heading, new_figure, save
+from labrun.spec.track_tables import LOOP_DEVICE, loop_channel
+from labrun.store.trial import Stream, TrialOutcome
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_MOST_CONDITIONS = 8
+_ACROSS = 4
+_MOST_REPEATS = 5
+_ROW_IN = 2.75
+
+
+@dataclass(frozen=True, slots=True)
+class _Panel:
+    """What one pair of axes shows: a loop under one condition."""
+
+    loop: str
+    trials: Sequence[TrialOutcome]
+    streams: Sequence[Stream]
+
+
+def draw_track(view: RunView, path: Path) -> Path:
+    """Draw a closed-loop run and save it.
+
+    For every condition and loop: reference and feedback of its trials, and the variable that the loop sets below; then
+    the objective over all conditions.
+    """
+    track = view.experiment.track
+    assert track is not None  # noqa: S101  (only runs of kind track are drawn this way)
+    groups = list(groups_of(view).values())
+    shown = groups[:_MOST_CONDITIONS]
+    points = view.points(view.objective) if view.objective is not None else []
+    across = min(_ACROSS, len(shown))
+    bands = -(-len(shown) // across)
+    rows = len(track.loops) * bands
+    with new_figure(max(3.1 * across, 6.4), _ROW_IN * rows + 2.3 * bool(points) + 0.9) as figure:
+        heights = [_ROW_IN * rows] + [2.3] * bool(points)
+        parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
+        grid = parts[0][0].subplots(
+            2 * rows, across, sharex=True, sharey="row", squeeze=False, height_ratios=[1.7, 1.0] * rows
+        )
+        for number, loop in enumerate(track.loops):
+            for place in range(bands * across):
+                row, column = 2 * (number * bands + place // across), place % across
+                above, below = grid[row][column], grid[row + 1][column]
+                if place >= len(shown):
+                    above.set_visible(False)
+                    below.set_visible(False)
+                    continue
+                _draw(view, _panel(view, loop, shown[place]), above, below, first=column == 0)
+                if number == len(track.loops) - 1 and place + across >= len(shown):
+                    below.set_xlabel("time (s)")
+                    below.tick_params(labelbottom=True)
+        if points:
+            objective_panel(parts[-1][0].subplots(1, 1), view, points)
+        heading(figure, view.experiment.title, _subtitle(view, len(groups), len(shown)))
+        return save(figure, path)
+
+
+def _panel(view: RunView, loop: str, trials: Sequence[TrialOutcome]) -> _Panel:
+    repeats = trials[:_MOST_REPEATS]
+    streams = [view.run.streams(trial.index).get(LOOP_DEVICE) for trial in repeats]
+    return _Panel(loop, trials, [stream for stream in streams if stream is not None])
+
+
+def _draw(view: RunView, panel: _Panel, above: "Axes", below: "Axes", *, first: bool) -> None:
+    name = panel.loop
+    for number, stream in enumerate(panel.streams):
+        colour = COLOURS[number % len(COLOURS)]
+        above.plot(stream.time_s, _column(stream, name, "feedback"), color=colour, linewidth=0.9, alpha=0.75)
+        below.plot(stream.time_s, _column(stream, name, "drive"), color=colour, linewidth=0.9, alpha=0.75)
+    if panel.streams:
+        whole = panel.streams[0]
+        label = "reference"
+        above.plot(
+            whole.time_s,
+            _column(whole, name, "reference"),
+            color=INK,
+            linewidth=1.3,
+            ls=(0, (4, 2)),
+            label=label,
+        )
+        above.set_xlim(0, float(whole.time_s[-1]))
+    track = view.experiment.track
+    loop = track.loops[name] if track is not None else None
+    several = track is not None and len(track.loops) > 1
+    above.set_title(condition_title(view, panel.trials[0]) + (f"\nloop {name}" if several else ""))
+    if not first:
+        return
+    above.legend(loc="upper right", handlelength=2.4)
+    above.set_ylabel(f"{name} ({_unit(panel, name, 'feedback')})")
+    drive = loop.drives if loop is not None else "drive"
+    below.set_ylabel(f"{drive} ({_unit(panel, name, 'drive')})")
+
+
+def _column(stream: Stream, loop: str, quantity: str) -> FloatArray:
+    return np.asarray(stream.column(loop_channel(loop, quantity)))
+
+
+def _unit(panel: _Panel, loop: str, quantity: str) -> str:
+    wanted = loop_channel(loop, quantity)
+    known = {channel.name: channel.unit for channel in panel.streams[0].channels} if panel.streams else {}
+    return known.get(wanted) or "1"
+
+
+def _subtitle(view: RunView, conditions: int, shown: int) -> str:
+    track = view.experiment.track
+    rate = f"loop at {track.rate_hz:g} Hz" if track is not None else ""
+    accepted = sum(outcome.status == "done" for outcome in view.run.outcomes)
+    text = f"{conditions} conditions, {accepted} accepted trials, {rate}; colours are repeats"
+    return text + (f" (the first {shown} conditions are shown)" if shown < conditions else "")
