@@ -1,5 +1,6 @@
 """The application: its commands in the order of a day at the bench."""
 
+import os
 from typing import Annotated
 
 import typer
@@ -41,4 +42,6 @@ for module in (workspace, experiment, watch, fit, report, data, bench):
 
 def main() -> None:
     """Run the command line."""
+    # labrun's matrices are small: BLAS threads would spend ten times the time on waiting for one another
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     app()

@@ -1,6 +1,5 @@
 """`labrun fit`."""
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -49,8 +48,6 @@ def fit(
 
     Example:  labrun fit recordings/ring-down --model recordings/ring-down/model.toml
     """
-    # a fit's matrices are small: BLAS threads would spend ten times the time on waiting for one another
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with reported(as_json):
         from labrun.fit.request import fit_request
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labrun.report.data import RunView
+from labrun.report.loop_health import LoopHealth, loop_health
 from labrun.report.recorded import experiment_of
 from labrun.report.recording_findings import RecordingFindings, is_imported, recording_findings
 from labrun.report.statistics import (
@@ -63,6 +64,8 @@ class Findings:
         Accepted trials before which the bench had not come to rest.
     fits
         What `labrun fit` made of it.
+    loop
+        How a closed loop kept its time.
     """
 
     run: Path
@@ -85,6 +88,7 @@ class Findings:
     faults: list[str]
     unsettled: int = 0
     fits: tuple[StoredFit, ...] = ()
+    loop: LoopHealth | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return everything, JSON-ready."""
@@ -108,6 +112,7 @@ class Findings:
             "streams": as_json(self.streams),
             "streams_from_trials": self.streams_of,
             "faults": self.faults,
+            "loop": None if self.loop is None else asdict(self.loop),
             "fits": [dict(fit.numbers) for fit in self.fits if not fit.fault],
         }
 
@@ -160,6 +165,7 @@ def findings(run: "Run") -> Findings | RecordingFindings:
         streams_of=len(looked_at),
         faults=list(run.faults),
         unsettled=sum(unsettled(outcome) for outcome in run.outcomes),
+        loop=loop_health(view, looked_at),
         fits=tuple(stored_fits(folder if (folder / SPEC).is_file() else None)),
     )
 

@@ -3,6 +3,7 @@
 from labrun.report.bench_time import STEPS, BenchTime
 from labrun.report.html_elements import Content, Html, element, joined, paragraph, section, share_bar, table
 from labrun.report.html_words import counted, share_text
+from labrun.report.loop_health import loop_words
 from labrun.report.report_source import ReportSource
 from labrun.report.statistics import LEAST_JITTER_S
 from labrun.report.words import clock_text, duration_text
@@ -12,7 +13,7 @@ def timing_section(source: ReportSource) -> Html | None:
     """Return bench time by step and the health of the streams; None before any trial."""
     if not source.run.outcomes:
         return None
-    return section("timing", "Timing", _bench(source), _streams(source))
+    return section("timing", "Timing", _bench(source), _loop(source), _streams(source))
 
 
 def _bench(source: ReportSource) -> Html | None:
@@ -58,6 +59,25 @@ _WORDS = {
 def _each(source: ReportSource, spent: BenchTime) -> str:
     mean_s = spent.total_s / len(source.run.outcomes)
     return f"{mean_s:.3g} s" if mean_s < 60 else duration_text(mean_s)
+
+
+def _loop(source: ReportSource) -> Html | None:
+    """Return how the closed loop kept its time; None without one."""
+    if source.loop is None:
+        return None
+    words = loop_words(source.loop)
+    note = (
+        "Latency is the time from the newest sample that a step used to the command it sent. A step that begins more "
+        "than a period behind its deadline is left out, never caught up with."
+    )
+    class_ = "stop" if source.loop.missed else None
+    return joined(
+        [
+            element("h3", "Loop"),
+            paragraph(f"The loop ran {words}.", class_=class_),
+            paragraph(note, class_="note"),
+        ]
+    )
 
 
 def _streams(source: ReportSource) -> Html | None:

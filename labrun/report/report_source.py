@@ -10,6 +10,7 @@ import numpy as np
 
 from labrun.report.bench_time import BenchTime, bench_time
 from labrun.report.data import RunView
+from labrun.report.loop_health import LoopHealth, loop_health
 from labrun.report.recorded import experiment_of, trial_tare_s
 from labrun.report.statistics import (
     Drift,
@@ -132,6 +133,11 @@ class ReportSource:
     def streams(self) -> list[StreamHealth]:
         """Rates, jitter and losses, by device."""
         return stream_health(self.view, self.streams_looked_at)
+
+    @cached_property
+    def loop(self) -> LoopHealth | None:
+        """How a closed loop kept its time; None without one."""
+        return loop_health(self.view, self.streams_looked_at)
 
     @cached_property
     def clock_restarted(self) -> bool:

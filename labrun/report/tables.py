@@ -8,6 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from labrun.fit.estimate import rounded
+from labrun.report.loop_health import loop_words
 from labrun.report.statistics import LEAST_JITTER_S
 from labrun.report.stored_fits import StoredFit
 from labrun.report.words import clock_text, condition_text, duration_text, interval_text, quantity_text
@@ -53,6 +54,9 @@ def print_findings(found: "Findings", console: Console | None = None) -> None:
         console.print(Text(f"warning: {warning}", style="bold yellow"), highlight=False)
     if found.streams:
         console.print(_streams(found))
+    if found.loop is not None:
+        style = "yellow" if found.loop.missed else ""
+        console.print(Text(f"loop: {loop_words(found.loop)}", style=style), highlight=False)
     for fit in found.fits:
         print_fit(fit, console)
     for name, path in (("run", found.run), ("figure", found.figure)):
