@@ -78,6 +78,8 @@ class Effect:
         What a site must declare for it.
     needs_acceleration
         Whether the force depends on the site's acceleration, linearly. The integrator then solves for both.
+    signals
+        Of a filter: how many signals of its kind the model must have, itself included.
     """
 
     id: str
@@ -90,6 +92,7 @@ class Effect:
     memory: Callable[[Sequence[float], float], int] | None = None
     needs: tuple[Need, ...] = ()
     needs_acceleration: bool = False
+    signals: int = 1
 
     def fits(self, site: Site) -> bool:
         """Tell whether it can sit at a site: the kind is right, and the site declares what it needs."""
@@ -144,6 +147,12 @@ class AttachedEffect:
                     f"which model {model.name} does not give",
                     hint=f'add {need} = "..." to [sites.{site.name}]',
                 )
+        there = {"input": len(model.inputs), "output": len(model.outputs)}.get(self.effect.kind, 1)
+        if there < self.effect.signals:
+            raise ModelError(
+                f"effect {self.effect.id} at {site.name} needs {self.effect.signals} {self.effect.kind}s; "
+                f"model {model.name} has {there}"
+            )
         if len(self.values) != len(self.effect.parameters):
             names = ", ".join(one.name for one in self.effect.parameters)
             raise ModelError(f"effect {self.effect.id} takes {names}; {len(self.values)} values were given")

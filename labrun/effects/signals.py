@@ -34,6 +34,48 @@ def saturation(
     out[1] = min(max(after[0], -values[0]), values[0])
 
 
+def rate_limit(
+    before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer
+) -> None:
+    """Write what follows the signal at no more than the rate; `memory` holds it."""
+    if dt == 0.0:
+        memory[0] = after[0]
+    out[0] = memory[0]
+    # where the rate does not bind, a jump of the signal between two pieces stays a jump
+    if values[0] == math.inf:
+        out[0] = before[0]
+        memory[0] = after[0]
+    elif dt > 0.0:
+        step = values[0] * dt
+        memory[0] += min(max(after[0] - memory[0], -step), step)
+    out[1] = memory[0]
+
+
+def dead_band(
+    before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer
+) -> None:
+    """Write how far the signal is beyond the band."""
+    out[0] = before[0] - min(max(before[0], -values[0]), values[0])
+    out[1] = after[0] - min(max(after[0], -values[0]), values[0])
+
+
+def drift(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer) -> None:
+    """Write ``signal + slope * t``; `memory` holds the time."""
+    if dt == 0.0:
+        memory[0] = 0.0
+    out[0] = before[0] + values[0] * memory[0]
+    memory[0] += dt
+    out[1] = after[0] + values[0] * memory[0]
+
+
+def cross_talk(
+    before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer
+) -> None:
+    """Write ``signal + share * other``, where the other is the model's next signal of the same kind."""
+    out[0] = before[0] + values[0] * before[1]
+    out[1] = after[0] + values[0] * after[1]
+
+
 def lag(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer) -> None:
     """Write the exact response of ``time_constant dy/dt = signal - y`` to a straight piece; `memory` holds y."""
     constant = values[0]

@@ -34,8 +34,12 @@ rate = 0.0
 """
 MODEL = parse_model(JOINT, "joint.toml")
 FILES = (
-    "coulomb_friction", "viscous_damping", "quadratic_drag", "cubic_stiffness", "rest_offset", "constant_force",
-    "added_inertia", "drag_error", "delay", "lag", "gain_error", "bias", "saturation",
+    "added_inertia", "added_mass", "asymmetric_stiffness", "backlash", "bias",
+    "constant_force", "coulomb_friction", "cross_talk", "cubic_stiffness", "dead_band",
+    "delay", "drag_error", "drift", "end_stop", "gain_error",
+    "hysteresis", "lag", "load_dependent_friction", "mean_current", "presliding_friction",
+    "quadratic_drag", "rate_limit", "rest_offset", "reynolds_dependent_drag", "saturation",
+    "stribeck_friction", "viscoelastic_creep", "viscous_damping", "wall_echo",
 )  # fmt: skip
 
 

@@ -27,12 +27,141 @@ def _exact(force, inertia=INERTIA):
         (named("constant-force", force=1.5), lambda q, v: 1.5),
         (named("coulomb-friction", torque=1.0, transition_speed=0.02), lambda q, v: -np.tanh(v / 0.02)),
         (named("drag-error", "body", coefficient=40.0), lambda q, v: -40 * 0.01 * abs(v) * v),
+        (
+            named(
+                "stribeck-friction", torque=0.5, static_excess=0.6, stribeck_speed=0.3, transition_speed=0.02
+            ),
+            lambda q, v: -(0.5 + 0.6 * np.exp(-((v / 0.3) ** 2))) * np.tanh(v / 0.02),
+        ),
+        (
+            named("load-dependent-friction", coefficient=0.2, transition_speed=0.02),
+            lambda q, v: -0.2 * abs(3 * np.cos(q)) * np.tanh(v / 0.02),
+        ),
+        (named("asymmetric-stiffness", excess=30.0), lambda q, v: -30 * max(q, 0.0)),
+        (named("backlash", gap=0.1), lambda q, v: 50 * np.clip(q, -0.05, 0.05)),
+        (
+            named("end-stop", upper=0.1, lower=-0.05, stiffness=400.0),
+            lambda q, v: -400 * (max(q - 0.1, 0.0) + min(q + 0.05, 0.0)),
+        ),
+        (
+            named("reynolds-dependent-drag", "body", coefficient=2.0, exponent=0.5, reference=1.0),
+            lambda q, v: -2.0 * abs(0.1 * v) ** 1.5 * np.sign(v),
+        ),
+        (
+            named("mean-current", "body", coefficient=40.0, speed=0.05),
+            lambda q, v: 40 * (0.01 * abs(v) * v - abs(0.1 * v - 0.05) * (0.1 * v - 0.05)),
+        ),
     ],
     ids=lambda one: getattr(getattr(one, "effect", None), "id", ""),
 )
 def test_a_force_law_moves_the_joint_as_scipy_says(effect, force):
     result = simulate(MODEL, TIME, DRIVE, effects=[effect], substeps=64)
     assert result.outputs[:, 0] == pytest.approx(_exact(force), abs=2e-6)
+
+
+def _exact_with_memory(force, memory, states):
+    """Return the angle where a force has states of its own: ``force(q, v, z)``, ``dz/dt = memory(q, v, z)``."""
+
+    def slope(_, x):
+        q, v, z = x[0], x[1], x[2:]
+        return v, (-STIFFNESS * q - DAMPING * v + force(q, v, z)) / INERTIA, *memory(q, v, z)
+
+    start = [0.3, 0.0, *([0.0] * states)]
+    return solve_ivp(slope, (0, 3), start, "DOP853", TIME, rtol=1e-10, atol=1e-12, max_step=0.002).y[0]
+
+
+@pytest.mark.parametrize(
+    ("effect", "force", "memory", "states"),
+    [
+        (
+            named("viscoelastic-creep", stiffness=20.0, time_constant=0.4),
+            lambda q, v, z: -20 * (q - z[0]),
+            lambda q, v, z: [(q - z[0]) / 0.4],
+            1,
+        ),
+        (
+            named("hysteresis", force=2.0, yield_displacement=0.05),
+            lambda q, v, z: -2 * z[0],
+            lambda q, v, z: [v * (1 - z[0] ** 2 * (1 + np.sign(v * z[0])) / 2) / 0.05],
+            1,
+        ),
+        (
+            named(
+                "presliding-friction",
+                torque=1.0,
+                presliding=0.02,
+                static_excess=0.4,
+                stribeck_speed=0.2,
+                damping_time=0.002,
+            ),
+            lambda q, v, z: (
+                -(z[0] + 0.002 * (v - abs(v) * z[0] / (1 + 0.4 * np.exp(-((v / 0.2) ** 2)))) / 0.02)
+            ),
+            lambda q, v, z: [(v - abs(v) * z[0] / (1 + 0.4 * np.exp(-((v / 0.2) ** 2)))) / 0.02],
+            1,
+        ),
+        (
+            named("wall-echo", "body", coefficient=30.0, delay=0.3),
+            lambda q, v, z: 30 * (0.01 * abs(v) * v - 12 / 0.3 * z[1]),
+            lambda q, v, z: [z[1], 0.01 * abs(v) * v - 12 / 0.09 * z[0] - 6 / 0.3 * z[1]],
+            2,
+        ),
+    ],
+    ids=lambda one: getattr(getattr(one, "effect", None), "id", ""),
+)
+def test_a_force_law_with_memory_moves_the_joint_as_scipy_says(effect, force, memory, states):
+    result = simulate(MODEL, TIME, DRIVE, effects=[effect], substeps=64)
+    assert result.outputs[:, 0] == pytest.approx(_exact_with_memory(force, memory, states), abs=3e-6)
+
+
+def test_an_echo_comes_back_one_delay_later():
+    """Far below 1 / delay the Pade approximation is the delay itself: a slow drive comes back late by it."""
+    text = (
+        'name = "probe"\nstates = ["q"]\ninputs = ["v"]\n[equations]\nq = "v + 0*force.fin"\n'
+        '[outputs]\nechoed = "force.fin"\n[sites.fin]\nkind = "body"\ncoordinate = "q"\nrate = "v"\n'
+    )
+    model = parse_model(text, "probe.toml")
+    time_s = np.arange(0, 20, 0.01)
+    drive = 2.0 + np.sin(0.8 * time_s)
+    echo = named("wall-echo", "body", site="fin", coefficient=1.0, delay=0.5)
+    result = simulate(model, time_s, drive[:, None], initial_state=[0.0], effects=[echo], substeps=4)
+    late = (2.0 + np.sin(0.8 * (time_s - 0.5))) ** 2
+    assert result.outputs[500:, 0] == pytest.approx(late[500:], rel=2e-3)
+
+
+def test_bristles_give_way_like_a_softening_spring_before_they_slide():
+    """Pushed slowly, the joint gives way by presliding * ln(1 / (1 - push / torque)), and stays there."""
+    friction = named("presliding-friction", torque=2.0, presliding=0.01, damping_time=0.01)
+    time_s = np.linspace(0, 20, 2001)
+    push = np.column_stack(
+        [0.4 * np.minimum(time_s / 10, 1.0), np.zeros(2001)]
+    )  # slowly, or it would overshoot and slide
+    result = simulate(
+        MODEL,
+        time_s,
+        push,
+        parameters={"stiffness": 0.0},
+        initial_state=[0.0, 0.0],
+        effects=[friction],
+        substeps=16,
+    )
+    assert result.outputs[-1, 0] == pytest.approx(0.01 * np.log(1 / (1 - 0.4 / 2.0)), rel=0.05)
+
+
+def test_a_stop_pushes_and_never_pulls():
+    stop = named("end-stop", upper=0.05, lower=-10.0, stiffness=1e4, damping_time=0.5)
+    angle = simulate(MODEL, TIME, DRIVE, effects=[stop], initial_state=[0.0, 1.0], substeps=64).outputs[:, 0]
+    free = simulate(MODEL, TIME, DRIVE, initial_state=[0.0, 1.0], substeps=64).outputs[:, 0]
+    assert angle.max() < 0.07 < free.max()
+    assert angle.min() < -0.05
+
+
+@pytest.mark.parametrize("mass", [-0.1, 0.5])
+def test_added_mass_of_a_body_is_inertia_at_its_lever(mass):
+    effect = simulate(MODEL, TIME, DRIVE, effects=[named("added-mass", "body", mass=100 * mass)], substeps=4)
+    # the blade moves 0.1 m/rad, and its force counts as it stands: the joint gets mass * 0.1 of inertia
+    value = simulate(MODEL, TIME, DRIVE, parameters={"inertia": INERTIA + 10 * mass}, substeps=4)
+    assert effect.outputs == pytest.approx(value.outputs, abs=1e-11)
 
 
 def test_friction_alone_ends_a_swing_in_equal_steps():
