@@ -51,7 +51,7 @@ def run(
 
     Example:  labrun run hinge --dry-run
     """
-    _execute(name, None, dry_run, overrides, seed, limit, results, as_json)
+    execute_kind(name, None, dry_run, overrides, seed, limit, results, as_json)
 
 
 def sweep(
@@ -67,7 +67,7 @@ def sweep(
 
     Example:  labrun sweep fin-params --dry-run
     """
-    _execute(name, "sweep", dry_run, overrides, seed, limit, results, as_json)
+    execute_kind(name, "sweep", dry_run, overrides, seed, limit, results, as_json)
 
 
 def cmaes(
@@ -83,7 +83,7 @@ def cmaes(
 
     Example:  labrun cmaes turn-torque --dry-run
     """
-    _execute(name, "cmaes", dry_run, overrides, seed, limit, results, as_json)
+    execute_kind(name, "cmaes", dry_run, overrides, seed, limit, results, as_json)
 
 
 def resume(
@@ -119,7 +119,7 @@ def resume(
         _print_result(result, as_json)
 
 
-def _execute(
+def execute_kind(
     name: str,
     kind: str | None,
     dry_run: bool,
@@ -129,6 +129,7 @@ def _execute(
     results: Path,
     as_json: bool,
 ) -> None:
+    """Run an experiment of a kind (None: of any), and print its result."""
     with reported(as_json):
         result = _carried_out(name, kind, dry_run, overrides or [], seed, limit, results)
         _print_result(result, as_json)

@@ -30,6 +30,7 @@ _NAME = "Experiment: its name, or the path of its TOML file."
 Name = Annotated[str, typer.Argument(help=_NAME, autocompletion=complete_experiment)]
 SweepName = Annotated[str, typer.Argument(help=_NAME, autocompletion=complete_of_kind("sweep"))]
 CmaesName = Annotated[str, typer.Argument(help=_NAME, autocompletion=complete_of_kind("cmaes"))]
+TrackName = Annotated[str, typer.Argument(help=_NAME, autocompletion=complete_of_kind("track"))]
 Target = Annotated[
     str,
     typer.Argument(

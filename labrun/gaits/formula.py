@@ -1,12 +1,15 @@
 """Joints that follow a formula in time: modulated gaits, steps, ramps."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
+
+import numpy as np
 
 from labrun.devices import FloatArray, Trajectory
 from labrun.errors import SpecError
 from labrun.gaits._keys import Keys, NoSettings, Scope, assemble, check, points, positive_frequency
 from labrun.gaits.sine import common_period_s
+from labrun.gaits.steering import Driven, Steering
 from labrun.spec.experiment import Expression, Value
 from labrun.spec.expression import names_in
 
@@ -37,6 +40,7 @@ class FormulaGait:
     JointKeys: ClassVar[type[Keys]] = FormulaKeys
     Settings: ClassVar[type[Keys]] = NoSettings
     names: ClassVar[tuple[str, ...]] = ("t",)
+    fixed_keys: ClassVar[tuple[str, ...]] = ("frequency_hz",)
 
     def __init__(
         self,
@@ -71,6 +75,23 @@ class FormulaGait:
         scope = Scope(self._let, condition, t=time_s)
         columns = [scope.series(keys.angle_deg, len(time_s)) for keys in self._keys.values()]
         return assemble(self.joints, time_s, columns, self.period_s(condition))
+
+    def steering(self, condition: Mapping[str, Value], drives: Sequence[str]) -> Steering:
+        """Return the angles while names of the formulas change; see `labrun.gaits.steering.SteerableGait`."""
+        driven = Driven(self._let, condition, (*drives, "t"))
+        for joint, keys in self._keys.items():
+            if keys.frequency_hz is not None:
+                driven.number(keys.frequency_hz, f"frequency_hz of {joint}")
+        quantities = [driven.quantity(keys.angle_deg) for keys in self._keys.values()]
+
+        def angles(time_s: FloatArray, values: Mapping[str, FloatArray]) -> FloatArray:
+            names = driven.names({**values, "t": time_s})
+            found = np.empty((len(time_s), len(quantities)))
+            for column, quantity in enumerate(quantities):
+                found[:, column] = quantity(names)
+            return np.radians(found)
+
+        return angles
 
     def _timeless(self) -> dict[str, Expression]:
         """Return the parts of `let` that do not change with time, from which a frequency can be computed."""

@@ -1,14 +1,15 @@
 """Sinusoidal joints: the gait of most fins."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any, ClassVar
 
 import numpy as np
 
-from labrun.devices import Trajectory
+from labrun.devices import FloatArray, Trajectory
 from labrun.gaits._keys import Keys, NoSettings, Scope, assemble, check, points, positive_frequency
+from labrun.gaits.steering import Driven, Steering
 from labrun.spec.experiment import Expression, Value
 
 
@@ -40,6 +41,7 @@ class SineGait:
     JointKeys: ClassVar[type[Keys]] = SineKeys
     Settings: ClassVar[type[Keys]] = NoSettings
     names: ClassVar[tuple[str, ...]] = ()
+    fixed_keys: ClassVar[tuple[str, ...]] = ("frequency_hz",)
 
     def __init__(
         self,
@@ -78,6 +80,26 @@ class SineGait:
         return positive_frequency(
             scope.number(self._keys[joint].frequency_hz, f"frequency_hz of {joint}"), joint
         )
+
+    def steering(self, condition: Mapping[str, Value], drives: Sequence[str]) -> Steering:
+        """Return the angles while offset, amplitude or phase change; see `labrun.gaits.steering.SteerableGait`."""
+        driven = Driven(self._let, condition, drives)
+        parts = []
+        for joint, keys in self._keys.items():
+            frequency = driven.number(keys.frequency_hz, f"frequency_hz of {joint}")
+            angular = 2 * math.pi * positive_frequency(frequency, joint)
+            offset, amplitude = driven.quantity(keys.offset_deg), driven.quantity(keys.amplitude_deg)
+            parts.append((angular, offset, amplitude, driven.quantity(keys.phase_deg)))
+
+        def angles(time_s: FloatArray, values: Mapping[str, FloatArray]) -> FloatArray:
+            names = driven.names(values)
+            found = np.empty((len(time_s), len(parts)))
+            for column, (angular, offset, amplitude, phase) in enumerate(parts):
+                cycle = np.sin(angular * time_s + np.radians(phase(names)))
+                found[:, column] = offset(names) + amplitude(names) * cycle
+            return np.radians(found)
+
+        return angles
 
 
 def common_period_s(frequencies_hz: list[float]) -> float | None:

@@ -32,8 +32,8 @@ class Signal:
 
     def between(self, start_s: float, end_s: float) -> "Signal":
         """Return the samples from `start_s` to `end_s`, both included."""
-        inside = (self.time_s >= start_s) & (self.time_s <= end_s)
-        return Signal(self.time_s[inside], self.values[inside], self.unit)
+        first, end = np.searchsorted(self.time_s, start_s), np.searchsorted(self.time_s, end_s, side="right")
+        return Signal(self.time_s[first:end], self.values[first:end], self.unit)
 
 
 @dataclass(frozen=True, slots=True)

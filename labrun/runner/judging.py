@@ -1,7 +1,8 @@
 """From a trial's streams to its objectives."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
 
 from labrun.errors import LabrunError
 from labrun.objectives import make_objective
@@ -10,6 +11,11 @@ from labrun.runner.measurement import Condition
 from labrun.runner.motion import TrialMotion
 from labrun.spec.experiment import Experiment
 from labrun.store.trial import Stream
+
+if TYPE_CHECKING:
+    from labrun.store.spill import SpilledStream
+
+Streams = Mapping[str, "Stream | SpilledStream"]
 
 
 class ObjectiveError(LabrunError):
@@ -28,7 +34,7 @@ class Judging:
 
     def judge(
         self,
-        streams: Mapping[str, Stream],
+        streams: Streams,
         tare: Mapping[str, float],
         motion: TrialMotion,
         condition: Condition,
@@ -58,22 +64,15 @@ class Judging:
 
 
 def trial_signals(
-    streams: Mapping[str, Stream],
+    streams: Streams,
     tare: Mapping[str, float],
     motion: TrialMotion,
     condition: Condition,
     discard: int,
 ) -> TrialSignals:
     """Return what objectives see: every channel by ``device.channel``, tared, in trial-relative time."""
-    signals: dict[str, Signal] = {}
-    for device, stream in streams.items():
-        for column, channel in enumerate(stream.channels):
-            name = f"{device}.{channel.name}"
-            signals[name] = Signal(
-                stream.time_s, stream.values[:, column] - tare.get(name, 0.0), channel.unit
-            )
     return TrialSignals(
-        signals=signals,
+        signals=_TaredSignals(streams, tare),
         command=motion.trajectory,
         start_s=0.0,
         end_s=motion.duration_s,
@@ -81,3 +80,26 @@ def trial_signals(
         discard_cycles=discard,
         condition=condition,
     )
+
+
+class _TaredSignals(Mapping[str, Signal]):
+    """Every channel by ``device.channel``, made when asked for: a long trial has more than memory holds."""
+
+    def __init__(self, streams: Streams, tare: Mapping[str, float]) -> None:
+        self._tare = tare
+        self._places = {
+            f"{device}.{channel.name}": (stream, channel)
+            for device, stream in streams.items()
+            for channel in stream.channels
+        }
+
+    def __getitem__(self, name: str) -> Signal:
+        stream, channel = self._places[name]
+        values = stream.column(channel.name) - self._tare.get(name, 0.0)
+        return Signal(stream.time_s, values, channel.unit)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from labrun.devices import Excess, Trajectory
 from labrun.errors import PlanError
 from labrun.gaits import make_gait
+from labrun.runner.envelope import Envelope, envelope
 from labrun.runner.measurement import Condition, describe
 from labrun.spec.experiment import Experiment
 from labrun.spec.expression import evaluate
@@ -67,6 +68,9 @@ class MotionMaker:
         self._rate_hz = experiment.gait.command_rate_hz
         self._name = experiment.gait.plugin
         self._gait = make_gait(experiment.gait)
+        self._track = experiment.track
+        loops = {} if experiment.track is None else experiment.track.loops
+        self._start: Condition = {table.drives: table.start for table in loops.values()}
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -82,16 +86,29 @@ class MotionMaker:
             Cycles of a gait that has no period, a carriage that stands still where its travel sets the length, or a
             gait whose angles, times or period are not finite numbers; names the gait.
         """
-        period_s = self._gait.period_s(condition)
+        at_start = {
+            **condition,
+            **self._start,
+        }  # a closed loop begins with its variables there, and takes over
+        period_s = self._gait.period_s(at_start)
         if period_s is not None and not 0.0 < period_s < math.inf:
             raise self._no_motion(f"its period is {period_s} s")
         travel = self._travel(condition)
         cycles, duration_s, excess = self._length(condition, period_s, travel)
         try:
-            trajectory = self._gait.trajectory(condition, duration_s=duration_s, rate_hz=self._rate_hz)
+            trajectory = self._gait.trajectory(at_start, duration_s=duration_s, rate_hz=self._rate_hz)
         except (ValueError, ArithmeticError) as error:
             raise self._no_motion(str(error)) from error
         return TrialMotion(trajectory, duration_s, period_s, cycles, travel, excess)
+
+    def envelope(self, condition: Condition) -> Envelope | None:
+        """Return the worst that closed loops may make of a condition's motion; None without loops."""
+        if self._track is None:
+            return None
+        duration_s = self.motion(condition).duration_s
+        return envelope(
+            self._track, self._gait, self._name, condition, duration_s=duration_s, rate_hz=self._rate_hz
+        )
 
     def _no_motion(self, why: str) -> PlanError:
         return PlanError(

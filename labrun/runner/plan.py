@@ -10,6 +10,7 @@ import numpy as np
 from labrun.devices import Excess, Limits
 from labrun.errors import LabrunError, PlanError
 from labrun.runner.clock import SimulatedClock
+from labrun.runner.envelope import Envelope, loop_notes
 from labrun.runner.measurement import Condition, describe
 from labrun.runner.motion import MotionMaker, TrialMotion
 from labrun.runner.moves import smooth_move
@@ -22,6 +23,8 @@ _SHOWN = 5
 _TRIAL_BYTES = 40_000
 """What a trial's file takes beside its samples: groups, attributes, command, settle curve, checkpoint."""
 _SAMPLE_BYTES = 8
+_ADVICE = "narrow the axes, or add a where constraint that keeps these conditions out"
+_LOOP_ADVICE = "narrow the range of the loop, or give it a slower slew_per_s"
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +115,8 @@ class Plan:
         the points its constraints allow.
     notes
         What is no error, but worth a word.
+    advice
+        What to do where conditions leave a limit.
     """
 
     conditions: int
@@ -127,6 +132,7 @@ class Plan:
     settle_at_most_s: float = 0.0
     space: SearchSpace | None = None
     notes: tuple[str, ...] = ()
+    advice: str = _ADVICE
 
     def require_feasible(self) -> None:
         """Raise PlanError if any condition leaves a limit: the first few, and how many there are."""
@@ -140,7 +146,7 @@ class Plan:
             lines.append(f"  ... and {len(self.excess) - _SHOWN} more")
         raise PlanError(
             f"{len(self.excess)} of {self.conditions} conditions leave a limit\n" + "\n".join(lines),
-            hint="narrow the axes, or add a where constraint that keeps these conditions out",
+            hint=self.advice,
         )
 
     def report(self) -> dict[str, Any]:
@@ -189,6 +195,13 @@ class _Peaks:
             self.high_deg[joint] = max(self.high_deg.get(joint, -math.inf), float(high[i]))
             self.speed_deg_s[joint] = max(self.speed_deg_s.get(joint, 0.0), float(speed[i]))
 
+    def take_worst(self, worst: Envelope) -> None:
+        """Take in what closed loops may make of a motion."""
+        for i, joint in enumerate(worst.joints):
+            self.low_deg[joint] = min(self.low_deg[joint], float(worst.low_deg[i]))
+            self.high_deg[joint] = max(self.high_deg[joint], float(worst.high_deg[i]))
+            self.speed_deg_s[joint] = max(self.speed_deg_s[joint], float(worst.speed_deg_s[i]))
+
 
 class Planner:
     """Checks conditions of one experiment against the limits of its rig.
@@ -207,9 +220,14 @@ class Planner:
         self._motions = MotionMaker(experiment)
         check_wiring(experiment, self._rig, self._motions.joints)
 
+    @property
+    def rig(self) -> Rig:
+        """The devices that are planned with."""
+        return self._rig
+
     def excess_of(self, condition: Condition) -> list[Excess]:
         """Return every limit a condition would leave, with its size; empty if it can be run."""
-        return self._excess(self._motion(condition))
+        return self._excess(self._motion(condition), self._motions.envelope(condition))
 
     def plan(self, conditions: Sequence[Condition]) -> Plan:
         """Check all conditions; see `plan`."""
@@ -220,10 +238,13 @@ class Planner:
         samples: list[float] = []
         for condition in conditions:
             motion = self._motion(condition)
+            worst = self._motions.envelope(condition)
             peaks.take(motion)
+            if worst is not None:
+                peaks.take_worst(worst)
             times.append(self._trial_s(motion))
             samples.append(motion.duration_s)
-            if excess := self._excess(motion):
+            if excess := self._excess(motion, worst):
                 broken.append(ConditionExcess(condition, tuple(excess)))
         broken += self._fixed_excess()
         least, most = (self._with_references(len(times) * n) for n in (trial.repeats.min, trial.repeats.max))
@@ -244,7 +265,8 @@ class Planner:
             peaks=tuple(self._peaks(peaks)),
             rates_hz={name: sensor.rate_hz for name, sensor in self._rig.sensors.items()},
             excess=tuple(broken),
-            notes=tuple(self._unlimited(peaks)),
+            notes=(*loop_notes(self._experiment.track), *self._unlimited(peaks)),
+            advice=_ADVICE if self._experiment.track is None else _LOOP_ADVICE,
         )
 
     def _unlimited(self, peaks: _Peaks) -> Iterable[str]:
@@ -258,11 +280,13 @@ class Planner:
         except LabrunError as error:
             raise PlanError(f"{describe(condition)}: {error}") from error
 
-    def _excess(self, motion: TrialMotion) -> list[Excess]:
+    def _excess(self, motion: TrialMotion, worst: Envelope | None) -> list[Excess]:
         found = list(motion.excess)
         for name, actuator in self._rig.actuators.items():
             joints = tuple(joint for joint in actuator.joints if joint in motion.trajectory.joints)
-            if joints:
+            if joints and worst is not None:  # the motion itself is one of those that the loops may ask for
+                found += worst.excess(joints, self._rig.limits[name])
+            elif joints:
                 found += self._rig.limits[name].trajectory_excess(motion.trajectory.only(joints))
         if motion.travel is not None:
             limits = self._rig.limits[motion.travel.device]

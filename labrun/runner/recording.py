@@ -1,10 +1,11 @@
 """The record step: motion and samples from a common start."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from labrun.devices import Samples
+from labrun.devices import Samples, Trajectory
 from labrun.runner.bench import Bench
+from labrun.runner.measurement import Condition
 from labrun.runner.motion import TrialMotion
 from labrun.runner.sensing import loss_share
 from labrun.store.writer import TrialWriter
@@ -50,17 +51,55 @@ class Recorder:
         return ""
 
 
-def begin(bench: Bench, motion: TrialMotion) -> float:
-    """Start the motion; return the clock's time at which it begins."""
+@dataclass
+class Take:
+    """One recording: what there is to do it with, and what becomes known of it on the way.
+
+    Attributes
+    ----------
+    condition, tare
+        Of the trial.
+    on_begin
+        Told the clock's time at which the recording begins.
+    command
+        Returns the motion that has been sent so far; None if that is `motion`'s own.
+    fault
+        Why the recording cannot be used; empty if it can.
+    """
+
+    bench: Bench
+    motion: TrialMotion
+    condition: Condition
+    tare: Mapping[str, float]
+    recorder: Recorder
+    on_begin: Callable[[float], object]
+    command: Callable[[], Trajectory | None] = lambda: None
+    fault: str = ""
+
+    def begin(self, start_s: float, command: Callable[[], Trajectory | None] | None = None) -> None:
+        """Say that the first command is out, and when it starts."""
+        if command is not None:
+            self.command = command
+        self.on_begin(start_s)
+
+    def start_travel(self) -> None:
+        """Start the carriage, if it has a part in the trial."""
+        travel = self.motion.travel
+        if travel is not None and travel.speed_m_s > 0:
+            self.bench.travel(travel.device, travel.to_m, travel.speed_m_s)
+
+
+Conduct = Callable[[Take], None]
+"""A way to record a trial: moves, waits, and hands over the samples."""
+
+
+def conduct_as_planned(take: Take) -> None:
+    """Send the whole motion at once, and record from its start to its end."""
+    bench, motion = take.bench, take.motion
     start_s = bench.clock.now() + LEAD_S
     bench.follow(motion.trajectory, start_s)
-    return start_s
-
-
-def record(bench: Bench, motion: TrialMotion, start_s: float, recorder: Recorder) -> None:
-    """Record from the start to the end of the motion."""
-    travel = motion.travel
-    if travel is not None and travel.speed_m_s > 0:
-        bench.watch(start_s, recorder.take)
-        bench.travel(travel.device, travel.to_m, travel.speed_m_s)
-    bench.watch(start_s + motion.duration_s + TAIL_S, recorder.take)
+    take.begin(start_s)
+    if motion.travel is not None and motion.travel.speed_m_s > 0:
+        bench.watch(start_s, take.recorder.take)
+        take.start_travel()
+    bench.watch(start_s + motion.duration_s + TAIL_S, take.recorder.take)

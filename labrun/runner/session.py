@@ -14,6 +14,7 @@ from labrun.runner.motion import MotionMaker
 from labrun.runner.order import Order, block_order
 from labrun.runner.outliers import PREFIX, find_outliers
 from labrun.runner.progress import Progress, SilentProgress
+from labrun.runner.recording import Conduct, conduct_as_planned
 from labrun.runner.repeats import needs_another
 from labrun.runner.rig import Rig
 from labrun.runner.safety import StopRequest, interruptible
@@ -47,6 +48,8 @@ class Session:
         Told what happens.
     limit
         Stop, resumably, after this many new trials.
+    conduct
+        How a trial is recorded, see `labrun.runner.recording.Conduct`.
 
     Raises
     ------
@@ -63,6 +66,7 @@ class Session:
         seed: int,
         progress: Progress | None = None,
         limit: int | None = None,
+        conduct: Conduct = conduct_as_planned,
     ) -> None:
         check_wiring(experiment, rig, MotionMaker(experiment).joints)
         self._experiment = experiment
@@ -73,7 +77,9 @@ class Session:
         self._limit = limit
         self._request = StopRequest()
         self._bench = Bench(rig, clock, self._check_stop, rig.beat)
-        self._trials = TrialRunner(experiment, self._bench, folder, seed=seed, phase=self._progress.phase)
+        self._trials = TrialRunner(
+            experiment, self._bench, folder, seed=seed, phase=self._progress.phase, conduct=conduct
+        )
         self._stored = folder.outcomes()
         self._stopwatch = RealClock()
         self._started_s = self._stopwatch.now()

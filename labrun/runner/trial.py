@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from labrun.errors import DeviceError, LabrunError
-from labrun.runner import recording
 from labrun.runner.bench import Bench
 from labrun.runner.judging import Judging, ObjectiveError
 from labrun.runner.measurement import Condition
 from labrun.runner.motion import MotionMaker, TrialMotion
-from labrun.runner.recording import Recorder
+from labrun.runner.recording import Conduct, Recorder, Take, conduct_as_planned
 from labrun.runner.settle import Bounds
 from labrun.runner.settling import Settled, measure_baseline, settle
 from labrun.runner.tare import tare
@@ -51,6 +50,7 @@ class _Draft:
         self.motion: TrialMotion | None = None
         self.settled = Settled(None, None)
         self.recorded = False
+        self.fault = ""
         self.outcome = TrialOutcome(
             index=request.index,
             condition=dict(request.condition),
@@ -76,6 +76,8 @@ class TrialRunner:
         Each trial's device noise derives from it and the trial's index.
     phase
         Told what is happening now.
+    conduct
+        How a trial is recorded: its whole motion sent at once, unless something else is asked for.
     """
 
     def __init__(
@@ -86,6 +88,7 @@ class TrialRunner:
         *,
         seed: int,
         phase: Callable[[str], object],
+        conduct: Conduct = conduct_as_planned,
     ) -> None:
         self._experiment = experiment
         self._table = experiment.trial
@@ -94,6 +97,7 @@ class TrialRunner:
         self._folder = folder
         self._seed = seed
         self._phase = phase
+        self._conduct = conduct
         self._motions = MotionMaker(experiment)
         self._judging = Judging(experiment)
         self._speed_rad_s = math.radians(self._table.move_speed_deg_s)
@@ -181,10 +185,19 @@ class TrialRunner:
             settled=None if summary is None else summary.reason,
             tare=draft.outcome.tare,
         )
-        start_s = recording.begin(self._bench, motion)
-        draft.know(started_s=start_s)
-        draft.recorded = True
-        recording.record(self._bench, motion, start_s, draft.recorder)
+
+        def begun(start_s: float) -> None:
+            draft.know(started_s=start_s)
+            draft.recorded = True
+
+        take = Take(self._bench, motion, request.condition, draft.outcome.tare, draft.recorder, begun)
+        try:
+            self._conduct(take)
+        finally:
+            draft.fault = take.fault
+            sent = take.command()
+            if sent is not None:
+                draft.motion = replace(motion, trajectory=sent)
 
     def _come_to_safe_pose(self, index: int) -> None:
         if self._safe_pose:
@@ -201,7 +214,7 @@ class TrialRunner:
             draft.know(objectives=self._judging.judge(streams, outcome.tare, motion, outcome.condition))
         except ObjectiveError as error:
             draft.know(status="failed", reason=str(error).splitlines()[0])
-        fault = draft.recorder.fault(self._table.max_lost_share)
+        fault = draft.recorder.fault(self._table.max_lost_share) or draft.fault
         if fault:
             draft.know(status="rejected", reason=fault)
 

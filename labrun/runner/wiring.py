@@ -7,6 +7,7 @@ from labrun.runner.rig import Rig
 from labrun.runner.settling import watched_channels
 from labrun.runner.tare import tared_devices
 from labrun.spec.experiment import Experiment
+from labrun.spec.track_tables import LOOP_DEVICE, loop_channels
 from labrun.store.layout import check_joints, check_names
 
 
@@ -20,6 +21,8 @@ def check_wiring(experiment: Experiment, rig: Rig, gait_joints: Iterable[str]) -
     """
     problems: list[str] = []
     channels = {f"{name}.{c.name}" for name, sensor in rig.sensors.items() for c in sensor.channels}
+    if experiment.track is not None:
+        channels |= {f"{LOOP_DEVICE}.{name}" for name in loop_channels(list(experiment.track.loops))}
     problems += _unstorable(rig)
     for joint in gait_joints:
         problems += _unknown(f"gait.joints.{joint}", joint, rig.joints, "joints")

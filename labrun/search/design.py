@@ -23,7 +23,7 @@ _DESIGN_STREAM = 1
 
 
 def conditions(experiment: Experiment, seed: int = 0) -> list[Condition]:
-    """Return the conditions a `run` or `sweep` experiment measures, in the file's order.
+    """Return the conditions a `run`, `sweep` or `track` experiment measures, in the file's order.
 
     Parameters
     ----------
@@ -39,8 +39,10 @@ def conditions(experiment: Experiment, seed: int = 0) -> list[Condition]:
     """
     if experiment.kind == "cmaes" and experiment.cmaes is not None:
         return [start_of_search(experiment)]
-    if experiment.sweep is not None and experiment.kind != "run":
+    if experiment.sweep is not None and experiment.kind not in ("run", "track"):
         return sweep_conditions(experiment.sweep, seed)
+    if experiment.kind == "track" and experiment.track is not None:
+        return [dict(condition) for condition in experiment.track.conditions]
     if experiment.run is not None:
         return [dict(condition) for condition in experiment.run.conditions]
     raise PlanError(

@@ -15,9 +15,11 @@ from labrun.search.leaders import Measured, honest_best
 from labrun.search.result import Best, RunResult, reason_lines, resume_line
 from labrun.search.watching import BestSoFar
 from labrun.spec.experiment import Experiment
+from labrun.spec.track_tables import LOOP_DEVICE
 
 if TYPE_CHECKING:
     from labrun.runner.progress import Progress
+    from labrun.runner.recording import Conduct
     from labrun.runner.rig import Rig
     from labrun.runner.session import Session
     from labrun.store.folder import RunFolder
@@ -56,7 +58,9 @@ def carry_out(
     if goal is not None:
         progress = BestSoFar(progress, *goal, unit, experiment.trial.repeats.min)
     with folder.lock(), resumable(folder), terminate_like_interrupt():
-        session = Session(experiment, rig, folder, rig.clock, seed, progress, limit)
+        session = Session(
+            experiment, rig, folder, rig.clock, seed, progress, limit, _conduct(experiment, rig)
+        )
         try:
             best = _measure(experiment, rig, session, folder, seed, unit, progress)
         except LimitReached:
@@ -159,7 +163,7 @@ def _measure(
         )
     else:
         planned = conditions(experiment, seed)
-        table = experiment.run if experiment.kind == "run" else experiment.sweep
+        table = {"run": experiment.run, "track": experiment.track}.get(experiment.kind, experiment.sweep)
         _expect(session, folder, expected_trials(experiment, planned))
         found = session.measure(planned, order="shuffled" if table is None else table.order)
     if experiment.goal is None:
@@ -167,6 +171,17 @@ def _measure(
     progress.phase("fresh repeats of the leaders")
     name, direction = experiment.goal
     return honest_best(session, found, objective=name, goal=direction, unit=unit, leaders=experiment.leaders)
+
+
+def _conduct(experiment: Experiment, rig: "Rig") -> "Conduct":
+    """Return how trials are recorded: with the loops closed where the experiment has any."""
+    if experiment.kind == "track":
+        from labrun.control.conductor import LoopConductor
+
+        return LoopConductor(experiment, rig)
+    from labrun.runner.recording import conduct_as_planned
+
+    return conduct_as_planned
 
 
 def _expect(session: "Session", folder: "RunFolder", trials: int | None) -> None:
@@ -183,6 +198,10 @@ def objective_unit(experiment: Experiment, rig: "Rig", name: str) -> str:
     device, _, channel = (table.channel or "").partition(".")
     sensor = rig.sensors.get(device)
     units = {item.name: item.unit for item in sensor.channels} if sensor is not None else {}
+    if device == LOOP_DEVICE and experiment.kind == "track":
+        from labrun.control.conductor import LoopConductor
+
+        units = {item.name: item.unit for item in LoopConductor(experiment, rig).channels}
     return make_objective(name, table).unit(units.get(channel, ""))
 
 

@@ -118,6 +118,10 @@ def _plan(loaded: "LoadedExperiment", seed: int, rig: "Rig | None") -> "Plan":
         chosen = [] if found is not None else conditions(experiment, seed)
     except ConstraintError as error:
         raise SpecError(f"{loaded.place(error.key)}: {error}") from error
+    if experiment.kind == "track":
+        from labrun.control.conductor import LoopConductor
+
+        LoopConductor(experiment, planner.rig).require_makeable(chosen)
     found = _counted(planner.plan(chosen) if found is None else found, experiment, chosen)
     reference = experiment.trial.reference
     if reference is not None:

@@ -90,7 +90,7 @@ def changed_keys(origin: Mapping[str, Any]) -> list[str]:
         now = load_experiment(path).experiment
     except LabrunError as error:
         return [f"it does not load any more: {error}"]
-    old = loads_experiment(before, path.stem).experiment
+    old = loads_experiment(before, path.stem, beside=path).experiment
     return list(_differences(old.model_dump(by_alias=True), now.model_dump(by_alias=True)))
 
 

@@ -18,7 +18,8 @@ from labrun.spec.names import suggest
 from labrun.spec.plugin_checks import check_plugins, gait_names
 from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem
-from labrun.spec.raw_tables import condition_names, listed_conditions, table
+from labrun.spec.raw_tables import condition_names, driven_names, listed_conditions, table
+from labrun.spec.track_checks import check_track
 from labrun.spec.unit_checks import check_units
 
 
@@ -44,7 +45,8 @@ def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Probl
     problems += _check_joints(data, devices)
     problems += _check_references(data, devices)
     problems += _check_conditions(data, conditions)
-    problems += check_units(data, conditions)
+    problems += check_track(data, devices, conditions)
+    problems += check_units(data, [*conditions, *driven_names(data)])
     problems += _check_expressions(data, conditions)
     return problems
 
@@ -115,8 +117,9 @@ def _check_device_names(trial: Mapping[str, Any], devices: Mapping[str, DeviceIn
 
 
 def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Problem]:
-    for number, condition in enumerate(listed_conditions(data)):
-        yield from _same_names(condition, ("run", "conditions", number), names)
+    for kind in ("run", "track"):
+        for number, condition in enumerate(listed_conditions(data, kind)):
+            yield from _same_names(condition, (kind, "conditions", number), names)
     reference = table(data, "trial", "reference").get("condition")
     if isinstance(reference, dict):
         yield from _same_names(reference, ("trial", "reference", "condition"), names)
@@ -131,7 +134,8 @@ def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Pro
 
 def _condition_path(data: Mapping[str, Any], name: str) -> KeyPath:
     paths: dict[str, KeyPath] = {"sweep": ("sweep", "axes", name), "cmaes": ("cmaes", "variables", name)}
-    return paths.get(str(data.get("kind")), ("run", "conditions", 0, name))
+    listed = "track" if data.get("kind") == "track" else "run"
+    return paths.get(str(data.get("kind")), (listed, "conditions", 0, name))
 
 
 def _same_names(condition: Mapping[str, Any], path: KeyPath, names: list[str]) -> Iterator[Problem]:
@@ -150,7 +154,7 @@ def _same_names(condition: Mapping[str, Any], path: KeyPath, names: list[str]) -
 def _check_expressions(data: Mapping[str, Any], conditions: list[str]) -> Iterator[Problem]:
     let = table(data, "gait", "let")
     own = gait_names(data)
-    in_gait = [*conditions, *let, *own]
+    in_gait = [*conditions, *let, *own, *driven_names(data)]
     for name, expression in let.items():
         yield from _check_expression(expression, ("gait", "let", name), in_gait)
     try:

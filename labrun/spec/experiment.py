@@ -19,6 +19,7 @@ from labrun.spec.search_tables import (
     Variable,
 )
 from labrun.spec.table import Expression, Number, PluginTable, Table, Value
+from labrun.spec.track_tables import LoopTable, Track
 from labrun.spec.trial_tables import (
     CarriageMove,
     Outliers,
@@ -31,13 +32,13 @@ from labrun.spec.trial_tables import (
 
 __all__ = [
     "Axis", "CarriageMove", "CmaEs", "Experiment", "Expression", "FitTable", "GaitTable", "Interval",
-    "Leaders", "Number", "ObjectiveTable", "Outliers", "Penalty", "PluginTable", "Range", "Reference",
+    "Leaders", "LoopTable", "Number", "ObjectiveTable", "Outliers", "Penalty", "PluginTable", "Range", "Reference",
     "RepeatRule", "Rig", "RunTable", "SceneTable", "Settle", "StopRules", "Sweep", "Table", "Tare",
-    "TrialTable", "Value", "Variable",
+    "Track", "TrialTable", "Value", "Variable",
 ]  # fmt: skip
 
 
-_PLANNED_KINDS = ("track", "design")
+_PLANNED_KINDS = ("design",)
 """Kinds that a later version has: worth a word of their own when a file asks for one."""
 
 
@@ -78,27 +79,31 @@ class ObjectiveTable(PluginTable):
 class FitTable(Table):
     """What `labrun fit` does with this experiment's runs.
 
-    `method` is a fit by name ("hinge", "model"); `model` a model file or plugin; `signals` maps the model's inputs
-    and outputs to recorded channels ("cameras.angle", "command.tail").
+    `method` is a fit by name (an entry point of group labrun.fits); `model` a model file or plugin; `signals` maps the
+    model's inputs and outputs to recorded channels ("cameras.angle", "command.tail"). `settings` are the method's own
+    keys. Another method, asked for by ``labrun fit --model NAME``, takes those of them that it knows too, and its own
+    from `methods`.
     """
 
-    method: Literal["model", "hinge"] = "model"
+    method: str = "model"
     model: str | None = None
     signals: dict[str, str] = Field(default_factory=dict)
     settings: Mapping[str, Any] = Field(default_factory=dict)
+    methods: dict[str, Mapping[str, Any]] = Field(default_factory=dict)
 
 
 class Experiment(Table):
     """A whole experiment file."""
 
     title: str
-    kind: Literal["run", "sweep", "cmaes"]
+    kind: Literal["run", "sweep", "cmaes", "track"]
     rig: Rig
     gait: GaitTable
     trial: TrialTable
     run: RunTable | None = None
     sweep: Sweep | None = None
     cmaes: CmaEs | None = None
+    track: Track | None = None
     leaders: Leaders = Leaders()
     objectives: dict[str, ObjectiveTable] = Field(default_factory=dict)
     fit: FitTable | None = None
@@ -109,7 +114,7 @@ class Experiment(Table):
     @classmethod
     def _kind_is_there(cls, kind: Any) -> Any:
         if kind in _PLANNED_KINDS:
-            raise ValueError(f'"run" or "sweep" or "cmaes"; kind {kind} is not in this version')
+            raise ValueError(f'"run" or "sweep" or "cmaes" or "track"; kind {kind} is not in this version')
         return kind
 
     @model_validator(mode="after")

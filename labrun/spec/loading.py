@@ -10,6 +10,7 @@ from typing import Any, cast
 from labrun.errors import RequestError
 from labrun.nearest import nearest
 from labrun.spec.checks import cross_check
+from labrun.spec.embedding import embed_files
 from labrun.spec.experiment import Experiment
 from labrun.spec.overrides import apply_overrides
 from labrun.spec.positions import KeyPath, Positions, locate
@@ -79,7 +80,9 @@ def load_experiment(path: Path, overrides: Sequence[str] = ()) -> LoadedExperime
     return _load(text, path.stem, path, overrides, beside=path)
 
 
-def loads_experiment(text: str, name: str, *, plugins: bool = True) -> LoadedExperiment:
+def loads_experiment(
+    text: str, name: str, *, plugins: bool = True, beside: Path | None = None
+) -> LoadedExperiment:
     """Read an experiment from its text, for example from the spec stored with a run.
 
     Parameters
@@ -91,13 +94,15 @@ def loads_experiment(text: str, name: str, *, plugins: bool = True) -> LoadedExp
     plugins
         False to read what a run stored: how its tables fit together, and to the plugins, was checked when the run
         began. The plugins need not be installed to look at what they measured.
+    beside
+        Where the text stood as a file, if it names others; what a run stored names none.
 
     Raises
     ------
     SpecFileError
         All that is wrong with it.
     """
-    return _load(text, name, Path(f"{name}.toml"), (), plugins=plugins)
+    return _load(text, name, Path(f"{name}.toml"), (), plugins=plugins, beside=beside)
 
 
 def _load(
@@ -112,7 +117,9 @@ def _load(
     data = _parse(text, path)
     _expand_short_forms(data, overrides)
     origins = apply_overrides(data, overrides)
+    unreadable = embed_files(data, beside)
     experiment, problems = validate(Experiment, data)
+    problems += unreadable
     if plugins:
         problems += cross_check(data, beside)
     if experiment is None or problems:

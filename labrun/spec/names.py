@@ -48,7 +48,7 @@ UNITS: dict[str, Unit] = {
 KNOWN_UNITS = (
     *dict.fromkeys(unit.label for unit in UNITS.values()),
     "1", "%", "us", "kg/s", "kg/m^3", "m/s^2", "deg/s^2", "rad/s^2", "Pa", "kPa", "J", "W", "V", "A", "mA", "N/m",
-    "N m/rad", "N m s/rad", "kg m^2",
+    "N m/rad", "N m s/rad", "kg m^2", "m^2", "cm^2",
 )  # fmt: skip
 """Units that a person may give to conditions, for tables and figures; "1" has none."""
 

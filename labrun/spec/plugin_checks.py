@@ -14,6 +14,7 @@ from labrun.spec.names import suggest
 from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem
 from labrun.spec.raw_tables import table
+from labrun.spec.track_tables import LOOP_DEVICE, loop_channels
 from labrun.spec.validation import validate
 
 
@@ -40,10 +41,19 @@ def gait_names(data: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(getattr(gait, "names", ()))
 
 
+def loop_device(data: Mapping[str, Any]) -> dict[str, DeviceInfo]:
+    """Return what the loops of a file record, as if a device did: an objective may look at it."""
+    loops = table(data, "track", "loops")
+    if data.get("kind") != "track" or not loops:
+        return {}
+    return {LOOP_DEVICE: DeviceInfo(joints=(), channels=loop_channels(list(loops)), carriage=False)}
+
+
 def check_plugins(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Problem]:
     """Yield what is wrong with scene, gait and objectives, apart from what other tables have to do with."""
     yield from _check_scene(data)
     yield from _check_gait(data)
+    devices = {**devices, **loop_device(data)}
     for name, objective in table(data, "objectives").items():
         if isinstance(objective, dict):
             yield from _check_objective(objective, ("objectives", name), devices)

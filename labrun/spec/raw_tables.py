@@ -16,7 +16,8 @@ def condition_names(data: Mapping[str, Any]) -> list[str]:
     sources = {
         "sweep": list(table(data, "sweep", "axes")),
         "cmaes": list(table(data, "cmaes", "variables")),
-        "run": list(listed_conditions(data)[0]) if listed_conditions(data) else [],
+        "run": _first_names(data, "run"),
+        "track": _first_names(data, "track"),
     }
     kind = data.get("kind")
     if isinstance(kind, str) and kind in sources:
@@ -24,7 +25,18 @@ def condition_names(data: Mapping[str, Any]) -> list[str]:
     return list(dict.fromkeys(name for names in sources.values() for name in names))
 
 
-def listed_conditions(data: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the conditions of a run that are listed one by one."""
-    conditions = table(data, "run").get("conditions")
+def driven_names(data: Mapping[str, Any]) -> list[str]:
+    """Return the names that the loops of a file drive."""
+    loops = table(data, "track", "loops")
+    found = [table(loops, name).get("drives") for name in loops]
+    return [name for name in found if isinstance(name, str)]
+
+
+def _first_names(data: Mapping[str, Any], kind: str) -> list[str]:
+    return next((list(condition) for condition in listed_conditions(data, kind)), [])
+
+
+def listed_conditions(data: Mapping[str, Any], kind: str = "run") -> list[dict[str, Any]]:
+    """Return the conditions that the table of a kind lists one by one."""
+    conditions = table(data, kind).get("conditions")
     return [item for item in conditions if isinstance(item, dict)] if isinstance(conditions, list) else []

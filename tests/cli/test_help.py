@@ -26,7 +26,8 @@ def _labrun(*arguments: str, cwd=None) -> subprocess.CompletedProcess[str]:
 def test_the_commands_are_those_of_the_guide():
     found = " ".join(COMMANDS)
     assert (
-        found == "check cmaes doctor export fit import init list plugins report resume run show sweep watch"
+        found
+        == "check cmaes doctor export fit import init list plugins report resume run show sweep track watch"
     )
 
 

@@ -23,7 +23,12 @@ def test_list_shows_the_shipped_experiments_by_kind(tmp_path):
         "fin-modulation": "run",
         "fin-params": "sweep",
         "fin-step": "run",
+        "force-control": "track",
         "hinge": "run",
+        "hinge-area": "sweep",
+        "hinge-length": "sweep",
+        "hinge-width": "sweep",
+        "stabilise": "track",
         "turn-torque": "cmaes",
         "turn-torque-current": "cmaes",
     }

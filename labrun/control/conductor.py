@@ -1,0 +1,226 @@
+"""The closed-loop way to record a trial: look, compute, command, once a step."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from labrun.control.history import History
+from labrun.control.loop import Loop
+from labrun.control.making import make_feedback
+from labrun.control.pieces import Pieces
+from labrun.control.protocol import Condition, Feedback
+from labrun.control.stream import channels_of, samples_of
+from labrun.devices import Channel, Samples
+from labrun.errors import SpecError
+from labrun.gaits import make_gait
+from labrun.gaits.steering import steering_of
+from labrun.runner.bench import Handle
+from labrun.runner.measurement import describe
+from labrun.runner.recording import LEAD_S, TAIL_S, Take
+from labrun.runner.rig import Rig
+from labrun.spec.experiment import Experiment, Track
+from labrun.spec.track_tables import LOOP_DEVICE
+
+_ON_TIME = 1e-9
+"""Share of a period by which rounding may make a step look late."""
+
+
+@dataclass
+class _Timing:
+    """How well the steps of a trial kept their time."""
+
+    steps: int = 0
+    missed: int = 0
+    skipped: int = 0
+
+    def fault(self, most_share: float, rate_hz: float) -> str:
+        """Return why the trial cannot be used; empty if it can."""
+        due, late = self.steps + self.skipped, self.missed + self.skipped
+        if due == 0 or late <= most_share * due:
+            return ""
+        return (
+            f"loop: {late} of {due} steps came too late for {rate_hz:g} Hz ({100 * late / due:.2g} %, "
+            f"{100 * most_share:.2g} % is allowed): lower track.rate_hz, or make feedback and controller quicker"
+        )
+
+
+@dataclass
+class _Clockwork:
+    """The steps of one trial: when each is due, and what becomes of those that are late."""
+
+    start_s: float
+    period_s: float
+    duration_s: float
+    timing: _Timing = field(default_factory=_Timing)
+    number: int = 0
+
+    @property
+    def _steps(self) -> int:
+        return math.ceil(self.duration_s / self.period_s * (1 - _ON_TIME))
+
+    @property
+    def due_s(self) -> float | None:
+        """When the next step is due by the run's clock; None after the last."""
+        return None if self.number >= self._steps else self.start_s + self.number * self.period_s
+
+    def begin(self, now_s: float) -> tuple[float, int]:
+        """Begin the newest step that is due; return how late it is, s, and how many before it are skipped."""
+        newest = min(int((now_s - self.start_s) / self.period_s + _ON_TIME), self._steps)
+        skipped = max(0, newest - self.number)
+        self.number += skipped
+        late_s = max(0.0, now_s - self.start_s - self.number * self.period_s)
+        self.timing.skipped += skipped
+        return late_s, skipped
+
+    def end(self, sent_s: float) -> bool:
+        """End the step; tell whether its command was sent after the next step was due."""
+        self.number += 1
+        missed = sent_s > self.start_s + (self.number + _ON_TIME) * self.period_s
+        self.timing.steps += 1
+        self.timing.missed += missed
+        return missed
+
+
+class LoopConductor:
+    """Records trials with the loops of an experiment closed. Give it to a session as its `conduct`.
+
+    At each step: wait until it is due, look at everything as always, compute feedback, reference and output, bound
+    the output by range and slew rate, send the next piece of the motion (checked against the limits once more), record.
+    A step that is late is taken as soon as can be, and recorded as late; steps that fell due meanwhile are skipped and
+    counted, never caught up in a burst.
+
+    Parameters
+    ----------
+    experiment
+        Of kind "track".
+    rig
+        Its sensors say in which units the feedbacks come.
+
+    Raises
+    ------
+    SpecError
+        No table [track], or a feedback whose keys do not hold.
+    """
+
+    def __init__(self, experiment: Experiment, rig: Rig) -> None:
+        if experiment.track is None:
+            raise SpecError("the experiment has no loop to close", hint="a closed loop needs a table [track]")
+        self._experiment = experiment
+        self._track: Track = experiment.track
+        self._columns = {
+            f"{name}.{channel.name}": column
+            for name, sensor in rig.sensors.items()
+            for column, channel in enumerate(sensor.channels)
+        }
+        units = {f"{name}.{c.name}": c.unit for name, sensor in rig.sensors.items() for c in sensor.channels}
+        self._feedbacks: dict[str, Feedback] = {
+            name: make_feedback(name, table.feedback, units) for name, table in self._track.loops.items()
+        }
+        for name, feedback in self._feedbacks.items():
+            missing = [channel for channel in feedback.channels if channel not in self._columns]
+            if missing:
+                raise SpecError(f"feedback of loop {name}: the rig measures no {', '.join(missing)}")
+        self.channels: tuple[Channel, ...] = channels_of(experiment, self._feedbacks)
+        """What the loops record, under the device name "loop"."""
+        self._gait = make_gait(experiment.gait)
+
+    def require_makeable(self, conditions: Sequence[Condition]) -> None:
+        """Raise SpecError unless every condition gives a reference and a controller to each loop."""
+        for condition in conditions:
+            try:
+                self._loops(condition, 1.0 / self._track.rate_hz, None)
+            except SpecError as error:
+                raise SpecError(f"{describe(condition)}: {error}") from error
+
+    def __call__(self, take: Take) -> None:
+        """Record one trial."""
+        bench, motion, clock = take.bench, take.motion, take.bench.clock
+        period_s = 1.0 / self._track.rate_hz
+        loops = self._loops(take.condition, period_s, motion.period_s)
+        pieces = Pieces(
+            steering_of(
+                self._gait, self._experiment.gait.plugin, take.condition, [loop.variable for loop in loops]
+            ),
+            motion.trajectory.joints,
+            {loop.variable: loop.start for loop in loops},
+            slew_per_s={
+                table.drives: table.slew_per_s
+                for table in self._track.loops.values()
+                if table.slew_per_s is not None
+            },
+            period_s=period_s,
+            rate_hz=self._experiment.gait.command_rate_hz,
+            duration_s=motion.duration_s,
+            cycle_s=motion.period_s,
+        )
+        start_s = clock.now() + LEAD_S
+        history = self._history(take.tare, start_s, motion.period_s)
+        bench.follow(pieces.first(), start_s)
+        pieces.sent()
+        take.begin(start_s, pieces.command)
+
+        def handle(blocks: Mapping[str, Samples]) -> None:
+            take.recorder.take(blocks)
+            history.take(blocks)
+
+        bench.watch(start_s, handle)
+        take.start_travel()
+        while not history.complete:  # a device that never answers is found silent by the bench
+            bench.watch(clock.now() + min(clock.poll_s, period_s), handle)
+        self._run(take, _Clockwork(start_s, period_s, motion.duration_s), loops, pieces, history, handle)
+        bench.watch(start_s + motion.duration_s + TAIL_S, handle)
+
+    def _run(
+        self,
+        take: Take,
+        clockwork: _Clockwork,
+        loops: list[Loop],
+        pieces: Pieces,
+        history: History,
+        handle: Handle,
+    ) -> None:
+        bench, clock, start_s = take.bench, take.bench.clock, clockwork.start_s
+        before_s = -clockwork.period_s
+        while (due_s := clockwork.due_s) is not None:
+            if due_s > clock.now():
+                bench.watch(due_s, handle)
+            else:
+                handle(bench.look())
+            now_s = clock.now()
+            late_s, skipped = clockwork.begin(now_s)
+            if clockwork.due_s is None:  # the recording is over
+                self._record(take, replace(Samples.empty(len(self.channels)), lost=skipped))
+                break
+            time_s = now_s - start_s
+            drives = pieces.drives(time_s)
+            records = [loop.step(time_s, time_s - before_s, drives[loop.variable], history) for loop in loops]
+            before_s = time_s
+            begin_s = clock.now()
+            goals = {loop.variable: item.drive for loop, item in zip(loops, records, strict=True)}
+            bench.follow(pieces.next(begin_s - start_s, goals), begin_s)
+            pieces.sent()
+            sent_s = clock.now()
+            records = [
+                replace(item, drive=pieces.goals[loop.variable])
+                for loop, item in zip(loops, records, strict=True)
+            ]
+            newest_s = start_s + min(history.newest_s(loop.channels) for loop in loops)
+            missed = clockwork.end(sent_s)
+            step = samples_of(now_s, records, sent_s - newest_s, late_s, missed=missed, skipped=skipped)
+            self._record(take, step)
+        take.fault = clockwork.timing.fault(self._track.max_missed_share, self._track.rate_hz)
+
+    def _record(self, take: Take, step: Samples) -> None:
+        take.recorder.writer.append(LOOP_DEVICE, self.channels, self._track.rate_hz, step)
+
+    def _loops(self, condition: Condition, period_s: float, cycle_s: float | None) -> list[Loop]:
+        return [
+            Loop(name, table, self._feedbacks[name], condition, period_s, cycle_s)
+            for name, table in self._track.loops.items()
+        ]
+
+    def _history(self, tare: Mapping[str, float], start_s: float, cycle_s: float | None) -> History:
+        needed = dict.fromkeys(channel for item in self._feedbacks.values() for channel in item.channels)
+        keep_s = max(feedback.memory_s(cycle_s) for feedback in self._feedbacks.values())
+        columns = {channel: self._columns[channel] for channel in needed}
+        return History(columns, tare, start_s, keep_s)

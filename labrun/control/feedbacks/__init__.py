@@ -1,0 +1,1 @@
+"""Feedbacks: from the latest samples to what a loop compares with its reference."""

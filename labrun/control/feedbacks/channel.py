@@ -1,0 +1,132 @@
+"""What the feedbacks of a channel share: scale, length, unit, and the magnitude of two channels."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from labrun.control.history import History
+from labrun.control.settings import ControlSettings, SettingsType, checked
+from labrun.devices import FloatArray
+from labrun.errors import SpecError
+from labrun.spec.names import UNITS
+
+
+class ChannelSettings(ControlSettings):
+    """Keys of a feedback from one channel, or from two.
+
+    Attributes
+    ----------
+    channel
+        ``device.channel``.
+    scale, divide_by_m
+        As of objectives: the channel is multiplied and divided by them.
+    side_channel, side_scale
+        The feedback is the magnitude of the vector that `channel` and this one make, each averaged first.
+    unit
+        Unit of the feedback where the channel's own is not that of the reference and the gains: ``"deg"`` for rad.
+    """
+
+    channel: str
+    scale: float = 1.0
+    divide_by_m: Annotated[float, Field(gt=0)] | None = None
+    side_channel: str | None = None
+    side_scale: float = 1.0
+    unit: str | None = None
+
+
+class ChannelFeedback(ABC):
+    """A number from the latest samples of a channel; a subclass says which samples, and how.
+
+    Parameters
+    ----------
+    settings
+        Keys of the feedback.
+    units
+        Unit of every channel, by ``device.channel``.
+
+    Raises
+    ------
+    SpecError
+        Keys that do not hold, or a `unit` of another kind than the channel's.
+    """
+
+    Settings: ClassVar[type[ChannelSettings]] = ChannelSettings
+    channel_settings: ClassVar[tuple[str, ...]] = ("channel", "side_channel")
+
+    def __init__(self, settings: Mapping[str, Any], units: Mapping[str, str]) -> None:
+        keys = checked(self.Settings, settings)
+        sides = () if keys.side_channel is None else (keys.side_channel,)
+        self.channels: tuple[str, ...] = (keys.channel, *sides)
+        self.unit, factor = _unit_and_factor(keys, units.get(keys.channel, ""))
+        self._factors = (factor * keys.scale, factor * keys.side_scale)
+
+    def _checked(self, model: type[SettingsType], settings: Mapping[str, Any]) -> SettingsType:
+        return checked(model, settings)
+
+    def __call__(self, history: History, period_s: float | None) -> float:
+        """Return the number now, in the unit of `unit`."""
+        found = [
+            factor * self._reduce(*history.recent(channel), period_s)
+            for channel, factor in zip(self.channels, self._factors, strict=False)
+        ]
+        return found[0] if len(found) == 1 else math.hypot(*found)
+
+    @abstractmethod
+    def memory_s(self, period_s: float | None) -> float:
+        """Return how far back it looks, s."""
+
+    @abstractmethod
+    def _reduce(self, time_s: FloatArray, values: FloatArray, period_s: float | None) -> float:
+        """Reduce a channel's samples, oldest first and at least one, to one number."""
+
+
+def _unit_and_factor(keys: ChannelSettings, channel_unit: str) -> tuple[str, float]:
+    """Return the feedback's unit, and what a sample is multiplied by to be in it."""
+    unit, factor = channel_unit, 1.0
+    if keys.divide_by_m is not None:
+        unit = unit.removesuffix(" m") if unit.endswith(" m") else f"{unit}/m"
+        factor = 1.0 / keys.divide_by_m
+    if keys.unit is None or keys.unit == unit:
+        return unit, factor
+    sizes = {item.label: item for item in UNITS.values()}
+    wanted, given = sizes.get(keys.unit), sizes.get(unit)
+    if wanted is None or given is None or wanted.dimension != given.dimension:
+        alike = (
+            []
+            if given is None
+            else [name for name, item in sizes.items() if item.dimension == given.dimension]
+        )
+        raise SpecError(
+            f'unit = "{keys.unit}" is no unit of {keys.channel}, which comes in {unit or "a unit of its own"}',
+            hint=f"it can be {', '.join(alike)}" if alike else "leave unit out, and use scale",
+        )
+    return keys.unit, factor * given.si / wanted.si
+
+
+def mean_over(time_s: FloatArray, values: FloatArray, window_s: float) -> float:
+    """Return the mean over the last `window_s` up to the newest sample, by the trapezoidal rule over time.
+
+    The window's start is interpolated, so that it covers exactly its length and lost samples weigh nothing. Where there
+    are not samples for all of it, the mean of what there is.
+    """
+    end_s = time_s[-1]
+    start_s = end_s - window_s
+    first = int(np.searchsorted(time_s, start_s, side="right"))
+    if first > 0:
+        begin = values[first - 1]
+        if time_s[first - 1] < start_s and first < len(time_s):
+            gap_s = time_s[first] - time_s[first - 1]
+            begin = begin + (values[first] - begin) * (start_s - time_s[first - 1]) / gap_s
+    else:
+        start_s, begin, first = time_s[0], values[0], 1
+    span_s = end_s - start_s
+    if first >= len(time_s) or span_s <= 0.0:
+        return float(values[-1])
+    inner_t, inner_v = time_s[first:], values[first:]
+    total = 0.5 * (inner_t[0] - start_s) * (begin + inner_v[0])
+    total += 0.5 * float(np.dot(np.diff(inner_t), inner_v[1:] + inner_v[:-1]))
+    return float(total / span_s)

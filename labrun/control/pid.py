@@ -1,0 +1,117 @@
+"""The PID controller, with what it takes on a real bench: filter, anti-windup, either way of counting time."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field, PositiveFloat
+
+from labrun.control.protocol import LoopContext, Step
+from labrun.control.settings import ControlSettings, checked
+
+
+class PidSettings(ControlSettings):
+    """Keys of `pid`; gains are in the unit of the variable per unit of the feedback.
+
+    Attributes
+    ----------
+    p, i, d
+        Gains. `i` counts per second, or per sample: the source's Table 5.4 behaves as described only if it is summed
+        once a sample. `d` is per second always.
+    i_per
+        ``"second"`` or ``"sample"``.
+    bias
+        Added to the output.
+    derivative_on
+        ``"measurement"``, so that a step of the reference makes no kick, or ``"error"``.
+    filter_s
+        Time constant of the derivative's first-order filter; two steps, if not given.
+    anti_windup
+        ``"conditional"``: the integral stands while the output is beyond the range and the error drives it further.
+        ``"back-calculation"``: it follows what was really applied, within `tracking_s`. ``"none"``.
+    tracking_s
+        Of back-calculation; the integral time p/i, if not given.
+    output
+        ``"absolute"``, or ``"increment"``: what is computed is added to the variable as it stands.
+    """
+
+    p: float = 0.0
+    i: float = 0.0
+    d: float = 0.0
+    i_per: Literal["second", "sample"] = "second"
+    bias: float = 0.0
+    derivative_on: Literal["measurement", "error"] = "measurement"
+    filter_s: Annotated[float, Field(ge=0)] | None = None
+    anti_windup: Literal["conditional", "back-calculation", "none"] = "conditional"
+    tracking_s: PositiveFloat | None = None
+    output: Literal["absolute", "increment"] = "absolute"
+
+
+class PidController:
+    """``bias + p e + i sum(e) + d de/dt``, bounded as the loop's range asks for.
+
+    Anti-windup by conditional integration and by back-calculation: Astrom and Murray, Feedback Systems (2008), section
+    10.4; derivative of the filtered measurement: section 10.5.
+
+    Parameters
+    ----------
+    settings
+        See `PidSettings`.
+    context
+        The loop's period, range and start.
+    """
+
+    Settings: ClassVar[type[ControlSettings]] = PidSettings
+
+    def __init__(self, settings: Mapping[str, Any], context: LoopContext) -> None:
+        self._keys: PidSettings = self._checked(settings)
+        self._low, self._high = context.low, context.high
+        filter_s = self._keys.filter_s
+        self._filter_s = 2.0 * context.period_s if filter_s is None else filter_s
+        self._tracking_s = self._keys.tracking_s or _integral_time_s(self._keys, context.period_s)
+        self._integral = 0.0
+        self._rate = 0.0
+        self._before: float | None = None
+        self._requested = 0.0
+        self._dt_s = context.period_s
+
+    def _checked(self, settings: Mapping[str, Any]) -> PidSettings:
+        return checked(PidSettings, settings)
+
+    def update(self, step: Step) -> float:
+        """Return the output for one step; see `labrun.control.protocol.Controller`."""
+        keys = self._keys
+        self._dt_s = step.dt_s
+        base = self._feedforward(step) + keys.bias + keys.p * step.error + keys.d * self._derivative(step)
+        if keys.output == "increment":
+            base += step.drive
+        growth = keys.i * step.error * (step.dt_s if keys.i_per == "second" else 1.0)
+        wanted = base + self._integral + growth
+        outward = (wanted > self._high and growth > 0) or (wanted < self._low and growth < 0)
+        if keys.anti_windup != "conditional" or not outward:
+            self._integral += growth
+        self._requested = base + self._integral
+        return self._requested
+
+    def applied(self, drive: float) -> None:
+        """Take note of what the variable was given."""
+        if self._keys.anti_windup == "back-calculation" and self._keys.i:
+            share = min(1.0, self._dt_s / self._tracking_s)
+            self._integral += share * (drive - self._requested)
+
+    def _feedforward(self, step: Step) -> float:  # noqa: ARG002
+        return 0.0
+
+    def _derivative(self, step: Step) -> float:
+        """Return the filtered rate of the error, or of the negative measurement; zero at the first step."""
+        signal = step.error if self._keys.derivative_on == "error" else -step.feedback
+        if self._before is not None:
+            raw = (signal - self._before) / step.dt_s
+            self._rate += (raw - self._rate) * step.dt_s / (self._filter_s + step.dt_s)
+        self._before = signal
+        return self._rate
+
+
+def _integral_time_s(keys: PidSettings, period_s: float) -> float:
+    """Return p/i in seconds; one period where there is no such ratio."""
+    per_second = abs(keys.i) if keys.i_per == "second" else abs(keys.i) / period_s
+    return max(period_s, abs(keys.p) / per_second) if per_second else period_s

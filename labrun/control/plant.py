@@ -1,0 +1,92 @@
+"""The model a feed-forward inverts: a first-order lag with dead time, or a transfer function."""
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, model_validator
+
+from labrun.control.settings import ControlSettings
+from labrun.errors import SpecError
+from labrun.spec.fault import Faults
+
+_KEYS = ("gain", "lag_s", "dead_s", "numerator", "denominator")
+
+Seconds = Annotated[float, Field(ge=0)]
+Coefficients = Annotated[list[float], Field(min_length=1)]
+
+
+class PlantModel(ControlSettings):
+    """What the feedback does when the variable is set.
+
+    Attributes
+    ----------
+    gain, lag_s, dead_s
+        ``gain exp(-dead_s s) / (lag_s s + 1)``, the form of (5.5) and (5.6) of the source; gain in the unit of the
+        feedback per unit of the variable.
+    numerator, denominator
+        Instead of gain and lag: coefficients of s, highest power first.
+    """
+
+    gain: float | None = None
+    lag_s: Seconds = 0.0
+    dead_s: Seconds = 0.0
+    numerator: Coefficients | None = None
+    denominator: Coefficients | None = None
+
+    @model_validator(mode="after")
+    def _has_a_static_gain(self) -> "PlantModel":
+        with Faults() as faults:
+            if self.numerator is None and self.denominator is None:
+                if self.gain is None:
+                    faults.add(None, "a model needs its gain, or numerator and denominator")
+                elif self.gain == 0:
+                    faults.add("gain", "0 cannot be inverted: the variable would have no effect")
+            elif self.numerator is None or self.denominator is None:
+                faults.add(None, "a transfer function has both a numerator and a denominator")
+            elif self.gain is not None:
+                faults.add(
+                    "gain", "a transfer function has its gain in its coefficients; leave out one of the two"
+                )
+            elif self.denominator[-1] == 0 or self.numerator[-1] == 0:
+                faults.add(
+                    None, "the transfer function has no static gain to invert: a last coefficient is 0"
+                )
+        return self
+
+    @property
+    def static_gain(self) -> float:
+        """What the feedback settles at per unit of the variable."""
+        if self.numerator is not None and self.denominator is not None:
+            return self.numerator[-1] / self.denominator[-1]
+        if self.gain is None:
+            raise SpecError("the model has no gain")
+        return self.gain
+
+
+def read_plant(path: Path) -> dict[str, Any]:
+    """Return the keys of a `PlantModel` from a fitted model's file; whatever else stands there is left.
+
+    Raises
+    ------
+    SpecError
+        The file cannot be read, or holds no such model.
+    """
+    try:
+        table: Mapping[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise SpecError(f"model file {path} cannot be read: {reason}") from error
+    found = {key: table[key] for key in _KEYS if key in table}
+    if (
+        "numerator" in found and "denominator" in found
+    ):  # a fit may say both: the coefficients are the whole of it
+        found.pop("gain", None)
+        found.pop("lag_s", None)
+    if not found.keys() & {"gain", "numerator"}:
+        raise SpecError(
+            f"model file {path} has neither gain nor numerator: it is no fitted response",
+            hint="labrun fit fin-step --model fopdt writes one",
+        )
+    return found

@@ -1,0 +1,1 @@
+"""References: what a loop's feedback should be over time."""

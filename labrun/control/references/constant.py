@@ -1,0 +1,26 @@
+"""One value all the time."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from labrun.control.protocol import Condition
+from labrun.control.settings import ControlSettings, checked
+
+
+class ConstantSettings(ControlSettings):
+    """Key of `constant`: its value."""
+
+    value: float
+
+
+class ConstantReference:
+    """The same value all the time."""
+
+    Settings: ClassVar[type[ControlSettings]] = ConstantSettings
+
+    def __init__(self, settings: Mapping[str, Any], condition: Condition) -> None:  # noqa: ARG002
+        self._value = checked(ConstantSettings, settings).value
+
+    def __call__(self, time_s: float) -> float:  # noqa: ARG002
+        """Return the value."""
+        return self._value

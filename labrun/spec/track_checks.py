@@ -1,0 +1,218 @@
+"""The table [track]: its plugins, what they read and set, and which controllers its conditions name."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import BaseModel
+
+from labrun import registry
+from labrun.errors import PluginError
+from labrun.spec.catalogue import DeviceInfo
+from labrun.spec.channels import check_channel
+from labrun.spec.expression import ExpressionError, names_in
+from labrun.spec.names import suggest
+from labrun.spec.plugin_checks import load_plugin
+from labrun.spec.positions import KeyPath
+from labrun.spec.problem import Problem
+from labrun.spec.raw_tables import listed_conditions, table
+from labrun.spec.setting_expressions import is_expression
+from labrun.spec.track_tables import LOOP_DEVICE
+from labrun.spec.validation import validate
+
+_GAITS = "labrun.gaits"
+
+
+def check_track(
+    data: Mapping[str, Any], devices: Mapping[str, DeviceInfo], conditions: list[str]
+) -> Iterator[Problem]:
+    """Yield what is wrong with the loops of a file, apart from the shape of their tables.
+
+    Parameters
+    ----------
+    data
+        The file as it was read.
+    devices
+        What it connects.
+    conditions
+        Names of the values of a condition.
+    """
+    loops = {name: loop for name, loop in table(data, "track", "loops").items() if isinstance(loop, dict)}
+    if data.get("kind") != "track" or not loops:
+        return
+    if LOOP_DEVICE in devices:
+        yield Problem(
+            ("rig", "devices", LOOP_DEVICE), "this name is taken: the loops record under it; choose another"
+        )
+    yield from _check_gait(data)
+    drivers: dict[str, str] = {}
+    for name, loop in loops.items():
+        path: KeyPath = ("track", "loops", name)
+        if not name.replace("-", "_").isidentifier():
+            yield Problem(
+                path, "a loop's name is made of letters, digits, - and _: its channels are named after it"
+            )
+        yield from _check_drive(data, name, loop, drivers, conditions)
+        yield from _check_part("labrun.references", loop.get("reference"), (*path, "reference"), conditions)
+        yield from _check_part("labrun.feedbacks", loop.get("feedback"), (*path, "feedback"), None)
+        yield from _check_feedback(data, table(loop, "feedback"), (*path, "feedback"), devices)
+        for controller, keys in table(loop, "controllers").items():
+            yield from _check_part("labrun.controllers", keys, (*path, "controllers", controller), conditions)
+    yield from _check_named_controllers(data, loops)
+
+
+def _check_gait(data: Mapping[str, Any]) -> Iterator[Problem]:
+    plugin = table(data, "gait").get("plugin")
+    gait, _ = load_plugin(_GAITS, plugin, ())
+    if gait is not None and not hasattr(gait, "steering"):
+        able = ", ".join(sorted(_steerable()))
+        yield Problem(
+            ("gait", "plugin"), f"this gait cannot be steered by a loop; these can: {able}", at_value=True
+        )
+
+
+def _steerable() -> Iterator[str]:
+    for name in registry.names(_GAITS):
+        try:
+            if hasattr(registry.load(_GAITS, name), "steering"):
+                yield name
+        except PluginError:  # broken, and not the one that is asked for
+            continue
+
+
+def _check_drive(
+    data: Mapping[str, Any],
+    name: str,
+    loop: Mapping[str, Any],
+    drivers: dict[str, str],
+    conditions: list[str],
+) -> Iterator[Problem]:
+    drives = loop.get("drives")
+    path: KeyPath = ("track", "loops", name, "drives")
+    if not isinstance(drives, str):
+        return
+    if drives in drivers:
+        yield Problem(
+            path, f"the loop {drivers[drives]} drives this already; two loops cannot", at_value=True
+        )
+    drivers.setdefault(drives, name)
+    gait = table(data, "gait")
+    let = table(gait, "let")
+    if drives in conditions:
+        yield Problem(
+            path, "this is a value of the conditions, and a loop cannot set it as well", at_value=True
+        )
+    elif drives in let:
+        yield Problem(
+            path, "this is a part of let, which the gait computes; drive a name it uses", at_value=True
+        )
+    used: dict[KeyPath, frozenset[str]] = {}
+    for joint, keys in table(gait, "joints").items():
+        for key, expression in (keys if isinstance(keys, dict) else {}).items():
+            used["gait", "joints", joint, key] = _needs(expression, let)
+    if drives not in frozenset().union(*used.values()):
+        free = sorted(frozenset().union(*used.values()) - set(conditions) - set(let) - {"t"})
+        yield Problem(
+            path, f"the gait does not use this name; {suggest(drives, free, kind='free names')}", True
+        )
+    plugin, _ = load_plugin(_GAITS, gait.get("plugin"), ())
+    for key_path, needed in used.items():
+        if drives in needed and key_path[-1] in getattr(plugin, "fixed_keys", ()):
+            yield Problem(
+                key_path,
+                f"depends on {drives}, which the loop {name} drives: a loop cannot set this key",
+                at_value=True,
+            )
+
+
+def _needs(expression: object, let: Mapping[str, Any]) -> frozenset[str]:
+    """Return the names an expression depends on, through `let` too; none if it cannot be read."""
+    found: set[str] = set()
+    left = [expression]
+    while left:
+        item = left.pop()
+        if not isinstance(item, str | float | int):
+            continue
+        try:
+            new = names_in(item) - found
+        except ExpressionError:
+            continue
+        found |= new
+        left += [let[name] for name in new if name in let]
+    return frozenset(found)
+
+
+def _check_part(group: str, keys: object, path: KeyPath, conditions: list[str] | None) -> Iterator[Problem]:
+    """Check plugin and keys; numbers may be expressions in `conditions`, unless that is None."""
+    if not isinstance(keys, dict):
+        return
+    plugin, problems = load_plugin(group, keys.get("plugin"), (*path, "plugin"))
+    yield from problems
+    model = getattr(plugin, "Settings", None)
+    if not (isinstance(model, type) and issubclass(model, BaseModel)):
+        return
+    settings = {key: value for key, value in keys.items() if key != "plugin"}
+    known = [*(conditions or ()), *getattr(plugin, "names", ())]
+    for key, value in list(settings.items()):
+        whole = key in getattr(plugin, "expression_settings", ())
+        if conditions is not None and (whole or is_expression(model, key, value)):
+            found = list(_check_expression(value, (*path, key), known))
+            yield from found
+            if not whole:  # its value comes with each condition
+                settings[key] = 1.0
+    yield from validate(model, settings, path, also=["plugin"])[1]
+
+
+def _check_expression(expression: object, path: KeyPath, known: list[str]) -> Iterator[Problem]:
+    if not isinstance(expression, str):
+        return
+    try:
+        needed = names_in(expression)
+    except ExpressionError as error:
+        text = str(error).replace(f'expression "{expression}"', "expression", 1).replace("\n  ", "; ")
+        yield Problem(path, text.removeprefix("expression: "), at_value=True)
+        return
+    for name in sorted(needed - set(known)):
+        yield Problem(path, f'unknown name "{name}"; {suggest(name, known, kind="names")}', at_value=True)
+
+
+def _check_feedback(
+    data: Mapping[str, Any], keys: Mapping[str, Any], path: KeyPath, devices: Mapping[str, DeviceInfo]
+) -> Iterator[Problem]:
+    plugin, _ = load_plugin("labrun.feedbacks", keys.get("plugin"), ())
+    for key in getattr(plugin, "channel_settings", ()):
+        yield from check_channel(keys.get(key), (*path, key), devices)
+    gait, _ = load_plugin(_GAITS, table(data, "gait").get("plugin"), ())
+    needs_cycle, has_cycle = getattr(plugin, "needs_cycle", None), getattr(gait, "has_cycle", None)
+    if needs_cycle is None or has_cycle is None or not needs_cycle(keys):
+        return
+    joints = {joint: item for joint, item in table(data, "gait", "joints").items() if isinstance(item, dict)}
+    if not has_cycle(joints):
+        yield Problem(
+            (*path, "plugin"),
+            "the gait has no cycle to average over; give period_s, or use moving-average",
+            True,
+        )
+
+
+def _check_named_controllers(
+    data: Mapping[str, Any], loops: Mapping[str, Mapping[str, Any]]
+) -> Iterator[Problem]:
+    known = list(dict.fromkeys(name for loop in loops.values() for name in table(loop, "controllers")))
+    for number, condition in enumerate(listed_conditions(data, "track")):
+        path: KeyPath = ("track", "conditions", number)
+        named = condition.get("controller")
+        if isinstance(named, str) and named not in known:
+            yield Problem(
+                (*path, "controller"),
+                f"no loop has this controller; {suggest(named, known, kind='controllers')}",
+                True,
+            )
+            continue
+        for name, loop in loops.items():
+            own = table(loop, "controllers")
+            if len(own) > 1 and named not in own:
+                what = (
+                    "says no controller" if named is None else f'the loop {name} has no controller "{named}"'
+                )
+                choice = " or ".join(f'"{item}"' for item in own)
+                yield Problem(path, f"{what}; the loop {name} can take {choice}")

@@ -1,0 +1,153 @@
+"""Closed loops as a person runs them, and the verdict of the source's chapter 5 on its controllers."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from labrun.search.leaders import t_interval
+from labrun.store.reading import open_run
+
+SHORT = ("--set", "trial.duration_s=6", "--set", "trial.repeats=1", "--set", "objectives.first_cycle.to_s=3",
+         "--set", "objectives.later.from_s=3", "--set", "objectives.later.to_s=6")  # fmt: skip
+ALL_P = ("P-100", "P-109", "P-120")
+
+
+@pytest.fixture(
+    scope="module",
+    params=[1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)],
+)
+def found(request, tmp_path_factory):
+    """Return every accepted value of each objective by controller, of one whole dry run."""
+    from labrun.runner.progress import SilentProgress
+    from labrun.search.execute import execute
+    from labrun.spec.loading import load_experiment
+    from labrun.spec.workspace import shipped_experiments
+
+    loaded = load_experiment(shipped_experiments() / "force-control.toml")
+    results = tmp_path_factory.mktemp("results")
+    result = execute(loaded, results=results, dry_run=True, seed=request.param, progress=SilentProgress())
+    values: dict[str, dict[str, list[float]]] = {}
+    with open_run(result.run) as run:
+        for outcome in run.outcomes:
+            assert outcome.status == "done", outcome.reason
+            for name, value in outcome.objectives.items():
+                values.setdefault(name, {}).setdefault(str(outcome.condition["controller"]), []).append(value)
+    return values
+
+
+def low(values):
+    """Return the lower end of the mean's 95 % interval over repeats."""
+    return t_interval(np.array(values))[0]
+
+
+def below(smaller, larger, factor=1.0):
+    """Tell whether one mean is below a share of another, with 95 % confidence (Welch's interval of the difference)."""
+    difference = stats.ttest_ind(np.array(smaller), factor * np.array(larger), equal_var=False)
+    return difference.confidence_interval(0.95).high < 0
+
+
+def test_p_leaves_a_large_error_at_all_gains(found):
+    """Loop gain 1, so about half of the reference; its mean is 0.35 N."""
+    for controller in ALL_P:
+        assert low(found["first_cycle"][controller]) > 0.12
+        assert low(found["later"][controller]) > 0.12
+        assert low(found["bias"][controller]) > 0.12
+
+
+def test_pi_misses_the_first_cycle_and_follows_afterwards(found):
+    assert below(found["first_cycle"]["FF-PI"], found["first_cycle"]["PI"], 0.6)
+    assert below(found["later"]["PI"], found["first_cycle"]["PI"], 0.7)
+    assert all(below(found["later"]["PI"], found["later"][name], 0.6) for name in ALL_P)
+
+
+def test_ff_p_is_acceptable_and_slightly_low(found):
+    assert low(found["bias"]["FF-P"]) > 0.02
+    for cycle in ("first_cycle", "later"):
+        assert all(below(found[cycle]["FF-P"], found[cycle][name], 0.5) for name in ALL_P)
+
+
+def test_ff_pi_follows_from_the_first_cycle_and_is_the_best(found):
+    others = [name for name in found["later"] if name != "FF-PI"]
+    for cycle in ("first_cycle", "later"):
+        means = {name: np.mean(found[cycle][name]) for name in found[cycle]}
+        assert min(means, key=means.get) == "FF-PI"
+    assert all(below(found["later"]["FF-PI"], found["later"][name]) for name in others)
+    assert below(found["bias"]["FF-PI"], found["bias"]["FF-P"])
+
+
+def test_track_runs_shows_exports_and_draws_its_loops(labrun, tmp_path):
+    done = labrun("track", "force-control", "--dry-run", "--seed", "1", "--json", *SHORT)
+    assert done.code == 0, done.err
+    run = Path(done.json["run"])
+    with open_run(tmp_path / run) as stored:
+        loop = stored.stream(0, "loop")
+        assert loop.rate_hz == 20
+        assert len(loop.time_s) == 120
+        assert stored.command(0).time_s[-1] == pytest.approx(6.0)
+    assert "loop" in labrun("show", run).out
+    assert labrun("export", run, "--to", "netcdf", "--output", "run.nc").code == 0
+    assert labrun("report", run).code == 0
+
+
+def test_a_track_that_was_stopped_goes_on_to_the_same_samples(labrun, tmp_path):
+    arguments = ("track", "force-control", "--dry-run", "--seed", "5", *SHORT)
+    whole = labrun(*arguments, "--results", "whole", "--json").json
+    parted = labrun(*arguments, "--results", "parted", "--limit", "2", "--json").json
+    for _ in range(2):
+        resumed = labrun("resume", parted["run"], "--limit", "2", "--json")
+        assert resumed.code == 0, resumed.err
+    with open_run(tmp_path / whole["run"]) as first, open_run(tmp_path / parted["run"]) as second:
+        assert len(first.outcomes) == len(second.outcomes) == 6
+        for one, other in zip(first.outcomes, second.outcomes, strict=True):
+            assert one.condition == other.condition
+            assert one.objectives == other.objectives
+            np.testing.assert_array_equal(
+                first.stream(one.index, "loop").values, second.stream(one.index, "loop").values
+            )
+
+
+def test_the_plan_is_checked_for_the_worst_that_the_loops_may_do(labrun):
+    assert "at most 519 deg/s (limit 528)" in labrun("check", "force-control").out
+    refused = labrun("track", "force-control", "--dry-run", "--set", "track.loops.force.range=[20, 61]")
+    assert refused.code == 2
+    assert "worst angle of tail 61 deg is above the limit of 60 deg" in refused.err
+    assert "narrow the range of the loop" in refused.err
+
+
+def test_what_only_the_devices_or_a_condition_can_tell_is_said_before_anything_is_written(labrun, tmp_path):
+    feedback = "track.loops.force.feedback.unit=deg"
+    wrong_unit = labrun("track", "force-control", "--dry-run", "--set", feedback)
+    assert wrong_unit.code == 2
+    assert "which comes in N" in wrong_unit.err
+    gain = "track.loops.force.controllers.PI.tracking_s='0 - 1'"
+    wrong_value = labrun("track", "force-control", "--dry-run", "--set", gain)
+    assert wrong_value.code == 2
+    assert "controller = PI: controller PI of loop force: tracking_s" in wrong_value.err
+    assert not (tmp_path / "results").exists()
+
+
+def test_each_command_sends_to_the_one_that_fits(labrun):
+    wrong = labrun("track", "hinge", "--dry-run")
+    assert wrong.code == 2
+    assert "labrun run hinge" in wrong.err
+    other = labrun("sweep", "force-control", "--dry-run")
+    assert other.code == 2
+    assert "labrun track force-control" in other.err
+
+
+def test_a_fitted_model_file_beside_the_experiment_is_used_and_stored(labrun, tmp_path):
+    text = labrun("init", ".").code
+    assert text == 0
+    path = tmp_path / "experiments" / "force-control.toml"
+    inline = "model = { gain = 0.00912, lag_s = 0.34, dead_s = 0.28 }"
+    assert inline in path.read_text()
+    path.write_text(path.read_text().replace(inline, 'model = "fopdt.toml"'))
+    missing = labrun("check", "force-control")
+    assert missing.code == 2
+    assert 'there is no file "fopdt.toml"' in missing.err
+    (path.parent / "fopdt.toml").write_text("gain = 0.008\nlag_s = 0.3\ndead_s = 0.25\n")
+    done = labrun("track", "force-control", "--dry-run", "--seed", "1", "--limit", "1", "--json", *SHORT)
+    assert done.code == 0, done.err
+    assert "gain = 0.008" in (tmp_path / done.json["run"] / "spec.toml").read_text()
