@@ -136,6 +136,45 @@ def test_releases_of_one_setup_differ_a_little():
     assert releases[0]["damping"] == pytest.approx(releases[1]["damping"], rel=0.05)
 
 
+def test_another_specimen_is_another_setup_and_its_own_releases_are_one():
+    bench = HingeBench({}, np.random.default_rng(3))
+    factors = []
+    for width_mm in (50.0, 30.0, 30.0, 50.0):
+        bench.arrange({"width_mm": width_mm})
+        plain = HingeBench({"noise": 0}, np.random.default_rng(0))
+        plain.arrange({"width_mm": width_mm})
+        told, nominal = bench.truth()["parameters"], plain.truth()["parameters"]
+        factors.append([told[name] / nominal[name] for name in ("stiffness", "damping")])
+    assert factors[1] == factors[2]
+    assert len({tuple(one) for one in factors}) == 3
+
+
+def test_setups_of_changed_specimens_scatter_like_the_published_repeats():
+    bench = HingeBench({}, np.random.default_rng(0))
+    values = []
+    for _ in range(300):
+        bench.arrange({"width_mm": 30.0})
+        bench.arrange({"width_mm": 50.0})
+        values.append([bench.truth()["parameters"][name] for name in ("stiffness", "damping")])
+    spread = np.std(values, axis=0) / np.mean(values, axis=0)
+    assert spread == pytest.approx([0.023, 0.032], rel=0.15)
+
+
+def test_a_bench_taken_back_after_a_change_of_specimen_goes_on_the_same():
+    condition = {"width_mm": 30.0}
+    bench = _released({}, seed=4, condition=condition)
+    bench.observe(["hinge"], np.array([2.5]))
+    again = HingeBench({}, np.random.default_rng(9))
+    again.restore(bench.snapshot())
+    for one in (bench, again):
+        one.arrange(condition)  # the same specimen: stays as it hangs
+        one.observe(["hinge"], np.array([3.0]))
+        one.arrange({"width_mm": 20.0})
+    assert bench.truth() == again.truth()
+    (release,) = bench.truth()["releases"]
+    assert release["stiffness"] == pytest.approx(0.00805, rel=0.1)  # that of the 30 mm hinge it was
+
+
 def test_a_hidden_effect_works_on_the_bench_and_is_told_by_its_truth():
     hidden = {"effect": "labrun.effects.coulomb_friction:EFFECT", "site": "hinge", "values": {"torque": 1e-3}}
     with_friction = _released({"noise": 0, "hide": [hidden]})

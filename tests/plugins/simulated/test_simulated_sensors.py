@@ -14,11 +14,13 @@ POSE = {
     f"arm_{part}": value
     for part, value in zip(["x", "y", "z", "qx", "qy", "qz", "qw"], [0, 0, 1, 0, 0, 0, 1], strict=True)
 }
+BODY = {"base_qw": 1.0, **{f"base_{part}": 0.0 for part in ["qx", "qy", "qz", "wx", "wy", "wz"]}}
 SENSORS = [
     ("simulated-robotiq-ft300", {"port": "/dev/ttyUSB0"}, SIX, 100.0),
     ("simulated-ati-netft", {"host": "192.168.1.1", "rate_hz": 500}, SIX, 500.0),
     ("simulated-optitrack", {"host": "192.168.1.2"}, POSE, 360.0),
     ("simulated-ur5", {"host": "192.168.1.3"}, {"position": 0.25}, 125.0),
+    ("simulated-bno055", {"port": "/dev/ttyUSB1", "mounted_on": "base"}, BODY, 100.0),
 ]
 
 

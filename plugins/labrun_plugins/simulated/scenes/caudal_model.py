@@ -3,7 +3,8 @@
 Functions of the model signature ``(t, x, u, p, force, out)``; see `labrun.models`.
 What the source states: static gain, lags and dead times of thrust against amplitude (5.5) and of its
 direction against offset (5.6), the best gait, and that most others push backwards, for which it suspects
-waves that come back from the walls. The rest is chosen for the simulation, and said so.
+waves that come back from the walls; and that thrust is not straight in
+amplitude (Table 5.3). The rest is chosen for the simulation, and said so.
 """
 
 import math
@@ -31,10 +32,19 @@ _TIP_GAIN = 1.0 / math.sqrt(1.0 + (_OMEGA * TIP_LAG_S) ** 2)
 _TO_AMPLITUDE = math.pi / (2.0 * _OMEGA * _TIP_GAIN)
 _SWING_GAIN = 0.5 / (1.0 + (_OMEGA * _ANGLE_LAG_S) ** 2) / (_OMEGA * _TIP_GAIN) ** 2
 
+QUARTER_S = 0.25 / BEST_HZ
+"""A rate and the one this long before it give the amplitude at any moment of a stroke (best frequency)."""
+_BEND_FROM_RAD = math.radians(40.0)
+_BEND_WIDTH_RAD = math.radians(20.0)
+_BEND_RAD = math.radians(5.0)
+"""Between 40 and 60 deg thrust rises first faster, then slower than the line of (5.5), by at most so much (chosen)."""
+
 _ECHO_STRENGTH = 1.5
-_LEFT_OVER_SHARE = 0.4
+_LEFT_OVER_SHARE = 0.5
 _LEFT_OVER_S = 4.0
 _TURN_BACK_S = 0.5
+_TURN_BACK_ABOVE = 1.3
+"""The jet turns back once it is this much stronger than the stroke that feeds it."""
 _JET_BUILD_UP_S = 2.0
 _VORTEX_S = 3.0
 _QUIET = 2.5e-3
@@ -54,23 +64,29 @@ STATES = (
 def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
     """Rates of the states.
 
-    Inputs: tip angle and rate; tip rate one dead time ago, and one dead time and one echo ago; servo angle
-    one angle dead time ago; two white noises.
+    Inputs: tip angle and rate; tip rate one dead time ago, one echo before that, and a quarter of a stroke before
+    it; servo angle one angle dead time ago; two white noises.
     """
-    tip_rate, late_rate, echo_rate = u[1], u[2], u[3]
-    dx[0] = (abs(late_rate) * _TO_AMPLITUDE - x[0]) / _AMPLITUDE_LAG_S
+    tip_rate, late_rate, echo_rate, quarter_rate = u[1], u[2], u[3], u[4]
+    # Above 40 deg the thrust rises faster than the line of (5.5), then saturates and is on the line again at 60 deg.
+    # This bends the stroke before its lag, so that steps keep the lag of (5.5).
+    amplitude = math.sqrt(late_rate * late_rate + quarter_rate * quarter_rate) / (_OMEGA * _TIP_GAIN)
+    place = min(1.0, max(0.0, (amplitude - _BEND_FROM_RAD) / _BEND_WIDTH_RAD))
+    bend = p[6] * 16.0 * (place * (1.0 - place)) ** 2
+    dx[0] = (abs(late_rate) * _TO_AMPLITUDE + bend - x[0]) / _AMPLITUDE_LAG_S
     dx[1] = (x[0] - x[1]) / _AMPLITUDE_LAG_S
     # When the tail stops driving, the jet turns at the wall and comes back as a current that dies out in seconds.
-    turning = max(0.0, x[2] - 1.1 * x[1])
-    dx[2] = max(0.0, x[1] - x[2]) / _JET_BUILD_UP_S - turning / _TURN_BACK_S
+    # It follows a stroke that weakens slowly.
+    turning = max(0.0, x[2] - _TURN_BACK_ABOVE * x[1])
+    dx[2] = (x[1] - x[2]) / _JET_BUILD_UP_S - turning / _TURN_BACK_S
     dx[3] = p[4] * turning / _TURN_BACK_S - x[3] / _LEFT_OVER_S
     dx[4] = (late_rate * late_rate - x[4]) / _AMPLITUDE_LAG_S
     dx[5] = (echo_rate * echo_rate - x[5]) / _AMPLITUDE_LAG_S
     dx[6] = (late_rate * echo_rate - x[6]) / _AMPLITUDE_LAG_S
-    dx[7] = (p[1] * u[4] - x[7]) / _ANGLE_LAG_S
+    dx[7] = (p[1] * u[5] - x[7]) / _ANGLE_LAG_S
     stirring = math.sqrt(2.0 / _VORTEX_S) * p[5] * x[2]
-    dx[8] = stirring * u[5] - x[8] / _VORTEX_S
-    dx[9] = stirring * u[6] - x[9] / _VORTEX_S
+    dx[8] = stirring * u[6] - x[8] / _VORTEX_S
+    dx[9] = stirring * u[7] - x[9] / _VORTEX_S
     side = -p[2] * tip_rate * abs(tip_rate)
     dx[10] = x[11]
     dx[11] = _ALONG * _ALONG * (side * math.sin(u[0]) - x[10]) - 2.0 * _WAVE_DAMPING * _ALONG * x[11]
@@ -108,6 +124,7 @@ def caudal_model() -> Model:
         "tip_rate",
         "tip_rate_late",
         "tip_rate_echo",
+        "tip_rate_quarter",
         "servo_angle_late",
         "noise_x",
         "noise_y",
@@ -123,7 +140,8 @@ def caudal_model() -> Model:
             Parameter("paddle", 0.02, unit="N s^2/rad^2"),
             Parameter("echo", 1.0),
             Parameter("left_over", _LEFT_OVER_SHARE),
-            Parameter("vortices", 0.05, unit="N/rad"),
+            Parameter("vortices", 0.035, unit="N/rad"),
+            Parameter("bend", _BEND_RAD, unit="rad"),
         ),
         conditions=(),
         sites=(Site("fish", "body", coordinate="0", rate="left_over"),),

@@ -17,6 +17,7 @@ from labrun_plugins.simulated.scenes.caudal_model import (
     AMPLITUDE_DEAD_S,
     ANGLE_DEAD_S,
     ECHO_S,
+    QUARTER_S,
     TIP_LAG_S,
     caudal_model,
 )
@@ -39,7 +40,8 @@ class CaudalTank(Bench):
 
     Physics and sources: see `caudal_model`.
 
-    A gait's mean thrust grows with its amplitude by 0.00912 N/deg at 1.4 Hz; off that frequency the waves
+    A gait's mean thrust is 0.00912 N/deg times its amplitude at 1.4 Hz, but somewhat more between
+    40 and 60 deg (it saturates); off that frequency the waves
     that come back from the walls of the 0.305 m tank turn the thrust round. A trial leaves sloshing waves
     (time constant about 3 s), a returning current (4 s) and random vortices (3 s) behind, which the next
     trial feels unless it waits.
@@ -72,7 +74,7 @@ class CaudalTank(Bench):
         self._late = DelayLine(self._steps(AMPLITUDE_DEAD_S + ECHO_S) + 2)
         self._angle = DelayLine(self._steps(ANGLE_DEAD_S) + 2)
         self._joint_before = np.zeros(1)
-        self._inputs_before = np.zeros((1, 7))
+        self._inputs_before = np.zeros((1, len(self._model.inputs)))
 
     def truth(self) -> dict[str, Any]:
         """Return parameters as they are on the bench, and hidden effects."""
@@ -96,14 +98,15 @@ class CaudalTank(Bench):
             self._joint_before = commanded[-1:].copy()
         tip = self._tip(servo)
         rate = (servo - tip) / TIP_LAG_S
-        late = self._late.after(rate, self._steps(AMPLITUDE_DEAD_S), self._steps(AMPLITUDE_DEAD_S + ECHO_S))
+        late_s = (0.0, ECHO_S, QUARTER_S)
+        late = self._late.after(rate, *(self._steps(AMPLITUDE_DEAD_S + more_s) for more_s in late_s))
         (late_angle,) = self._angle.after(servo, self._steps(ANGLE_DEAD_S))
         noise = self._settings.noise / math.sqrt(self.step_s) * self._rng.standard_normal((len(time_s), 2))
         inputs = np.empty((len(time_s) + 1, len(self._model.inputs)))
         inputs[0] = self._inputs_before
         for column, values in enumerate((tip, rate, *late, late_angle)):
             inputs[1:, column] = values
-        inputs[1:, 5:] = noise
+        inputs[1:, -2:] = noise
         force = self._stepper.advance(inputs)
         self._inputs_before = inputs[-1:].copy()
         if not self._stepper.finite:

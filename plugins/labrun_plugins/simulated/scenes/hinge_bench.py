@@ -69,9 +69,11 @@ class HingeBench(Bench):
     swings are damped a little more than the map says, smaller ones a little less; a linear fit sees the difference
     in its residual, and hardly in b.
 
-    Stiffness and damping scatter as in Table 3.2. Chosen: nearly all of it is between setups (one setup a run), and
-    0.1 % and 0.5 % is left between the releases of one. The joint ``hinge`` is held while a command for it runs, and
-    free when it has ended.
+    Stiffness and damping scatter as in Table 3.2. Chosen: nearly all of it is between setups, and 0.1 % and 0.5 % is
+    left between the releases of one. A run begins with one setup, and every change of specimen makes another: a
+    specimen that is taken off and comes back later is mounted anew.
+
+    The joint ``hinge`` is held while a command for it runs, and free when it has ended.
 
     Signals: ``arm_x`` ... ``arm_qw``, pose of the body in the room (m; unit quaternion; the hinge axis is y,
     the pivot at (0.2, 0, 1.1) m), and ``hinge``, its angle from hanging straight down (rad).
@@ -88,8 +90,9 @@ class HingeBench(Bench):
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
         scatter = self._settings.scatter * self._settings.noise
-        self._setup_scale = 1.0 + scatter * np.array(_BETWEEN_SETUPS) * rng.standard_normal(2)
+        self._setup_sd = scatter * np.array(_BETWEEN_SETUPS)
         self._release_sd = scatter * np.array(_BETWEEN_RELEASES)
+        self._setup_scale = 1.0 + self._setup_sd * rng.standard_normal(2)
         self._scales = self._setup_scale.copy()
         self._releases: list[list[float]] = []
         self._held = False
@@ -97,36 +100,47 @@ class HingeBench(Bench):
         self._put({name: getattr(self._settings, name) for name in ("width_mm", "length_mm", "area_cm2")})
 
     def arrange(self, condition: Mapping[str, float | str]) -> None:
-        """Mount another specimen where the condition names ``width_mm``, ``length_mm`` or ``area_cm2``."""
+        """Mount another specimen where the condition names another ``width_mm``, ``length_mm`` or ``area_cm2``."""
         wanted = {name: float(condition.get(name, size)) for name, size in self._specimen.items()}
         if wanted != self._specimen:
             state = self._stepper.state
             self._put(wanted)
             self._stepper.state = state
+            self._setup_scale = self._mounted()
+            self._scales = self._setup_scale.copy()
 
     def truth(self) -> dict[str, Any]:
         """Return specimen, parameters as they are on the bench, drag, and hidden effects.
 
-        ``parameters`` are those of the setup; ``releases`` gives time (s), stiffness and damping of each of the
-        latest 200 releases.
+        ``parameters`` are those of the present setup; ``releases`` gives time (s), stiffness and damping of each of
+        the latest 200 releases, whatever specimen it was of.
         """
-        values = dict(
-            zip((one.name for one in self._model.parameters), self._model.values.tolist(), strict=True)
-        )
-        nominal = values["stiffness"], values["damping"]
+        values = self._nominal()
         values["stiffness"] *= float(self._setup_scale[0])
         values["damping"] *= float(self._setup_scale[1])
         return {
             "specimen": dict(self._specimen),
             "parameters": values,
-            "releases": [
-                {"time_s": time_s, "stiffness": k * nominal[0], "damping": b * nominal[1]}
-                for time_s, k, b in self._releases
-            ],
+            "releases": [{"time_s": time_s, "stiffness": k, "damping": b} for time_s, k, b in self._releases],
             "parameter_errors": dict(self._settings.parameters),
             "built_in": [described(self._drag)],
             "hidden": [described(effect) for effect in self._hidden],
         }
+
+    def _mounted(self) -> FloatArray:
+        """Return the factors on stiffness and damping that one mounting of the specimen has.
+
+        The specimen is part of the seed: runs of other specimens with one seed must not share their scatter.
+        """
+        nanometres = (round(1e6 * size) for size in self._specimen.values())
+        rng = np.random.default_rng((int(self._rng.integers(2**63)), *nanometres))
+        factors: FloatArray = 1.0 + self._setup_sd * rng.standard_normal(2)
+        return factors
+
+    def _nominal(self) -> dict[str, float]:
+        """Return the parameters of the specimen before scatter."""
+        names = (one.name for one in self._model.parameters)
+        return dict(zip(names, self._model.values.tolist(), strict=True))
 
     def _put(self, specimen: dict[str, float]) -> None:
         width_m, length_m = specimen["width_mm"] * 1e-3, specimen["length_mm"] * 1e-3
@@ -165,7 +179,9 @@ class HingeBench(Bench):
             else:
                 if self._held:
                     self._scales = self._setup_scale * (1.0 + self._release_sd * self._rng.standard_normal(2))
-                    self._releases.append([float(time_s[first]), *self._scales.tolist()])
+                    nominal = self._nominal()
+                    k, b = self._scales * (nominal["stiffness"], nominal["damping"])
+                    self._releases.append([float(time_s[first]), float(k), float(b)])
                     del self._releases[:-_REMEMBERED_RELEASES]
                 inputs = np.broadcast_to(self._scales, (last - first + 1, 2))
                 angle[first:last] = self._stepper.advance(inputs)[:, 0]
