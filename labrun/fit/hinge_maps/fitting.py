@@ -1,0 +1,168 @@
+"""From runs of specimens to the maps of chapter 3."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.errors import FitError
+from labrun.fit.hinge_maps.forms import SYMBOLS, UNITS, Form, Quantity
+from labrun.fit.hinge_maps.polynomial import FittedMap, fit_polynomial
+from labrun.fit.hinge_maps.specimens import SIZES, Specimen, load_specimens
+from labrun.fit.hinge_maps.tables import coefficient_table, quality_table, specimen_table
+from labrun.fit.hinge_maps.told import findings, map_warnings, warnings
+from labrun.fit.hinge_model import FOUND
+from labrun.fit.summary import FitSummary, FittedData
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from labrun.fit.method import FitJob
+
+FloatArray = NDArray[np.float64]
+
+METHOD = "hinge-maps"
+_QUANTITIES: tuple[Quantity, ...] = ("damping", "stiffness")
+_ALIKE = 1e-6
+
+
+def fit_hinge_maps(
+    job: "FitJob", *, stated: Mapping[str, float] | None = None, way: str = "simulation"
+) -> FitSummary:
+    """Fit k and b of every specimen, then polynomials in the sizes that differ between specimens.
+
+    One size alone gives (3.6) over the body's area (b only: the hinge is the same), (3.7) and (3.8) over the hinge's
+    width, (3.9) and (3.10) over its length; several give b(a, l, w) by (3.11) and k(l, w) by (3.12).
+
+    Parameters
+    ----------
+    job
+        Its model states the body, with the names of conditions in its equations; its runs' conditions name
+        ``width_mm``, ``length_mm`` and ``area_cm2``.
+    stated
+        Sizes that conditions do not name.
+    way
+        Which estimate of each release: "simulation" or "fourier".
+
+    Raises
+    ------
+    RequestError, FitError, ModelError
+        See `load_specimens`, `body_of` and `fit_polynomial`; all releases are of one specimen.
+    """
+    specimens = load_specimens(job, stated or {})
+    forms = _forms(specimens.every)
+    job.note("fitting the maps")
+    maps = {way: _maps(forms, specimens.every, way, job.rng)}
+    other = "fourier" if way == "simulation" else "simulation"
+    maps[other] = _maps(forms, specimens.every, other, job.rng)
+    found = maps[way]
+
+    def picture() -> "Figure":
+        from labrun.fit.hinge_maps.figure import draw_maps
+
+        return draw_maps(found, specimens.every, way)
+
+    name = " + ".join([specimens.first.name, *specimens.more])
+    return FitSummary(
+        METHOD,
+        ", ".join(one.form.label for one in found),
+        FittedData(name, specimens.first.kind, specimens.trials, specimens.left_out),
+        {name: estimate for one in found for name, estimate in one.estimates.items()},
+        {one.form.quantity: float(np.sqrt(np.mean((one.measured - one.fitted) ** 2))) for one in found},
+        {one.form.quantity: UNITS[one.form.quantity] for one in found},
+        tables=(
+            *(specimen_table(one, specimens.every, way) for one in found),
+            quality_table(found),
+            *(coefficient_table(one) for one in found),
+        ),
+        findings=tuple(findings(found, maps[other], specimens.every, way)),
+        warnings=(
+            *specimens.refused,
+            *(text for one in found for text in map_warnings(one)),
+            *warnings(found, specimens.every, way),
+        ),
+        details={
+            "way": way,
+            "specimens": [_specimen_json(one) for one in specimens.every],
+            "maps": [_map_json(one) for one in found],
+        },
+        picture=picture,
+    )
+
+
+def _forms(specimens: Sequence[Specimen]) -> list[Form]:
+    """Return the maps that the specimens ask for: over what differs between them."""
+    distinct = {name: _distinct([one.sizes[name] for one in specimens]) for name in SIZES}
+    varied = [name for name, count in distinct.items() if count > 1]
+    if not varied:
+        raise FitError(
+            "all releases are of specimens of one size: there is nothing to draw a map over",
+            hint="--model hinge fits stiffness and damping of one specimen; a map needs three sizes or more, "
+            "perhaps of other runs (--with RUN)",
+        )
+    straight = [name for name in varied if distinct[name] == 2]
+    # the hinge is what is stiff: the body's area has no part in k
+    asked = (
+        (quantity, [name for name in varied if quantity == "damping" or name != "a"])
+        for quantity in _QUANTITIES
+    )
+    return [Form.of(quantity, names, straight) for quantity, names in asked if names]
+
+
+def _distinct(values: Sequence[float]) -> int:
+    ordered = np.sort(values)
+    return 1 + int(np.count_nonzero(np.diff(ordered) > _ALIKE * ordered[1:]))
+
+
+def _maps(
+    forms: Sequence[Form], specimens: Sequence[Specimen], way: str, rng: np.random.Generator
+) -> list[FittedMap]:
+    sizes = {name: np.array([one.sizes[name] for one in specimens]) for name in SIZES}
+    columns = {quantity: FOUND.index(quantity) for quantity in _QUANTITIES}
+    return [
+        fit_polynomial(form, sizes, [one.by(way)[0][:, columns[form.quantity]] for one in specimens], rng=rng)
+        for form in forms
+    ]
+
+
+def _specimen_json(specimen: Specimen) -> dict[str, Any]:
+    estimates = {
+        f"{SYMBOLS[quantity]}{suffix}": {"value": of[quantity].value, "ci95": list(of[quantity].ci95)}
+        for suffix, of in (("", specimen.estimates), ("_fourier", specimen.fourier_estimates))
+        for quantity in _QUANTITIES
+    }
+    return {
+        "specimen": specimen.label,
+        "run": specimen.run,
+        **{name: specimen.sizes[letter] / factor for letter, (name, factor) in SIZES.items()},
+        "releases": len(specimen.values),
+        "inertia_kg_m2": specimen.body.inertia,
+        "gravity_torque_n_m": specimen.body.gravity_torque,
+        **estimates,
+        "warnings": list(specimen.warnings),
+    }
+
+
+def _map_json(one: FittedMap) -> dict[str, Any]:
+    def number(value: float) -> float | None:
+        return float(value) if np.isfinite(value) else None
+
+    rows = zip(one.form.names, one.by_releases, one.by_scatter, strict=True)
+    return {
+        "map": one.form.label,
+        "range_m": {name: [float(values.min()), float(values.max())] for name, values in one.sizes.items()},
+        "mae": one.mae,
+        "mae_percent": one.percent(one.mae),
+        "left_out_mae": number(one.left_out_mae),
+        "left_out_mae_percent": number(one.percent(one.left_out_mae)),
+        "condition_number": one.condition,
+        "condition_number_raw": one.raw_condition,
+        "intervals": {
+            name: {
+                "releases": [number(end) for end in releases],
+                "scatter_between_specimens": [number(end) for end in scatter],
+            }
+            for name, releases, scatter in rows
+        },
+    }
