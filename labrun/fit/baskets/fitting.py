@@ -1,0 +1,249 @@
+"""Every basket fitted to every output, and which one to take."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.errors import FitError, RequestError
+from labrun.fit.baskets.solving import Solved, collinear, condition, fit_basket
+from labrun.fit.baskets.terms import column, unit
+from labrun.fit.estimate import Estimate
+from labrun.fit.signals import SignalSet, SignalTrial, load_signals, trailing_mean
+from labrun.fit.summary import FitSummary, FittedData, TextTable
+
+if TYPE_CHECKING:
+    from labrun.fit.method import FitJob
+    from labrun.fit.methods.least_squares import LeastSquaresSettings
+
+FloatArray = NDArray[np.float64]
+_ENDS = 4
+_FEW = 3
+"""Fewer trials than this are cut into blocks of time."""
+
+
+def fit_baskets(job: "FitJob", settings: "LeastSquaresSettings") -> FitSummary:
+    """Fit eq. (5.4) with each basket, and recommend one.
+
+    The basket taken is, among those whose X'X is conditioned no worse than `largest_condition`, the one of fewest
+    terms whose cross-validated error is within one standard error of the best of them, for every output.
+
+    Raises
+    ------
+    RequestError
+        Terms that cannot be read; an average over cycles of a gait that has none; several runs.
+    FitError
+        Too little data for three groups.
+    """
+    if job.more:
+        raise RequestError("least-squares takes one run", hint="repeat its trials instead: [trial] repeats")
+    both = set(settings.inputs) & set(settings.outputs)
+    if both:
+        raise RequestError(
+            f"{', '.join(sorted(both))}: an input and an output of that name", hint="rename one"
+        )
+    data = load_signals(job.target, {**settings.inputs, **settings.outputs}, rate_hz=settings.rate_hz)
+    groups = _groups(data, settings)
+    raw, matrices = {}, {}
+    for name, terms in settings.baskets.items():
+        job.note(f"basket {name}")
+        raw[name], matrices[name] = _matrix(data, terms, settings)
+    measured = {
+        o: np.concatenate([t.values[o][_skip(t, settings) :] for t in data.trials]) for o in settings.outputs
+    }
+    solved = {
+        output: {name: fit_basket(matrices[name], values, groups, job.rng) for name in matrices}
+        for output, values in measured.items()
+    }
+    conditions = {name: condition(values) for name, values in raw.items()}
+    ranks = {name: collinear(values, settings.baskets[name]) for name, values in raw.items()}
+    taken, best = _choice(settings, solved, conditions)
+    return _summary(data, settings, solved, measured, conditions, ranks, taken, best)
+
+
+def _skip(trial: SignalTrial, settings: "LeastSquaresSettings") -> int:
+    """Return how many samples at the beginning have no full history."""
+    return round(settings.delay_s / trial.step_s) + _cycle(trial, settings)
+
+
+def _cycle(trial: SignalTrial, settings: "LeastSquaresSettings") -> int:
+    if settings.average == "none":
+        return 1
+    if trial.period_s is None:
+        raise RequestError(
+            f"the gait of {trial.label} has no cycle to average over", hint='set average = "none"'
+        )
+    return max(1, round(trial.period_s / trial.step_s))
+
+
+def _matrix(
+    data: SignalSet, terms: Sequence[str], settings: "LeastSquaresSettings"
+) -> tuple[FloatArray, FloatArray]:
+    """Return the terms as they are, and as regressors: delayed, averaged, without the beginning of each trial."""
+    plain, ready = [], []
+    for trial in data.trials:
+        signals = {name: trial.values[name] for name in settings.inputs}
+        columns = [column(term, signals, trial.step_s) for term in terms]
+        late, cycle = round(settings.delay_s / trial.step_s), _cycle(trial, settings)
+        skip = _skip(trial, settings)
+        if len(trial.time_s) <= skip + 2:
+            raise FitError(f"{trial.label} is shorter than the delay and a cycle together")
+        kept = [trailing_mean(one[: len(one) - late], cycle)[skip - late :] for one in columns]
+        if settings.intercept:
+            kept.append(np.ones(len(kept[0])))
+        # one-sided differences at the ends would hide that b'' of a sine is a multiple of b
+        plain.append(np.column_stack(columns)[_ENDS:-_ENDS])
+        ready.append(np.column_stack(kept))
+    return np.concatenate(plain), np.concatenate(ready)
+
+
+def _groups(data: SignalSet, settings: "LeastSquaresSettings") -> NDArray[np.int64]:
+    numbers: list[NDArray[np.int64]] = []
+    used = 0
+    for trial in data.trials:
+        time_s = trial.time_s[_skip(trial, settings) :]
+        if len(data.trials) >= _FEW:
+            here = np.zeros(len(time_s), dtype=np.int64)
+        else:
+            blocks = max(1, round((time_s[-1] - time_s[0]) / settings.block_s))
+            here = np.arange(len(time_s)) * blocks // len(time_s)
+        numbers.append(here + used)
+        used = int(numbers[-1][-1]) + 1
+    if used < _FEW:
+        raise FitError(
+            f"{data.name}: {used} block(s) of {settings.block_s:g} s are too few to cross-validate",
+            hint="record longer, repeat the trial, or set a shorter block_s",
+        )
+    return np.concatenate(numbers)
+
+
+def _choice(
+    settings: "LeastSquaresSettings",
+    solved: Mapping[str, Mapping[str, Solved]],
+    conditions: Mapping[str, float],
+) -> tuple[str, str]:
+    names = list(settings.baskets)
+
+    def error(name: str) -> float:
+        # each output counts by what share of its best error a basket has
+        return float(np.mean([of[name].cv / min(one.cv for one in of.values()) for of in solved.values()]))
+
+    best = min(names, key=error)
+    sound = [name for name in names if conditions[name] <= settings.largest_condition] or [
+        min(names, key=lambda name: conditions[name])
+    ]
+    leaders = {o: min((of[name] for name in sound), key=lambda one: one.cv) for o, of in solved.items()}
+    fit_for_it = [
+        name
+        for name in sound
+        if all(solved[o][name].cv <= lead.cv + lead.cv_error for o, lead in leaders.items())
+    ]
+    return min(fit_for_it or sound, key=lambda name: (len(settings.baskets[name]), error(name))), best
+
+
+def _summary(
+    data: SignalSet,
+    settings: "LeastSquaresSettings",
+    solved: Mapping[str, Mapping[str, Solved]],
+    measured: Mapping[str, FloatArray],
+    conditions: Mapping[str, float],
+    ranks: Mapping[str, tuple[int, list[str]]],
+    taken: str,
+    best: str,
+) -> FitSummary:
+    from labrun.fit.baskets.figure import draw_baskets
+
+    first = data.trials[0]
+    start = _skip(first, settings)
+    output_units = {name: data.units[name] for name in solved}
+    units = {**data.units, **settings.units}
+    terms = [*settings.baskets[taken], *["1"] * settings.intercept]
+    parameters, tables = {}, []
+    for output, of in solved.items():
+        for place, term in enumerate(terms):
+            one = of[taken]
+            named = output_units[output] if term == "1" else unit(term, output_units[output], units)
+            ends = (float(one.low[place]), float(one.high[place]))
+            parameters[f"{output}: {term}"] = Estimate(float(one.coefficients[place]), ends, named)
+        span = float(np.max(np.abs(measured[output])))
+        rows = tuple(
+            (
+                name, f"{one.mae:.4f}", f"{100 * one.mae / span:.2f}", f"{one.cv:.4f} +- {one.cv_error:.4f}",
+                f"{one.aicc:.1f}", f"{conditions[name]:.1e}", f"{ranks[name][0]}/{len(settings.baskets[name])}",
+            )
+            for name, one in of.items()
+        )  # fmt: skip
+        header = (
+            "basket",
+            f"MAE {output_units[output]}",
+            "MAE %",
+            "cross-validated",
+            "AICc",
+            "cond X'X",
+            "rank",
+        )
+        tables.append(TextTable(f"{output} (% of its largest magnitude, {span:.3g})", header, rows))
+    findings = [_reason(settings, solved, conditions, taken, best)]
+    warnings = [f"{name}: collinear: {'; '.join(lost)}" for name, (_, lost) in ranks.items() if lost]
+    whole = len(data.trials) >= _FEW
+    findings.append(
+        f"cross-validation and intervals leave out and resample whole {'trials' if whole else 'blocks of time'}"
+        + ("" if whole else f" of about {settings.block_s:g} s, as there are fewer than {_FEW} trials")
+    )
+    if whole and len(data.trials) < 5:
+        warnings.append(f"intervals rest on {len(data.trials)} trials only and are coarse")
+    if settings.average == "cycle" and any(one.average == "none" for one in settings.outputs.values()):
+        warnings.append("regressors are averaged over a cycle, but not every output is")
+    return FitSummary(
+        "least-squares",
+        f"basket {{{taken}}}",
+        FittedData(data.name, data.kind, len(data.trials), data.left_out),
+        parameters,
+        {output: of[taken].rmse for output, of in solved.items()},
+        output_units,
+        tables=tuple(tables),
+        findings=tuple(findings),
+        warnings=tuple(warnings),
+        details={
+            "taken": taken,
+            "best": best,
+            "coefficients": {
+                output: {name: one.coefficients.tolist() for name, one in of.items()}
+                for output, of in solved.items()
+            },
+            "intervals": {
+                output: {name: [one.low.tolist(), one.high.tolist()] for name, one in of.items()}
+                for output, of in solved.items()
+            },
+            "mae": {output: {name: one.mae for name, one in of.items()} for output, of in solved.items()},
+            "condition": dict(conditions),
+        },
+        picture=lambda: draw_baskets(
+            first.time_s[start:], measured, solved, conditions, taken, best, next(iter(output_units.values()))
+        ),
+    )
+
+
+def _reason(
+    settings: "LeastSquaresSettings",
+    solved: Mapping[str, Mapping[str, Solved]],
+    conditions: Mapping[str, float],
+    taken: str,
+    best: str,
+) -> str:
+    text = (
+        f"take {{{taken}}}: of the baskets whose X'X is conditioned no worse than {settings.largest_condition:.0e}, "
+        f"it has the fewest terms within one standard error of the best cross-validated error"
+    )
+    if sum(value <= settings.largest_condition for value in conditions.values()) < 2:
+        text = (
+            f"take {{{taken}}}: it alone is conditioned no worse than the limit set, {settings.largest_condition:.0e} "
+            "(largest_condition); the limit decides here, not the errors"
+        )
+    if best == taken:
+        return f"{text}; it is also the best of all"
+    gains = ", ".join(f"{o} {100 * (1 - of[best].cv / of[taken].cv):.0f} %" for o, of in solved.items())
+    near = "its X'X is near singular, so its coefficients hold for these inputs only"
+    why = near if conditions[best] > settings.largest_condition else "the gain is within one standard error"
+    return f"{text}. {{{best}}} has a lower cross-validated error ({gains}), but {why}"
