@@ -1,0 +1,100 @@
+"""What a fitted transfer function leaves unexplained, and what its data cannot tell."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.fit.correlation import correlation_length
+from labrun.fit.transfer.fitting import TransferFit
+
+FloatArray = NDArray[np.float64]
+_CLOSE = 0.1
+_LAGS = 100
+
+
+def leftovers(fit: TransferFit, name: str, unit: str) -> list[str]:
+    """Return in words how large the residual is, whether it is white, and whether it still follows the input."""
+    residuals = fit.residuals()
+    spread = np.sqrt(np.mean(np.concatenate([_centred(t.measured[t.used]) for t in fit.trials]) ** 2))
+    share = 100.0 * fit.rmse / spread if spread > 0 else 0.0
+    step_s = fit.trials[0].step_s
+    length = correlation_length(residuals)
+    white = (
+        "neighbouring samples of it are unrelated (white)"
+        if length < 3.0
+        else f"it stays correlated for {length * step_s:.2g} s: slow disturbance or dynamics that the model lacks"
+    )
+    found = [
+        f"{name}: what is left is {fit.rmse:.3g} {unit} RMS, {share:.2g} % of the output's variation; {white}"
+    ]
+    strongest, limit = _input_correlation(fit, residuals, length)
+    if strongest > limit:
+        found.append(
+            f"{name}: the residual still follows the input (correlation {strongest:.2f}, chance gives {limit:.2f}): "
+            "more poles or zeros, or a nonlinearity, would explain more"
+        )
+    else:
+        found.append(
+            f"{name}: the residual does not follow the input (correlation {strongest:.2f}, chance {limit:.2f})"
+        )
+    return found
+
+
+def warnings_of(fit: TransferFit, name: str) -> list[str]:
+    """Return what to know before trusting the numbers."""
+    said = []
+    if fit.blocks:
+        said.append(
+            f"{name}: one trial: intervals rest on {fit.blocks} parts of it, not on independent repeats"
+        )
+    elif len(fit.trials) < 4:
+        said.append(
+            f"{name}: only {len(fit.trials)} trials: the intervals rest on their differences, and are wide"
+        )
+    step_s = fit.trials[0].step_s
+    if fit.shape.dead_time and fit.transfer.dead_s < step_s:
+        said.append(
+            f"{name}: the dead time, {fit.transfer.dead_s:.2g} s, is below a sample ({step_s:.2g} s): leave it out"
+        )
+    for pole in fit.transfer.poles:
+        slow_s = 1.0 / max(abs(pole), 1e-300)
+        if slow_s < step_s:
+            said.append(
+                f"{name}: a time constant of {slow_s:.2g} s is below a sample ({step_s:.2g} s): not determined"
+            )
+        said += [
+            f"{name}: a pole and a zero nearly cancel at {abs(pole):.3g} rad/s: one of each fewer fits as well"
+            for zero in fit.transfer.zeros
+            if abs(pole - zero) < _CLOSE * abs(pole)
+        ]
+    spread = np.std(fit.draws, axis=0)
+    said += [
+        f"{name}: the data do not determine denominator number {place + 1}: it varies by more than its value "
+        "between resamples; record a faster input, more trials, or fit fewer poles"
+        for place in range(fit.shape.poles)
+        if spread[place] > 1.0
+    ]
+    return said
+
+
+def _centred(values: FloatArray) -> FloatArray:
+    return values - np.mean(values)
+
+
+def _input_correlation(fit: TransferFit, residuals: list[FloatArray], length: float) -> tuple[float, float]:
+    """Return the largest correlation of residual and earlier input, and what chance gives in 1 of 20 fits."""
+    total = np.zeros(_LAGS)
+    inputs = outputs = 0.0
+    count = 0
+    for trial, residual in zip(fit.trials, residuals, strict=True):
+        given = _centred(trial.given[trial.used])
+        rest = _centred(residual)
+        lags = min(_LAGS, len(rest) // 2)
+        for lag in range(lags):
+            total[lag] += rest[lag:] @ given[: len(given) - lag]
+        inputs += float(given @ given)
+        outputs += float(rest @ rest)
+        count += len(rest)
+    if inputs == 0.0 or outputs == 0.0:
+        return 0.0, 0.0
+    largest = float(np.max(np.abs(total)) / np.sqrt(inputs * outputs))
+    return largest, float(min(3.5 * np.sqrt(max(length, 1.0) / count), 1.0))

@@ -1,0 +1,58 @@
+"""Whether a pole or a zero more or less would be worth it."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.fit.correlation import correlation_length
+from labrun.fit.summary import TextTable
+from labrun.fit.transfer.fitting import TransferFit
+from labrun.fit.transfer.shape import Shape
+from labrun.fit.transfer.starts import best_fit
+
+FloatArray = NDArray[np.float64]
+_WORTH = 0.05
+"""A fall of the error by less is not worth another number."""
+
+
+def compare_orders(fit: TransferFit, name: str) -> tuple[TextTable, list[str]]:
+    """Return the neighbouring orders with error and Akaike's criterion, and a sentence on each that is larger.
+
+    The criterion counts independent samples: those there are over the residual's correlation length.
+    """
+    shape = fit.shape
+    shapes = [shape]
+    for poles, zeros in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        p, z = shape.poles + poles, shape.zeros + zeros
+        if p >= 1 and 0 <= z <= p:
+            shapes.append(Shape(p, z, shape.dead_time, offset=shape.offset, initial=shape.initial))
+    residuals = fit.residuals()
+    count = sum(len(part) for part in residuals)
+    effective = count / max(correlation_length(residuals), 1.0)
+    rows, said = [], []
+    for other in sorted(shapes, key=lambda one: (one.poles, one.zeros)):
+        squares = (
+            fit.point.squares
+            if other is shape
+            else best_fit(other, fit.trials, starts=2, near=_near(fit, other)).squares
+        )
+        rms = float(np.sqrt(squares / count))
+        aic = effective * float(np.log(max(squares, 1e-300) / count)) + 2.0 * other.size
+        mark = " (this one)" if other is shape else ""
+        rows.append((f"{other.poles}{mark}", str(other.zeros), f"{rms:.4g}", f"{aic:.1f}"))
+        if other.poles + other.zeros > shape.poles + shape.zeros:
+            fall = 1.0 - np.sqrt(squares / max(fit.point.squares, 1e-300))
+            what = "a pole more" if other.poles > shape.poles else "a zero more"
+            verdict = "not worth it" if fall < _WORTH else "worth a try"
+            said.append(f"{name}: {what} would lower the error by {100 * max(fall, 0.0):.2g} %: {verdict}")
+    header = ("poles", "zeros", f"RMS, {fit.transfer.output_unit}", "AIC")
+    return TextTable(f"{name}: other orders", header, tuple(rows)), said
+
+
+def _near(fit: TransferFit, other: Shape) -> list[FloatArray]:
+    """Return this fit as a point of another order: a pole more is a fast one, which changes little."""
+    poles = fit.transfer.poles
+    if other.poles > fit.shape.poles:
+        poles = np.append(poles, -1.0 / fit.trials[0].step_s)
+    elif other.poles < fit.shape.poles:
+        return []
+    return [other.at(poles, fit.transfer.dead_s)]

@@ -1,0 +1,82 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lsim
+
+from labrun.fit.methods.transfer_function import TransferFunctionFit, TransferFunctionSettings
+from labrun.fit.run_fit import fit as run_fit
+from labrun.fit.transfer.findings import warnings_of
+from labrun.fit.transfer.fitting import fit_transfer
+from labrun.fit.transfer.shape import Shape
+from labrun.fit.transfer.transfer import Transfer
+from labrun.fit.transfer.trials import ResponseTrial
+
+TIME_S = np.arange(0.0, 10.0, 0.02)
+SILVERBOX = Path(__file__).parents[3] / "shared" / "data" / "silverbox"
+
+
+def trials_of(transfer, rng, count=4, noise=0.02):
+    found = []
+    for number in range(count):
+        given_ = np.cumsum(rng.standard_normal(len(TIME_S))) * 0.2
+        clean = transfer.simulate(TIME_S, given_)
+        measured = clean + noise * rng.standard_normal(len(TIME_S))
+        found.append(ResponseTrial(f"trial {number}", TIME_S, given_, measured, TIME_S >= 0))
+    return found
+
+
+@given(speed=st.floats(1, 20), damping=st.floats(0.05, 2), zero=st.sampled_from([-0.5, 0.0, 0.5]))
+@settings(max_examples=20, deadline=None)
+def test_a_second_order_system_answers_as_scipy_says(speed, damping, zero):
+    transfer = Transfer((zero, 2.0), (1 / speed**2, 2 * damping / speed, 1.0))
+    values = np.sin(3 * TIME_S) + 0.3 * TIME_S
+    _, expected, _ = lsim((transfer.numerator, transfer.denominator), values, TIME_S)
+    assert transfer.simulate(TIME_S, values) == pytest.approx(expected, abs=1e-6)
+
+
+@given(speed=st.floats(1, 10), damping=st.floats(0.1, 1.0), seed=st.integers(0, 9))
+@settings(max_examples=5, deadline=None)
+def test_poles_and_dead_time_come_back(speed, damping, seed):
+    truth = Transfer((2.0,), (1 / speed**2, 2 * damping / speed, 1.0), 0.11)
+    rng = np.random.default_rng(seed)
+    fit = fit_transfer(
+        trials_of(truth, rng, count=2, noise=1e-4), Shape(2, 0, initial="free"), rng=rng, starts=1
+    )
+    assert fit.transfer.gain == pytest.approx(2.0, rel=0.02)
+    omega = np.geomspace(0.3, 10, 20)
+    assert fit.transfer.frequency_response(omega) == pytest.approx(truth.frequency_response(omega), rel=0.05)
+
+
+def test_the_interval_of_the_gain_holds_the_truth_about_as_often_as_it_says():
+    truth = Transfer((1.5,), (0.04, 0.2, 1.0))
+    held = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        fit = fit_transfer(trials_of(truth, rng), Shape(2, 0, dead_time=False), rng=rng, starts=1)
+        low, high = fit.estimate(lambda one: one.gain, "").ci95
+        held += low <= 1.5 <= high
+    assert held >= 16
+
+
+def test_a_pole_that_a_zero_cancels_is_warned_of():
+    rng = np.random.default_rng(1)
+    fit = fit_transfer(trials_of(Transfer((1.0,), (0.3, 1.0)), rng), Shape(2, 1, dead_time=False), rng=rng)
+    assert any("nearly cancel" in one or "do not determine" in one for one in warnings_of(fit, "y"))
+
+
+def test_more_zeros_than_poles_are_refused():
+    with pytest.raises(ValueError, match="zeros = 3"):
+        TransferFunctionSettings(poles=2, zeros=3)
+    assert TransferFunctionFit.Settings is TransferFunctionSettings
+
+
+@pytest.mark.skipif(not SILVERBOX.is_dir(), reason="the recordings are not here")
+def test_the_silverbox_is_an_oscillator_of_about_70_hz(tmp_path):
+    settings_ = {"poles": 2, "zeros": 0, "compare": False, "input": "drive", "output": "response"}
+    result = run_fit(SILVERBOX, method="transfer-function", settings=settings_, results=tmp_path)
+    pole = result.transfer.poles[0]
+    assert abs(pole) / (2 * np.pi) == pytest.approx(69.5, abs=1)
+    assert len(list(tmp_path.rglob("transfer-function.toml"))) == 1
