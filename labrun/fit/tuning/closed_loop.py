@@ -1,0 +1,193 @@
+"""The closed loop in time: the controller that runs on the bench, on the plant with its exact dead time."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.control.feedforward import FeedforwardPid
+from labrun.control.pid import PidController
+from labrun.control.protocol import LoopContext, Step
+from labrun.fit.tuning.controller import Gains
+from labrun.fit.tuning.loop import Loop
+from labrun.fit.tuning.sampled import SampledPlant, sample_plant
+
+FloatArray = NDArray[np.float64]
+
+WIDE = 1e12
+"""A range that bounds nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """A closed loop over time, all of shape (n,).
+
+    Attributes
+    ----------
+    time_s
+        Times of the loop's steps.
+    reference, output, feedback
+        In the plant's output unit; the output at the steps, and what the controller was told of it.
+    drive
+        What was set, within its range.
+    """
+
+    time_s: FloatArray
+    reference: FloatArray
+    output: FloatArray
+    feedback: FloatArray
+    drive: FloatArray
+
+
+class _Stepper:
+    """A sampled plant that is stepped; it begins at rest."""
+
+    def __init__(self, plant: SampledPlant, output: SampledPlant, count: int, drive: float) -> None:
+        self._plant, self._output = plant, output
+        self._before = max(tap.whole for tap in (*plant.taps, *output.taps))
+        self._states = np.zeros((count + self._before + 1, len(plant.input)))
+        self._drives = np.full(count + self._before + 1, drive)
+        self._states[0] = plant.at_rest(drive)
+        for k in range(self._before):  # the integral of an output at rest grows
+            self._advance(k)
+
+    def feedback(self, k: int) -> float:
+        """Return the sample of step k; the drives before it are set."""
+        k += self._before
+        total = 0.0
+        for tap in self._plant.taps:
+            total += float(tap.from_state @ self._states[k - tap.whole])
+            total += tap.from_drive * float(self._drives[k - tap.whole])
+        return total
+
+    def drive(self, k: int, value: float) -> None:
+        """Hold a drive from step k to the next."""
+        self._drives[k + self._before] = value
+        self._advance(k + self._before)
+
+    def outputs(self, count: int) -> FloatArray:
+        """Return the output at all steps."""
+        total = np.zeros(count)
+        for tap in self._output.taps:
+            rows = slice(self._before - tap.whole, self._before - tap.whole + count)
+            total += self._states[rows] @ tap.from_state + tap.from_drive * self._drives[rows]
+        return total
+
+    def _advance(self, row: int) -> None:
+        self._states[row + 1] = (
+            self._plant.transition @ self._states[row] + self._plant.input * self._drives[row]
+        )
+
+
+def run_loop(
+    gains: Gains,
+    loop: Loop,
+    reference: Callable[[float], float],
+    duration_s: float,
+    *,
+    bounds: tuple[float, float] = (-WIDE, WIDE),
+    start: float = 0.0,
+    load: Callable[[float], float] | None = None,
+    i_per: str = "second",
+) -> Track:
+    """Run a controller on the plant, from rest at the drive `start`.
+
+    Parameters
+    ----------
+    gains
+        For the plugin that the bench runs, which is what is run here.
+    loop
+        With a rate.
+    reference
+        Of time, s.
+    bounds
+        Range of the drive, as the loop clamps it.
+    load
+        Of time; is added to the drive behind the clamp.
+    i_per
+        How the plugin is given its integral; it makes no difference to what it does.
+    """
+    step_s = loop.step_s
+    count = round(duration_s / step_s) + 1
+    controller = make_controller(gains, loop, bounds, start, i_per)
+    plant = _Stepper(loop.sampled, sample_plant(loop.plant, step_s, extra_s=loop.compute_s), count, start)
+    time_s: FloatArray = np.arange(count, dtype=float) * step_s
+    wanted = np.array([reference(float(t)) for t in time_s])
+    seen, drives = np.empty(count), np.empty(count)
+    drive = start
+    for k in range(count):
+        now_s = float(time_s[k])
+        seen[k] = plant.feedback(k)
+        asked = controller.update(Step(now_s, step_s, float(wanted[k]), float(seen[k]), drive, reference))
+        drive = min(max(asked, bounds[0]), bounds[1])
+        controller.applied(drive)
+        drives[k] = drive
+        plant.drive(k, drive if load is None else drive + load(now_s))
+    return Track(time_s, wanted, plant.outputs(count), seen, drives)
+
+
+def make_controller(
+    gains: Gains, loop: Loop, bounds: tuple[float, float], start: float, i_per: str
+) -> PidController:
+    """Return the controller plugin with these gains."""
+    context = LoopContext(loop.step_s, bounds[0], bounds[1], start)
+    if gains.feedforward is None:
+        return PidController(gains.settings(loop.step_s, i_per, None), context)
+    model = {"gain": 1.0 / gains.feedforward, "lag_s": 0.0, "dead_s": 0.0}
+    return FeedforwardPid(gains.settings(loop.step_s, i_per, model), context)
+
+
+@dataclass(frozen=True, slots=True)
+class StepFigures:
+    """What a step of the reference leads to.
+
+    Attributes
+    ----------
+    overshoot
+        Of the output beyond the value it ends at, relative to the step; 0 if there is none.
+    settling_s
+        After which the output stays within 2 % of the step around the value it ends at; inf if it does not.
+    steady_error
+        What is left of the step, relative to it.
+    peak_drive
+        Largest drive per unit of the step, in the drive's unit per unit of the reference.
+    """
+
+    overshoot: float
+    settling_s: float
+    steady_error: float
+    peak_drive: float
+
+
+def step_figures(track: Track, steady_error: float) -> StepFigures:
+    """Return the figures of a unit step's track; `steady_error` is known from the static gains."""
+    end = 1.0 - steady_error
+    beyond = float(np.max(track.output)) - end if end >= 0 else end - float(np.min(track.output))
+    outside = np.flatnonzero(np.abs(track.output - end) > 0.02)
+    last = -1 if len(outside) == 0 else int(outside[-1])
+    settling_s = float(track.time_s[last + 1]) if last + 1 < len(track.time_s) else np.inf
+    peak = float(track.drive[int(np.argmax(np.abs(track.drive)))])
+    return StepFigures(max(beyond, 0.0), settling_s, steady_error, peak)
+
+
+def steady_error(gains: Gains, gain: float) -> float:
+    """Return what is left of a constant reference, relative to it: ``(1 - K F) / (1 + K p)``, 0 with an integral.
+
+    Parameters
+    ----------
+    gain
+        K, the plant's static gain; F is the feed-forward's, 0 without one.
+    """
+    if gains.i_per_s:
+        return 0.0
+    return (1.0 - gain * (gains.feedforward or 0.0)) / (1.0 + gain * gains.p)
+
+
+def horizon_s(loop: Loop, gains: Gains | None = None) -> float:
+    """Return how long a step is followed: many times what delays and lags it."""
+    slow = 2.0 * loop.delay_s + float(np.sum(loop.lags_s))
+    if gains is not None and gains.i_per_s:
+        # the slow tail of a weak integral
+        slow = max(slow, abs((1.0 + gains.p * loop.gain) / (gains.i_per_s * loop.gain)))
+    return 12.0 * slow

@@ -1,0 +1,125 @@
+"""All designs for one plant, judged: spread over plants, tracking, and which one to take."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from labrun.fit.transfer.transfer import Transfer
+from labrun.fit.tuning.design import Design, HalfSine, Spread
+from labrun.fit.tuning.designs import design_all, wanted_of
+from labrun.fit.tuning.loop import Loop
+from labrun.fit.tuning.optimum import keeps, worth
+from labrun.fit.tuning.settings import PidSettings
+
+_UNBOUNDED = (-1e12, 1e12)
+_NEARLY = 1.2
+"""Designs whose error is within this of the least are as good: then the drive's noise decides."""
+_LOST_SHARE = 0.025
+"""Share of plants on which a loop may be unstable before its margin counts as lost in the 95 % interval."""
+
+Errors = Mapping[float, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Study:
+    """What came out.
+
+    Attributes
+    ----------
+    loop
+        Around the fitted plant.
+    designs
+        Those that were given last.
+    spreads
+        By design; empty where there are no resampled plants.
+    errors
+        By design: mean magnitude of the tracking error over the first and the second arch, by factor of the plant's
+        gain; empty without a reference. Of stable loops only.
+    best
+        Name of the design to take; None if none keeps its margins.
+    scores
+        By design: the error that decides.
+    warnings
+        Of designs that could not be made.
+    """
+
+    settings: PidSettings
+    loop: Loop
+    designs: tuple[Design, ...]
+    spreads: Mapping[str, Spread]
+    errors: Mapping[str, Errors]
+    scores: Mapping[str, float]
+    best: str | None
+    warnings: tuple[str, ...]
+
+    def named(self, name: str) -> Design:
+        """Return a design."""
+        return next(one for one in self.designs if one.name == name)
+
+
+def study(plant: Transfer, plants: Sequence[Transfer], settings: PidSettings, average_s: float) -> Study:
+    """Design and judge.
+
+    Parameters
+    ----------
+    plant, plants
+        The fitted one, and those that the data do not tell apart from it.
+    average_s
+        Over which the feedback is a mean; 0 for none.
+
+    Raises
+    ------
+    FitError
+        The plant does not settle, or no design could be made.
+    """
+    loop = Loop(plant, settings.rate_hz, settings.compute_s, average_s)
+    designs, warnings = design_all(loop, settings)
+    around = [loop.with_plant(one) for one in plants]
+    spreads = {one.name: one.over(around) for one in designs} if around else {}
+    stable = [one for one in designs if one.margins.stable]
+    errors = _errors(stable, settings)
+    scores = {one.name: _score(one, errors.get(one.name), settings) for one in stable}
+    best = _best(stable, spreads, scores, settings)
+    return Study(settings, loop, tuple(designs), spreads, errors, scores, best, tuple(warnings))
+
+
+def lost(spread: Spread) -> bool:
+    """Tell whether a loop may be unstable on a plant within the fit's 95 % interval."""
+    return spread.unstable_share > _LOST_SHARE or spread.gain[0] <= 1.0
+
+
+def _errors(designs: Sequence[Design], settings: PidSettings) -> dict[str, Errors]:
+    if settings.reference is None:
+        return {}
+    table = settings.reference
+    reference = HalfSine(table.low, table.high, table.period_s)
+    off = settings.gain_error
+    factors = (1.0 - off, 1.0, 1.0 + off) if off else (1.0,)
+    bounds = settings.range or _UNBOUNDED
+    return {one.name: one.errors(reference, bounds, factors) for one in designs}
+
+
+def _score(design: Design, errors: Errors | None, settings: PidSettings) -> float:
+    if errors is not None:
+        return max(0.5 * (first + second) for first, second in errors.values())
+    return worth(design.loop, design.gains, wanted_of(settings))
+
+
+def _best(
+    stable: Sequence[Design],
+    spreads: Mapping[str, Spread],
+    scores: Mapping[str, float],
+    settings: PidSettings,
+) -> str | None:
+    wanted = wanted_of(settings)
+    fit = [
+        one
+        for one in stable
+        if one.source != "given"
+        and keeps(one.gains, one.loop, wanted)
+        and not (one.name in spreads and lost(spreads[one.name]))
+    ]
+    if not fit:
+        return None
+    least = min(scores[one.name] for one in fit)
+    near = [one for one in fit if scores[one.name] <= _NEARLY * least]
+    return min(near, key=lambda one: (one.noise_gain, scores[one.name])).name

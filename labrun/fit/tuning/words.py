@@ -1,0 +1,217 @@
+"""What the designs say, in sentences."""
+
+import math
+from collections.abc import Iterator
+
+from labrun.fit.tuning.closed_loop import steady_error
+from labrun.fit.tuning.design import Design
+from labrun.fit.tuning.loop import Loop
+from labrun.fit.tuning.margins import ultimate
+from labrun.fit.tuning.study import Errors, Study, lost
+
+_CATCHES_UP = 1.6
+"""First arch over second, above which a controller only follows after the first."""
+_FOLLOWS = 0.1
+"""Mean error over the mean of the reference, below which a controller follows it."""
+_JUMPY = 0.25
+"""Overshoot of a step above which a design is not for references that jump."""
+_NEAR_END = 0.02
+"""Part of what the drive reaches by which a reference may leave it: the gain is not known better."""
+
+
+def findings(study: Study) -> list[str]:
+    """Return what the designs show, the recommendation first."""
+    told = [*_recommended(study), *_limits(study.loop, study), *_proportional(study)]
+    told += [sentence for one in study.designs if one.source == "given" for sentence in _verdict(one, study)]
+    return told
+
+
+def warnings(study: Study) -> list[str]:
+    """Return what to know before a design is trusted."""
+    told = list(study.warnings)
+    settings = study.settings
+    for design in study.designs:
+        found = design.margins
+        spread = study.spreads.get(design.name)
+        if not found.stable:
+            told.append(
+                f"{design.name} is unstable on this plant: its gain would have to be below {found.gain:.2g} of "
+                "what it is; nothing is predicted of it"
+            )
+        elif spread is not None and lost(spread):
+            told.append(
+                f"{design.name} may lose its margin within the fit's 95 % interval: gain margin "
+                f"{spread.gain[0]:.2f} ... {spread.gain[1]:.2f}, unstable on {spread.unstable_share:.0%} of "
+                f"{spread.plants} resampled plants; measure more steps, or ask for a larger gain_margin"
+            )
+        if (
+            found.stable
+            and design.source == "simc"
+            and (found.gain < settings.gain_margin or found.phase_deg < settings.phase_margin_deg)
+        ):
+            told.append(
+                f"{design.name} has a gain margin of {found.gain:.2f} and a phase margin of {found.phase_deg:.0f} deg: "
+                "SIMC keeps no margin that is asked for; a larger tau_c_s gives more"
+            )
+    told += _out_of_range(study)
+    if study.best is None:
+        told.append(
+            "no design keeps the margins that were asked for on all plants within the fit's 95 % interval: none is "
+            "recommended"
+        )
+    return told
+
+
+def _recommended(study: Study) -> Iterator[str]:
+    if study.best is None:
+        return
+    design, unit = study.named(study.best), study.loop.plant.output_unit
+    found = design.margins
+    if study.errors:
+        off = study.settings.gain_error
+        among = (
+            f"on the reference its mean error is at most {study.scores[study.best]:.2g} {unit} with the plant's gain "
+            f"off by {off:.0%} either way"
+        )
+    else:
+        among = "its error after steps of reference and load is the least, or near it"
+    yield (
+        f"take {design.name} ({design.structure}): {among}; of the designs within 20 % of the least error it passes "
+        f"least noise to the drive; gain margin {found.gain:.2f}, delay margin {found.delay_s:.2f} s"
+    )
+    if design.gains.feedforward is not None:
+        yield (
+            "the feed-forward carries the reference, so that the feedback only has to mend what the model "
+            "gets wrong, and there is no arch to wait for until an integral has grown"
+        )
+    if design.figures.overshoot > _JUMPY:
+        yield (
+            f"{design.name} is for a reference that moves slowly against the loop's {study.loop.delay_s:.2f} s of dead "
+            f"time: a step of it would overshoot by {design.figures.overshoot:.0%}, because the feedback takes for an "
+            "error what has only not arrived yet" + _calmest(study)
+        )
+
+
+def _calmest(study: Study) -> str:
+    """Return which design a step suits best."""
+    settled = [
+        one
+        for one in study.designs
+        if one.source != "given"
+        and one.margins.stable
+        and one.gains.i_per_s
+        and one.figures.overshoot < _JUMPY
+        and math.isfinite(one.figures.settling_s)
+    ]
+    if not settled:
+        return ""
+    one = min(settled, key=lambda item: item.figures.settling_s)
+    return (
+        f"; for references that jump there is {one.name}, {one.figures.overshoot:.0%} and settled after "
+        + (f"{one.figures.settling_s:.1f} s")
+    )
+
+
+def _limits(loop: Loop, study: Study) -> Iterator[str]:
+    unit = drive_per_output(study)
+    bare, bare_omega = ultimate(Loop(loop.plant))
+    real, real_omega = ultimate(loop)
+    said = f"ultimate gain of the plant alone {with_unit(f'{bare:.4g}', unit)} at {bare_omega:.3g} rad/s"
+    if loop.average_s:
+        mean, mean_omega = ultimate(Loop(loop.plant, average_s=loop.average_s))
+        said += (
+            f"; with the mean over {loop.average_s:.3g} s as feedback {mean:.4g} at {mean_omega:.3g} rad/s"
+        )
+    yield f"{said}; of the loop at {loop.rate_hz:g} Hz {real:.4g} at {real_omega:.3g} rad/s"
+    parts = [f"{loop.plant.dead_s:.3f} s dead time"]
+    parts += [f"{0.5 * loop.average_s:.3f} s half of the mean"] if loop.average_s else []
+    parts += [f"{0.5 * loop.step_s:.3f} s half a sample"]
+    parts += [f"{loop.compute_s:.3f} s computation"] if loop.compute_s else []
+    yield f"effective dead time of the loop {loop.delay_s:.3f} s: {', '.join(parts)}"
+
+
+def _proportional(study: Study) -> Iterator[str]:
+    gain, unit = study.loop.gain, drive_per_output(study)
+    only = [
+        one for one in study.designs if one.structure == "P" and one.source != "given" and one.margins.stable
+    ]
+    if not only:
+        return
+    kept = ", ".join(
+        f"{one.name} {one.steady_error:.0%} (P = {with_unit(f'{one.gains.p:.4g}', unit)})" for one in only
+    )
+    yield (
+        f"P alone leaves 1/(1 + K P) of the reference for ever: {kept}; "
+        f"P = {with_unit(f'{1 / gain:.4g}', unit)} = 1/K would leave half"
+    )
+
+
+def _verdict(design: Design, study: Study) -> Iterator[str]:
+    if not design.margins.stable or design.name not in study.errors or study.settings.reference is None:
+        return
+    unit, errors = study.loop.plant.output_unit, study.errors[design.name]
+    table = study.settings.reference
+    middle = table.low + (table.high - table.low) * 0.6366  # mean of |sin|
+    first, second = errors[1.0]
+    worst = max(max(pair) for pair in errors.values())
+    numbers = f"mean error {first:.2g} {unit} over the first arch, {second:.2g} over the second"
+    off = _off(errors, study)
+    left = steady_error(design.gains, study.loop.gain)
+    if min(first, second) > _FOLLOWS * middle and first < _CATCHES_UP * second:
+        kind = f"leaves {left:.0%} of the reference" if left > 0.05 else "is too slow to follow"
+        yield f"{design.name} {kind}: {numbers}"
+    elif first > _CATCHES_UP * second and first > _FOLLOWS * middle:
+        yield f"{design.name} misses the first arch and follows afterwards: {numbers}"
+    elif design.gains.feedforward is not None and not design.gains.i_per_s:
+        yield (
+            f"{design.name} follows from the first arch: {numbers}; but with the model's gain {off} it stays off "
+            "for good"
+        )
+    elif worst <= 2.0 * _FOLLOWS * middle:
+        yield f"{design.name} follows from the first arch: {numbers}; with the model's gain {off}"
+    else:
+        yield f"{design.name}: {numbers}; with the model's gain {off}"
+
+
+def _off(errors: Errors, study: Study) -> str:
+    """Return what the error is where the model's gain is wrong."""
+    others = {factor: pair for factor, pair in errors.items() if factor != 1.0}
+    if not others:
+        return "as fitted"
+    pair = max(others.values(), key=sum)
+    unit = study.loop.plant.output_unit
+    return f"off by {study.settings.gain_error:.0%} (then {pair[0]:.2g} and {pair[1]:.2g} {unit})"
+
+
+def _out_of_range(study: Study) -> Iterator[str]:
+    settings = study.settings
+    if settings.reference is None or settings.range is None:
+        return
+    gain, plant = study.loop.gain, study.loop.plant
+    ends = sorted((gain * settings.range[0], gain * settings.range[1]))
+    low, high = sorted((settings.reference.low, settings.reference.high))
+    room = _NEAR_END * (ends[1] - ends[0])
+    if low < ends[0] - room or high > ends[1] + room:
+        yield (
+            f"the reference, {low:.3g} ... {high:.3g} {plant.output_unit}, leaves what the drive reaches within its "
+            f"range {settings.range[0]:g} ... {settings.range[1]:g} {plant.input_unit}: {ends[0]:.3g} ... "
+            f"{ends[1]:.3g} {plant.output_unit}"
+        )
+
+
+def drive_per_output(study: Study) -> str:
+    """Return the unit of a proportional gain: ``deg/N``."""
+    plant = study.loop.plant
+    return per(plant.input_unit, plant.output_unit)
+
+
+def per(above: str, below: str) -> str:
+    """Return a unit over a unit."""
+    if above == below:
+        return "1"
+    return above if below == "1" else f"{above}/{below}"
+
+
+def with_unit(text: str, unit: str, between: str = " ") -> str:
+    """Return a text with its unit, if it has one."""
+    return text if unit in ("", "1") else f"{text}{between}{unit}"

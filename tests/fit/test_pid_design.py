@@ -1,0 +1,520 @@
+"""Controllers from a fitted response: rules, margins, optimum, predictions, and what is written for people."""
+
+import json
+import math
+import tomllib
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from labrun.control.feedforward import FeedforwardPid
+from labrun.control.pid import PidController
+from labrun.control.protocol import LoopContext, Step
+from labrun.errors import FitError, RequestError
+from labrun.fit.estimate import Estimate
+from labrun.fit.run_fit import fit
+from labrun.fit.summary import FitSummary, FittedData
+from labrun.fit.transfer.transfer import Transfer
+from labrun.fit.tuning.closed_loop import run_loop, steady_error
+from labrun.fit.tuning.controller import Gains
+from labrun.fit.tuning.design import Design, HalfSine
+from labrun.fit.tuning.half_rule import Reduced, reduce_order
+from labrun.fit.tuning.loop import Loop
+from labrun.fit.tuning.margins import margins, ultimate
+from labrun.fit.tuning.optimum import Wanted, optimum, worth
+from labrun.fit.tuning.plant import Plant, plant_of
+from labrun.fit.tuning.result import summary
+from labrun.fit.tuning.settings import PidSettings
+from labrun.fit.tuning.simc import rules, simc
+from labrun.fit.tuning.study import Study, study
+from labrun.runner.progress import SilentProgress
+from labrun.search.execute import execute
+from labrun.spec.named import load_named
+
+CYCLE_S = 1 / 1.4
+GAIN = 0.00912
+UNITS = {"input_name": "a", "output_name": "force", "input_unit": "deg", "output_unit": "N"}
+MAGNITUDE = Transfer.first_order(GAIN, 0.34, 0.28, **UNITS)  # (5.5)
+ANGLE = Transfer.first_order(-0.866, 0.13, 0.12)  # (5.6)
+BENCH = Loop(MAGNITUDE, 20.0, 0.0, CYCLE_S)
+
+
+def product(*factors):
+    result = np.array([1.0])
+    for factor in factors:
+        result = np.polymul(result, factor)
+    return tuple(result)
+
+
+plants = st.builds(
+    Transfer.first_order,
+    gain=st.floats(0.01, 100.0).flatmap(lambda size: st.sampled_from([size, -size])),
+    lag_s=st.floats(0.05, 5.0),
+    dead_s=st.floats(0.05, 2.0),
+)
+
+# --- SIMC against Skogestad (2003)
+
+
+def test_the_half_rule_reduces_the_published_examples():
+    # E1: 1/((s+1)(0.2s+1))
+    first = reduce_order(Transfer((1.0,), product([1, 1], [0.2, 1])), 1)
+    assert (first.lag_s, first.dead_s) == pytest.approx((1.1, 0.1))
+    # E2: (-0.3s+1)(0.08s+1) / ((2s+1)(s+1)(0.4s+1)(0.2s+1)(0.05s+1)^3)
+    second = Transfer(
+        product([-0.3, 1], [0.08, 1]),
+        product([2, 1], [1, 1], [0.4, 1], [0.2, 1], [0.05, 1], [0.05, 1], [0.05, 1]),
+    )
+    one, two = reduce_order(second, 1), reduce_order(second, 2)
+    assert (one.lag_s, one.dead_s) == pytest.approx((2.5, 1.47), rel=1e-3)
+    assert (two.lag_s, two.second_lag_s, two.dead_s) == pytest.approx((2.0, 1.2, 0.77), rel=1e-3)
+    # E3: 2(15s+1)/((20s+1)(s+1)(0.1s+1)^2)
+    third = Transfer(product([2.0], [15, 1]), product([20, 1], [1, 1], [0.1, 1], [0.1, 1]))
+    one, two = reduce_order(third, 1), reduce_order(third, 2)
+    assert (one.gain, one.lag_s, one.dead_s) == pytest.approx((1.5, 1.05, 0.15), rel=1e-3)
+    assert (two.gain, two.lag_s, two.second_lag_s, two.dead_s) == pytest.approx(
+        (1.5, 1, 0.15, 0.05), rel=1e-3
+    )
+
+
+def test_the_rules_give_the_published_gains():
+    pi = rules(Reduced(1.0, 1.1, 0.0, 0.1), "PI")
+    assert (pi.p, pi.p / pi.i_per_s) == pytest.approx((5.5, 0.8))
+    pi = rules(Reduced(1.0, 2.5, 0.0, 1.47), "PI")
+    assert (pi.p, pi.p / pi.i_per_s) == pytest.approx((0.85, 2.5), rel=1e-2)
+    # series form 1.30, 2, 1.2, as parallel gains
+    pid = rules(Reduced(1.0, 2.0, 1.2, 0.77), "PID")
+    assert (pid.p, pid.i_per_s, pid.d_s) == pytest.approx((1.3 * 1.6, 1.3 / 2, 1.3 * 1.2), rel=1e-2)
+
+
+def test_a_first_order_plant_gets_a_third_of_the_dead_time_as_derivative_time():
+    pid = rules(Reduced(2.0, 1.0, 0.0, 0.3), "PID")
+    series = 1.0 / (2.0 * 0.6)
+    assert (pid.p, pid.i_per_s, pid.d_s) == pytest.approx((series * 1.1, series, series * 0.1))
+
+
+def test_a_plant_without_a_lag_gets_an_integral_alone():
+    pi = rules(Reduced(2.0, 0.0, 0.0, 0.5), "PI")
+    assert (pi.p, pi.i_per_s) == (0.0, pytest.approx(0.5))
+
+
+def test_sampling_and_averaging_count_as_dead_time():
+    assert BENCH.delay_s == pytest.approx(0.28 + 0.025 + 0.5 * CYCLE_S)
+    assert simc(BENCH, "PI").p == pytest.approx(0.34 / (GAIN * 2 * BENCH.delay_s))
+
+
+def test_swinging_plants_are_refused_by_the_half_rule_and_said_so():
+    with pytest.raises(FitError, match="complex poles"):
+        simc(Loop(Transfer((1.0,), (1.0, 0.2, 1.0)), 20.0), "PI")
+
+
+# --- margins
+
+
+@given(st.floats(0.2, 20.0), st.floats(0.1, 10.0), st.floats(0.05, 2.0))
+@settings(max_examples=25, deadline=None)
+def test_margins_are_those_of_python_control_without_dead_time(p, i_per_s, lag_s):
+    plant = Transfer((3.0,), product([lag_s, 1], [0.4, 1], [0.1, 1]))
+    found = margins(Gains(p, i_per_s), Loop(plant))
+    s = control.tf("s")
+    open_loop = (p + i_per_s / s) * control.tf(plant.numerator, plant.denominator)
+    gain, phase, _, omega_pc, omega_gc, _ = control.stability_margins(open_loop)
+    closed = control.feedback(open_loop, 1)
+    assert found.stable == bool(np.all(closed.poles().real < 0))
+    assert found.gain == pytest.approx(gain, rel=1e-6)
+    assert found.phase_crossover_rad_s == pytest.approx(omega_pc, rel=1e-6)
+    if found.stable:
+        assert found.phase_deg == pytest.approx(phase, abs=1e-5)
+        assert found.crossover_rad_s == pytest.approx(omega_gc, rel=1e-6)
+        assert found.delay_s == pytest.approx(math.radians(phase) / omega_gc, rel=1e-5)
+
+
+def test_an_integral_on_a_dead_time_has_the_margins_of_the_closed_form():
+    # L = k exp(-s)/s: crossover k, phase 90 deg - k, oscillates at pi/2 with k = pi/2
+    loop = Loop(Transfer((1.0,), (1.0,), 1.0))
+    found = margins(Gains(0.0, 0.5), loop)
+    assert found.gain == pytest.approx(math.pi, rel=1e-9)
+    assert found.phase_deg == pytest.approx(90 - math.degrees(0.5), rel=1e-9)
+    assert found.delay_s == pytest.approx((math.pi / 2 - 0.5) / 0.5, rel=1e-9)
+    assert found.crossover_rad_s == pytest.approx(0.5, rel=1e-9)
+
+
+def test_ultimate_gains_of_the_fin_are_the_published_ones():
+    gain, omega = ultimate(Loop(MAGNITUDE))
+    assert (gain, omega) == (pytest.approx(284, abs=0.5), pytest.approx(7.0, abs=0.05))
+    gain, omega = ultimate(Loop(MAGNITUDE, average_s=CYCLE_S))
+    assert (gain, omega) == (pytest.approx(228, abs=0.5), pytest.approx(3.55, abs=0.01))
+    assert ultimate(Loop(ANGLE))[0] == pytest.approx(-2.76, abs=0.005)
+
+
+def test_a_fast_loop_comes_to_the_continuous_one():
+    fast, slow = ultimate(Loop(MAGNITUDE, 1000.0, 0.0, CYCLE_S)), ultimate(Loop(MAGNITUDE, average_s=CYCLE_S))
+    assert fast == pytest.approx(slow, rel=2e-3)
+
+
+averages = st.one_of(st.just(0.0), st.floats(0.05, 1.0))
+
+
+@given(plants, st.floats(2.0, 50.0), averages, st.floats(0.0, 0.2))
+@settings(max_examples=20, deadline=None)
+def test_the_response_of_samples_is_the_sum_of_its_aliases(plant, rate_hz, average_s, compute_s):
+    loop = Loop(plant, rate_hz, compute_s, average_s)
+    omega = np.array([0.05, 0.3, 0.7]) * np.pi * rate_hz
+    bands = omega[:, None] + 2 * np.pi * rate_hz * np.arange(-3000, 3001)
+    held = np.exp(-0.5j * bands / rate_hz) * np.sinc(bands / (2 * np.pi * rate_hz))
+    seen = np.exp(-0.5j * bands * average_s) * np.sinc(bands * average_s / (2 * np.pi))
+    expected = (held * seen * plant.frequency_response(bands) * np.exp(-1j * bands * compute_s)).sum(axis=1)
+    assert loop.frequency_response(omega) == pytest.approx(expected, rel=2e-3, abs=2e-4 * abs(plant.gain))
+
+
+def test_the_loop_oscillates_in_time_at_the_gain_that_the_curve_says():
+    limit = ultimate(BENCH)[0]
+
+    def end_over_middle(share):
+        track = run_loop(Gains(share * limit), BENCH, lambda _: 1.0, 60.0)
+        swing = track.output - np.mean(track.output[-100:])
+        return np.ptp(swing[-100:]) / np.ptp(swing[400:500])
+
+    assert end_over_middle(0.97) < 0.8
+    assert end_over_middle(1.03) > 1.25
+
+
+def test_a_controller_that_drives_the_wrong_way_is_not_called_stable():
+    assert not margins(Gains(0.0, -1.0), BENCH).stable
+    assert not margins(Gains(-1.5 / GAIN), BENCH).stable
+
+
+# --- the optimum
+
+
+@given(
+    plants,
+    st.sampled_from(["P", "PI", "PID"]),
+    st.floats(1.5, 4.0),
+    st.floats(30.0, 70.0),
+    st.sampled_from([None, 1.6, 2.2]),
+    st.one_of(st.just(0.0), st.floats(0.05, 1.0)),
+)
+@settings(max_examples=15, deadline=None)
+def test_an_optimum_keeps_the_margins_that_were_asked_for(plant, structure, gain, phase_deg, most, average_s):
+    loop = Loop(plant, 20.0, 0.0, average_s)
+    wanted = Wanted(gain, phase_deg, most)
+    found = margins(optimum(loop, structure, wanted), loop)
+    assert found.stable
+    assert found.gain >= gain
+    assert found.phase_deg >= phase_deg
+    assert most is None or found.sensitivity <= most
+
+
+def test_an_optimum_has_less_error_than_simc_and_than_its_neighbours():
+    wanted = Wanted(2.0, 45.0)
+    best = optimum(BENCH, "PI", wanted)
+    least = worth(BENCH, best, wanted)
+    assert least < worth(BENCH, simc(BENCH, "PI"), wanted)
+    for factor_p, factor_i in ((0.9, 1.0), (1.1, 1.0), (1.0, 0.9), (1.0, 1.1)):
+        other = Gains(best.p * factor_p, best.i_per_s * factor_i)
+        assert worth(BENCH, other, wanted) > 0.9999 * least
+
+
+def test_the_error_of_the_optimum_is_the_one_that_a_simulation_finds():
+    gains = optimum(BENCH, "PI")
+    step = run_loop(gains, BENCH, lambda _: 1.0, 30.0)
+    load = run_loop(gains, BENCH, lambda _: 0.0, 30.0, load=lambda _: 1.0 / GAIN)
+    area = (np.sum(np.abs(1.0 - step.output)) + np.sum(np.abs(load.output))) * BENCH.step_s
+    assert worth(BENCH, gains, Wanted()) * (BENCH.delay_s + 0.34) == pytest.approx(area, rel=0.01)
+
+
+def test_a_plant_that_does_not_settle_is_refused():
+    with pytest.raises(FitError, match="right half plane or at 0"):
+        optimum(Loop(Transfer((1.0,), (1.0, 0.0), 0.1), 20.0), "PI")
+
+
+# --- the closed loop in time
+
+
+def euler_step(p, i_per_s, loop, lag_s, dead_s, gain, duration_s, h=1e-4):
+    """A fine Euler integration with buffers for the dead time and the mean: its own code, no matrix exponential."""
+    steps, hold, dead = round(duration_s / h), round(loop.step_s / h), round((dead_s + loop.compute_s) / h)
+    mean = round(loop.average_s / h)
+    drives, outputs = np.zeros(steps + 1), np.zeros(steps + 1)
+    total = np.zeros(steps + 2)
+    y = integral = drive = 0.0
+    for k in range(steps + 1):
+        outputs[k] = y
+        total[k + 1] = total[k] + y
+        if k % hold == 0:
+            seen = (total[k] - total[max(k - mean, 0)]) / mean if mean else y
+            integral += i_per_s * (1.0 - seen) * loop.step_s
+            drive = p * (1.0 - seen) + integral
+        drives[k] = drive
+        pushed = drives[k - dead] if k >= dead else 0.0
+        y += h * (gain * pushed - y) / lag_s
+    return outputs[::hold], drives[::hold]
+
+
+@pytest.mark.parametrize("average_s", [0.0, CYCLE_S])
+def test_a_predicted_step_is_that_of_an_independent_integration(average_s):
+    loop = Loop(MAGNITUDE, 20.0, 0.013, average_s)
+    gains = Gains(50.0, 90.0)
+    track = run_loop(gains, loop, lambda _: 1.0, 5.0)
+    output, drive = euler_step(50.0, 90.0, loop, 0.34, 0.28, GAIN, 5.0)
+    assert track.output == pytest.approx(output, abs=2e-3)
+    assert track.drive == pytest.approx(drive, abs=0.3)
+
+
+def test_the_dead_time_is_exact_to_the_sample():
+    track = run_loop(Gains(50.0), Loop(MAGNITUDE, 100.0), lambda _: 1.0, 1.0)
+    assert np.all(track.output[track.time_s < 0.2801] == pytest.approx(0.0, abs=1e-12))
+    assert track.output[29] == pytest.approx(50.0 * GAIN * (1 - math.exp(-0.01 / 0.34)), rel=1e-9)
+
+
+def test_a_loop_that_begins_at_rest_stays_there():
+    reference = GAIN * 30.0
+    track = run_loop(Gains(0.0, 40.0), BENCH, lambda _: reference, 10.0, start=30.0, bounds=(20.0, 60.0))
+    # the integral of the plugin starts empty, the plant does not
+    assert track.output[0] == pytest.approx(reference)
+    assert track.feedback[0] == pytest.approx(reference)
+    assert np.min(track.drive) >= 20.0
+
+
+@given(plants, st.floats(0.1, 0.9))
+@settings(max_examples=15, deadline=None)
+def test_proportional_control_keeps_one_over_one_plus_the_loop_gain(plant, share):
+    loop = Loop(plant, 20.0)
+    gains = Gains(share * 0.5 * ultimate(loop)[0])
+    expected = steady_error(gains, loop.gain)
+    assert expected == pytest.approx(1 / (1 + gains.p * plant.gain))
+    track = run_loop(gains, loop, lambda _: 1.0, 60.0 * (plant.dead_s + plant.lag_s + 0.1))
+    assert 1.0 - track.output[-1] == pytest.approx(expected, abs=1e-2)
+
+
+def test_at_109_6_deg_per_newton_half_of_the_reference_is_missing():
+    assert steady_error(Gains(109.6), GAIN) == pytest.approx(0.5, abs=1e-3)
+
+
+def test_the_gains_of_table_5_4_do_in_the_prediction_what_the_source_says():
+    """Section 5.4's simulated errors: reference 0.18-0.45 N, drive 20-60 deg, 20 Hz, mean over a cycle."""
+    reference, bounds = HalfSine(0.18, 0.45, 100.0), (20.0, 60.0)
+    factors = (0.85, 1.0, 1.15)
+
+    def errors(p, i_per_s=0.0, feedforward=None):
+        return Design("x", "given", Gains(p, i_per_s, feedforward=feedforward), BENCH).errors(
+            reference, bounds, factors
+        )
+
+    assert errors(109.0)[1.0] == pytest.approx((0.16, 0.16), abs=0.01)
+    assert errors(80.0, 0.12)[1.0] == pytest.approx((0.17, 0.16), abs=0.01)
+    assert errors(80.0, 0.12 * 20)[1.0] == pytest.approx((0.11, 0.05), abs=0.01)
+    ff_p = errors(10.9, feedforward=1 / GAIN)
+    assert ff_p[1.0] == pytest.approx((0.004, 0.003), abs=0.002)
+    assert ff_p[0.85] == pytest.approx((0.05, 0.05), abs=0.005)
+    assert errors(9.0, 0.05 * 20, 1 / GAIN)[0.85] == pytest.approx((0.035, 0.019), abs=0.004)
+
+
+# --- what people get
+
+
+TABLE_5_4 = {
+    "P-109": {"p": 109},
+    "PI": {"p": 80, "i": 0.12, "i_per": "sample"},
+    "FF-P": {"p": 10.9, "feedforward": True},
+    "FF-PI": {"p": 9, "i": 0.05, "i_per": "sample", "feedforward": True},
+}
+
+
+def summary_of(found: Study, others=()):
+    return summary(Plant("magnitude", MAGNITUDE, FittedData("fin-step", "run", 3), tuple(others)), found)
+
+
+@pytest.fixture(scope="module")
+def fin() -> Study:
+    keys = {
+        "range": [20, 59],
+        "reference": {"low": 0.18, "high": 0.45, "period_s": 100},
+        "compare": TABLE_5_4,
+        "i_per": "sample",
+    }
+    others = [
+        Transfer.first_order(GAIN * (1 + 0.02 * k), 0.34, 0.28 * (1 - 0.02 * k), **UNITS)
+        for k in range(-3, 4)
+    ]
+    return study(MAGNITUDE, others, PidSettings.model_validate(keys), CYCLE_S)
+
+
+def test_chapter_fives_verdict_comes_out(fin):
+    text = " ".join(summary_of(fin).to_text(10_000).split())
+    assert "P-109 leaves 50% of the reference" in text
+    assert "PI misses the first arch and follows afterwards" in text
+    assert "FF-P follows from the first arch" in text
+    assert "it stays off for good" in text
+    assert "FF-PI follows from the first arch" in text
+    best = fin.named(fin.best)
+    assert best.structure == "FF-PI"
+    assert best.source != "given"
+    given_errors = {one.name: sum(fin.errors[one.name][0.85]) for one in fin.designs if one.source == "given"}
+    assert min(given_errors, key=given_errors.get) == "FF-PI"
+
+
+def test_the_toml_file_makes_controllers_that_do_what_was_predicted(fin):
+    tables = tomllib.loads(summary_of(fin).files["pid.toml"])["track"]["loops"]["force"]["controllers"]
+    assert set(tables) == {one.name for one in fin.designs if one.source != "given"}
+    plugins = {"pid": PidController, "feedforward+pid": FeedforwardPid}
+    for name, table in tables.items():
+        keys = dict(table)
+        plugin = plugins[keys.pop("plugin")]
+        controller = plugin(keys, LoopContext(0.05, -1e9, 1e9, 0.0))
+        predicted = fin.named(name).step
+        # the plant by convolution with its sampled pulse, apart from the stepper
+        pulse = fin.loop.sampled.pulse_response(200)
+        drives = np.zeros(200)
+        for k in range(200):
+            seen = float(pulse[1 : k + 1] @ drives[:k][::-1]) if k else 0.0
+            drives[k] = controller.update(Step(0.05 * k, 0.05, 1.0, seen, 0.0, lambda _: 1.0))
+            controller.applied(drives[k])
+        count = min(200, len(predicted.drive))
+        assert drives[:count] == pytest.approx(predicted.drive[:count], rel=2e-3, abs=0.2)
+
+
+def test_an_integral_per_sample_is_the_rate_th_of_one_per_second(fin):
+    tables = tomllib.loads(summary_of(fin).files["pid.toml"])["track"]["loops"]["force"]["controllers"]
+    design = fin.named("pi-simc")
+    assert tables["pi-simc"]["i_per"] == "sample"
+    assert tables["pi-simc"]["i"] == pytest.approx(design.gains.i_per_s / 20, rel=1e-4)
+
+
+def test_a_margin_lost_within_the_fits_interval_is_told_and_the_design_not_taken():
+    others = [Transfer.first_order(GAIN * factor, 0.34, 0.28) for factor in np.linspace(0.3, 3.0, 40)]
+    keys = {"structure": "P", "method": "optimum", "feedforward": False}
+    found = study(MAGNITUDE, others, PidSettings.model_validate(keys), CYCLE_S)
+    told = " ".join(summary_of(found, others).warnings)
+    assert "p-optimum may lose its margin within the fit's 95 % interval" in told
+    assert found.best is None
+    assert "none is recommended" in told
+
+
+def test_an_unstable_controller_is_named_and_left_out_of_the_file():
+    keys = {"structure": "PI", "method": "simc", "compare": {"wild": {"p": 400}}}
+    found = study(MAGNITUDE, (), PidSettings.model_validate(keys), CYCLE_S)
+    result = summary_of(found)
+    assert any(one.startswith("wild is unstable") for one in result.warnings)
+    assert "wild" not in result.files["pid.toml"]
+    assert "wild" in result.to_text()
+
+
+def test_what_is_stored_is_json_without_infinities(fin, tmp_path):
+    result = summary_of(fin).draw(tmp_path, "pid")
+    stored = json.loads(json.dumps({**result.to_json(), **result.record()}, allow_nan=False))
+    assert stored["recommended"] == fin.best
+    assert stored["designs"]["p-optimum"]["gain_margin"] >= 2.0
+    assert stored["loop"]["effective_dead_s"] == pytest.approx(BENCH.delay_s)
+    assert result.figure.read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "pid.toml").is_file()
+
+
+def test_settings_that_do_not_fit_together_are_refused():
+    for keys, message in (
+        ({"range": [60, 20]}, "60 is not below 20"),
+        ({"feedback": "latest", "period_s": 1.0}, "takes no mean"),
+        ({"gain_margin": 0.5}, "greater than 1"),
+        ({"structur": "PI"}, "structur"),
+    ):
+        with pytest.raises(ValidationError, match=message):
+            PidSettings.model_validate(keys)
+
+
+# --- from a fit, and from a run
+
+TWO_RESPONSES = """
+[magnitude]
+gain = 0.009
+gain_ci95 = [0.0088, 0.0092]
+lag_s = 0.34
+lag_s_ci95 = [0.30, 0.38]
+dead_s = 0.28
+dead_s_ci95 = [0.26, 0.30]
+input_unit = "deg"
+output_unit = "N"
+
+[angle]
+numerator = [-0.87]
+denominator = [0.01, 0.2, 1.0]
+dead_s = 0.1
+"""
+
+
+def fitted_summary(text=TWO_RESPONSES):
+    return FitSummary(
+        "fopdt",
+        "fopdt",
+        FittedData("fin-step", "run", 6),
+        {
+            "magnitude.gain": Estimate(0.009, (0.0088, 0.0092), "N/deg"),
+            "angle.gain": Estimate(-0.87, (-1, -0.7), "1"),
+        },
+        rmse={"magnitude": 0.01},
+        warnings=("angle has few trials", "magnitude is noisy"),
+        files={"fopdt.toml": text},
+    )
+
+
+def test_a_fitted_response_becomes_a_plant_with_others_within_its_intervals():
+    plant = plant_of(fitted_summary(), "magnitude", 400, np.random.default_rng(1))
+    assert (plant.transfer.gain, plant.transfer.lag_s, plant.transfer.dead_s) == (0.009, 0.34, 0.28)
+    assert plant.transfer.gain_unit == "N/deg"
+    assert set(plant.parameters) == {"magnitude.gain"}
+    assert plant.warnings == ("magnitude is noisy",)
+    low, high = np.percentile([one.dead_s for one in plant.plants], [2.5, 97.5])
+    assert (low, high) == (pytest.approx(0.26, abs=0.004), pytest.approx(0.30, abs=0.004))
+    again = plant_of(fitted_summary(), "magnitude", 400, np.random.default_rng(1))
+    assert again.plants == plant.plants
+
+
+def test_a_response_without_intervals_is_a_plant_and_says_so():
+    plant = plant_of(fitted_summary(), "angle", 50, np.random.default_rng(1))
+    assert plant.transfer.order == 2
+    assert plant.plants == ()
+    assert any("gives no intervals" in one for one in plant.warnings)
+
+
+def test_a_response_that_was_not_fitted_is_named_with_the_nearest():
+    with pytest.raises(RequestError, match="did you mean response=magnitude"):
+        plant_of(fitted_summary(), "magnitud", 50, np.random.default_rng(1))
+    with pytest.raises(FitError, match="no transfer function"):
+        plant_of(fitted_summary("x = 1"), None, 50, np.random.default_rng(1))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    results = tmp_path_factory.mktemp("results")
+    loaded = load_named("fin-step", results, ("trial.repeats=2",))
+    return execute(loaded, results=results, dry_run=True, seed=3, progress=SilentProgress()).run
+
+
+def test_a_known_plant_takes_the_gaits_cycle_of_the_run(run):
+    known = {"gain": GAIN, "lag_s": 0.34, "dead_s": 0.28, "input_unit": "deg", "output_unit": "N"}
+    result = fit(run, model="pid", settings={"given_plant": known, "structure": "PI", "method": "simc"})
+    stored = json.loads((run / "fit" / "pid.json").read_text())
+    assert stored["loop"]["average_s"] == pytest.approx(CYCLE_S)
+    assert stored["designs"]["pi-simc"]["p"] == pytest.approx(simc(BENCH, "PI").p, rel=1e-6)
+    assert result.figure == run / "fit" / "pid.png"
+
+
+def test_a_mean_needs_a_length(run):
+    known = {"gain": GAIN, "lag_s": 0.34, "dead_s": 0.28}
+    with pytest.raises(RequestError, match="not known over how long"):
+        fit(run, model="pid", settings={"given_plant": known, "feedback": "moving-average"})
+
+
+def test_the_plant_is_fitted_from_the_run_and_judged_over_its_resamples(run):
+    result = fit(run, model="pid", settings={"structure": "PI", "method": "simc", "feedforward": False})
+    gain = result.parameters["magnitude_gain"]
+    assert gain.value == pytest.approx(GAIN, rel=0.15)
+    stored = json.loads((run / "fit" / "pid.json").read_text())
+    low, high = stored["spreads"]["pi-simc"]["gain_margin_ci95"]
+    assert low < stored["designs"]["pi-simc"]["gain_margin"] < high
+    assert stored["plant"]["numerator"][-1] / stored["plant"]["denominator"][-1] == pytest.approx(gain.value)
+    assert stored["plant"]["input_unit"] == "deg"
