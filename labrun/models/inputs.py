@@ -67,6 +67,9 @@ def drive(time_s: FloatArray, inputs: FloatArray, between: Sequence[Between], su
         values = np.empty((len(time_s), 0))
     _check(time_s, values, len(between), substeps)
     intervals = np.diff(time_s)
+    steps_s = np.repeat(intervals / substeps, substeps)
+    if not between:
+        return Drive(time_s, steps_s, np.empty((len(steps_s), 3, 0)), np.empty(0), substeps)
     fractions = np.arange(2 * substeps + 1) / (2 * substeps)
     grid = np.empty((len(intervals), 2 * substeps + 1, len(between)))
     for index, kind in enumerate(between):
@@ -78,14 +81,7 @@ def drive(time_s: FloatArray, inputs: FloatArray, between: Sequence[Between], su
         else:
             grid[:, :, index] = _band_limited(time_s, column, fractions)
     u = np.stack([grid[:, 0:-1:2], grid[:, 1::2], grid[:, 2::2]], axis=2)
-    steps = len(intervals) * substeps
-    return Drive(
-        time_s,
-        np.repeat(intervals / substeps, substeps),
-        u.reshape(steps, 3, len(between)),
-        values[-1].copy(),
-        substeps,
-    )
+    return Drive(time_s, steps_s, u.reshape(len(steps_s), 3, len(between)), values[-1].copy(), substeps)
 
 
 def _check(time_s: FloatArray, values: FloatArray, inputs: int, substeps: int) -> None:

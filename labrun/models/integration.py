@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from labrun.models.calling import call_model, kernel
+from labrun.models.calling import call_law, call_model, kernel
 from labrun.models.layout import IntArray
 from labrun.models.model import FloatArray
 from labrun.models.slopes import slopes
@@ -32,7 +32,7 @@ def _inputs_at(
 
 
 @kernel
-def integrate(
+def integrate(  # noqa: PLR0912 - one loop on purpose, see below
     start_s: float,
     steps_s: FloatArray,
     u: FloatArray,
@@ -81,16 +81,29 @@ def integrate(
     force = np.zeros(max(sites, 1))[:sites]
     site = np.empty(4 * sites + 1)
     row_u, y = np.empty(inputs), np.empty(outputs.shape[1])
+    # Without a law that depends on acceleration, what `slopes` does stands here in line: numba counts a reference to
+    # each array on every call of it, which would take longer than the laws themselves.
+    coupled = inertial.size > 0 and inertial.max() != 0
     t = start_s
     for step in range(count + 1):
         if step % every == 0:
             row = step // every
             _inputs_at(step, count, output_at_end, u, u_last, row_u)
-            if laws.size > 0:  # outputs may show the forces at the sites
+            if coupled:  # outputs may show the forces at the sites
                 slopes(
                     t, state, row_u, p, derivative, site_address, rate_states,
                     laws, law_sites, inertial, offsets, values, state_offsets, force, slope, site,
                 )  # fmt: skip
+            elif laws.size > 0:
+                for k in range(sites):
+                    force[k] = 0.0
+                call_model(site_address, t, state, row_u, p, force, site)
+                for e in range(laws.size):
+                    k = law_sites[e]
+                    force[k] += call_law(
+                        laws[e], t, site[4 * k], site[4 * k + 1], 0.0, site[4 * k + 2], site[4 * k + 3],
+                        values, offsets[e], state, state_offsets[e], slope, state_offsets[e],
+                    )  # fmt: skip
             call_model(output, t, state, row_u, p, force, y)
             if not _record(row, state, y, states, outputs):
                 return row
@@ -105,6 +118,18 @@ def integrate(
             for k in range(inputs):
                 row_u[k] = u[step, moment, k]
             if laws.size == 0:
+                call_model(derivative, t + 0.5 * moment * h, at, row_u, p, force, slope)
+            elif not coupled:
+                for k in range(sites):
+                    force[k] = 0.0
+                call_model(site_address, t + 0.5 * moment * h, at, row_u, p, force, site)
+                for e in range(laws.size):
+                    k = law_sites[e]
+                    force[k] += call_law(
+                        laws[e], t + 0.5 * moment * h, site[4 * k], site[4 * k + 1], 0.0,
+                        site[4 * k + 2], site[4 * k + 3],
+                        values, offsets[e], at, state_offsets[e], slope, state_offsets[e],
+                    )  # fmt: skip
                 call_model(derivative, t + 0.5 * moment * h, at, row_u, p, force, slope)
             else:
                 slopes(

@@ -67,8 +67,11 @@ def forces(model: Model, effects: "Sequence[AttachedEffect]") -> Forces:
     """Lay out the joint and body effects."""
     order = [site.name for site in model.sites]
     chosen = [one for one in effects if one.effect.kind in ("joint", "body")]
-    states = [one.effect.states for one in chosen]
     rates = [model.states.index(site.rate) if site.rate in model.states else -1 for site in model.sites]
+    if not chosen:
+        none = _NO_INTEGERS
+        return Forces(_integers(rates), none, none, none, none, np.empty(0), none, 0)
+    states = [one.effect.states for one in chosen]
     return Forces(
         rate_states=_integers(rates),
         addresses=_integers([one.effect.function.address for one in chosen]),
@@ -85,6 +88,8 @@ def filters(model: Model, effects: "Sequence[AttachedEffect]", kind: str, shorte
     """Lay out the input or output effects; `shortest_s` is the shortest piece of signal they will see."""
     order = [one.name for one in (model.inputs if kind == "input" else model.outputs)]
     chosen = [one for one in effects if one.effect.kind == kind]
+    if not chosen:
+        return _NO_FILTERS
     lengths = [
         max(1, one.effect.memory(one.values, shortest_s)) if one.effect.memory else 1 for one in chosen
     ]
@@ -111,3 +116,7 @@ def _offsets(lengths: Sequence[int]) -> IntArray:
         if lengths
         else np.empty(0, dtype=np.int64)
     )
+
+
+_NO_INTEGERS = _integers([])
+_NO_FILTERS = Filters(_NO_INTEGERS, _NO_INTEGERS, _NO_INTEGERS, np.empty(0), _NO_INTEGERS, np.empty(0))

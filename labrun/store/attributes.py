@@ -14,7 +14,7 @@ TEXT = h5py.string_dtype()
 TEXT_TYPE = h5t.py_create(TEXT, logical=True)
 
 _SCALE_ATTRIBUTES = frozenset({b"CLASS", b"NAME", b"DIMENSION_LIST", b"REFERENCE_LIST", b"_Netcdf4Dimid"})
-_MAX_FIXED = 60_000
+MAX_FIXED = 60_000
 """Bytes: an attribute in an object header stays below 64 KiB; longer text goes to the file's heap."""
 _SCALAR = h5s.create(h5s.SCALAR)
 
@@ -38,7 +38,7 @@ def write_attribute(owner: Any, name: str, value: Attribute) -> None:
     key = storable(name).encode()
     if isinstance(value, str):
         data = storable(value).encode()
-        if len(data) > _MAX_FIXED:
+        if len(data) > MAX_FIXED:
             h5a.create(owner, key, TEXT_TYPE, _SCALAR).write(np.array(data.decode(), dtype=TEXT))
             return
         kind = _text(max(len(data), 1))
@@ -51,6 +51,18 @@ def write_attribute(owner: Any, name: str, value: Attribute) -> None:
         h5a.create(owner, key, h5t.NATIVE_DOUBLE, _SCALAR).write(
             np.array(value, dtype=float), h5t.NATIVE_DOUBLE
         )
+
+
+def rewrite_attribute(owner: Any, name: str, value: Attribute) -> None:
+    """Give an attribute that `write_attribute` made another value of the same type; text of the same length."""
+    attribute = h5a.open(owner, storable(name).encode())
+    if isinstance(value, str):
+        data = storable(value).encode()
+        attribute.write(np.array(data, dtype=f"S{len(data)}"), _text(len(data)))
+    elif isinstance(value, (int, np.integer)):
+        attribute.write(np.array(value, dtype=np.int64), h5t.NATIVE_INT64)
+    else:
+        attribute.write(np.array(value, dtype=float), h5t.NATIVE_DOUBLE)
 
 
 def write_attributes(owner: Any, attributes: Mapping[str, Attribute]) -> None:

@@ -4,10 +4,11 @@ import json
 import secrets
 import string
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from weakref import ReferenceType
 
 from labrun.errors import RecordingError, RigBusyError
 from labrun.store.disk import fsync_directory, replace_durably, saving
@@ -15,9 +16,11 @@ from labrun.store.journal import Journal
 from labrun.store.locking import FileLock
 from labrun.store.trial import Status, TrialOutcome
 from labrun.store.writer import TrialWriter
+from labrun.store.written import Written
 
 if TYPE_CHECKING:
     from labrun.store.packed_file import RunTexts
+    from labrun.store.trial_image import Places, Templates
 
 SPEC = "spec.toml"
 PROVENANCE = "provenance.json"
@@ -37,15 +40,22 @@ class RunFolder:
         Its events.
     faults
         What was found damaged when the folder was opened, for the person: one sentence each.
+    written
+        Of trials stored by this object: what allows to read their files without HDF5.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.journal = Journal(path / JOURNAL)
         self.faults: list[str] = []
+        self.written: dict[int, Written] = {}
         self._lock = FileLock(path / ".lock", f"run {path}")
         self._depth = 0
         self._known: dict[int, TrialOutcome] | None = None
+        self._templates: Templates | None = None
+        # In a dry run nothing moves after a trial, so its line in the journal need not wait for the disk: the trial's
+        # file is durable, and where its line was lost it is read to the last sample instead.
+        self._simulated = False
 
     @classmethod
     def create(
@@ -66,6 +76,7 @@ class RunFolder:
             replace_durably(path / SPEC, spec_toml.encode())
             fsync_directory(path.parent)
         folder = cls(path)
+        folder._simulated = bool(provenance.get("dry_run", False))
         folder._known = {}
         folder.journal.append("created", experiment=experiment)
         return folder
@@ -85,6 +96,8 @@ class RunFolder:
                 hint="a run folder is results/<experiment>/<start>-<letters>; labrun list shows what there is",
             )
         folder = cls(path)
+        with suppress(OSError, ValueError):  # where nothing tells, it counts as hardware
+            folder._simulated = bool(folder.provenance.get("dry_run", False))
         try:
             with folder.lock():
                 pass
@@ -151,7 +164,11 @@ class RunFolder:
         """Return what stores the trial with this index."""
         trials = self.path / TRIALS
         trials.mkdir(exist_ok=True)
-        return TrialWriter(trials, index, self._stored, self._saved)
+        if self._templates is None:
+            from labrun.store.trial_image import Templates
+
+            self._templates = Templates()
+        return TrialWriter(trials, index, self._templates, self._stored, self._saved)
 
     def outcomes(self) -> dict[int, TrialOutcome]:
         """Return the outcome of every stored trial by index, in order, with later marks applied."""
@@ -193,9 +210,13 @@ class RunFolder:
             journal_jsonl=self.journal.text(),
         )
 
-    def _stored(self, outcome: TrialOutcome, described: Mapping[str, Any]) -> None:
+    def _stored(self, outcome: TrialOutcome, described: Mapping[str, Any], places: "Places | None") -> None:
+        self.written.pop(outcome.index, None)
+        if places is not None:
+            self.written[outcome.index] = Written(described["blake2b"], outcome.tare, ReferenceType(places))
         self.journal.append(
             "trial",
+            sync=not self._simulated,
             index=outcome.index,
             role=outcome.role,
             repeat=outcome.repeat,

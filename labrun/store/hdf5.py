@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import lru_cache
 from hashlib import blake2b
 from typing import Any
 
@@ -30,9 +29,7 @@ from labrun.store.attributes import (
     write_attribute,
     write_attributes,
 )
-
-BLOCK = 1 << 17
-"""Samples of one dataset that are handled at a time (1 MiB), and the chunk of a dataset that grows."""
+from labrun.store.blocks import BLOCK, ReadAhead, extent
 
 TARE = "tare"
 """The one attribute of a column beside its unit: the offset found before the recording."""
@@ -52,6 +49,7 @@ def _ordered(kind: Any) -> Any:
     # netCDF-4 wants groups to know the order in which their members were made.
     properties = h5p.create(kind)
     properties.set_link_creation_order(_ORDER)
+    properties.set_obj_track_times(False)  # the same content gives the same bytes
     return properties
 
 
@@ -59,6 +57,8 @@ _MEMORY = _access(in_memory=True)
 _ON_DISK = _access(in_memory=False)
 _FILE = _ordered(h5p.FILE_CREATE)
 _GROUP = _ordered(h5p.GROUP_CREATE)
+_PLAIN = h5p.create(h5p.DATASET_CREATE)
+_PLAIN.set_obj_track_times(False)
 _CHUNKED = h5p.create(h5p.DATASET_CREATE)
 _CHUNKED.set_chunk((BLOCK,))
 
@@ -85,6 +85,13 @@ class Table:
 def create_in_memory() -> h5f.FileID:
     """Return a new file that lives in memory until `image` gives its bytes."""
     return h5f.create(b"trial", h5f.ACC_TRUNC, _FILE, _MEMORY)
+
+
+def open_image(content: bytes) -> h5f.FileID:
+    """Open a copy, in memory, of a file's bytes, to change it and take its `image`."""
+    access = _access(in_memory=True)
+    access.set_file_image(content)
+    return h5f.open(b"trial", h5f.ACC_RDWR, access)
 
 
 def create_on_disk(path: str) -> h5f.FileID:
@@ -118,19 +125,29 @@ def join_axis(dataset: h5d.DatasetID, name: str, scale: h5d.DatasetID | None) ->
     return scale
 
 
-def write_table(parent: Any, table: Table) -> None:
-    """Write one group with its columns whole; the first column becomes the dimension scale of the others."""
+def write_table(parent: Any, table: Table) -> list[h5d.DatasetID]:
+    """Write one group with its columns whole; the first column becomes the dimension scale of the others.
+
+    Returns
+    -------
+    list
+        The dataset of each column.
+    """
     group = create_group(parent, table.name)
     write_attributes(group, table.attributes)
     scale = None
+    datasets = []
     for column in table.columns:
         values = np.ascontiguousarray(column.values, dtype=float)
-        dataset = h5d.create(group, column.name.encode(), h5t.NATIVE_DOUBLE, h5s.create_simple(values.shape))
+        space = h5s.create_simple(values.shape)
+        dataset = h5d.create(group, column.name.encode(), h5t.NATIVE_DOUBLE, space, _PLAIN)
         if len(values):
             dataset.write(h5s.ALL, h5s.ALL, values)
         write_attribute(dataset, "units", column.unit)
         write_attributes(dataset, column.attributes)
         scale = join_axis(dataset, column.name, scale)
+        datasets.append(dataset)
+    return datasets
 
 
 def create_growing(group: h5g.GroupID, name: str) -> h5d.DatasetID:
@@ -147,30 +164,7 @@ def extend(dataset: h5d.DatasetID, values: FloatArray) -> None:
     dataset.set_extent((length + len(values),))
     where = dataset.get_space()
     where.select_hyperslab((length,), (len(values),))
-    dataset.write(_extent(len(values)), where, np.ascontiguousarray(values, dtype=float))
-
-
-def blocks(dataset: h5d.DatasetID, first: int = 0, count: int | None = None) -> Iterator[FloatArray]:
-    """Yield a part of a one-dimensional dataset (all of it without `count`), `BLOCK` values at a time."""
-    (length,) = dataset.shape
-    count = length - first if count is None else count
-    if count == length <= BLOCK:
-        values = np.empty(count)
-        if count:
-            dataset.read(h5s.ALL, h5s.ALL, values)
-        yield values
-        return
-    where = dataset.get_space()
-    for start in range(first, first + count, BLOCK):
-        values = np.empty(min(BLOCK, first + count - start))
-        where.select_hyperslab((start,), (len(values),))
-        dataset.read(_extent(len(values)), where, values)
-        yield values
-
-
-@lru_cache(maxsize=256)
-def _extent(length: int) -> h5s.SpaceID:
-    return h5s.create_simple((length,))
+    dataset.write(extent(len(values)), where, np.ascontiguousarray(values, dtype=float))
 
 
 def write_at(dataset: h5d.DatasetID, first: int, values: NDArray[Any]) -> None:
@@ -178,7 +172,7 @@ def write_at(dataset: h5d.DatasetID, first: int, values: NDArray[Any]) -> None:
     if len(values):
         where = dataset.get_space()
         where.select_hyperslab((first,), (len(values),))
-        dataset.write(_extent(len(values)), where, values)
+        dataset.write(extent(len(values)), where, values)
 
 
 def member_names(group: Any) -> list[str]:
@@ -200,13 +194,43 @@ class StoredColumn:
     name: str
     unit: str
     attributes: Mapping[str, Attribute]
-    dataset: h5d.DatasetID
+    values: ReadAhead
     first: int
     count: int
 
     def blocks(self) -> Iterator[FloatArray]:
         """Yield the values, `BLOCK` of them at a time."""
-        return blocks(self.dataset, self.first, self.count)
+        return self.values.blocks(self.first, self.count)
+
+    def last(self, count: int) -> FloatArray:
+        """Return the last so many values, without reading the others."""
+        return _joined(list(self.values.blocks(self.first + self.count - count, count)))
+
+
+@dataclass(frozen=True, slots=True)
+class HeldColumn:
+    """One column of a trial whose file is in memory."""
+
+    name: str
+    unit: str
+    attributes: Mapping[str, Attribute]
+    values: FloatArray
+
+    @property
+    def count(self) -> int:
+        """Number of samples."""
+        return len(self.values)
+
+    def blocks(self) -> Iterator[FloatArray]:
+        """Yield the values, all at once."""
+        yield self.values
+
+    def last(self, count: int) -> FloatArray:
+        """Return the last so many values."""
+        return self.values[len(self.values) - count :]
+
+
+AnyColumn = StoredColumn | HeldColumn
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +238,7 @@ class StoredTable:
     """One table of a trial as it lies in a file; its samples are read when asked for."""
 
     name: str
-    columns: tuple[StoredColumn, ...]
+    columns: tuple[AnyColumn, ...]
     attributes: Mapping[str, Attribute]
 
     @property
@@ -250,7 +274,7 @@ class StoredTable:
         return total.digest()
 
 
-Append = Callable[[StoredColumn, FloatArray], None]
+Append = Callable[[AnyColumn, FloatArray], None]
 
 
 def _numbers(attributes: Mapping[str, Attribute]) -> list[tuple[str, Attribute]]:
@@ -258,7 +282,10 @@ def _numbers(attributes: Mapping[str, Attribute]) -> list[tuple[str, Attribute]]
 
 
 def _joined(parts: list[FloatArray]) -> FloatArray:
-    return parts[0] if len(parts) == 1 else np.concatenate([np.empty(0), *parts])
+    """Return the parts as one array that is nobody else's."""
+    if len(parts) == 1:
+        return parts[0] if parts[0].base is None else parts[0].copy()
+    return np.concatenate([np.empty(0), *parts])
 
 
 def open_table(parent: Any, name: str) -> StoredTable:
@@ -269,7 +296,9 @@ def open_table(parent: Any, name: str) -> StoredTable:
         dataset = h5d.open(group, member.encode())
         tare = read_number(dataset, TARE)
         attributes = {} if tare is None else {TARE: tare}
-        columns.append(StoredColumn(member, read_unit(dataset), attributes, dataset, 0, *dataset.shape))
+        columns.append(
+            StoredColumn(member, read_unit(dataset), attributes, ReadAhead(dataset), 0, *dataset.shape)
+        )
     return StoredTable(name, tuple(columns), read_attributes(group))
 
 

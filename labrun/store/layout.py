@@ -53,7 +53,12 @@ def _fits(name: str) -> bool:
 
 
 def write_outcome(group: Any, outcome: TrialOutcome) -> None:
-    """Write an outcome as attributes: whole as JSON in ``outcome``, and one by one for readers without labrun."""
+    """Write an outcome as attributes, see `outcome_attributes`."""
+    write_attributes(group, outcome_attributes(outcome))
+
+
+def outcome_attributes(outcome: TrialOutcome) -> dict[str, Attribute]:
+    """Return an outcome as attributes: whole as JSON in ``outcome``, and one by one for readers without labrun."""
     single: dict[str, Attribute] = {
         "outcome": outcome.to_json(),
         "index": outcome.index,
@@ -70,7 +75,7 @@ def write_outcome(group: Any, outcome: TrialOutcome) -> None:
         single["period_s"] = outcome.period_s
     single |= {f"condition.{name}": value for name, value in outcome.condition.items()}
     single |= {f"objective.{name}": value for name, value in outcome.objectives.items()}
-    write_attributes(group, single)
+    return single
 
 
 def read_outcome(group: Any) -> TrialOutcome:
@@ -80,10 +85,14 @@ def read_outcome(group: Any) -> TrialOutcome:
 
 def write_rest(group: Any, settle_curve: SettleCurve | None, command: Trajectory | None) -> None:
     """Write what a trial has beside its streams."""
-    if command is not None:
-        write_table(group, command_table(command))
-    if settle_curve is not None:
-        write_table(group, settle_table(settle_curve))
+    for table in rest_tables(settle_curve, command):
+        write_table(group, table)
+
+
+def rest_tables(settle_curve: SettleCurve | None, command: Trajectory | None) -> list[Table]:
+    """Return what a trial has beside its streams."""
+    tables = [] if command is None else [command_table(command)]
+    return tables if settle_curve is None else [*tables, settle_table(settle_curve)]
 
 
 def device_attributes(rate_hz: float, lost: int, saturated: int) -> dict[str, Attribute]:

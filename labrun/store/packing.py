@@ -37,7 +37,7 @@ def pack(folder: RunFolder) -> Path:
     target = folder.path / PACKED
     outcomes = folder.outcomes()
     files = {index: path for index, path in trial_files(folder.path / TRIALS).items() if index in outcomes}
-    with TrialSources(target, files) as sources:
+    with TrialSources(target, files, folder.written) as sources:
         if not (
             target.is_file()
             and packed_file.holds(target, outcomes, packed_file.digests_of(outcomes, sources))

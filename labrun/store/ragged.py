@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from labrun.devices.samples import FloatArray
 from labrun.store import hdf5
 from labrun.store.attributes import TEXT, Attribute, read_attributes, write_attribute, write_attributes
-from labrun.store.hdf5 import StoredColumn, StoredTable
+from labrun.store.blocks import BLOCK, ReadAhead, blocks
+from labrun.store.hdf5 import AnyColumn, StoredColumn, StoredTable
 
 SAMPLE = "sample"
 TRIAL_INDEX = "trial_index"
@@ -67,7 +68,7 @@ class Growing:
 
     def append(self, position: int, values: NDArray[Any]) -> None:
         """Take values that stand from `position` on; positions only increase."""
-        if position != self._start + self._count or self._count >= hdf5.BLOCK:
+        if position != self._start + self._count or self._count >= BLOCK:
             self._flush()
             self._start = position
         self._waiting.append(values)
@@ -138,14 +139,14 @@ class RaggedWriter:
         self._note(row, names, table)
         positions = dict.fromkeys(names, self._total)
 
-        def append(column: StoredColumn, values: FloatArray) -> None:
+        def append(column: AnyColumn, values: FloatArray) -> None:
             name = self.columns[column.name, column.unit]
             self._growing[name].append(positions[name], values)
             positions[name] += len(values)
 
         digest = table.copy(append)
-        for start in range(0, table.count, hdf5.BLOCK):
-            part = np.full(min(hdf5.BLOCK, table.count - start), index, dtype=np.int32)
+        for start in range(0, table.count, BLOCK):
+            part = np.full(min(BLOCK, table.count - start), index, dtype=np.int32)
             self._index.append(self._total + start, part)
         self._total += table.count
         return digest
@@ -185,7 +186,7 @@ class RaggedWriter:
                 tare = self._tares.setdefault(name, np.full(self._trials, np.nan))
                 tare[row] = column.attributes[hdf5.TARE]
 
-    def _dataset_name(self, column: StoredColumn) -> str:
+    def _dataset_name(self, column: AnyColumn) -> str:
         key = (column.name, column.unit)
         if key not in self.columns:
             name = column.name
@@ -230,7 +231,7 @@ class RaggedGroup:
             for name in members
             if name.startswith(_TARE)
         }
-        self._columns: dict[str, tuple[str, str, h5d.DatasetID]] = {}
+        self._columns: dict[str, tuple[str, str, ReadAhead]] = {}
 
     def has(self, row: int) -> bool:
         """Tell whether a trial has this table."""
@@ -249,21 +250,27 @@ class RaggedGroup:
     def indices_are(self, indices: NDArray[np.int64]) -> bool:
         """Tell whether every sample is marked with its trial, given the index of every row."""
         marked = h5d.open(self._group, TRIAL_INDEX.encode())
-        return marked.shape == (self._count.sum(),) and all(
-            (values == indices[row]).all()
-            for row in np.flatnonzero(self._count)
-            for values in hdf5.blocks(marked, int(self._first[row]), int(self._count[row]))
-        )
+        ends = np.cumsum(self._count)
+        if marked.shape != (self._count.sum(),):
+            return False
+        start = 0
+        for values in blocks(marked):
+            rows = np.searchsorted(ends, np.arange(start, start + len(values)), side="right")
+            if not np.array_equal(values, indices[rows]):
+                return False
+            start += len(values)
+        return True
 
     def _column(self, name: str, row: int) -> StoredColumn:
         if name not in self._columns:
             dataset = h5d.open(self._group, name.encode())
             attributes = read_attributes(dataset)
-            self._columns[name] = (str(attributes.get("channel", name)), str(attributes["units"]), dataset)
-        channel, unit, dataset = self._columns[name]
+            values = ReadAhead(dataset)
+            self._columns[name] = (str(attributes.get("channel", name)), str(attributes["units"]), values)
+        channel, unit, values = self._columns[name]
         tare = self._tares[name][row] if name in self._tares else np.nan
         attributes = {} if np.isnan(tare) else {hdf5.TARE: float(tare)}
-        return StoredColumn(channel, unit, attributes, dataset, int(self._first[row]), int(self._count[row]))
+        return StoredColumn(channel, unit, attributes, values, int(self._first[row]), int(self._count[row]))
 
     def _numbers(self, name: str, kind: Any) -> NDArray[Any]:
         return hdf5.read_array(self._group, name, kind)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from labrun.errors import RecordingError
 from labrun.store import hdf5, layout
 from labrun.store.hdf5 import StoredTable
 from labrun.store.ragged import RaggedGroup
+from labrun.store.written import Written
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +70,17 @@ class TrialSources:
         ``run.h5``, which may be missing.
     files
         Trial files by index.
+    written
+        Of trial files that this process wrote: these are read without HDF5, if they are as they were written.
     """
 
-    def __init__(self, packed: Path, files: Mapping[int, Path]) -> None:
+    def __init__(
+        self,
+        packed: Path,
+        files: Mapping[int, Path],
+        written: Mapping[int, Written] = MappingProxyType({}),
+    ) -> None:
+        self._written = written
         self._path = packed
         self._files = files
         self._file: Any = None
@@ -104,6 +114,10 @@ class TrialSources:
         path = self._files.get(index)
         if path is None:
             yield self._packed_tables(index)
+            return
+        known = self._written[index].tables(path) if index in self._written else None
+        if known is not None:
+            yield TrialTables(tuple(known), known.__getitem__)
             return
         file = hdf5.open_for_reading(str(path))
         try:

@@ -2,19 +2,64 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from h5py import h5d, h5f
 
-from labrun.devices.samples import Channel, Samples
+from labrun.devices.samples import Channel, FloatArray, Samples
 from labrun.store import hdf5, layout
 from labrun.store.attributes import Attribute, write_attribute, write_attributes
+from labrun.store.blocks import BLOCK, blocks
 from labrun.store.timing import ClockMap
 
 _METADATA = 1 << 20
 """Bytes that are more than enough for what HDF5 writes beside the samples of one block."""
+
+
+@dataclass(frozen=True)
+class SpilledStream:
+    """A stream whose samples are on disk: as `labrun.store.trial.Stream`, but only what is asked for is in memory.
+
+    A column is read anew each time; the times, which every column needs, are kept.
+    """
+
+    name: str
+    channels: tuple[Channel, ...]
+    rate_hz: float
+    lost: int
+    saturated: int
+    _file: "SpillFile"
+    _start_s: float
+
+    @cached_property
+    def time_s(self) -> FloatArray:
+        """Trial-relative times, shape (n,), as they will be stored."""
+        return self._file.time_s(self.name, self._start_s)
+
+    @property
+    def device_time_s(self) -> FloatArray:
+        """The device's own times, shape (n,)."""
+        return self._file.column(self.name, "device_time_s")
+
+    @property
+    def host_time_s(self) -> FloatArray:
+        """Times of arrival, shape (n,)."""
+        return self._file.column(self.name, "host_time_s")
+
+    @property
+    def values(self) -> FloatArray:
+        """All channels, shape (n, channels): as large as the trial."""
+        return np.column_stack([self.column(channel.name) for channel in self.channels])
+
+    def column(self, channel: str) -> FloatArray:
+        """Return the values of one channel, shape (n,); KeyError if there is none of that name."""
+        if all(known.name != channel for known in self.channels):
+            raise KeyError(channel)
+        return self._file.column(self.name, channel)
 
 
 class SpillFile:
@@ -34,7 +79,7 @@ class SpillFile:
     def add(self, device: str, channels: Sequence[Channel], rate_hz: float, samples: Samples) -> None:
         """Append samples of one device; the clock learns from them on the way."""
         datasets = len(layout.TIMES) + len(channels)
-        hdf5.reserve(self.file, datasets * (8 * (len(samples) + hdf5.BLOCK)) + _METADATA)
+        hdf5.reserve(self.file, datasets * (8 * (len(samples) + BLOCK)) + _METADATA)
         if device not in self._groups:
             self._make_group(device, channels)
             self._clocks[device] = ClockMap(rate_hz)
@@ -44,13 +89,38 @@ class SpillFile:
         for number, channel in enumerate(channels):
             self._extend(device, channel.name, samples.values[:, number])
 
-    def read(self, device: str, channels: Sequence[Channel]) -> Samples:
-        """Return all samples of a device so far."""
-        if device not in self._groups:
-            return Samples.empty(len(channels))
-        columns = {column.name: column.values for column in hdf5.read_table(self.file, device).columns}
-        values = np.column_stack([columns[channel.name] for channel in channels])
-        return Samples(columns["device_time_s"], columns["host_time_s"], values)
+    def stream(
+        self,
+        device: str,
+        channels: tuple[Channel, ...],
+        rate_hz: float,
+        lost: int,
+        saturated: int,
+        start_s: float,
+    ) -> "SpilledStream":
+        """Return what a device delivered so far, to be read column by column while this file is open."""
+        return SpilledStream(device, channels, rate_hz, lost, saturated, self, start_s)
+
+    def column(self, device: str, name: str) -> FloatArray:
+        """Return one column whole."""
+        dataset = self._dataset(device, name)
+        values = np.empty(dataset.shape)
+        end = 0
+        for block in blocks(dataset):
+            values[end : end + len(block)] = block
+            end += len(block)
+        return values
+
+    def time_s(self, device: str, start_s: float) -> FloatArray:
+        """Return the trial-relative times that `complete` will store."""
+        dataset = self._dataset(device, "device_time_s")
+        values = np.empty(dataset.shape)
+        mapper = self._clocks[device].mapper(start_s)
+        end = 0
+        for block in blocks(dataset):
+            values[end : end + len(block)] = mapper(block)
+            end += len(block)
+        return values
 
     def complete(
         self, device: str, start_s: float, tare: dict[str, float], attributes: dict[str, Attribute]
@@ -58,10 +128,10 @@ class SpillFile:
         """Add trial-relative times, tare offsets and attributes to a device's group, block by block."""
         group = self._groups[device]
         (length,) = self._dataset(device, "device_time_s").shape
-        hdf5.reserve(self.file, 8 * (length + hdf5.BLOCK) + _METADATA)
+        hdf5.reserve(self.file, 8 * (length + BLOCK) + _METADATA)
         clock = self._clocks[device]
         mapper = clock.mapper(start_s)
-        for device_time_s in hdf5.blocks(self._dataset(device, "device_time_s")):
+        for device_time_s in blocks(self._dataset(device, "device_time_s")):
             self._extend(device, "time_s", mapper(device_time_s))
         for channel, offset in tare.items():
             write_attribute(self._dataset(device, channel), "tare", float(offset))

@@ -1,12 +1,12 @@
 """Trial files as they lie on disk: which are there, whether they are whole, and what is in them."""
 
-from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
 from labrun.errors import RecordingError
 from labrun.store import hdf5, layout
 from labrun.store.trial import TrialOutcome
+from labrun.store.written import digest_of
 
 
 def trial_files(trials: Path) -> dict[int, Path]:
@@ -34,10 +34,12 @@ def check(path: Path, described: dict[str, Any] | None) -> TrialOutcome:
     size = path.stat().st_size
     if described is not None and described.get("bytes", size) != size:
         raise RecordingError(f"{path} has {size} bytes of the {described['bytes']} that were written")
-    if described is not None and "blake2b" in described:
-        digest = blake2b(path.read_bytes(), digest_size=16).hexdigest()
-        if digest != described["blake2b"]:
-            raise RecordingError(f"{path} is not what was written: its content changed on the disk")
+    if (
+        described is not None
+        and "blake2b" in described
+        and digest_of(path.read_bytes()) != described["blake2b"]
+    ):
+        raise RecordingError(f"{path} is not what was written: its content changed on the disk")
     try:
         file = hdf5.open_for_reading(str(path))
         try:

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from labrun.devices.samples import FloatArray
 from labrun.store import hdf5, layout
 from labrun.store.folder import PACKED, TRIALS
-from labrun.store.hdf5 import StoredColumn, StoredTable
+from labrun.store.hdf5 import AnyColumn, StoredTable
 from labrun.store.sources import PackedTrials, TrialTables
 from labrun.store.trial import TrialOutcome
 
@@ -112,10 +110,10 @@ def _trace(tables: TrialTables, index: int, wanted: Sequence[str]) -> Trace | No
 def _end(table: StoredTable, name: str) -> FloatArray:
     column = _column(table, name)
     count = min(column.count, MOST_SAMPLES)
-    return np.concatenate(list(hdf5.blocks(column.dataset, column.first + column.count - count, count)))
+    return column.last(count)
 
 
-def _column(table: StoredTable, name: str) -> StoredColumn:
+def _column(table: StoredTable, name: str) -> AnyColumn:
     return next(column for column in table.columns if column.name == name)
 
 

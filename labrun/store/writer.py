@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from hashlib import blake2b
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +12,11 @@ from labrun.store import layout
 from labrun.store.disk import fsync_directory, fsync_file, saving, write_synced
 from labrun.store.timing import ClockMap
 from labrun.store.trial import SettleCurve, Stream, TrialOutcome
+from labrun.store.written import digest_of
 
 if TYPE_CHECKING:
-    from labrun.store.spill import SpillFile
+    from labrun.store.spill import SpilledStream, SpillFile
+    from labrun.store.trial_image import Places, Templates
 
 SPILL_BYTES = 8 << 20
 """Samples in memory, all devices together, above which they go to the temporary file."""
@@ -51,8 +52,11 @@ class TrialWriter:
         The folder of trial files.
     index
         The trial's execution counter.
+    templates
+        Of the run's earlier trials.
     stored
-        Called with the outcome and the file's size and digest once the trial is on disk.
+        Called once the trial is on disk: with the outcome, the file's size and digest, and where everything stands in
+        it, if that is known.
     saved
         Tells what is saved so far, for an error message.
     """
@@ -61,12 +65,15 @@ class TrialWriter:
         self,
         trials: Path,
         index: int,
-        stored: Callable[[TrialOutcome, Mapping[str, Any]], None],
+        templates: "Templates",
+        stored: Callable[[TrialOutcome, Mapping[str, Any], "Places | None"], None],
         saved: Callable[[], str],
     ) -> None:
         self.index = index
         self.path = trials / f"{index:06d}.h5"
         self._partial = trials / f".{index:06d}.h5.partial"
+        self._templates = templates
+        self._places: Places | None = None
         self._stored = stored
         self._saved = saved
         self._devices: dict[str, _Device] = {}
@@ -99,15 +106,27 @@ class TrialWriter:
         """Size of the samples that are not on disk yet."""
         return self._bytes
 
-    def streams(self, start_s: float) -> dict[str, Stream]:
+    def streams(self, start_s: float) -> "Mapping[str, Stream | SpilledStream]":
         """Return what was recorded so far, by device; without tare offsets.
+
+        Of a trial too long for memory, each column is read from the temporary file when it is asked for, which must be
+        before `finish`.
 
         Parameters
         ----------
         start_s
             The run clock's time that becomes `time_s` = 0.
         """
-        return {device.name: self._stream(device, start_s, {})[0] for device in self._devices.values()}
+        if self._spill is None:
+            return {device.name: self._stream(device, start_s, {})[0] for device in self._devices.values()}
+        with self._saving():
+            self._move_to_disk()
+        return {
+            device.name: self._spill.stream(
+                device.name, device.channels, device.rate_hz, device.lost, device.saturated, start_s
+            )
+            for device in self._devices.values()
+        }
 
     def finish(
         self, outcome: TrialOutcome, settle_curve: SettleCurve | None, command: Trajectory | None
@@ -125,7 +144,7 @@ class TrialWriter:
             self._partial.rename(self.path)
             fsync_directory(self.path.parent)
         self._devices = {}
-        self._stored(outcome, described)
+        self._stored(outcome, described, self._places)
 
     def discard(self) -> None:
         """Forget the trial and remove its temporary file. Never raises."""
@@ -152,9 +171,6 @@ class TrialWriter:
 
     def _stream(self, device: _Device, start_s: float, tare: Mapping[str, float]) -> tuple[Stream, int]:
         samples = device.joined()
-        if self._spill is not None:
-            spilled = self._spill.read(device.name, device.channels)
-            samples = Samples.join([spilled, samples], len(device.channels))
         clock = ClockMap(device.rate_hz)
         clock.learn(samples.device_time_s, samples.host_time_s)
         time_s = clock.mapper(start_s)(samples.device_time_s)
@@ -175,20 +191,19 @@ class TrialWriter:
     def _finish_in_memory(
         self, outcome: TrialOutcome, settle_curve: SettleCurve | None, command: Trajectory | None
     ) -> dict[str, Any]:
-        from labrun.store import hdf5
+        from labrun.store.trial_image import Content
 
-        file = hdf5.create_in_memory()
-        try:
-            layout.write_outcome(file, outcome)
-            for device in self._devices.values():
-                tare = layout.device_tare(outcome, device.name)
-                hdf5.write_table(file, layout.stream_table(*self._stream(device, outcome.started_s, tare)))
-            layout.write_rest(file, settle_curve, command)
-            content = hdf5.image(file)
-        finally:
-            file.close()
+        streams = (
+            self._stream(device, outcome.started_s, layout.device_tare(outcome, device.name))
+            for device in self._devices.values()
+        )
+        tables = [layout.stream_table(stream, glitches) for stream, glitches in streams]
+        tables += layout.rest_tables(settle_curve, command)
+        content, self._places = self._templates.image(
+            Content(layout.outcome_attributes(outcome), tuple(tables))
+        )
         write_synced(self._partial, content)
-        return {"bytes": len(content), "blake2b": blake2b(content, digest_size=16).hexdigest()}
+        return {"bytes": len(content), "blake2b": digest_of(content)}
 
     def _move_to_disk(self) -> None:
         from labrun.store.spill import SpillFile
