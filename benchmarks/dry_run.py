@@ -1,12 +1,15 @@
-"""How much faster than the bench a dry run is, and what the command line costs.
+"""How much faster than the bench a dry run of all of fin-params is.
 
-    python benchmarks/dry_run.py
+    python benchmarks/dry_run.py [--repeats 3]
 
-Runs all of fin-params (2292 trials of five cycles, reference trials, fresh repeats) in a process of its own, and
-compares the simulated time of the bench with the time the run took; then the processor time of the two commands
-that only look.
+The whole command, in a process of its own: 2292 trials of five cycles, reference trials and fresh repeats of
+the leaders, with settling, tare, simulated water, every trial durable on disk, packing, verification and the
+figure. The simulated time of the bench is divided by the time the command took. Whatever else loads the
+machine makes it slower: the least of the repeats counts, and processor time (which waiting for the disk is no
+part of) stands beside it. Goal: 1000 times.
 """
 
+import argparse
 import json
 import resource
 import subprocess
@@ -14,6 +17,8 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+
+from measuring import machine, table
 
 LABRUN = [sys.executable, "-m", "labrun"]
 
@@ -30,21 +35,29 @@ def _timed(arguments: list[str], folder: Path) -> tuple[str, float, float]:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--repeats", type=int, default=3)
+    repeats = parser.parse_args().repeats
+    rows = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _timed(["sweep", "fin-params", "--dry-run", "--seed", "1", "--limit", "1"], folder)  # compiles, once
-        out, wall, cpu = _timed(["sweep", "fin-params", "--dry-run", "--seed", "1", "--json"], folder)
-        found = json.loads(out)
-        run = folder / found["run"]
-        shown, _, _ = _timed(["show", str(run), "--json"], folder)
-        bench = json.loads(shown)["bench_time_s"]
-        trials = sum(found["trials"].values())
-        print(f"fin-params: {trials} trials, {bench / 3600:.1f} h on the bench")
-        print(f"  wall {wall:.1f} s = {bench / wall:.0f} times faster; {1e3 * wall / trials:.1f} ms a trial")
-        print(f"  CPU  {cpu:.1f} s = {bench / cpu:.0f} times faster; {1e3 * cpu / trials:.1f} ms a trial")
-        for command in ("--help", "list"):
-            cpus = sorted(_timed([command], folder)[2] for _ in range(9))
-            print(f"labrun {command}: {cpus[len(cpus) // 2]:.3f} s of CPU (median of {len(cpus)})")
+        for _ in range(repeats):
+            out, wall, cpu = _timed(["sweep", "fin-params", "--dry-run", "--seed", "1", "--json"], folder)
+            found = json.loads(out)
+            shown, _, _ = _timed(["show", str(folder / found["run"]), "--json"], folder)
+            bench = json.loads(shown)["bench_time_s"]
+            trials = sum(found["trials"].values())
+            rows.append((bench / wall, [f"{wall:.1f}", f"{1e3 * wall / trials:.1f}", f"{bench / wall:.0f}",
+                         f"{cpu:.1f}", f"{1e3 * cpu / trials:.1f}", f"{bench / cpu:.0f}"]))  # fmt: skip
+    print(machine("labrun", "numpy", "h5py", "numba"))
+    print(f"fin-params: {trials} trials, {bench / 3600:.1f} h on the bench")
+    head = ["", "wall s", "ms a trial", "times the bench", "CPU s", "ms a trial", "times the bench"]
+    print(table(head, [[f"run {number}", *cells] for number, (_, cells) in enumerate(rows, start=1)]))
+    best = max(times for times, _ in rows)
+    print(f"\nbest {best:.0f} times; goal 1000: {'held' if best >= 1000 else 'MISSED'}")
 
 
 if __name__ == "__main__":

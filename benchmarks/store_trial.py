@@ -15,6 +15,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from measuring import machine
 
 from labrun.devices import Channel, Samples, Trajectory
 from labrun.store.folder import RunFolder
@@ -72,6 +73,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path())
     arguments = parser.parse_args()
     rng = np.random.default_rng(0)
+    print(machine("labrun", "h5py", "numpy", "xarray", "h5netcdf"))
     with tempfile.TemporaryDirectory(dir=arguments.folder) as scratch:
         folder = RunFolder.create(Path(scratch), "benchmark", 'title = "benchmark"\n', {})
         labrun, bare = [], []
