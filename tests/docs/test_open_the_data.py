@@ -40,8 +40,8 @@ def _run(*arguments: str, cwd: Path) -> None:
 def workspace(tmp_path_factory) -> Path:
     """Return a folder in which the page's first command was given, on fewer conditions."""
     folder = tmp_path_factory.mktemp("workspace")
-    command = _blocks("console")[0].split()
-    assert command[0] == "labrun"
+    prompt, *command = _blocks("console")[0].split()
+    assert (prompt, command[0]) == ("$", "labrun")
     _run("-m", *command, *A_SMALL_SWEEP, cwd=folder)
     return folder
 
@@ -90,5 +90,5 @@ def test_the_exports_of_the_page_work(workspace):
     lines = [line for block in _blocks("console") for line in block.splitlines() if " export " in line]
     assert len(lines) == 2
     for line in lines:
-        _run("-m", *line.split(), cwd=workspace)
+        _run("-m", *line.removeprefix("$ ").split(), cwd=workspace)
         assert (workspace / line.split()[-1]).stat().st_size > 0

@@ -1,0 +1,111 @@
+"""What a page tells its reader to type: commands, Python, and files, in order."""
+
+import re
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+
+_FENCE = re.compile(
+    r"^(?:<!-- no-run: (?P<reason>[^\n]+?) -->\n+)?(?P<indent> *)```(?P<language>\w+)(?P<info>[^\n]*)\n"
+    r"(?P<body>.*?)^(?P=indent)```$",
+    re.MULTILINE | re.DOTALL,
+)
+_TITLE = re.compile(r'title="([^"]+)"')
+
+
+@dataclass(frozen=True)
+class Block:
+    """One fenced block of a page."""
+
+    page: str
+    line: int
+    language: str
+    info: str
+    body: str
+    reason: str | None
+    """Why it is not run; None if it is."""
+
+    @property
+    def file(self) -> str | None:
+        """The file it shows, which the reader makes."""
+        found = _TITLE.search(self.info)
+        return found[1] if found else None
+
+    @property
+    def where(self) -> str:
+        return f"{self.page}:{self.line}"
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command line, and what the page shows of its output."""
+
+    line: str
+    shown: tuple[str, ...] = ()
+
+
+def blocks(path: Path) -> list[Block]:
+    """Return the fenced blocks of a page; a comment ``<!-- no-run: why -->`` before one says why it is not run."""
+    text = path.read_text(encoding="utf-8")
+    found = []
+    for match in _FENCE.finditer(text):
+        line = text[: match.start("language")].count("\n") + 1
+        reason = match["reason"]
+        if match["info"].strip() == "set-up":
+            reason = "makes an environment of its own; the server runs it in a fresh copy"
+        found.append(
+            Block(path.name, line, match["language"], match["info"], textwrap.dedent(match["body"]), reason)
+        )
+    return found
+
+
+def commands(block: Block) -> list[Command]:
+    """Return the command lines of a console block (after ``$``) or of a shell block (every line)."""
+    lines = block.body.splitlines()
+    if block.language == "sh":
+        return [Command(line) for line in _joined(lines) if line and not line.startswith("#")]
+    found: list[tuple[str, list[str]]] = []
+    for line in _joined(lines):
+        if line.startswith("$ "):
+            found.append((line[2:], []))
+        elif found:
+            found[-1][1].append(line)
+        elif line.strip():
+            raise ValueError(f"{block.where}: a console block begins with '$ ', not with {line!r}")
+    return [Command(line, tuple(shown)) for line, shown in found]
+
+
+def _joined(lines: list[str]) -> list[str]:
+    joined: list[str] = []
+    for line in lines:
+        if joined and joined[-1].endswith("\\"):
+            joined[-1] = joined[-1][:-1] + line.strip()
+        else:
+            joined.append(line)
+    return joined
+
+
+def unlike(shown: tuple[str, ...], printed: str) -> list[str]:
+    """Return the shown lines that were not printed, in their order.
+
+    Numbers, times and names of runs differ from one run to the next: of each line, what stands before the first of
+    them must begin a printed line, after the one that the line above was found in. A line ``...`` stands for any.
+    """
+    rest = iter([_start(line) for line in printed.splitlines()])
+    missing = []
+    whole = " ".join(printed.split())  # pages wrap long lines
+    for line in shown:
+        wanted = _start(line)
+        if not wanted or wanted == "...":
+            continue
+        if not any(candidate.startswith(wanted) for candidate in rest):
+            if wanted not in whole:
+                missing.append(line)
+            rest = iter([_start(text) for text in printed.splitlines()])
+    return missing
+
+
+def _start(line: str) -> str:
+    line = re.sub(r"(?<=\s)/\S+/", "", line)  # a path of this machine: its last part
+    before = re.split(r"[-+]?\d|─", line, maxsplit=1)[0]
+    return " ".join(before.split()).removesuffix("-").strip()

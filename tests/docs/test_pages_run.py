@@ -1,0 +1,159 @@
+"""Every command line and every piece of Python in README and docs does what the page says."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pages import Block, Command, blocks, commands, unlike
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+
+# The pages show experiments of hours on the bench, half a minute in a dry run. Here they get fewer conditions.
+SMALLER = {
+    "fin-params": (
+        "--set sweep.axes.b=[0] --set sweep.axes.a=[30,60] --set sweep.axes.f=[1.0,1.4] "
+        "--set trial.reference.every=4 --set leaders={count=2,repeats=2}"
+    ),
+    "turn-torque": (
+        "--set cmaes.population=6 --set cmaes.parents=3 --set cmaes.reevaluate=1 --set cmaes.stop.trials=40 "
+        "--set trial.repeats=2 --set leaders={count=2,repeats=2}"
+    ),
+    "force-control": "--set trial.repeats=1",
+    "stabilise": "--set trial.duration_s=5 --set trial.repeats=1",
+}
+ENDINGS = {
+    "labrun: no trial was accepted": 1,
+    "labrun: mine.toml: 4 errors": 2,
+    "conditions leave a limit": 2,
+    "is above the limit of": 2,
+    "has changed since this run began": 2,
+}
+"""Output by which a page shows that a command ends badly, with its exit code; all others must end well."""
+RUNS = ("run", "sweep", "cmaes", "track")
+SLOW = ("closed-loop.md", "stabilise.md")
+"""Pages that take long, besides those of the fits."""
+MOST_NOT_RUN = 12
+"""A block that is marked and could run is a page nobody checks: whoever adds one must raise this number."""
+
+
+def runnable(path: Path) -> list[Block]:
+    return [
+        block
+        for block in blocks(path)
+        if block.file is not None or block.language in ("console", "sh", "python")
+    ]
+
+
+def _as_parameter(path: Path):
+    slow = path.parent.name == "fits" or path.name in SLOW
+    return pytest.param(path, id=path.name, marks=[pytest.mark.slow] if slow else [])
+
+
+def test_what_is_not_run_says_why_and_is_little():
+    marked = [block for path in PAGES for block in runnable(path) if block.reason is not None]
+    listing = "\n".join(f"  {block.where}: {block.reason}" for block in marked)
+    print("not run:\n" + listing)
+    assert all(len(block.reason.split()) >= 3 for block in marked), f"a reason is a sentence:\n{listing}"
+    assert len(marked) <= MOST_NOT_RUN, listing
+
+
+@pytest.mark.parametrize("path", [_as_parameter(path) for path in PAGES if runnable(path)])
+def test_what_the_page_says_works(path, tmp_path):
+    reader = Reader(tmp_path)
+    if path.name == "README.md":
+        reader.prepare_readme()
+    for block in runnable(path):
+        if block.reason is None:
+            reader.do(block)
+    reader.run_python()
+
+
+class Reader:
+    """Somebody who types what a page says, in a fresh folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.site = folder / ".site"
+        self.python: list[str] = []
+        self.smaller: set[str] = set()
+
+    def prepare_readme(self) -> None:
+        """Make the files the README speaks of: one with four mistakes, and a run.h5 to open."""
+        text = (ROOT / "experiments" / "fin-params.toml").read_text(encoding="utf-8")
+        for right, wrong in (
+            ('offset_deg = "b"', 'offset_rad = "b"'),
+            ("repeats = 3\n", "repeat = 3\n"),
+            ('channel = "wrench.torque_y"\ndivide', 'channel = "wrench.torque_yy"\ndivide'),
+        ):
+            assert right in text
+            text = text.replace(right, wrong, 1)
+        (self.folder / "mine.toml").write_text(text, encoding="utf-8")
+
+    def do(self, block: Block) -> None:
+        if block.file is not None:
+            file = self.folder / block.file
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(block.body, encoding="utf-8")
+        elif block.language == "python":
+            self.python.append(block.body)
+        else:
+            self.run_python()
+            for command in commands(block):
+                self.type(block, command)
+
+    def type(self, block: Block, command: Command) -> None:
+        line = self._as_tested(command.line)
+        wanted = next((code for words, code in ENDINGS.items() if words in "\n".join(command.shown)), 0)
+        done = self._bash(line)
+        said = f"{block.where}: $ {line}\n{done.stdout}\n{done.stderr}"
+        assert done.returncode == wanted, said
+        missing = unlike(command.shown, done.stdout + "\n" + done.stderr)
+        assert not missing, "shown but not printed:\n" + "\n".join(missing) + "\n\n" + said
+
+    def run_python(self) -> None:
+        """Run the Python that has come up since the last command, as one program."""
+        if not self.python:
+            return
+        program, self.python = "\n".join(self.python), []
+        if '"run.h5"' in program and not (self.folder / "run.h5").exists():
+            shutil.copy(next(self.folder.glob("results/fin-params/*/run.h5")), self.folder)
+        (self.folder / ".page.py").write_text(program, encoding="utf-8")
+        done = self._bash("python .page.py")
+        assert done.returncode == 0, f"{program}\n{done.stderr}"
+
+    def _as_tested(self, line: str) -> str:
+        words = line.split()
+        if words[:2] == ["pip", "install"]:
+            return f"python -m pip install -q --no-deps --no-build-isolation --target {self.site} {words[-1]}"
+        parts = line.split(" && ")
+        return " && ".join(self._smaller(part) for part in parts)
+
+    def _smaller(self, line: str) -> str:
+        words = line.split()
+        if words[0] != "labrun" or words[1] not in RUNS or words[2] not in SMALLER or "sweep.axes" in line:
+            return line
+        return f"{line} {' '.join(word if word == '--set' else repr(word) for word in SMALLER[words[2]].split(' '))}"
+
+    def _bash(self, line: str) -> subprocess.CompletedProcess[str]:
+        environment = {
+            **os.environ,
+            "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
+            "PYTHONPATH": os.pathsep.join([str(self.site), os.environ.get("PYTHONPATH", "")]),
+            "MPLBACKEND": "Agg",
+            "COLUMNS": "100",
+        }
+        return subprocess.run(
+            ["bash", "-euo", "pipefail", "-c", line],
+            cwd=self.folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )

@@ -1,0 +1,98 @@
+"""The site builds without a warning, needs no network to read, and its tables of keys are those of the models."""
+
+import importlib
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from labrun.spec.experiment import Experiment
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+
+
+def _keys():
+    spec = importlib.util.spec_from_file_location("docs_keys", DOCS / "hooks" / "keys.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _models_within(model: type[BaseModel], found: set[type[BaseModel]]) -> set[type[BaseModel]]:
+    """Return a model and all models that its fields hold."""
+    if model in found:
+        return found
+    found.add(model)
+    waiting = [field.annotation for field in model.model_fields.values()]
+    while waiting:
+        item = waiting.pop()
+        if isinstance(item, type) and issubclass(item, BaseModel):
+            _models_within(item, found)
+        waiting += getattr(item, "__args__", ())
+    return found
+
+
+def test_every_table_of_the_file_is_explained_key_by_key():
+    keys, page = _keys(), (DOCS / "keys.md").read_text(encoding="utf-8")
+    shown = re.findall(r"<!-- keys: ([\w.:]+) -->", page)
+    for name in shown:
+        table = keys.table(name)
+        model = keys.model_of(name)
+        assert len(table.splitlines()) == 2 + len(model.model_fields), name
+    in_prose = {"Range", "Interval", "PluginTable", "SceneTable"}
+    tables = {model.__name__ for model in _models_within(Experiment, set())}
+    assert tables - in_prose <= {name.rpartition(":")[2] for name in shown}
+
+
+def test_a_key_without_a_word_is_an_error(monkeypatch):
+    keys = _keys()
+    monkeypatch.delitem(keys.WORDS["TrialTable"], "cycles")
+    with pytest.raises(ValueError, match=r"TrialTable.*cycles"):
+        keys.table("TrialTable")
+
+
+def test_a_word_without_its_key_is_an_error(monkeypatch):
+    keys = _keys()
+    monkeypatch.setitem(keys.WORDS["TrialTable"], "cycle_count", "gone")
+    with pytest.raises(ValueError, match=r"TrialTable.*cycle_count"):
+        keys.table("TrialTable")
+
+
+def test_every_module_of_the_reference_is_there():
+    names = [
+        name
+        for page in (DOCS / "api").glob("*.md")
+        for name in re.findall(r"^::: (\S+)", page.read_text(), re.M)
+    ]
+    assert len(names) > 40
+    for name in names:
+        assert importlib.import_module(name).__doc__, f"{name} has no docstring"
+
+
+@pytest.mark.slow
+def test_the_site_builds_strictly_and_fetches_nothing(tmp_path):
+    pytest.importorskip("material")
+    built = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)],
+        cwd=ROOT,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert built.returncode == 0, built.stderr
+    assert "WARNING" not in built.stderr
+    for page in tmp_path.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        fetched = re.findall(
+            r'<(?:script|img|iframe)[^>]* src="(https?:[^"]*)"|<link[^>]* href="(https?:[^"]*)"', text
+        )
+        assert not fetched, page.name
+    assert (tmp_path / "search" / "search_index.js").is_file()
