@@ -32,15 +32,15 @@ def value_text(value: Value) -> str:
 
 
 def quantity_text(value: float, unit: str) -> str:
-    """Return a number with its unit."""
-    return f"{value:.4g} {unit}".rstrip()
+    """Return a number with its unit; "1" is none."""
+    return f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}".rstrip()
 
 
 def interval_text(value: float, ci95: tuple[float, float] | None, unit: str) -> str:
     """Return ``0.412 [0.398, 0.426] N``."""
     if ci95 is None:
         return quantity_text(value, unit)
-    return f"{value:.4g} [{ci95[0]:.4g}, {ci95[1]:.4g}] {unit}".rstrip()
+    return f"{value:.4g} [{ci95[0]:.4g}, {ci95[1]:.4g}] {'' if unit == '1' else unit}".rstrip()
 
 
 def duration_text(duration_s: float) -> str:

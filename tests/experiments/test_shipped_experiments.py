@@ -1,7 +1,9 @@
 """The experiments that ship: they load, and their numbers are those of the source."""
 
 import math
+import warnings
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,11 +12,24 @@ from hypothesis import strategies as st
 
 from labrun.devices import Limits
 from labrun.gaits import make_gait
+from labrun.models.hinge_maps import damping, stiffness
 from labrun.search.design import conditions
 from labrun.spec.loading import load_experiment, loads_experiment
 from labrun.spec.workspace import find_model_file, shipped_experiments
 
-NAMES = ("fin-params", "fin-modulation", "fin-step", "turn-torque", "turn-torque-current", "hinge")
+NAMES = (
+    "fin-params",
+    "fin-modulation",
+    "fin-step",
+    "turn-torque",
+    "turn-torque-current",
+    "hinge",
+    "hinge-width",
+    "hinge-length",
+    "hinge-area",
+    "stabilise",
+    "force-control",
+)
 
 
 @cache
@@ -170,8 +185,54 @@ def test_the_hinge_is_released_from_several_angles_five_times_each_at_360_frames
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "size", "count", "nominal"),
+    [
+        ("hinge-width", "width_mm", 5, {"length_mm": 1.75, "area_cm2": 43}),
+        ("hinge-length", "length_mm", 5, {"width_mm": 50, "area_cm2": 43}),
+        ("hinge-area", "area_cm2", 7, {"width_mm": 50, "length_mm": 1.75}),
+    ],
+)
+def test_specimens_are_the_sources_number_released_five_times_and_never_changed_twice(
+    name, size, count, nominal
+):
+    experiment = shipped(name)
+    points = conditions(experiment)
+    sizes = [point[size] for point in points]
+    assert len(set(sizes)) == count
+    assert all(sizes.count(one) == 5 for one in sizes)
+    assert all({key: point[key] for key in nominal} == nominal for point in points)
+    changes = sum(one != other for one, other in pairwise(sizes))
+    assert experiment.sweep.order == "as-listed"
+    assert (experiment.trial.repeats.min, experiment.trial.repeats.max) == (1, 1)
+    assert changes == count - 1
+    mounted = list(dict.fromkeys(sizes))
+    assert mounted not in (sorted(mounted), sorted(mounted, reverse=True))
+    assert size in experiment.rig.devices["hinge"].settings["instruction"]
+    assert experiment.rig.devices["cameras"].settings["rate_hz"] == 360
+    assert experiment.fit.method == "hinge-maps"
+    file = shipped_experiments() / f"{name}.toml"
+    assert find_model_file(experiment.fit.model, file, shipped_experiments()) is not None
+
+
+@pytest.mark.parametrize("name", ["hinge-width", "hinge-length", "hinge-area"])
+def test_every_specimen_is_one_at_which_the_comprehensive_maps_hold(name):
+    for point in conditions(shipped(name)):
+        width_m, length_m, area_m2 = (
+            point["width_mm"] * 1e-3,
+            point["length_mm"] * 1e-3,
+            point["area_cm2"] * 1e-4,
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert damping(area_m2, width_m, length_m) > 0
+        assert stiffness(width_m, length_m) > 0
+
+
 def test_every_file_has_a_title_and_states_the_units_of_its_conditions():
     for name in NAMES:
         experiment = shipped(name)
         assert experiment.title
-        assert set(experiment.units) == set(conditions(experiment)[0])
+        numbers = {name for name, value in conditions(experiment)[0].items() if not isinstance(value, str)}
+        steered = {loop.drives for loop in experiment.track.loops.values()} if experiment.track else set()
+        assert numbers <= set(experiment.units) <= numbers | steered
