@@ -6,7 +6,7 @@ from labrun.effects.signals import cross_talk
 EFFECT = Effect(
     id="cross-talk",
     kind="output",
-    parameters=(EffectParameter("share", "ratio", neutral=0.0, lower=-0.5, upper=0.5, starts=(0.03, -0.03)),),
+    parameters=(EffectParameter("share", "ratio", neutral=0.0, lower=-0.5, upper=0.5, starts=(0.05, -0.05)),),
     function=signal_filter(cross_talk),
     signals=2,
     form="y = signal + share (the model's next other output)",

@@ -31,7 +31,7 @@ EFFECT = Effect(
         EffectParameter(
             "lower", "coordinate", neutral=-math.inf, lower=-1.5, upper=-0.05, starts=(-0.8, -1.2, -0.8)
         ),
-        EffectParameter("stiffness", "stiffness", neutral=None, lower=0.5, upper=100.0, starts=(10.0,)),
+        EffectParameter("stiffness", "stiffness", neutral=None, lower=0.5, upper=100.0, starts=(5.0,)),
         EffectParameter(
             "damping_time", "ratio", neutral=None, lower=0.0, upper=1.0, starts=(0.0,), held=True
         ),

@@ -19,17 +19,24 @@ ECHO_S = 1.0 / BEST_HZ
 """Time from a stroke until its wave is back: one period at the best frequency, which makes it the best."""
 TIP_LAG_S = 0.1
 """The flexible sheet's tip follows the servo with this lag (chosen)."""
-ANGLE_DEAD_S = 0.12
-"""Dead time of eq. (5.6)."""
+SERVO_DELAY_S = 0.05
+"""(5.5) and (5.6) count from the command. An RC servo of 6 Hz that takes 50 commands/s is behind by about this."""
+SERVO_SHARE = 0.98
+"""And about this much of a commanded amplitude arrives at the tail at the best frequency."""
+ANGLE_DEAD_S = 0.12 - SERVO_DELAY_S
+"""Dead time of eq. (5.6), less the servo's."""
 AMPLITUDE_DEAD_S = 0.28 - TIP_LAG_S
-"""Dead time of eq. (5.5), less the tip's lag, which acts like a part of it."""
+"""Dead time of eq. (5.5), less the tip's lag, which acts like a part of it.
+
+The servo's does not come on top: a tail at rest is at half its stroke's speed before the servo has caught up.
+"""
 
 _AMPLITUDE_LAG_S = 0.34
 _ANGLE_LAG_S = 0.13
 _OMEGA = 2.0 * math.pi * BEST_HZ
 _TIP_GAIN = 1.0 / math.sqrt(1.0 + (_OMEGA * TIP_LAG_S) ** 2)
-# Mean of |sin| is 2/pi: with this factor the mean of |tip speed| is the amplitude, at the best frequency.
-_TO_AMPLITUDE = math.pi / (2.0 * _OMEGA * _TIP_GAIN)
+# Mean of |sin| is 2/pi: with this factor the mean of |tip speed| is the commanded amplitude, at the best frequency.
+_TO_AMPLITUDE = math.pi / (2.0 * _OMEGA * _TIP_GAIN * SERVO_SHARE)
 _SWING_GAIN = 0.5 / (1.0 + (_OMEGA * _ANGLE_LAG_S) ** 2) / (_OMEGA * _TIP_GAIN) ** 2
 
 QUARTER_S = 0.25 / BEST_HZ
@@ -65,9 +72,13 @@ def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  
     """Rates of the states.
 
     Inputs: tip angle and rate; tip rate one dead time ago, one echo before that, and a quarter of a stroke before
-    it; servo angle one angle dead time ago; two white noises.
+    it; servo angle one angle dead time ago; rates of the fin's own momentum (below); two white noises.
+
+    The fin drags water along: ``m = (rate sin(angle), rate cos(angle))`` times `entrained` is its momentum, forward and
+    sideways, and what changes it pushes back on the fish. Over whole cycles, and over a move from rest to rest, that
+    push comes to nothing, as the source's side force does.
     """
-    tip_rate, late_rate, echo_rate, quarter_rate = u[1], u[2], u[3], u[4]
+    late_rate, echo_rate, quarter_rate = u[2], u[3], u[4]
     # Above 40 deg the thrust rises faster than the line of (5.5), then saturates and is on the line again at 60 deg.
     # This bends the stroke before its lag, so that steps keep the lag of (5.5).
     amplitude = math.sqrt(late_rate * late_rate + quarter_rate * quarter_rate) / (_OMEGA * _TIP_GAIN)
@@ -85,28 +96,28 @@ def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  
     dx[6] = (late_rate * echo_rate - x[6]) / _AMPLITUDE_LAG_S
     dx[7] = (p[1] * u[5] - x[7]) / _ANGLE_LAG_S
     stirring = math.sqrt(2.0 / _VORTEX_S) * p[5] * x[2]
-    dx[8] = stirring * u[6] - x[8] / _VORTEX_S
-    dx[9] = stirring * u[7] - x[9] / _VORTEX_S
-    side = -p[2] * tip_rate * abs(tip_rate)
+    dx[8] = stirring * u[8] - x[8] / _VORTEX_S
+    dx[9] = stirring * u[9] - x[9] / _VORTEX_S
     dx[10] = x[11]
-    dx[11] = _ALONG * _ALONG * (side * math.sin(u[0]) - x[10]) - 2.0 * _WAVE_DAMPING * _ALONG * x[11]
+    dx[11] = _ALONG * _ALONG * (-p[2] * u[6] - x[10]) - 2.0 * _WAVE_DAMPING * _ALONG * x[11]
     dx[12] = x[13]
-    dx[13] = _ACROSS * _ACROSS * (side * math.cos(u[0]) - x[12]) - 2.0 * _WAVE_DAMPING * _ACROSS * x[13]
+    dx[13] = _ACROSS * _ACROSS * (-p[2] * u[7] - x[12]) - 2.0 * _WAVE_DAMPING * _ACROSS * x[13]
 
 
 def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
     """Forward and side force on the fish, N."""
-    # 0 where the returning wave is in phase with the tail (or there is none yet), 2 in antiphase. It grows with the
-    # wave's own power beside the tail's: the first wave to come back changes the thrust smoothly.
-    discord = max(0.0, x[5] - x[6]) / (0.5 * (x[4] + x[5]) + _QUIET)
+    # 0 where the returning wave is in phase with the tail (or there is none yet), 2 in antiphase, whichever of the two
+    # is stronger: a tail that beats ever more softly at the best frequency stays in phase with its stronger waves. The
+    # first wave to come back, weaker than the tail's own, counts by its power alone and changes the thrust smoothly.
+    shared = min(x[5], math.sqrt(max(0.0, x[4] * x[5])))
+    discord = max(0.0, shared - x[6]) / (0.5 * (x[4] + x[5]) + _QUIET)
     gain = 1.0 - 2.0 * math.tanh(_ECHO_STRENGTH * p[3] * discord)
     # The jet swings with the tail; its mean is weaker than its strength by J0(swing), which (5.5) contains.
     swing = 1.0 + p[1] * p[1] * _SWING_GAIN * x[4]
     jet = p[0] * x[0] * gain * swing
-    side = -p[2] * u[1] * abs(u[1])
     wave_x, wave_y = _WAVE_SHARE * x[10], _WAVE_SHARE * x[12]
-    y[0] = jet * math.cos(x[7]) - p[0] * x[3] + x[8] + side * math.sin(u[0]) + wave_x + force[0]
-    y[1] = jet * math.sin(x[7]) + x[9] + side * math.cos(u[0]) + wave_y
+    y[0] = jet * math.cos(x[7]) - p[0] * x[3] + x[8] - p[2] * u[6] + wave_x + force[0]
+    y[1] = jet * math.sin(x[7]) + x[9] - p[2] * u[7] + wave_y
 
 
 def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
@@ -126,6 +137,8 @@ def caudal_model() -> Model:
         "tip_rate_echo",
         "tip_rate_quarter",
         "servo_angle_late",
+        "momentum_x_rate",
+        "momentum_y_rate",
         "noise_x",
         "noise_y",
     )
@@ -137,7 +150,7 @@ def caudal_model() -> Model:
         parameters=(
             Parameter("thrust_gain", math.degrees(0.00912), unit="N/rad"),
             Parameter("direction_gain", -0.866, unit="rad/rad"),
-            Parameter("paddle", 0.02, unit="N s^2/rad^2"),
+            Parameter("entrained", 0.004, unit="kg m"),
             Parameter("echo", 1.0),
             Parameter("left_over", _LEFT_OVER_SHARE),
             Parameter("vortices", 0.035, unit="N/rad"),

@@ -74,6 +74,7 @@ class CaudalTank(Bench):
         self._late = DelayLine(self._steps(AMPLITUDE_DEAD_S + ECHO_S) + 2)
         self._angle = DelayLine(self._steps(ANGLE_DEAD_S) + 2)
         self._joint_before = np.zeros(1)
+        self._momentum = np.zeros(2)
         self._inputs_before = np.zeros((1, len(self._model.inputs)))
 
     def truth(self) -> dict[str, Any]:
@@ -104,7 +105,7 @@ class CaudalTank(Bench):
         noise = self._settings.noise / math.sqrt(self.step_s) * self._rng.standard_normal((len(time_s), 2))
         inputs = np.empty((len(time_s) + 1, len(self._model.inputs)))
         inputs[0] = self._inputs_before
-        for column, values in enumerate((tip, rate, *late, late_angle)):
+        for column, values in enumerate((tip, rate, *late, late_angle, *self._momentum_rate(tip, rate))):
             inputs[1:, column] = values
         inputs[1:, -2:] = noise
         force = self._stepper.advance(inputs)
@@ -124,6 +125,13 @@ class CaudalTank(Bench):
         self._servo_rad, self._tip_rad = float(servo[-1]), float(tip[-1])
         return tip
 
+    def _momentum_rate(self, tip: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how fast the momentum of the water along with the fin changes, forward and sideways, rad/s^2."""
+        momentum = np.column_stack([rate * np.sin(tip), rate * np.cos(tip)])
+        changed = np.diff(momentum, axis=0, prepend=self._momentum[None]) / self.step_s
+        self._momentum = momentum[-1].copy()
+        return changed[:, 0], changed[:, 1]
+
     def _memory(self) -> dict[str, Any]:
         return {
             "tip_rad": self._tip_rad,
@@ -131,6 +139,7 @@ class CaudalTank(Bench):
             "late": self._late.snapshot(),
             "angle": self._angle.snapshot(),
             "joint_before": self._joint_before.tolist(),
+            "momentum": self._momentum.tolist(),
             "inputs_before": self._inputs_before.tolist(),
             "servo": None if self._servo is None else self._servo.snapshot(),
             "stepper": self._stepper.snapshot(),
@@ -142,6 +151,7 @@ class CaudalTank(Bench):
         self._late.restore(memory["late"])
         self._angle.restore(memory["angle"])
         self._joint_before = np.array(memory["joint_before"])
+        self._momentum = np.array(memory["momentum"])
         self._inputs_before = np.array(memory["inputs_before"])
         if self._servo is not None:
             self._servo.restore(memory["servo"])
