@@ -3,13 +3,14 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from labrun.control.pid import PidController, PidSettings
 from labrun.control.plant import PlantModel, read_plant
 from labrun.control.protocol import FindFile, LoopContext, Step
 from labrun.control.settings import ControlSettings, checked
 from labrun.errors import SpecError
+from labrun.spec.fault import Faults
 
 
 def _form_of_model(model: object) -> str:
@@ -23,7 +24,10 @@ class FeedforwardSettings(PidSettings):
     Attributes
     ----------
     model
-        Inline, see `PlantModel`, or the path of a TOML file with these keys, as ``labrun fit --model fopdt`` writes it.
+        Inline, see `PlantModel`, or the path of a TOML file, as ``labrun fit --model fopdt`` or ``transfer-function``
+        writes it.
+    response
+        Which response of a file that holds several.
     lead_s
         The feed-forward looks this far ahead on the reference, which is known; ``"dead"``: by the model's dead time.
     """
@@ -31,7 +35,15 @@ class FeedforwardSettings(PidSettings):
     model: Annotated[
         Annotated[PlantModel, Tag("table")] | Annotated[str, Tag("file")], Discriminator(_form_of_model)
     ]
+    response: str | None = None
     lead_s: Annotated[float, Field(ge=0)] | Literal["dead"] = 0.0
+
+    @model_validator(mode="after")
+    def _response_is_of_a_file(self) -> "FeedforwardSettings":
+        with Faults() as faults:
+            if self.response is not None and isinstance(self.model, PlantModel):
+                faults.add("response", "chooses one of a file's responses, and the model is written inline")
+        return self
 
 
 class FeedforwardPid(PidController):
@@ -62,7 +74,13 @@ class FeedforwardPid(PidController):
     def embed(settings: Mapping[str, Any], find: FindFile) -> dict[str, Any]:
         """Return the settings with the model that their file holds."""
         model = settings.get("model")
-        return {**settings, "model": read_plant(find(model))} if isinstance(model, str) else dict(settings)
+        if not isinstance(model, str):
+            return dict(settings)
+        response = settings.get("response")
+        if response is not None and not isinstance(response, str):
+            return dict(settings)  # refused with its place when the settings are checked
+        rest = {key: value for key, value in settings.items() if key != "response"}
+        return {**rest, "model": read_plant(find(model), response)}
 
     def _checked(self, settings: Mapping[str, Any]) -> PidSettings:
         return checked(FeedforwardSettings, settings)

@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from labrun.control.settings import ControlSettings
 from labrun.errors import SpecError
 from labrun.spec.fault import Faults
+from labrun.spec.names import suggest
 
 _KEYS = ("gain", "lag_s", "dead_s", "numerator", "denominator")
 
@@ -65,28 +66,60 @@ class PlantModel(ControlSettings):
         return self.gain
 
 
-def read_plant(path: Path) -> dict[str, Any]:
+def read_plant(path: Path, response: str | None = None) -> dict[str, Any]:
     """Return the keys of a `PlantModel` from a fitted model's file; whatever else stands there is left.
+
+    Parameters
+    ----------
+    path
+        A TOML file with these keys, or with a table of them for each response, as the fits write it.
+    response
+        Which table; not needed where there is one.
 
     Raises
     ------
     SpecError
-        The file cannot be read, or holds no such model.
+        The file cannot be read, holds no such model, or several and none is named.
     """
     try:
-        table: Mapping[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        data: Mapping[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise SpecError(f"model file {path} cannot be read: {reason}") from error
+    table = _response_of(data, path, response)
     found = {key: table[key] for key in _KEYS if key in table}
     if (
         "numerator" in found and "denominator" in found
     ):  # a fit may say both: the coefficients are the whole of it
         found.pop("gain", None)
         found.pop("lag_s", None)
-    if not found.keys() & {"gain", "numerator"}:
+    return found
+
+
+def _response_of(data: Mapping[str, Any], path: Path, response: str | None) -> Mapping[str, Any]:
+    """Return the table that holds the model."""
+    if response is None and _is_model(data):
+        return data
+    tables = {key: one for key, one in data.items() if isinstance(one, dict) and _is_model(one)}
+    if not tables:
         raise SpecError(
             f"model file {path} has neither gain nor numerator: it is no fitted response",
             hint="labrun fit fin-step --model fopdt writes one",
         )
-    return found
+    if response is None and len(tables) == 1:
+        return next(iter(tables.values()))
+    if response is None:
+        raise SpecError(
+            f"model file {path} holds {len(tables)} responses: {', '.join(tables)}",
+            hint=f'say which: response = "{next(iter(tables))}"',
+        )
+    if response not in tables:
+        raise SpecError(
+            f'model file {path} has no response "{response}"',
+            hint=suggest(response, tables, kind="responses"),
+        )
+    return tables[response]
+
+
+def _is_model(table: Mapping[str, Any]) -> bool:
+    return bool(table.keys() & {"gain", "numerator"}) and not isinstance(table.get("gain"), dict)

@@ -144,5 +144,10 @@ def make_method(name: str, settings: Mapping[str, Any]) -> FitMethod:
     known, problems = validate(plugin.Settings, dict(settings), ("fit", "settings"))
     if problems or known is None:
         told = [f"{dotted(item.path)}: {item.message}" for item in problems]
+        told += (
+            []
+            if settings
+            else [f"an experiment says them in [fit.methods.{name}]; labrun plugins names the fits"]
+        )
         raise RequestError("\n".join([f"fit {name}: settings that do not hold", *told]))
     return plugin(known)

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from labrun import registry
 from labrun.errors import RequestError
-from labrun.fit.method import FitJob, Fitted, is_method, make_method, takes
+from labrun.fit.method import GROUP, FitJob, Fitted, is_method, make_method, takes
 from labrun.fit.notes import Note, silent
+from labrun.nearest import nearest
 from labrun.store.recording import is_recording
 
 if TYPE_CHECKING:
@@ -95,6 +97,8 @@ def fit(
     target = Path(target)
     if isinstance(model, str) and is_method(model):
         method, model = model, None
+    if isinstance(model, str):
+        _require_known(model)
     given = load_model(model) if model is not None else None
     plan = plan or plan_of(target, workspace, need_model=given is None)
     method = method or plan.method
@@ -123,6 +127,27 @@ def fit(
     }
     (folder / f"{stem}.json").write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
     return result
+
+
+def _require_known(name: str) -> None:
+    """Raise RequestError if a bare name is no model: it may have been meant for a fit."""
+    from labrun.models import shipped_models
+
+    if (
+        ":" in name
+        or Path(name).suffix == ".toml"
+        or Path(name).is_file()
+        or registry.is_installed("labrun.models", name)
+    ):
+        return
+    models, fits = [*shipped_models(), *registry.names("labrun.models")], registry.names(GROUP)
+    if name in models:
+        return
+    near = nearest(name, [*fits, *models])
+    known = f"fits: {', '.join(fits)}; models: {', '.join(models)}, or the path of a .toml file"
+    raise RequestError(
+        f"there is no fit or model {name!r}", hint=f"did you mean {near!r}?" if near else known
+    )
 
 
 def _stem(result: Fitted) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from labrun.report.data import FloatArray, RunView
 from labrun.report.run_overlay import condition_title, groups_of, objective_panel
 from labrun.report.style import COLOURS, INK, heading, new_figure, save
+from labrun.search.leaders import condition_key
 from labrun.spec.track_tables import LOOP_DEVICE, loop_channel
 from labrun.store.trial import Stream, TrialOutcome
 
@@ -39,7 +40,12 @@ def draw_track(view: RunView, path: Path) -> Path:
     """
     track = view.experiment.track
     assert track is not None  # noqa: S101  (only runs of kind track are drawn this way)
-    groups = list(groups_of(view).values())
+    listed = [condition_key(condition) for condition in track.conditions]
+    found = groups_of(view)
+    groups = [
+        found[key]
+        for key in sorted(found, key=lambda key: listed.index(key) if key in listed else len(listed))
+    ]
     shown = groups[:_MOST_CONDITIONS]
     points = view.points(view.objective) if view.objective is not None else []
     across = min(_ACROSS, len(shown))
@@ -99,7 +105,7 @@ def _draw(view: RunView, panel: _Panel, above: "Axes", below: "Axes", *, first: 
     above.set_title(condition_title(view, panel.trials[0]) + (f"\nloop {name}" if several else ""))
     if not first:
         return
-    above.legend(loc="upper right", handlelength=2.4)
+    above.legend(loc="lower center", handlelength=2.4)
     above.set_ylabel(f"{name} ({_unit(panel, name, 'feedback')})")
     drive = loop.drives if loop is not None else "drive"
     below.set_ylabel(f"{drive} ({_unit(panel, name, 'drive')})")

@@ -8,6 +8,8 @@ from labrun.control.feedforward import FeedforwardPid
 from labrun.control.plant import PlantModel, read_plant
 from labrun.control.protocol import LoopContext, Step
 from labrun.errors import SpecError
+from labrun.fit.transfer.coefficients import responses_toml, to_table
+from labrun.fit.transfer.transfer import Transfer
 
 CONTEXT = LoopContext(0.05, 0.0, 60.0, 20.0)
 MODEL = {"gain": 0.00912, "lag_s": 0.34, "dead_s": 0.28}
@@ -48,6 +50,53 @@ def test_a_fitted_model_is_read_from_its_file_whatever_else_stands_there(tmp_pat
     embedded = FeedforwardPid.embed({"p": 1.0, "model": "fopdt.toml"}, lambda name: tmp_path / name)
     assert embedded["model"] == {"gain": 0.009, "lag_s": 0.3, "dead_s": 0.2}
     assert FeedforwardPid(embedded, CONTEXT).update(at(0.0, lambda _: 0.18, 0.18)) == pytest.approx(20.0)
+
+
+RESPONSES = """
+[magnitude]
+gain = 0.009
+lag_s = 0.3
+dead_s = 0.2
+gain_ci95 = [0.008, 0.01]
+input_unit = "deg"
+
+[angle]
+numerator = [-0.9]
+denominator = [0.1, 0.5, 1.0]
+dead_s = 0.0
+"""
+
+
+def test_a_fit_of_several_responses_is_read_by_the_response(tmp_path):
+    (tmp_path / "fopdt.toml").write_text(RESPONSES)
+
+    def embedded(**keys):
+        return FeedforwardPid.embed({"model": "fopdt.toml", **keys}, lambda name: tmp_path / name)
+
+    assert embedded(response="magnitude") == {"model": {"gain": 0.009, "lag_s": 0.3, "dead_s": 0.2}}
+    assert embedded(response="angle")["model"]["denominator"] == [0.1, 0.5, 1.0]
+    with pytest.raises(SpecError, match=r"holds 2 responses: magnitude, angle\n.*response = \"magnitude\""):
+        embedded()
+    with pytest.raises(SpecError, match=r'no response "magnitud"\n.*magnitude'):
+        embedded(response="magnitud")
+
+
+def test_the_only_response_of_a_file_needs_no_name(tmp_path):
+    path = tmp_path / "fopdt.toml"
+    path.write_text(RESPONSES.partition("[angle]")[0])
+    assert read_plant(path) == {"gain": 0.009, "lag_s": 0.3, "dead_s": 0.2}
+
+
+def test_what_the_fit_writes_is_what_the_feedforward_reads(tmp_path):
+    fitted = Transfer.first_order(0.009, 0.3, 0.2, input_name="gait.a", input_unit="deg", output_unit="N")
+    path = tmp_path / "fopdt.toml"
+    path.write_text(responses_toml({"magnitude": to_table(fitted)}, "labrun fit"))
+    assert read_plant(path, "magnitude") == {"gain": 0.009, "lag_s": 0.3, "dead_s": 0.2}
+
+
+def test_a_response_of_an_inline_model_is_refused():
+    with pytest.raises(SpecError, match="written inline"):
+        FeedforwardPid({"model": MODEL, "response": "magnitude"}, CONTEXT)
 
 
 def test_a_file_that_is_no_fitted_response_is_refused(tmp_path):

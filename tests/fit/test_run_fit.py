@@ -180,3 +180,14 @@ def test_numbers_are_printed_with_the_digits_their_interval_supports(
     estimate: Estimate, expected: tuple[str, str, str]
 ) -> None:
     assert rounded(estimate) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("hinge-map", "did you mean 'hinge-maps'"), ("nonsense", "fits: .*fopdt.*models: .*hinge-pendulum")],
+)
+def test_a_name_that_is_neither_fit_nor_model_is_told_both(
+    recording: Path, tmp_path: Path, name: str, said: str
+) -> None:
+    with pytest.raises(RequestError, match=rf"no fit or model '{name}'\n.*{said}"):
+        fit(recording, model=name, results=tmp_path)

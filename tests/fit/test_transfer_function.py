@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from labrun.fit.methods.transfer_function import TransferFunctionFit, TransferFu
 from labrun.fit.run_fit import fit as run_fit
 from labrun.fit.transfer.findings import warnings_of
 from labrun.fit.transfer.fitting import fit_transfer
+from labrun.fit.transfer.picture import draw_responses
 from labrun.fit.transfer.shape import Shape
 from labrun.fit.transfer.transfer import Transfer
 from labrun.fit.transfer.trials import ResponseTrial
@@ -65,6 +67,27 @@ def test_a_pole_that_a_zero_cancels_is_warned_of():
     rng = np.random.default_rng(1)
     fit = fit_transfer(trials_of(Transfer((1.0,), (0.3, 1.0)), rng), Shape(2, 1, dead_time=False), rng=rng)
     assert any("nearly cancel" in one or "do not determine" in one for one in warnings_of(fit, "y"))
+
+
+def test_what_is_simulated_leaves_what_the_search_minimised_with_poles_far_apart():
+    # the free answers of such poles differ by rounding only, and late samples see next to nothing of them
+    rng = np.random.default_rng(3)
+    trials = [
+        replace(one, used=TIME_S >= 3.0) for one in trials_of(Transfer.first_order(-0.8, 0.3), rng, noise=0.1)
+    ]
+    fit = fit_transfer(trials, Shape(2, 0, dead_time=False, initial="free"), rng=rng)
+    assert sum(float(part @ part) for part in fit.residuals()) == pytest.approx(fit.point.squares, rel=1e-3)
+    assert max(np.max(np.abs(own)) for own in fit.point.own) < 1e6
+
+
+def test_the_picture_shows_an_answer_from_where_it_is_fitted_on():
+    rng = np.random.default_rng(0)
+    trials = [replace(one, used=TIME_S >= 3.0) for one in trials_of(Transfer((1.5,), (0.04, 0.2, 1.0)), rng)]
+    fit = fit_transfer(trials, Shape(2, 0, dead_time=False, initial="free"), rng=rng, starts=1)
+    overlay = draw_responses({"force": fit}, "a fit").axes[0]
+    fitted = [line for line in overlay.lines if len(line.get_xdata()) < len(TIME_S)]
+    assert len(fitted) == len(trials)
+    assert all(line.get_xdata()[0] == pytest.approx(3.0) for line in fitted)
 
 
 def test_more_zeros_than_poles_are_refused():

@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from labrun.cli.app import app
 from labrun.report.html import write_report
+from labrun.report.html_words import interval_words
 from labrun.report.report_source import read_source
 from labrun.runner.progress import SilentProgress
 from labrun.search.engine import stored_result
@@ -54,7 +55,8 @@ def test_a_report_tells_the_honest_best_with_its_interval_and_the_luckiest_besid
     words = words_of(page_of(copy))
     with open_run(copy) as run:
         assert read_source(run).best == best
-    assert f"{best.value:.3f}"[:5] in words
+    value, interval = interval_words(best.value, best.ci95, best.unit)
+    assert f"{value} 95 % interval {interval}" in words
     assert f"luckiest single trial {best.luckiest:.4g} N" in words
     assert "5 confirming trials that took no part in the choice" in words
     assert "a = 60 deg" in words

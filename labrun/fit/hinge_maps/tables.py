@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from labrun.fit.estimate import Estimate, rounded
-from labrun.fit.hinge_maps.comparison import published_at, published_mae
+from labrun.fit.hinge_maps.comparison import published_at
 from labrun.fit.hinge_maps.forms import PUBLISHED, UNITS
 from labrun.fit.hinge_maps.polynomial import FittedMap
 from labrun.fit.hinge_maps.specimens import Specimen
@@ -78,14 +78,6 @@ def coefficient_table(one: FittedMap) -> TextTable:
     number = one.form.published.equation if one.form.published is not None else "published"
     header = ("coefficient", "value", "95 %, releases alone", "95 %, scatter of specimens", number)
     return TextTable(f"{one.form.label}: where its intervals come from", header, tuple(rows))
-
-
-def shown_mae(one: FittedMap, specimens: Sequence[Specimen]) -> str:
-    """Return the published map's error on these specimens as text; empty if it may be read at none."""
-    error = published_mae(one, specimens)
-    return (
-        f"{error:.2e} {UNITS[one.form.quantity]} ({one.percent(error):.1f} %)" if np.isfinite(error) else ""
-    )
 
 
 def _interval(value: float, ends: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:

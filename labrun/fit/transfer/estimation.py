@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from labrun.fit.transfer.shape import Shape
 from labrun.fit.transfer.transfer import Transfer
-from labrun.fit.transfer.trials import Answers, ResponseTrial, basis, total_s, without
+from labrun.fit.transfer.trials import SAME_DIRECTION, Answers, ResponseTrial, basis, total_s, without
 
 FloatArray = NDArray[np.float64]
 _STEP = 1e-5
@@ -71,12 +71,12 @@ def evaluate(shape: Shape, trials: Sequence[ResponseTrial], moved: FloatArray) -
     answers = Answers(shape, moved)
     shared, outputs, owns, spans = [], [], [], []
     for trial in trials:
-        own = trial.weighted(answers.own(trial))
+        own = answers.own(trial)[trial.used]
         span = basis(own)
         owns.append(own)
         spans.append(span)
-        shared.append(without(trial.weighted(answers.shared(trial)), span))
-        outputs.append(without(trial.weighted(trial.measured), span))
+        shared.append(without(answers.shared(trial)[trial.used], span))
+        outputs.append(without(trial.measured[trial.used], span))
     columns = np.concatenate(shared)
     sizes = np.linalg.norm(columns, axis=0)
     sizes[sizes == 0.0] = 1.0
@@ -84,10 +84,19 @@ def evaluate(shape: Shape, trials: Sequence[ResponseTrial], moved: FloatArray) -
     residuals = tuple(y - x @ linear for x, y in zip(shared, outputs, strict=True))
     mine = []
     for trial, own in zip(trials, owns, strict=True):
-        rest = trial.weighted(trial.measured) - trial.weighted(answers.shared(trial)) @ linear
-        mine.append(np.linalg.lstsq(own, rest, rcond=1e-9)[0])
+        rest = trial.measured[trial.used] - answers.shared(trial)[trial.used] @ linear
+        mine.append(_solved(own, rest))
     squares = sum(float(part @ part) for part in residuals)
     return Point(shape, np.array(moved, dtype=float), linear, tuple(mine), residuals, squares)
+
+
+def _solved(columns: FloatArray, aim: FloatArray) -> FloatArray:
+    """Return the least-squares weights of columns, whatever their sizes; see `basis`, which spans the same."""
+    if columns.shape[1] == 0:
+        return np.zeros(0)
+    sizes = np.linalg.norm(columns, axis=0)
+    sizes[sizes == 0.0] = 1.0
+    return np.asarray(np.linalg.lstsq(columns / sizes, aim, rcond=SAME_DIRECTION)[0] / sizes)
 
 
 def descend(shape: Shape, trials: Sequence[ResponseTrial], start: FloatArray, evaluations: int = 60) -> Point:
@@ -113,8 +122,7 @@ def descend(shape: Shape, trials: Sequence[ResponseTrial], start: FloatArray, ev
 
 def bounds(shape: Shape, trials: Sequence[ResponseTrial]) -> tuple[FloatArray, FloatArray]:
     """Return the box that is searched."""
-    step_s = min(trial.step_s for trial in trials)
-    low_s = step_s * 10.0**-_DECADES_BEYOND
+    low_s = shortest_s(trials)
     high_s = total_s(trials) * 10.0**_DECADES_BEYOND
     low, high = np.full(shape.moved, np.log(low_s)), np.full(shape.moved, np.log(high_s))
     for place in range(0, shape.poles - 1, 2):
@@ -124,6 +132,11 @@ def bounds(shape: Shape, trials: Sequence[ResponseTrial]) -> tuple[FloatArray, F
     if shape.dead_time:
         low[-1], high[-1] = 0.0, _MOST_DEAD * total_s(trials)
     return low, high
+
+
+def shortest_s(trials: Sequence[ResponseTrial]) -> float:
+    """Return the shortest time constant that is looked for."""
+    return float(min(trial.step_s for trial in trials) * 10.0**-_DECADES_BEYOND)
 
 
 def derivatives(point: Point, trials: Sequence[ResponseTrial]) -> list[FloatArray]:
@@ -142,9 +155,9 @@ def derivatives(point: Point, trials: Sequence[ResponseTrial]) -> list[FloatArra
     found = []
     for index, trial in enumerate(trials):
         columns = np.column_stack(
-            [*(trial.weighted(one[index]) for one in moving), trial.weighted(answers.shared(trial))]
+            [*(one[index][trial.used] for one in moving), answers.shared(trial)[trial.used]]
         )
-        found.append(without(columns, basis(trial.weighted(answers.own(trial)))))
+        found.append(without(columns, basis(answers.own(trial)[trial.used])))
     return found
 
 

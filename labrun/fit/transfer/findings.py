@@ -53,7 +53,7 @@ def warnings_of(fit: TransferFit, name: str) -> list[str]:
     step_s = fit.trials[0].step_s
     if fit.shape.dead_time and fit.transfer.dead_s < step_s:
         said.append(
-            f"{name}: the dead time, {fit.transfer.dead_s:.2g} s, is below a sample ({step_s:.2g} s): leave it out"
+            f"{name}: the dead time is below a sample ({step_s:.2g} s): it cannot be told from none at this rate"
         )
     for pole in fit.transfer.poles:
         slow_s = 1.0 / max(abs(pole), 1e-300)
@@ -67,12 +67,14 @@ def warnings_of(fit: TransferFit, name: str) -> list[str]:
             if abs(pole - zero) < _CLOSE * abs(pole)
         ]
     spread = np.std(fit.draws, axis=0)
-    said += [
-        f"{name}: the data do not determine denominator number {place + 1}: it varies by more than its value "
-        "between resamples; record a faster input, more trials, or fit fewer poles"
-        for place in range(fit.shape.poles)
-        if spread[place] > 1.0
-    ]
+    if np.any(spread[: fit.shape.poles] > 1.0):
+        said.append(
+            f"{name}: the data do not determine {fit.shape.poles} poles: a coefficient of the denominator varies by "
+            "more than its value between resamples; record a faster input, more trials, or fit fewer poles"
+            if fit.shape.poles > 1
+            else f"{name}: the data do not determine the lag: it varies by more than its value between resamples; "
+            "record a faster input, or more trials"
+        )
     return said
 
 

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from labrun.fit.correlation import correlation_length
 from labrun.fit.summary import TextTable
+from labrun.fit.transfer.estimation import shortest_s
 from labrun.fit.transfer.fitting import TransferFit
 from labrun.fit.transfer.shape import Shape
 from labrun.fit.transfer.starts import best_fit
@@ -24,7 +25,7 @@ def compare_orders(fit: TransferFit, name: str) -> tuple[TextTable, list[str]]:
     for poles, zeros in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         p, z = shape.poles + poles, shape.zeros + zeros
         if p >= 1 and 0 <= z <= p:
-            shapes.append(Shape(p, z, shape.dead_time, offset=shape.offset, initial=shape.initial))
+            shapes.append(Shape(p, z, shape.dead_time, initial=shape.initial))
     residuals = fit.residuals()
     count = sum(len(part) for part in residuals)
     effective = count / max(correlation_length(residuals), 1.0)
@@ -49,10 +50,10 @@ def compare_orders(fit: TransferFit, name: str) -> tuple[TextTable, list[str]]:
 
 
 def _near(fit: TransferFit, other: Shape) -> list[FloatArray]:
-    """Return this fit as a point of another order: a pole more is a fast one, which changes little."""
+    """Return this fit as a point of another order: a pole more is the fastest there is, which changes least."""
     poles = fit.transfer.poles
     if other.poles > fit.shape.poles:
-        poles = np.append(poles, -1.0 / fit.trials[0].step_s)
+        poles = np.append(poles, -1.0 / shortest_s(fit.trials))
     elif other.poles < fit.shape.poles:
         return []
     return [other.at(poles, fit.transfer.dead_s)]

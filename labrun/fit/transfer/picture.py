@@ -54,9 +54,10 @@ def _overlay(above: "Axes", below: "Axes", name: str, fit: TransferFit) -> None:
         )
         above.set_xlim(fit.trials[0].time_s[0], fit.trials[0].time_s[0] + width_s)
     for index, (trial, simulated) in enumerate(pairs):
+        begin = int(np.argmax(trial.used))  # before it, the answer from any initial state is anything
         above.plot(
-            trial.time_s,
-            simulated,
+            trial.time_s[begin:],
+            simulated[begin:],
             color=_SIMULATED,
             lw=0.9,
             label=None if index else "fitted, with each offset",

@@ -24,10 +24,6 @@ class Shape:
         How many.
     dead_time
         Whether there is one.
-    kick
-        Whether the output also answers at once to the input's rate.
-    offset
-        Whether each trial's output has a constant of its own.
     initial
         What each trial starts from: the steady state of its first input, or anything.
     """
@@ -35,8 +31,6 @@ class Shape:
     poles: int
     zeros: int
     dead_time: bool = True
-    kick: bool = False
-    offset: bool = True
     initial: Initial = "steady"
 
     @property
@@ -46,8 +40,8 @@ class Shape:
 
     @property
     def linear(self) -> int:
-        """How many follow from those by linear least squares: the numerator's, and the kick."""
-        return self.zeros + 1 + int(self.kick)
+        """How many follow from those by linear least squares: the numerator's."""
+        return self.zeros + 1
 
     @property
     def size(self) -> int:

@@ -11,6 +11,9 @@ from labrun.errors import RequestError
 if TYPE_CHECKING:
     from labrun.fit.transfer.response import Hold
 
+_SOME_S = 1e-9
+"""A shorter dead time is none to a reader: rounding of a search that ended at zero."""
+
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
@@ -217,7 +220,7 @@ class Transfer:
     def __str__(self) -> str:
         """Return it as people write it."""
         top, bottom = _polynomial(self.numerator), _polynomial(self.denominator)
-        dead = f" exp(-{self.dead_s:.4g} s)" if self.dead_s else ""
+        dead = f" exp(-{self.dead_s:.4g} s)" if self.dead_s >= _SOME_S else ""
         return f"({top}){dead} / ({bottom})"
 
 

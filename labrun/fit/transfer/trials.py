@@ -11,7 +11,8 @@ from labrun.fit.transfer.response import Hold, free_answers, powers
 from labrun.fit.transfer.shape import Shape
 
 FloatArray = NDArray[np.float64]
-_SAME_DIRECTION = 1e-9
+SAME_DIRECTION = 1e-6
+"""What adds less than this share of the largest direction is rounding: the free answers of poles far apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +31,6 @@ class ResponseTrial:
         Samples over which the output was averaged, each with those before it; 1 if it was not.
     hold
         How the input runs between its samples.
-    memory, memory_samples
-        Share of a slow disturbance that is still there so many samples later.
     """
 
     label: str
@@ -41,25 +40,11 @@ class ResponseTrial:
     used: NDArray[np.bool_]
     averaged: int = 1
     hold: Hold = "linear"
-    memory: float = 0.0
-    memory_samples: int = 1
 
     @property
     def step_s(self) -> float:
         """Time between two samples."""
         return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
-
-    def weighted(self, columns: FloatArray) -> FloatArray:
-        """Return the used samples, each less what is left of the disturbance that an earlier one has shown.
-
-        Generalised least squares for a disturbance that is slower than the answer: the change over `memory_samples`
-        counts more than the level, which wanders.
-        """
-        if self.memory == 0.0:
-            return columns[self.used]
-        back = self.memory_samples
-        both = self.used[back:] & self.used[:-back]
-        return (columns[back:] - self.memory * columns[:-back])[both]
 
 
 @dataclass(slots=True)
@@ -72,16 +57,13 @@ class Answers:
     _own: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
     def shared(self, trial: ResponseTrial) -> FloatArray:
-        """Return what the numerator's coefficients (lowest power first) and the kick weigh, (n, linear)."""
+        """Return what the numerator's coefficients (lowest power first) weigh, (n, linear)."""
         key = (id(trial.given), trial.averaged)
         if key not in self._shared:
             denominator, dead_s = self.shape.denominator(self.moved), self.shape.dead_s(self.moved)
             before = float(trial.given[0])
             columns = powers(denominator, dead_s, trial.step_s, trial.given, trial.hold, before)
             columns = columns[:, : self.shape.zeros + 1]
-            if self.shape.kick:
-                rate = np.diff(trial.given, prepend=before) / trial.step_s
-                columns = np.column_stack([columns, rate])
             self._shared[key] = _averaged(columns, trial.averaged)
         return self._shared[key]
 
@@ -89,7 +71,7 @@ class Answers:
         """Return what each trial's own numbers weigh: its offset and its initial state, (n, own)."""
         key = (len(trial.time_s), trial.averaged)
         if key not in self._own:
-            columns = np.ones((len(trial.time_s), int(self.shape.offset)))
+            columns = np.ones((len(trial.time_s), 1))
             if self.shape.initial == "free":
                 free = free_answers(self.shape.denominator(self.moved), trial.step_s, len(trial.time_s))
                 columns = np.column_stack([columns, _averaged(free, trial.averaged)])
@@ -103,7 +85,7 @@ def basis(columns: FloatArray) -> FloatArray:
         return columns
     sizes = np.linalg.norm(columns, axis=0)
     u, singular, _ = np.linalg.svd(columns / np.where(sizes > 0, sizes, 1.0), full_matrices=False)
-    return np.asarray(u[:, singular > _SAME_DIRECTION * singular[0]])
+    return np.asarray(u[:, singular > SAME_DIRECTION * singular[0]])
 
 
 def without(columns: FloatArray, span: FloatArray) -> FloatArray:
