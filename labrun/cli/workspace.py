@@ -28,7 +28,8 @@ def init(
         typer.echo(f"wrote  {path}")
     for path in left:
         typer.echo(f"left   {path} as it was")
-    typer.echo(f"next:  cd {directory} && labrun list")
+    there = directory.resolve() == Path.cwd().resolve()
+    typer.echo("next:  labrun list" if there else f"next:  cd {directory} && labrun list")
 
 
 def list_(results: options.Results = options.RESULTS, as_json: options.Json = False) -> None:

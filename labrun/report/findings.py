@@ -1,12 +1,14 @@
 """What `labrun show` tells of a run."""
 
 from collections import Counter
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from labrun.report.conditions import ConditionResult, condition_results, most_promising
 from labrun.report.data import RunView
 from labrun.report.loop_health import LoopHealth, loop_health
 from labrun.report.recorded import experiment_of
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from labrun.store.reading import Run
 
 _STREAMS_LOOKED_AT = 40
+_MOST_CONDITIONS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +69,14 @@ class Findings:
         What `labrun fit` made of it.
     loop
         How a closed loop kept its time.
+    conditions
+        What each condition gave; the most promising first where there is a goal, and at most 100 of them.
+    conditions_total
+        How many conditions there are.
+    goal
+        Objective and direction, if one has a goal.
+    objective_units, condition_units
+        Units of the objectives, and of the conditions' values.
     """
 
     run: Path
@@ -89,6 +100,11 @@ class Findings:
     unsettled: int = 0
     fits: tuple[StoredFit, ...] = ()
     loop: LoopHealth | None = None
+    conditions: tuple[ConditionResult, ...] = ()
+    conditions_total: int = 0
+    goal: tuple[str, str] | None = None
+    objective_units: Mapping[str, str] = field(default_factory=dict)
+    condition_units: Mapping[str, str] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """Return everything, JSON-ready."""
@@ -104,6 +120,8 @@ class Findings:
             "rejected_and_failed": self.spoiled,
             "bench_time_s": self.bench_time_s,
             "best": None if self.best is None else self.best.to_json(),
+            "conditions": [result.to_json(self.objective_units) for result in self.conditions],
+            "conditions_total": self.conditions_total,
             "figure": None if self.figure is None else str(self.figure),
             "repeatability": as_json(self.repeatability),
             "drift": as_json(self.drift),
@@ -138,6 +156,7 @@ def findings(run: "Run") -> Findings | RecordingFindings:
     result = stored_result(folder)
     best = result.best if result is not None else None
     view = RunView(run, experiment, best)
+    conditions = most_promising(view, condition_results(view))
     looked_at = _evenly([outcome.index for outcome in run.outcomes], _STREAMS_LOOKED_AT)
     ends = [outcome.started_s + outcome.duration_s for outcome in run.outcomes]
     reasons = Counter(f"{o.status}: {o.reason}" for o in run.outcomes if o.status != "done")
@@ -167,7 +186,19 @@ def findings(run: "Run") -> Findings | RecordingFindings:
         unsettled=sum(unsettled(outcome) for outcome in run.outcomes),
         loop=loop_health(view, looked_at),
         fits=tuple(stored_fits(folder if (folder / SPEC).is_file() else None)),
+        conditions=_most(conditions),
+        conditions_total=len(conditions),
+        goal=experiment.goal,
+        objective_units={name: view.unit_of(name) for name in experiment.objectives},
+        condition_units=experiment.units,
     )
+
+
+def _most(conditions: list[ConditionResult]) -> tuple[ConditionResult, ...]:
+    """Return the first conditions, and the honest best among them in any case."""
+    most = conditions[:_MOST_CONDITIONS]
+    rest = conditions[_MOST_CONDITIONS:]
+    return (*most, *(result for result in rest if result.best))
 
 
 def _evenly(items: list[int], most: int) -> list[int]:

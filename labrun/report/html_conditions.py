@@ -1,38 +1,24 @@
 """Tables of conditions: the leaders' fresh repeats, and the best or all conditions with means and errors."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
-from labrun.report.data import FloatArray, Point, RunView
+from labrun.report.conditions import (
+    ConditionResult,
+    condition_results,
+    most_promising,
+    standard_error,
+    varying,
+)
+from labrun.report.data import Point, RunView
 from labrun.report.html_elements import Content, Html, element, joined, paragraph, section, table
-from labrun.report.html_words import counted, decimal_text, decimals_for, spaced
+from labrun.report.html_words import condition_with_units, counted, decimal_text, decimals_for, spaced
 from labrun.report.report_source import ReportSource
 from labrun.report.words import label, value_text
-from labrun.search.leaders import condition_key, leading_conditions
+from labrun.search.leaders import condition_key
 from labrun.spec.experiment import Value
-from labrun.store.trial import TrialOutcome
 
 _LEADERS_SHOWN = 12
 _CONDITIONS_SHOWN = 60
-
-
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    """A point in the form the ranking of leaders takes."""
-
-    point: Point
-
-    @property
-    def condition(self) -> Mapping[str, Value]:
-        return self.point.condition
-
-    @property
-    def outcomes(self) -> Sequence[object]:
-        return self.point.trials
-
-    def values(self, objective: str) -> FloatArray:  # noqa: ARG002 (a point has one objective)
-        return self.point.values
 
 
 def conditions_section(source: ReportSource) -> Html | None:
@@ -45,45 +31,30 @@ def conditions_section(source: ReportSource) -> Html | None:
     return section("conditions", "Conditions", _all(source))
 
 
-def standard_error(point: Point) -> float | None:
-    """Return the standard error of a point's mean from its own trials; None for a single one."""
-    n = len(point.values)
-    return float(point.values.std(ddof=1)) / math.sqrt(n) if n > 1 else None
-
-
 def _best(source: ReportSource) -> Html:
     view, goal = source.view, source.experiment.goal
     if goal is None:
         return Html("")
-    name, direction = goal
-    points = {condition_key(point.condition): point for point in view.points(name)}
-    asked = [_Asked(point) for point in points.values()]
-    order = [condition_key(c) for c in leading_conditions(asked, name, direction, _LEADERS_SHOWN)]
+    name = goal[0]
+    results = [result for result in condition_results(view) if name in result.points]
+    leading = most_promising(view, results)[:_LEADERS_SHOWN]
     others = [other for other in source.experiment.objectives if other != name]
-    means = {
-        other: {condition_key(point.condition): point for point in view.points(other)} for other in others
-    }
-    keys = _names(points[key] for key in order)
+    keys = _names(result.points[name] for result in leading)
     rows: list[list[Content]] = []
-    marked = []
-    decimals = _decimals(points[key] for key in order)
-    others_decimals = {
-        other: _decimals(means[other][key] for key in order if key in means[other]) for other in others
-    }
-    for rank, key in enumerate(order, start=1):
-        point = points[key]
-        row: list[Content] = [str(rank), *_values(point.condition, keys), *_mean(point, decimals)]
+    decimals = {each: _decimals(leading, each) for each in (name, *others)}
+    for rank, result in enumerate(leading, start=1):
+        row: list[Content] = [str(rank), *_values(result.condition, keys)]
+        row += _mean(result.points[name], decimals[name])
         row += [
-            _mean(means[other][key], others_decimals[other])[0] if key in means[other] else ""
+            _mean(result.points[other], decimals[other])[0] if other in result.points else ""
             for other in others
         ]
         rows.append(row)
-        if source.best is not None and key == condition_key(source.best.parameters):
-            marked.append(rank - 1)
+    marked = [place for place, result in enumerate(leading) if result.best]
     columns = ["", *_labels(keys, view), _quantity(name, view.unit), "standard error", "n"]
     columns += [_quantity(other, view.unit_of(other)) for other in others]
     again = "; the honest best, marked, was measured again for that reason" if marked else ""
-    shown = f"The {len(order)} most promising of {counted(len(points), 'condition')}"
+    shown = f"The {len(leading)} most promising of {counted(len(results), 'condition')}"
     return joined(
         [
             element("h3", "All accepted trials together"),
@@ -108,7 +79,7 @@ def _fresh(source: ReportSource) -> Html | None:
     points.sort(key=lambda point: point.mean, reverse=goal[1] == "maximise")
     keys = _names(points)
     rows: list[list[Content]] = []
-    decimals = _decimals(points)
+    decimals = decimals_for(standard_error(point) for point in points)
     for point in points:
         ends = [decimal_text(end, decimals) for end in point.ci95 or ()]
         rows.append([*_values(point.condition, keys), *_mean(point, decimals), " to ".join(ends)])
@@ -151,38 +122,27 @@ def _separation(points: Sequence[Point], maximise: bool) -> str:
 def _all(source: ReportSource) -> Html:
     view = source.view
     objectives = list(source.experiment.objectives)
-    groups: dict[object, list[TrialOutcome]] = {}
-    for outcome in source.run.outcomes:
-        if outcome.role != "reference":
-            groups.setdefault(condition_key(outcome.condition), []).append(outcome)
-    ordered = sorted(groups.values(), key=lambda trials: [_sortable(v) for v in trials[0].condition.values()])
-    by_objective = {
-        name: {condition_key(point.condition): point for point in view.points(name)} for name in objectives
-    }
-    decimals = {name: _decimals(points.values()) for name, points in by_objective.items()}
-    keys = list(dict.fromkeys(name for trials in ordered for name in trials[0].condition))
+    results = condition_results(view)
+    decimals = {name: _decimals(results, name) for name in objectives}
+    keys = varying(result.condition for result in results)
     rows: list[list[Content]] = []
-    for trials in ordered[:_CONDITIONS_SHOWN]:
-        condition = trials[0].condition
-        row: list[Content] = [*_values(condition, keys)]
+    for result in results[:_CONDITIONS_SHOWN]:
+        row: list[Content] = [*_values(result.condition, keys)]
         for name in objectives:
-            point = by_objective[name].get(condition_key(condition))
+            point = result.points.get(name)
             row += _mean(point, decimals[name])[:2] if point is not None else ["", ""]
-        accepted = [trial for trial in trials if trial.status == "done"]
-        row += [str(len(accepted)), str(len(trials) - len(accepted))]
-        row.append(f"{sum(trial.duration_s for trial in accepted):.4g}")
+        row += [str(result.accepted), str(len(result.trials) - result.accepted), f"{result.recorded_s:.4g}"]
         rows.append(row)
     columns = list(_labels(keys, view))
     for name in objectives:
         columns += [_quantity(name, view.unit_of(name)), "standard error"]
     columns += ["accepted", "rejected or failed", "recorded (s)"]
-    left = len(ordered) - len(rows)
+    left = len(results) - len(rows)
     more = f"{counted(left, 'more condition')} in labrun export {source.run.path} --to csv" if left else None
-    return joined([table(columns, rows, words=()), paragraph(more, class_="note") if more else None])
-
-
-def _sortable(value: Value) -> tuple[int, float, str]:
-    return (1, 0.0, value) if isinstance(value, str) else (0, float(value), "")
+    alike = {name: value for name, value in results[0].condition.items() if name not in keys}
+    same = f"The same in all: {condition_with_units(alike, view.experiment.units)}." if alike else None
+    notes = [paragraph(text, class_="note") for text in (same, more) if text]
+    return joined([table(columns, rows, words=()), *notes])
 
 
 def _names(points: Iterable[Point]) -> list[str]:
@@ -201,8 +161,9 @@ def _quantity(name: str, unit: str) -> str:
     return f"mean {spaced(name)} ({unit})" if unit else f"mean {spaced(name)}"
 
 
-def _decimals(points: Iterable[Point]) -> int | None:
-    return decimals_for(standard_error(point) for point in points)
+def _decimals(results: Iterable[ConditionResult], objective: str) -> int | None:
+    points = (result.points.get(objective) for result in results)
+    return decimals_for(standard_error(point) for point in points if point is not None)
 
 
 def _mean(point: Point, decimals: int | None) -> list[Content]:

@@ -44,7 +44,7 @@ figcaption { margin-top: .35rem; max-width: 46rem; }
 table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums; }
 caption { text-align: left; padding-bottom: .25rem; }
 th, td { padding: .28rem .55rem; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
-th { font-weight: 600; vertical-align: bottom; }
+th { font-weight: 600; vertical-align: bottom; line-height: 1.25; hyphens: auto; }
 th.n, td.n { text-align: right; }
 td.n { white-space: nowrap; }
 th:first-child, td:first-child { padding-left: .2rem; }

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from labrun.report.conditions import varying
 from labrun.report.html_elements import Content, Html, element, joined, paragraph
 from labrun.report.html_trust import most_hidden
 from labrun.report.html_words import (
@@ -251,9 +252,14 @@ def _range(source: ReportSource, objective: str) -> str:
         return f"Measured {name}: {value}{certain}."
     low, high = (choose(points, key=lambda point: point.mean) for choose in (min, max))
     units = source.experiment.units
+    differing = varying(point.condition for point in points)
+    lowest, highest = (
+        condition_with_units({n: v for n, v in point.condition.items() if n in differing}, units)
+        for point in (low, high)
+    )
     return (
-        f"Mean {name} goes from {quantity_text(low.mean, unit)} at {condition_with_units(low.condition, units)} to "
-        f"{quantity_text(high.mean, unit)} at {condition_with_units(high.condition, units)}."
+        f"Mean {name} goes from {quantity_text(low.mean, unit)} at {lowest} to "
+        f"{quantity_text(high.mean, unit)} at {highest}."
     )
 
 

@@ -4,15 +4,13 @@ import math
 from collections.abc import Iterable, Mapping
 
 from labrun.fit.estimate import Estimate, rounded
-from labrun.report.words import value_text
+from labrun.report.words import value_with_unit
 from labrun.spec.experiment import Value
 
 
 def condition_with_units(condition: Mapping[str, Value], units: Mapping[str, str]) -> str:
     """Return ``b = 0 deg, f = 1.4 Hz``, with spaces that do not break within a value."""
-    parts = (
-        f"{name} = {value_text(value)} {units.get(name, '')}".rstrip() for name, value in condition.items()
-    )
+    parts = (f"{name} = {value_with_unit(value, units.get(name, ''))}" for name, value in condition.items())
     return ", ".join(part.replace(" ", "\u00a0") for part in parts) or "the only condition"
 
 

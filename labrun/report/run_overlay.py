@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from labrun.report.conditions import in_order, varying
 from labrun.report.data import Point, RunView
 from labrun.report.style import COLOURS, SOFT, heading, new_figure, save, zero_line
-from labrun.report.words import condition_text, interval_text
+from labrun.report.words import condition_text, interval_text, label, value_text, value_with_unit
 from labrun.search.leaders import condition_key
-from labrun.spec.experiment import Value
 from labrun.store.trial import TrialOutcome
 
 if TYPE_CHECKING:
@@ -21,6 +21,9 @@ _TITLE_WIDTH = 48
 _MOST_CONDITIONS = 12
 _MOST_REPEATS = 8
 _COLUMNS = 3
+_WIDTH_IN = 9.6
+_CHARACTERS_PER_IN = 10.0
+PANEL_TITLE = "mean and 95 % interval; dots are single trials"
 
 
 def draw_plain_run(view: RunView, path: Path) -> Path:
@@ -32,7 +35,7 @@ def draw_plain_run(view: RunView, path: Path) -> Path:
     columns = min(_COLUMNS, max(len(shown), 1))
     rows = -(-len(shown) // columns) if shown else 0
     heights = [1.75 * rows] * bool(rows) + [2.6] * bool(points)
-    with new_figure(9.6, sum(heights) + 0.9) as figure:
+    with new_figure(_WIDTH_IN, sum(heights) + 0.9) as figure:
         parts: Any = (
             figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False) if heights else []
         )
@@ -49,25 +52,21 @@ def draw_plain_run(view: RunView, path: Path) -> Path:
                 if number % columns == 0:
                     axes.set_ylabel(view.trace_label)
         if points:
-            objective_panel(parts[-1][0].subplots(1, 1), view, points)
+            axes = parts[-1][0].subplots(1, 1)
+            objective_panel(axes, view, points, objective=str(view.objective), width_in=_WIDTH_IN)
+            axes.set_title(PANEL_TITLE)
         heading(figure, view.experiment.title, _subtitle(view, groups, len(shown)))
         return save(figure, path)
 
 
 def groups_of(view: RunView) -> dict[object, list[TrialOutcome]]:
-    """Return the accepted trials of every condition, in the order of the conditions' values."""
+    """Return the accepted trials of every condition, in the order of `in_order`."""
     groups: dict[object, list[TrialOutcome]] = {}
     for outcome in view.run.outcomes:
         if outcome.status == "done" and outcome.role != "reference":
             groups.setdefault(condition_key(outcome.condition), []).append(outcome)
-    ordered = sorted(
-        groups, key=lambda key: [_sortable(value) for value in groups[key][0].condition.values()]
-    )
-    return {key: groups[key] for key in ordered}
-
-
-def _sortable(value: Value) -> tuple[int, float, str]:
-    return (1, 0.0, value) if isinstance(value, str) else (0, float(value), "")
+    ordered = in_order(view.experiment, (trials[0].condition for trials in groups.values()))
+    return {key: groups[key] for key in map(condition_key, ordered)}
 
 
 def _subtitle(view: RunView, groups: dict[object, list[TrialOutcome]], shown: int) -> str:
@@ -94,7 +93,15 @@ def _traces(axes: "Axes", view: RunView, trials: Sequence[TrialOutcome], channel
         else f"{len(repeats)} of {len(trials)} repeats"
     )
     axes.text(
-        0.985, 0.97, count, transform=axes.transAxes, ha="right", va="top", fontsize=7.5, color="#666666"
+        0.985,
+        0.97,
+        count,
+        transform=axes.transAxes,
+        ha="right",
+        va="top",
+        fontsize=7.5,
+        color="#444444",
+        bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
     )
     axes.set_xlim(0, max(trial.duration_s for trial in repeats))
     zero_line(axes)
@@ -103,16 +110,34 @@ def _traces(axes: "Axes", view: RunView, trials: Sequence[TrialOutcome], channel
 def condition_title(view: RunView, trial: TrialOutcome) -> str:
     """Return a trial's condition with units, folded to fit over a panel."""
     units = view.experiment.units
-    parts = [
-        condition_text({k: v}) + (f" {units[k]}" if k in units else "") for k, v in trial.condition.items()
-    ]
-    return textwrap.fill(", ".join(parts), _TITLE_WIDTH)
+    parts = (
+        f"{name} = {value_with_unit(value, units.get(name, ''))}" for name, value in trial.condition.items()
+    )
+    whole = [part.replace(" ", "\u00a0") for part in parts]  # a line never ends within a value
+    return textwrap.fill(", ".join(whole), _TITLE_WIDTH)
 
 
-def objective_panel(axes: "Axes", view: RunView, points: Sequence[Point]) -> None:
-    """Draw the objective over all conditions: single trials, means, intervals."""
-    ordered = sorted(points, key=lambda point: [_sortable(value) for value in point.condition.values()])
-    for position, point in enumerate(ordered):
+def objective_panel(
+    axes: "Axes", view: RunView, points: Sequence[Point], *, objective: str, width_in: float
+) -> None:
+    """Draw an objective over all conditions: single trials, means, intervals.
+
+    Parameters
+    ----------
+    axes
+        Where.
+    view
+        The run.
+    points
+        Of the objective.
+    objective
+        Its name.
+    width_in
+        Width of the panel, inches: how many conditions can be named side by side.
+    """
+    by_key = {condition_key(point.condition): point for point in points}
+    conditions = in_order(view.experiment, (point.condition for point in points))
+    for position, point in enumerate(by_key[condition_key(condition)] for condition in conditions):
         spread = np.linspace(-0.16, 0.16, len(point.values)) if len(point.values) > 1 else np.zeros(1)
         axes.plot(
             position + spread, point.values, "o", color=SOFT, markersize=3.5, alpha=0.6, markeredgewidth=0
@@ -120,20 +145,18 @@ def objective_panel(axes: "Axes", view: RunView, points: Sequence[Point]) -> Non
         axes.plot([position - 0.22, position + 0.22], [point.mean] * 2, color=COLOURS[0], linewidth=2)
         if point.ci95 is not None:
             axes.plot([position] * 2, point.ci95, color=COLOURS[0], linewidth=1.2)
-    varying = [name for name in ordered[0].condition if len({point.condition[name] for point in ordered}) > 1]
-    names = [
-        condition_text({name: point.condition[name] for name in varying or point.condition})
-        for point in ordered
-    ]
+    differing = varying(conditions)
+    names = [", ".join(value_text(c[name]) for name in differing if name in c) for c in conditions]
     if len(names) > _MOST_CONDITIONS:
         axes.set_xlabel("conditions, in ascending order")
         axes.set_xticks([])
     else:
-        crowded = sum(len(name) for name in names) > 90
+        crowded = max(len(name) for name in names) + 2 > _CHARACTERS_PER_IN * width_in / len(names)
         axes.set_xticks(
-            range(len(names)), names, rotation=20 if crowded else 0, ha="right" if crowded else "center"
+            range(len(names)), names, rotation=30 if crowded else 0, ha="right" if crowded else "center"
         )
-    axes.set_xlim(-0.6, len(ordered) - 0.4)
-    axes.set_ylabel(f"{view.objective} ({view.unit})" if view.unit else str(view.objective))
-    axes.set_title("mean and 95 % interval; dots are single trials")
+        axes.set_xlabel(", ".join(label(name, view.experiment.units) for name in differing))
+    axes.set_xlim(-0.6, len(conditions) - 0.4)
+    unit = view.unit_of(objective)
+    axes.set_ylabel(f"{objective} ({unit})" if unit else objective)
     zero_line(axes)

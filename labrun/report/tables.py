@@ -8,6 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from labrun.fit.estimate import rounded
+from labrun.report.condition_table import print_conditions
 from labrun.report.loop_health import loop_words
 from labrun.report.statistics import LEAST_JITTER_S
 from labrun.report.stored_fits import StoredFit
@@ -37,6 +38,7 @@ def print_findings(found: "Findings", console: Console | None = None) -> None:
     for fault in found.faults:
         console.print(Text(f"damaged: {fault}", style="yellow"))
     _print_best(found, console)
+    print_conditions(found, console)
     console.print(_trials(found))
     for reason, count in list(found.spoiled.items())[:_MOST_REASONS]:
         console.print(Text(f"  {count} x {reason}", style="yellow"), highlight=False)
@@ -167,14 +169,14 @@ def _drift(found: "Findings") -> Table:
 
 def _streams(found: "Findings") -> Table:
     title = f"streams, from {found.streams_of} trials"
-    columns = ("device", "rate, nominal", "jitter", "offset", "drift", "samples", "lost", "saturated")
+    columns = ("device", "rate, nominal (Hz)", "jitter", "offset", "drift", "samples", "lost", "saturated")
     table = _table(title, *columns)
     table.collapse_padding = True  # with short words, all of it fits a terminal of 80 columns
     for item in found.streams:
         style = "yellow" if item.lost or item.saturated else ""
         table.add_row(
             item.device,
-            f"{item.actual_hz:.4g}, {item.nominal_hz:.4g} Hz",
+            f"{item.actual_hz:.4g}, {item.nominal_hz:.4g}",
             f"{1000 * item.jitter_s:.2g} ms" if item.jitter_s > LEAST_JITTER_S else "0 ms",
             *clock_text(item),
             str(item.samples),

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labrun.report.data import FloatArray, RunView
-from labrun.report.run_overlay import condition_title, groups_of, objective_panel
+from labrun.report.run_overlay import PANEL_TITLE, condition_title, groups_of, objective_panel
 from labrun.report.style import COLOURS, INK, heading, new_figure, save
-from labrun.search.leaders import condition_key
 from labrun.spec.track_tables import LOOP_DEVICE, loop_channel
 from labrun.store.trial import Stream, TrialOutcome
 
@@ -21,6 +20,8 @@ _MOST_CONDITIONS = 8
 _ACROSS = 4
 _MOST_REPEATS = 5
 _ROW_IN = 2.75
+_MOST_OBJECTIVES = 3
+_OBJECTIVES_IN = 2.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,23 +37,19 @@ def draw_track(view: RunView, path: Path) -> Path:
     """Draw a closed-loop run and save it.
 
     For every condition and loop: reference and feedback of its trials, and the variable that the loop sets below; then
-    the objective over all conditions.
+    the objectives over all conditions, side by side.
     """
     track = view.experiment.track
     assert track is not None  # noqa: S101  (only runs of kind track are drawn this way)
-    listed = [condition_key(condition) for condition in track.conditions]
-    found = groups_of(view)
-    groups = [
-        found[key]
-        for key in sorted(found, key=lambda key: listed.index(key) if key in listed else len(listed))
-    ]
+    groups = list(groups_of(view).values())
     shown = groups[:_MOST_CONDITIONS]
-    points = view.points(view.objective) if view.objective is not None else []
-    across = min(_ACROSS, len(shown))
-    bands = -(-len(shown) // across)
+    objectives = _objectives(view)
+    bands = max(-(-len(shown) // _ACROSS), 1)
+    across = max(-(-len(shown) // bands), 1)
+    width_in = max(3.1 * across, 6.4)
     rows = len(track.loops) * bands
-    with new_figure(max(3.1 * across, 6.4), _ROW_IN * rows + 2.3 * bool(points) + 0.9) as figure:
-        heights = [_ROW_IN * rows] + [2.3] * bool(points)
+    with new_figure(width_in, _ROW_IN * rows + _OBJECTIVES_IN * bool(objectives) + 0.9) as figure:
+        heights = [_ROW_IN * rows] + [_OBJECTIVES_IN] * bool(objectives)
         parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
         grid = parts[0][0].subplots(
             2 * rows, across, sharex=True, sharey="row", squeeze=False, height_ratios=[1.7, 1.0] * rows
@@ -69,10 +66,20 @@ def draw_track(view: RunView, path: Path) -> Path:
                 if number == len(track.loops) - 1 and place + across >= len(shown):
                     below.set_xlabel("time (s)")
                     below.tick_params(labelbottom=True)
-        if points:
-            objective_panel(parts[-1][0].subplots(1, 1), view, points)
+        if objectives:
+            panels = parts[-1][0].subplots(1, len(objectives), squeeze=False)[0]
+            for axes, objective in zip(panels, objectives, strict=True):
+                width = width_in / len(objectives)
+                objective_panel(axes, view, view.points(objective), objective=objective, width_in=width)
+            panels[0].set_title(PANEL_TITLE)
         heading(figure, view.experiment.title, _subtitle(view, len(groups), len(shown)))
         return save(figure, path)
+
+
+def _objectives(view: RunView) -> list[str]:
+    """Return the first objectives that have a value, that with the goal before the others."""
+    names = sorted(view.experiment.objectives, key=lambda name: name != view.objective)
+    return [name for name in names if view.points(name)][:_MOST_OBJECTIVES]
 
 
 def _panel(view: RunView, loop: str, trials: Sequence[TrialOutcome]) -> _Panel:
@@ -89,14 +96,12 @@ def _draw(view: RunView, panel: _Panel, above: "Axes", below: "Axes", *, first: 
         below.plot(stream.time_s, _column(stream, name, "drive"), color=colour, linewidth=0.9, alpha=0.75)
     if panel.streams:
         whole = panel.streams[0]
-        label = "reference"
         above.plot(
             whole.time_s,
             _column(whole, name, "reference"),
             color=INK,
             linewidth=1.3,
             ls=(0, (4, 2)),
-            label=label,
         )
         above.set_xlim(0, float(whole.time_s[-1]))
     track = view.experiment.track
@@ -105,7 +110,6 @@ def _draw(view: RunView, panel: _Panel, above: "Axes", below: "Axes", *, first: 
     above.set_title(condition_title(view, panel.trials[0]) + (f"\nloop {name}" if several else ""))
     if not first:
         return
-    above.legend(loc="lower center", handlelength=2.4)
     above.set_ylabel(f"{name} ({_unit(panel, name, 'feedback')})")
     drive = loop.drives if loop is not None else "drive"
     below.set_ylabel(f"{drive} ({_unit(panel, name, 'drive')})")
@@ -125,5 +129,5 @@ def _subtitle(view: RunView, conditions: int, shown: int) -> str:
     track = view.experiment.track
     rate = f"loop at {track.rate_hz:g} Hz" if track is not None else ""
     accepted = sum(outcome.status == "done" for outcome in view.run.outcomes)
-    text = f"{conditions} conditions, {accepted} accepted trials, {rate}; colours are repeats"
+    text = f"{conditions} conditions, {accepted} accepted trials, {rate}; dashed: the reference, colours: repeats"
     return text + (f" (the first {shown} conditions are shown)" if shown < conditions else "")

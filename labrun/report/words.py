@@ -31,6 +31,11 @@ def value_text(value: Value) -> str:
     return value if isinstance(value, str) else f"{value:.4g}"
 
 
+def value_with_unit(value: Value, unit: str) -> str:
+    """Return a condition's value with its unit; "1" is none, and words have none."""
+    return value if isinstance(value, str) else quantity_text(value, unit)
+
+
 def quantity_text(value: float, unit: str) -> str:
     """Return a number with its unit; "1" is none."""
     return f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}".rstrip()
@@ -72,5 +77,6 @@ def label(name: str, units: Mapping[str, str]) -> str:
     if name not in units and stem and ending in _UNIT_OF_SUFFIX:
         return f"{stem.replace('_', ' ')} ({_UNIT_OF_SUFFIX[ending]})"
     unit = units.get(name, "")
+    unit = "" if unit == "1" else unit
     shown = name.replace("_", " ")
     return f"{shown} ({unit})" if unit else shown

@@ -60,3 +60,8 @@ def test_plugins_are_listed_with_their_origin(tmp_path):
 def test_doctor_reports_clock_disk_ports_and_plugins(tmp_path):
     found = json.loads(_labrun("doctor", "--json", cwd=tmp_path).stdout)["findings"]
     assert {"clock", "disk", "plugins"} <= {item["subject"] for item in found}
+
+
+def test_a_workspace_made_where_one_is_needs_no_change_of_folder(tmp_path):
+    assert _labrun("init", cwd=tmp_path).stdout.endswith("next:  labrun list\n")
+    assert _labrun("init", "bench", cwd=tmp_path).stdout.endswith("next:  cd bench && labrun list\n")

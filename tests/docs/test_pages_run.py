@@ -23,7 +23,12 @@ SMALLER = {
         "--set cmaes.population=6 --set cmaes.parents=3 --set cmaes.reevaluate=1 --set cmaes.stop.trials=40 "
         "--set trial.repeats=2 --set leaders={count=2,repeats=2}"
     ),
-    "force-control": "--set trial.repeats=1",
+    "force-control": (
+        "--set trial.repeats=1 --set trial.duration_s=20 --set objectives.first_cycle.to_s=10 "
+        "--set objectives.later.from_s=10 --set objectives.later.to_s=20"
+    ),
+    "fin-step": "--set trial.repeats=4",
+    "level": "--set trial.duration_s=18",
     "stabilise": "--set trial.duration_s=5 --set trial.repeats=1",
 }
 ENDINGS = {

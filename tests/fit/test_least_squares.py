@@ -66,7 +66,7 @@ def test_a_term_that_cannot_be_made_is_refused(term):
         column(term, inputs(), STEP_S)
 
 
-def test_a_dry_run_finds_straight_terms_worth_taking_and_cubes_better(tmp_path):
+def test_a_dry_run_has_the_order_of_merit_of_table_5_3(tmp_path):
     loaded = load_named("fin-modulation", tmp_path)
     run = execute(loaded, results=tmp_path, dry_run=True, seed=1, progress=SilentProgress()).run
     result = fit(run, results=tmp_path)
@@ -74,5 +74,6 @@ def test_a_dry_run_finds_straight_terms_worth_taking_and_cubes_better(tmp_path):
     mae = record["mae"]["FF"]
     assert record["taken"] == "a,b"
     assert mae["+a^3,b^3"] < mae["+a^2,b^2"] < mae["a,b"]
-    assert mae["+a',b'"] > 0.95 * mae["a,b"]
+    assert mae["+a',b'"] > 0.97 * mae["a,b"]
+    assert mae["+a'',b''"] > 0.97 * mae["a,b"]
     assert result.figure.is_file()

@@ -3,6 +3,7 @@
 import json
 import math
 import tomllib
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -18,10 +19,12 @@ from labrun.errors import FitError, RequestError
 from labrun.fit.estimate import Estimate
 from labrun.fit.run_fit import fit
 from labrun.fit.summary import FitSummary, FittedData
+from labrun.fit.transfer.summary import TransferSummary
 from labrun.fit.transfer.transfer import Transfer
 from labrun.fit.tuning.closed_loop import run_loop, steady_error
 from labrun.fit.tuning.controller import Gains
 from labrun.fit.tuning.design import Design, HalfSine
+from labrun.fit.tuning.figure import shown_designs
 from labrun.fit.tuning.half_rule import Reduced, reduce_order
 from labrun.fit.tuning.loop import Loop
 from labrun.fit.tuning.margins import margins, ultimate
@@ -396,6 +399,39 @@ def test_a_margin_lost_within_the_fits_interval_is_told_and_the_design_not_taken
     assert "none is recommended" in told
 
 
+@pytest.mark.parametrize("structure", ["P", "PI", "PID", "all"])
+@pytest.mark.parametrize("plant", [MAGNITUDE, ANGLE, Transfer.first_order(2.0, 3.0, 0.1)])
+def test_without_a_reference_no_design_is_taken_that_overshoots_a_step_by_a_quarter(plant, structure):
+    found = study(plant, (), PidSettings(structure=structure), CYCLE_S)
+    # there are such designs, and the least error is that of one of them or near it
+    assert any(one.figures.overshoot > 0.25 for one in found.designs) or structure != "all"
+    assert found.best is None or found.named(found.best).figures.overshoot <= 0.25
+
+
+def test_where_every_design_overshoots_a_step_it_is_said_why_none_is_taken():
+    keys = PidSettings(structure="P", method="optimum", feedforward=False, gain_margin=1.5)
+    found = study(MAGNITUDE, (), keys, CYCLE_S)
+    assert found.best is None
+    assert any("overshooting a step by more than 25%" in one for one in summary_of(found).warnings)
+
+
+def test_margins_that_cannot_be_lost_are_none_and_have_no_interval(fin):
+    margins_ = next(one for one in summary_of(fin).tables if one.title.startswith("margins"))
+    row = next(one for one in margins_.rows if one[0] == "p-simc")
+    assert row[3:6] == ("none", "", "none")
+    assert not any("inf ... inf" in cell for one in margins_.rows for cell in one)
+
+
+def test_the_picture_shows_the_recommended_design_those_of_the_file_and_then_the_best(fin):
+    assert [one.name for one in shown_designs(fin)] == [fin.best, *TABLE_5_4]
+    few = replace(fin, designs=tuple(one for one in fin.designs if one.name not in ("PI", "FF-PI")))
+    shown = shown_designs(few)
+    assert [one.name for one in shown[:3]] == [fin.best, "P-109", "FF-P"]
+    rest = sorted(one for name, one in fin.scores.items() if name not in (fin.best, *TABLE_5_4))
+    assert [fin.scores[one.name] for one in shown[3:]] == rest[:2]
+    assert fin.best not in [one.name for one in shown_designs(replace(fin, best=None))[:4]]
+
+
 def test_an_unstable_controller_is_named_and_left_out_of_the_file():
     keys = {"structure": "PI", "method": "simc", "compare": {"wild": {"p": 400}}}
     found = study(MAGNITUDE, (), PidSettings.model_validate(keys), CYCLE_S)
@@ -428,63 +464,71 @@ def test_settings_that_do_not_fit_together_are_refused():
 
 # --- from a fit, and from a run
 
-TWO_RESPONSES = """
-[magnitude]
-gain = 0.009
-gain_ci95 = [0.0088, 0.0092]
-lag_s = 0.34
-lag_s_ci95 = [0.30, 0.38]
-dead_s = 0.28
-dead_s_ci95 = [0.26, 0.30]
-input_unit = "deg"
-output_unit = "N"
 
-[angle]
-numerator = [-0.87]
-denominator = [0.01, 0.2, 1.0]
-dead_s = 0.1
-"""
-
-
-def fitted_summary(text=TWO_RESPONSES):
-    return FitSummary(
+def fitted_summary(**changes):
+    """Responses whose names are parts of each other's names and of their parameters' names."""
+    force = Transfer.first_order(0.009, 0.34, 0.28, **UNITS)
+    angle = Transfer((-0.87,), (0.01, 0.2, 1.0), 0.1)
+    keys = {
+        "transfers": {"a": force, "angle": angle, "a_gain": force},
+        "resampled": {
+            "a": [
+                Transfer.first_order(0.009, 0.34, 0.26),
+                Transfer.first_order(0.009, -0.1, 0.28),
+                Transfer.first_order(0.0, 0.34, 0.28),
+                Transfer.first_order(0.0091, 0.34, 0.30),
+            ]
+        },
+        "estimates": {
+            "a": {"a_gain": Estimate(0.009, (0.0088, 0.0092), "N/deg")},
+            "angle": {"angle_gain": Estimate(-0.87, (-1, -0.7), "1")},
+            "a_gain": {"a_gain_gain": Estimate(0.009, (0.0088, 0.0092), "N/deg")},
+        },
+        **changes,
+    }
+    return TransferSummary(
         "fopdt",
         "fopdt",
         FittedData("fin-step", "run", 6),
-        {
-            "magnitude.gain": Estimate(0.009, (0.0088, 0.0092), "N/deg"),
-            "angle.gain": Estimate(-0.87, (-1, -0.7), "1"),
-        },
-        rmse={"magnitude": 0.01},
-        warnings=("angle has few trials", "magnitude is noisy"),
-        files={"fopdt.toml": text},
+        {key: one for mine in keys["estimates"].values() for key, one in mine.items()},
+        rmse={"a": 0.01},
+        warnings=("angle: few trials", "a: noisy because of the angle", "the run was stopped early"),
+        **keys,
     )
 
 
-def test_a_fitted_response_becomes_a_plant_with_others_within_its_intervals():
-    plant = plant_of(fitted_summary(), "magnitude", 400, np.random.default_rng(1))
+def test_a_fitted_response_becomes_a_plant_with_the_resamples_that_settle():
+    plant = plant_of(fitted_summary(), "a", 400)
     assert (plant.transfer.gain, plant.transfer.lag_s, plant.transfer.dead_s) == (0.009, 0.34, 0.28)
     assert plant.transfer.gain_unit == "N/deg"
-    assert set(plant.parameters) == {"magnitude.gain"}
-    assert plant.warnings == ("magnitude is noisy",)
-    low, high = np.percentile([one.dead_s for one in plant.plants], [2.5, 97.5])
-    assert (low, high) == (pytest.approx(0.26, abs=0.004), pytest.approx(0.30, abs=0.004))
-    again = plant_of(fitted_summary(), "magnitude", 400, np.random.default_rng(1))
-    assert again.plants == plant.plants
+    assert [one.dead_s for one in plant.plants] == [0.26, 0.30]
+    assert [one.dead_s for one in plant_of(fitted_summary(), "a", 1).plants] == [0.26]
 
 
-def test_a_response_without_intervals_is_a_plant_and_says_so():
-    plant = plant_of(fitted_summary(), "angle", 50, np.random.default_rng(1))
+@pytest.mark.parametrize(
+    ("response", "parameter", "warning"),
+    [("a", "a_gain", "a: noisy because of the angle"), ("angle", "angle_gain", "angle: few trials")],
+)
+def test_a_plant_has_the_numbers_and_warnings_of_its_own_response_only(response, parameter, warning):
+    plant = plant_of(fitted_summary(), response, 400)
+    assert set(plant.parameters) == {parameter}
+    assert warning in plant.warnings
+    assert "the run was stopped early" in plant.warnings
+    assert sum(one.startswith(("a:", "angle:")) for one in plant.warnings) == 1
+
+
+def test_a_response_without_resamples_is_a_plant_and_says_so():
+    plant = plant_of(fitted_summary(), "angle", 50)
     assert plant.transfer.order == 2
     assert plant.plants == ()
-    assert any("gives no intervals" in one for one in plant.warnings)
+    assert any("no resampled plants" in one for one in plant.warnings)
 
 
 def test_a_response_that_was_not_fitted_is_named_with_the_nearest():
-    with pytest.raises(RequestError, match="did you mean response=magnitude"):
-        plant_of(fitted_summary(), "magnitud", 50, np.random.default_rng(1))
+    with pytest.raises(RequestError, match="did you mean response=angle"):
+        plant_of(fitted_summary(), "angel", 50)
     with pytest.raises(FitError, match="no transfer function"):
-        plant_of(fitted_summary("x = 1"), None, 50, np.random.default_rng(1))
+        plant_of(FitSummary("hinge", "hinge", FittedData("x", "run", 1), {}), None, 50)
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from labrun.fit.methods.transfer_function import TransferFunctionFit, TransferFu
 from labrun.fit.run_fit import fit as run_fit
 from labrun.fit.transfer.findings import warnings_of
 from labrun.fit.transfer.fitting import fit_transfer
+from labrun.fit.transfer.orders import compare_orders, unconverged
 from labrun.fit.transfer.picture import draw_responses
 from labrun.fit.transfer.shape import Shape
 from labrun.fit.transfer.transfer import Transfer
@@ -88,6 +89,27 @@ def test_the_picture_shows_an_answer_from_where_it_is_fitted_on():
     fitted = [line for line in overlay.lines if len(line.get_xdata()) < len(TIME_S)]
     assert len(fitted) == len(trials)
     assert all(line.get_xdata()[0] == pytest.approx(3.0) for line in fitted)
+
+
+def test_an_order_that_left_more_than_one_it_contains_did_not_converge():
+    left = {Shape(1, 0): 2.0, Shape(2, 0): 2.1, Shape(2, 1): 1.0, Shape(3, 0): 1.5, Shape(1, 1): 1.00001}
+    assert unconverged(left) == {Shape(2, 0)}
+
+
+def test_in_the_comparison_of_orders_a_fit_that_did_not_converge_is_marked_and_not_spoken_for():
+    rng = np.random.default_rng(2)
+    fit = fit_transfer(
+        trials_of(Transfer((1.5,), (0.04, 0.2, 1.0)), rng), Shape(2, 0, dead_time=False), rng=rng
+    )
+    table, said = compare_orders(fit, "y")
+    assert not any("converge" in cell for row in table.rows for cell in row)
+    assert not any("converge" in one for one in said)
+    # the same fit, said to have left far more: as if its search had stopped on its way
+    stuck = replace(fit, point=replace(fit.point, squares=1e4 * fit.point.squares))
+    table, said = compare_orders(stuck, "y")
+    own = next(row for row in table.rows if "this one" in row[0])
+    assert own[-1] == "did not converge"
+    assert any("y: this order left more than a smaller one" in one for one in said)
 
 
 def test_more_zeros_than_poles_are_refused():

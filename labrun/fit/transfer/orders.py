@@ -1,5 +1,7 @@
 """Whether a pole or a zero more or less would be worth it."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,12 +15,16 @@ from labrun.fit.transfer.starts import best_fit
 FloatArray = NDArray[np.float64]
 _WORTH = 0.05
 """A fall of the error by less is not worth another number."""
+_ROUNDING = 5e-4
+"""An order may leave so much more than a smaller one, relatively, before its search counts as ended too early."""
 
 
 def compare_orders(fit: TransferFit, name: str) -> tuple[TextTable, list[str]]:
     """Return the neighbouring orders with error and Akaike's criterion, and a sentence on each that is larger.
 
-    The criterion counts independent samples: those there are over the residual's correlation length.
+    The criterion counts independent samples: those there are over the residual's correlation length. An order can leave
+    no more than a smaller one, which it contains; where its fit does, the search has not converged: it is marked so,
+    without a criterion.
     """
     shape = fit.shape
     shapes = [shape]
@@ -29,24 +35,45 @@ def compare_orders(fit: TransferFit, name: str) -> tuple[TextTable, list[str]]:
     residuals = fit.residuals()
     count = sum(len(part) for part in residuals)
     effective = count / max(correlation_length(residuals), 1.0)
+    squares = {
+        other: fit.point.squares
+        if other is shape
+        else best_fit(other, fit.trials, starts=2, near=_near(fit, other)).squares
+        for other in sorted(shapes, key=lambda one: (one.poles, one.zeros))
+    }
+    missed = unconverged(squares)
     rows, said = [], []
-    for other in sorted(shapes, key=lambda one: (one.poles, one.zeros)):
-        squares = (
-            fit.point.squares
-            if other is shape
-            else best_fit(other, fit.trials, starts=2, near=_near(fit, other)).squares
-        )
-        rms = float(np.sqrt(squares / count))
-        aic = effective * float(np.log(max(squares, 1e-300) / count)) + 2.0 * other.size
+    for other, left in squares.items():
+        rms = float(np.sqrt(left / count))
+        aic = effective * float(np.log(max(left, 1e-300) / count)) + 2.0 * other.size
         mark = " (this one)" if other is shape else ""
-        rows.append((f"{other.poles}{mark}", str(other.zeros), f"{rms:.4g}", f"{aic:.1f}"))
-        if other.poles + other.zeros > shape.poles + shape.zeros:
-            fall = 1.0 - np.sqrt(squares / max(fit.point.squares, 1e-300))
+        last = "did not converge" if other in missed else f"{aic:.1f}"
+        rows.append((f"{other.poles}{mark}", str(other.zeros), f"{rms:.4g}", last))
+        if other is shape and other in missed:
+            said.append(
+                f"{name}: this order left more than a smaller one, which it contains: its fit did not converge; "
+                "take the smaller one (poles, zeros)"
+            )
+        if other.poles + other.zeros > shape.poles + shape.zeros and other not in missed:
+            fall = 1.0 - np.sqrt(left / max(fit.point.squares, 1e-300))
             what = "a pole more" if other.poles > shape.poles else "a zero more"
             verdict = "not worth it" if fall < _WORTH else "worth a try"
             said.append(f"{name}: {what} would lower the error by {100 * max(fall, 0.0):.2g} %: {verdict}")
     header = ("poles", "zeros", f"RMS, {fit.transfer.output_unit}", "AIC")
     return TextTable(f"{name}: other orders", header, tuple(rows)), said
+
+
+def unconverged(squares: Mapping[Shape, float]) -> set[Shape]:
+    """Return the orders that left more, as a sum of squares, than a smaller one that they contain."""
+    return {
+        one
+        for one, left in squares.items()
+        for other, less in squares.items()
+        if (other.poles, other.zeros) != (one.poles, one.zeros)
+        and other.poles <= one.poles
+        and other.zeros <= one.zeros
+        and left > less * (1.0 + _ROUNDING) ** 2
+    }
 
 
 def _near(fit: TransferFit, other: Shape) -> list[FloatArray]:

@@ -16,10 +16,21 @@ from labrun.fit.transfer.transfer import Transfer
 
 @dataclass(frozen=True, slots=True)
 class TransferSummary(FitSummary):
-    """A `FitSummary` with the transfer functions themselves, by response, and others that the data do not rule out."""
+    """A `FitSummary` with what was found by response.
+
+    Attributes
+    ----------
+    transfers
+        The transfer functions themselves.
+    resampled
+        Others that the data do not rule out.
+    estimates
+        Which of `parameters` are whose.
+    """
 
     transfers: Mapping[str, Transfer] = field(default_factory=dict)
     resampled: Mapping[str, Sequence[Transfer]] = field(default_factory=dict)
+    estimates: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
 
     @property
     def transfer(self) -> Transfer:
@@ -38,13 +49,13 @@ def summarise(
     """Return the result of a fit of one or more responses."""
     from labrun.fit.transfer.picture import draw_responses
 
-    parameters: dict[str, Estimate] = {}
+    estimates: dict[str, dict[str, Estimate]] = {}
     written = {}
     said = list(findings)
     warned: list[str] = []
     for name, fit in fits.items():
         mine = _estimates(fit)
-        parameters |= {f"{name}_{key}": estimate for key, estimate in mine.items()}
+        estimates[name] = {f"{name}_{key}": estimate for key, estimate in mine.items()}
         table = to_table(fit.transfer)
         keys = {"gain": "gain", "lag": "lag_s", "dead_time": "dead_s"}
         table |= {f"{keys[key]}_ci95": list(one.ci95) for key, one in mine.items() if key in keys}
@@ -63,7 +74,7 @@ def summarise(
         method,
         method,
         FittedData(signals.name, signals.kind, count, signals.left_out),
-        parameters,
+        {key: one for mine in estimates.values() for key, one in mine.items()},
         rmse={name: fit.rmse for name, fit in fits.items()},
         rmse_units={name: fit.transfer.output_unit for name, fit in fits.items()},
         tables=(
@@ -77,6 +88,7 @@ def summarise(
         picture=lambda: draw_responses(fits, title),
         transfers={name: fit.transfer for name, fit in fits.items()},
         resampled={name: fit.resampled() for name, fit in fits.items()},
+        estimates=estimates,
     )
 
 

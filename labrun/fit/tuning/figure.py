@@ -12,19 +12,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_COLOURS = (
-    "#c2410c",
-    "#1d4e89",
-    "#15803d",
-    "#a16207",
-    "#6d28d9",
-    "#0e7490",
-    "#be185d",
-    "#4d7c0f",
-    "#52606d",
-    "#111827",
-)
-_MOST = 8
+_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#6a51a3")
+"""Okabe & Ito (2008), told apart by all common kinds of colour vision; as in the report's figures."""
+_DASHES = ((0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)), (0, (9, 3)))
+"""Of the designs that were given; the others are drawn through."""
+_MOST = len(_COLOURS)
 _INK, _FAINT = "#1f2933", "#7b8794"
 
 
@@ -35,7 +27,7 @@ def draw_designs(study: Study, title: str) -> "Figure":
     from matplotlib.figure import Figure
 
     shown = shown_designs(study)
-    colours = dict(zip((one.name for one in shown), _COLOURS, strict=False))
+    looks = _looks(shown, study)
     rows = 2 if study.errors else 1
     with rc_context(cast("Any", _STYLE)):
         figure = Figure(figsize=(10.5, 1.35 + 3.75 * rows), dpi=150)
@@ -46,34 +38,49 @@ def draw_designs(study: Study, title: str) -> "Figure":
         )  # fmt: skip
         left = grid[0, 0].subgridspec(2, 1, height_ratios=(1.5, 1), hspace=0.12)
         upper, lower = figure.add_subplot(left[0]), figure.add_subplot(left[1])
-        _step(upper, lower, study, shown, colours)
-        _nyquist(figure.add_subplot(grid[0, 1]), study, shown, colours)
+        _step(upper, lower, study, shown, looks)
+        _nyquist(figure.add_subplot(grid[0, 1]), study, shown, looks)
         if study.errors:
-            _follow(figure.add_subplot(grid[1, 0]), study, shown, colours, error=False)
-            _follow(figure.add_subplot(grid[1, 1]), study, shown, colours, error=True)
+            _follow(figure.add_subplot(grid[1, 0]), study, shown, looks, error=False)
+            _follow(figure.add_subplot(grid[1, 1]), study, shown, looks, error=True)
         height = figure.get_size_inches()[1]
         figure.text(0.012, 1 - 0.1 / height, title, fontsize=10, va="top", linespacing=1.5)
         handles, labels = upper.get_legend_handles_labels()
         figure.legend(
             handles, labels, loc="upper left", bbox_to_anchor=(0.06, 1 - 0.52 / height), ncols=len(labels),
-            fontsize=8, handlelength=1.4, columnspacing=1.3,
+            fontsize=8, handlelength=2.6, columnspacing=1.3,
         )  # fmt: skip
     return figure
 
 
 def shown_designs(study: Study) -> list[Design]:
-    """Return the stable designs, at most 8: the best, up to 4 that were given, and those that come next to the best."""
+    """Return the stable designs, at most 5: the best, up to 4 that were given, and those that come next to the best."""
     stable = [one for one in study.designs if one.margins.stable]
-    stable.sort(key=lambda one: (one.name != study.best, one.source != "given", study.scores[one.name]))
-    written = [one for one in stable if one.source == "given"][_MOST // 2 :]
-    return [one for one in stable if one not in written][:_MOST]
+    written = [one for one in stable if one.source == "given"][: _MOST - 1]
+    made = sorted(
+        (one for one in stable if one.source != "given"),
+        key=lambda one: (one.name != study.best, study.scores[one.name]),
+    )
+    best, others = (made[:1], made[1:]) if study.best else ([], made)
+    return [*best, *written, *others][:_MOST]
 
 
-def _width(design: Design, study: Study) -> float:
-    return 2.0 if design.name == study.best else 1.0
+def _looks(shown: list[Design], study: Study) -> dict[str, dict[str, Any]]:
+    """Return colour, width and dashes of each design's lines."""
+    dashes = iter(_DASHES)
+    return {
+        one.name: {
+            "color": colour,
+            "linewidth": 2.2 if one.name == study.best else 1.2,
+            "linestyle": next(dashes) if one.source == "given" else "solid",
+        }
+        for one, colour in zip(shown, _COLOURS, strict=False)
+    }
 
 
-def _step(upper: "Axes", lower: "Axes", study: Study, shown: list[Design], colours: dict[str, str]) -> None:
+def _step(
+    upper: "Axes", lower: "Axes", study: Study, shown: list[Design], looks: dict[str, dict[str, Any]]
+) -> None:
     plant = study.loop.plant
     settled = [one.figures.settling_s for one in shown if np.isfinite(one.figures.settling_s)]
     # most of the designs to their end; one slow integral must not squeeze the others
@@ -88,13 +95,11 @@ def _step(upper: "Axes", lower: "Axes", study: Study, shown: list[Design], colou
         upper.plot(
             track.time_s[inside],
             track.output[inside],
-            color=colours[one.name],
-            linewidth=_width(one, study),
             label=label,
+            **looks[one.name],
         )
         lower.step(
-            track.time_s[inside], track.drive[inside], where="post", color=colours[one.name],
-            linewidth=0.8 * _width(one, study),
+            track.time_s[inside], track.drive[inside], where="post", **looks[one.name],
         )  # fmt: skip
     upper.axhline(1.0, color=_INK, linewidth=0.7, linestyle=(0, (4, 3)))
     upper.set_ylim(-0.05, 1.08 * highest)
@@ -110,7 +115,7 @@ def _step(upper: "Axes", lower: "Axes", study: Study, shown: list[Design], colou
     lower.set_xlabel("time, s")
 
 
-def _nyquist(axes: "Axes", study: Study, shown: list[Design], colours: dict[str, str]) -> None:
+def _nyquist(axes: "Axes", study: Study, shown: list[Design], looks: dict[str, dict[str, Any]]) -> None:
     settings = study.settings
     angle = np.linspace(0, 2 * np.pi, 361)
     axes.plot(np.cos(angle), np.sin(angle), color=_FAINT, linewidth=0.7, linestyle=(0, (4, 3)))
@@ -126,9 +131,11 @@ def _nyquist(axes: "Axes", study: Study, shown: list[Design], colours: dict[str,
         curve = (
             one.gains.frequency_response(study.loop.grid_rad_s, study.loop.step_s) * study.loop.grid_response
         )
-        axes.plot(curve.real, curve.imag, color=colours[one.name], linewidth=_width(one, study))
+        axes.plot(curve.real, curve.imag, **looks[one.name])
         if one.margins.gain < 1e3:
-            axes.plot([-1.0 / one.margins.gain], [0.0], marker="o", markersize=3.5, color=colours[one.name])
+            axes.plot(
+                [-1.0 / one.margins.gain], [0.0], marker="o", markersize=3.5, color=looks[one.name]["color"]
+            )
     axes.text(-1.06, 0.08, "\N{MINUS SIGN}1", ha="right", fontsize=8)
     axes.set_xlim(-1.6, 1.6)
     axes.set_ylim(-1.9, 1.1)
@@ -143,7 +150,9 @@ def _nyquist(axes: "Axes", study: Study, shown: list[Design], colours: dict[str,
     )
 
 
-def _follow(axes: "Axes", study: Study, shown: list[Design], colours: dict[str, str], *, error: bool) -> None:
+def _follow(
+    axes: "Axes", study: Study, shown: list[Design], looks: dict[str, dict[str, Any]], *, error: bool
+) -> None:
     table = study.settings.reference
     if table is None:
         return
@@ -155,7 +164,7 @@ def _follow(axes: "Axes", study: Study, shown: list[Design], colours: dict[str, 
     for one in shown:
         track = one.follow(reference, bounds, wrong)
         values = track.reference - track.output if error else track.output
-        axes.plot(track.time_s, values, color=colours[one.name], linewidth=_width(one, study) * 0.9)
+        axes.plot(track.time_s, values, **looks[one.name])
         time_s = track.time_s
         wanted = track.reference
     if time_s is None:

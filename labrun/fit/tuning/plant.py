@@ -1,12 +1,9 @@
 """The plant a controller is designed for: fitted from the run first, or given."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from labrun.errors import FitError, RequestError
 from labrun.fit.estimate import Estimate
@@ -17,12 +14,6 @@ from labrun.nearest import nearest
 if TYPE_CHECKING:
     from labrun.fit.method import FitJob
     from labrun.fit.tuning.settings import PidSettings
-
-_QUANTILE = 1.959964
-"""Half-width of a 95 % interval over the standard deviation."""
-_NUMBERS = ("gain", "lag_s", "dead_s", "numerator", "denominator")
-_INTERVAL = "_ci95"
-_TRIES = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,20 +70,20 @@ def find_plant(job: "FitJob", settings: "PidSettings") -> Plant:
     fitted = make_method(settings.plant, keys)(job)
     if not isinstance(fitted, FitSummary):
         raise FitError(f"the fit {settings.plant} gives no transfer functions to design a controller on")
-    return plant_of(fitted, settings.response, settings.resamples, job.rng)
+    return plant_of(fitted, settings.response, settings.resamples)
 
 
-def plant_of(fitted: FitSummary, response: str | None, resamples: int, rng: np.random.Generator) -> Plant:
-    """Return a response of a fit as a plant, with others within its intervals.
+def plant_of(fitted: FitSummary, response: str | None, resamples: int) -> Plant:
+    """Return a response of a fit as a plant, with others that its data do not rule out.
 
     Parameters
     ----------
     fitted
-        Of fit ``fopdt`` or ``transfer-function``: one of its files has a table for each response.
+        Of fit ``fopdt`` or ``transfer-function``.
     response
         Which; the first, if None.
     resamples
-        How many other plants.
+        How many other plants, at most.
 
     Raises
     ------
@@ -101,17 +92,28 @@ def plant_of(fitted: FitSummary, response: str | None, resamples: int, rng: np.r
     FitError
         The fit gave none at all.
     """
-    tables = _tables(fitted)
-    name = chosen(list(tables), response)
-    transfer = _transfer(tables[name])
-    ours = {key: one for key, one in fitted.parameters.items() if name in key} or dict(fitted.parameters)
-    # warnings that name another response say nothing about this one
-    others = [one for one in tables if one != name]
-    told = [one for one in fitted.warnings if not any(other in one for other in others) or name in one]
-    plants = _resampled(fitted, name, resamples) or _within(tables[name], resamples, rng)
+    from labrun.fit.transfer.summary import TransferSummary
+
+    if not isinstance(fitted, TransferSummary) or not fitted.transfers:
+        raise FitError(f"the fit {fitted.method} gave no transfer function to design a controller on")
+    name = chosen(list(fitted.transfers), response)
+    # warnings that begin with another response say nothing about this one
+    others = tuple(f"{one}:" for one in fitted.transfers if one != name)
+    told = [one for one in fitted.warnings if not one.startswith(others)]
+    plants = _settling(fitted.resampled.get(name, ()))[:resamples]
     if not plants:
-        told.append("the fit gives no intervals: margins are those of the fitted plant only")
-    return Plant(name, transfer, fitted.data, plants, ours, tuple(told), fitted.rmse.get(name))
+        told.append(
+            "the fit gives no resampled plants that settle: margins are those of the fitted plant only"
+        )
+    return Plant(
+        name,
+        fitted.transfers[name],
+        fitted.data,
+        plants,
+        fitted.estimates.get(name, {}),
+        tuple(told),
+        fitted.rmse.get(name),
+    )
 
 
 def chosen(names: Sequence[str], wanted: str | None) -> str:
@@ -142,67 +144,6 @@ def cycle_of(job: "FitJob") -> float | None:
     return values[0] if values and values[-1] <= values[0] * (1 + 1e-6) else None
 
 
-def _resampled(fitted: FitSummary, name: str, count: int) -> tuple[Transfer, ...]:
-    """Return a fit's own resamples, those that settle: their numbers belong together."""
-    from labrun.fit.transfer.summary import TransferSummary
-
-    if not isinstance(fitted, TransferSummary):
-        return ()
-    settling = [
-        one for one in fitted.resampled.get(name, ()) if one.is_stable and one.gain and one.dead_s >= 0
-    ]
-    return tuple(settling[:count])
-
-
-def _tables(fitted: FitSummary) -> dict[str, dict[str, Any]]:
-    for name, text in fitted.files.items():
-        if not name.endswith(".toml"):
-            continue
-        read = tomllib.loads(text)
-        tables = {key: value for key, value in read.items() if isinstance(value, dict)}
-        if tables:
-            return tables
-        if "dead_s" in read:
-            return {Path(name).stem: read}
-    raise FitError(f"the fit {fitted.method} gave no transfer function to design a controller on")
-
-
-def _transfer(table: Mapping[str, Any]) -> Transfer:
-    known = {key: value for key, value in table.items() if key.endswith(("_name", "_unit"))}
-    dead_s = float(table.get("dead_s", 0.0))
-    if "denominator" in table:
-        return Transfer(tuple(table["numerator"]), tuple(table["denominator"]), dead_s, **known)
-    return Transfer.first_order(float(table["gain"]), float(table["lag_s"]), dead_s, **known)
-
-
-def _within(table: Mapping[str, Any], count: int, rng: np.random.Generator) -> tuple[Transfer, ...]:
-    """Return plants whose numbers are spread as their 95 % intervals say, each on its own; those that settle."""
-    if not any(f"{key}{_INTERVAL}" in table for key in _NUMBERS):
-        return ()
-    found: list[Transfer] = []
-    for _ in range(_TRIES * count):
-        moved = dict(table)
-        for key in _NUMBERS:
-            if key in table and f"{key}{_INTERVAL}" in table:
-                moved[key] = _moved(table[key], table[f"{key}{_INTERVAL}"], rng)
-        moved["dead_s"] = max(float(moved.get("dead_s", 0.0)), 0.0)
-        if "lag_s" in moved and moved["lag_s"] <= 0:
-            continue
-        plant = _transfer(moved)
-        if plant.is_stable and plant.gain != 0.0:
-            found.append(plant)
-        if len(found) == count:
-            break
-    return tuple(found)
-
-
-def _moved(value: Any, interval: Any, rng: np.random.Generator) -> Any:
-    """Return a number drawn from two half normals, so that its 95 % interval is this one; of lists, each its own."""
-    if isinstance(value, list):
-        if len(value) != len(interval):
-            return value
-        return [_moved(one, ends, rng) for one, ends in zip(value, interval, strict=True)]
-    low, high = cast("Sequence[float]", interval)
-    deviate = float(rng.standard_normal())
-    half = (high - value) if deviate > 0 else (value - low)
-    return float(value) + deviate * max(half, 0.0) / _QUANTILE
+def _settling(resampled: Sequence[Transfer]) -> tuple[Transfer, ...]:
+    """Return those of a fit's resamples that can be controlled: their numbers belong together."""
+    return tuple(one for one in resampled if one.is_stable and one.gain and one.dead_s >= 0)

@@ -16,6 +16,9 @@ _NEARLY = 1.2
 _LOST_SHARE = 0.025
 """Share of plants on which a loop may be unstable before its margin counts as lost in the 95 % interval."""
 
+MOST_OVERSHOOT = 0.25
+"""Of a step: a design above it is for slow references only, and not taken where no reference is known."""
+
 Errors = Mapping[float, tuple[float, float]]
 
 
@@ -35,7 +38,8 @@ class Study:
         By design: mean magnitude of the tracking error over the first and the second arch, by factor of the plant's
         gain; empty without a reference. Of stable loops only.
     best
-        Name of the design to take; None if none keeps its margins.
+        Name of the design to take; None if none keeps its margins, or if each that does overshoots a step by more
+        than `MOST_OVERSHOOT` and there is no slower reference that it would have to follow instead.
     scores
         By design: the error that decides.
     warnings
@@ -117,6 +121,7 @@ def _best(
         if one.source != "given"
         and keeps(one.gains, one.loop, wanted)
         and not (one.name in spreads and lost(spreads[one.name]))
+        and (settings.reference is not None or one.figures.overshoot <= MOST_OVERSHOOT)
     ]
     if not fit:
         return None

@@ -45,18 +45,18 @@ def _margins(study: Study) -> TextTable:
         rows.append(
             (
                 _name(one, study),
-                _number(found.gain),
+                _margin(found.gain),
                 "-" if spread is None else _interval(spread.gain, 2),
-                _number(found.phase_deg),
+                _margin(found.phase_deg),
                 "-" if spread is None else _interval(spread.phase_deg, 0),
-                _number(found.delay_s),
+                _margin(found.delay_s),
                 _number(found.sensitivity),
                 _number(found.crossover_rad_s) if found.crossover_rad_s else "none",
                 "yes" if found.stable else "NO",
             )
         )
     return TextTable(
-        "margins of the loop as it runs (95 %: over the fit's own uncertainty)",
+        "margins of the loop as it runs (95 %: over the fit's own uncertainty; none: nothing to lose, no crossing)",
         (
             "",
             "gain",
@@ -128,6 +128,12 @@ def _number(value: float) -> str:
     return "0" if value == 0 else f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
 
 
+def _margin(value: float) -> str:
+    return "none" if math.isinf(value) else _number(value)
+
+
 def _interval(ends: tuple[float, float], decimals: int) -> str:
-    low, high = ("inf" if math.isinf(end) else f"{end:.{decimals}f}" for end in ends)
+    if all(math.isinf(end) for end in ends):
+        return ""  # the margin beside it says none
+    low, high = ("none" if math.isinf(end) else f"{end:.{decimals}f}" for end in ends)
     return f"{low} ... {high}"

@@ -7,14 +7,12 @@ from labrun.fit.tuning.closed_loop import steady_error
 from labrun.fit.tuning.design import Design
 from labrun.fit.tuning.loop import Loop
 from labrun.fit.tuning.margins import ultimate
-from labrun.fit.tuning.study import Errors, Study, lost
+from labrun.fit.tuning.study import MOST_OVERSHOOT, Errors, Study, lost
 
 _CATCHES_UP = 1.6
 """First arch over second, above which a controller only follows after the first."""
 _FOLLOWS = 0.1
 """Mean error over the mean of the reference, below which a controller follows it."""
-_JUMPY = 0.25
-"""Overshoot of a step above which a design is not for references that jump."""
 _NEAR_END = 0.02
 """Part of what the drive reaches by which a reference may leave it: the gain is not known better."""
 
@@ -55,9 +53,15 @@ def warnings(study: Study) -> list[str]:
             )
     told += _out_of_range(study)
     if study.best is None:
+        calm = (
+            ""
+            if settings.reference
+            else f" without overshooting a step by more than {MOST_OVERSHOOT:.0%} (where the reference is slower than "
+            "a step, say which it is: reference)"
+        )
         told.append(
-            "no design keeps the margins that were asked for on all plants within the fit's 95 % interval: none is "
-            "recommended"
+            "no design keeps the margins that were asked for on all plants within the fit's 95 % interval"
+            f"{calm}: none is recommended"
         )
     return told
 
@@ -77,14 +81,19 @@ def _recommended(study: Study) -> Iterator[str]:
         among = "its error after steps of reference and load is the least, or near it"
     yield (
         f"take {design.name} ({design.structure}): {among}; of the designs within 20 % of the least error it passes "
-        f"least noise to the drive; gain margin {found.gain:.2f}, delay margin {found.delay_s:.2f} s"
+        f"least noise to the drive; gain margin {found.gain:.2f}"
+        + (
+            f", delay margin {found.delay_s:.2f} s"
+            if math.isfinite(found.delay_s)
+            else ", and no dead time unsettles it"
+        )
     )
     if design.gains.feedforward is not None:
         yield (
             "the feed-forward carries the reference, so that the feedback only has to mend what the model "
             "gets wrong, and there is no arch to wait for until an integral has grown"
         )
-    if design.figures.overshoot > _JUMPY:
+    if design.figures.overshoot > MOST_OVERSHOOT:
         yield (
             f"{design.name} is for a reference that moves slowly against the loop's {study.loop.delay_s:.2f} s of dead "
             f"time: a step of it would overshoot by {design.figures.overshoot:.0%}, because the feedback takes for an "
@@ -100,7 +109,7 @@ def _calmest(study: Study) -> str:
         if one.source != "given"
         and one.margins.stable
         and one.gains.i_per_s
-        and one.figures.overshoot < _JUMPY
+        and one.figures.overshoot < MOST_OVERSHOOT
         and math.isfinite(one.figures.settling_s)
     ]
     if not settled:

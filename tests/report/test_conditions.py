@@ -1,0 +1,93 @@
+"""What each condition gave, in the terminal and for scripts."""
+
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from memory_run import sweep_view
+from rich.console import Console
+
+from labrun.report.conditions import condition_results, in_order, most_promising, varying
+from labrun.report.findings import findings
+from labrun.report.run_overlay import condition_title
+from labrun.runner.progress import SilentProgress
+from labrun.search.execute import execute
+from labrun.spec.named import load_named
+from labrun.store.reading import open_run
+
+
+@pytest.fixture(scope="module")
+def tracked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    results = tmp_path_factory.mktemp("results")
+    short = ("trial.duration_s=6", "trial.repeats=2")
+    objectives = ("objectives.first_cycle.to_s=3", "objectives.later.from_s=3", "objectives.later.to_s=6")
+    loaded = load_named("force-control", results, (*short, *objectives))
+    return execute(loaded, results=results, dry_run=True, seed=2, limit=5, progress=SilentProgress()).run
+
+
+def test_every_accepted_trial_but_references_counts_once_in_its_condition():
+    view = sweep_view(lambda c: c["f"], {"f": [1, 2, 3]}, repeats=4)
+    results = condition_results(view)
+    assert [(r.condition["f"], r.accepted, r.best) for r in results] == [
+        (1, 4, False),
+        (2, 4, False),
+        (3, 9, True),
+    ]
+    for result in results:
+        mean = np.mean([trial.objectives["thrust"] for trial in result.trials])
+        assert result.points["thrust"].mean == pytest.approx(mean)
+
+
+def test_the_goal_puts_the_most_promising_first_and_what_has_no_value_last():
+    view = sweep_view(lambda c: c["f"], {"f": [1, 2, 3, 4]})
+    view.run.outcomes[:] = [
+        replace(o, status="rejected", objectives={}) if o.condition["f"] == 2 else o
+        for o in view.run.outcomes
+    ]
+    ranked = most_promising(view, condition_results(view))
+    assert [result.condition["f"] for result in ranked] == [4, 3, 1, 2]
+
+
+def test_only_what_differs_between_conditions_names_them():
+    assert varying([{"a": 1, "b": 2, "c": "x"}, {"a": 1, "b": 3, "c": "y"}]) == ["b", "c"]
+    assert varying([{"a": 1, "b": 2}]) == ["a", "b"]
+
+
+def test_numbers_are_ordered_as_numbers_and_words_as_words():
+    view = sweep_view(lambda c: 0.0, {"f": [1]})
+    ordered = in_order(view.experiment, [{"f": 10}, {"f": "soft"}, {"f": 9}, {"f": "hard"}])
+    assert [condition["f"] for condition in ordered] == [9, 10, "hard", "soft"]
+
+
+def test_a_value_without_dimension_has_no_unit_over_its_panel():
+    view = sweep_view(lambda c: c["gain"], {"gain": [0.1, 0.2]}, units={"gain": "1"})
+    assert condition_title(view, view.run.outcomes[0]).replace("\u00a0", " ") in ("gain = 0.1", "gain = 0.2")
+
+
+def test_show_tells_which_controller_has_which_error(tracked):
+    with open_run(tracked) as run:
+        found = findings(run)
+    console = Console(file=io.StringIO(), width=80)
+    found.print(console)
+    text = console.file.getvalue()
+    for objective in ("first_cycle (N)", "later (N)", "bias (N)"):
+        assert objective in text
+    rows = json.loads(json.dumps(found.to_json()))["conditions"]
+    assert len(rows) == found.conditions_total
+    for row in rows:
+        line = next(
+            line for line in text.splitlines() if line.startswith(f" {row['condition']['controller']} ")
+        )
+        assert int(line.split()[1]) == row["accepted"]
+        assert float(line.split()[2]) == pytest.approx(row["objectives"]["first_cycle"]["mean"], abs=6e-4)
+        assert row["objectives"]["first_cycle"]["unit"] == "N"
+
+
+def test_controllers_stand_in_the_order_of_the_file(tracked):
+    with open_run(tracked) as run:
+        shown = [result.condition["controller"] for result in findings(run).conditions]
+    listed = ["P-100", "P-109", "P-120", "PI", "FF-P", "FF-PI"]
+    assert shown == [name for name in listed if name in shown]
