@@ -27,7 +27,8 @@ def show(
 ) -> None:
     """Show what a run found.
 
-    Trials by status, the honest best, conditions, repeatability, drift, settling, streams, fits. Of a recording: channels and trials.
+    Trials by status, the honest best, every condition, repeatability, drift, settling, streams, fits. Of a recording:
+    channels and trials.
 
     Example:  labrun show fin-params
     """
