@@ -61,3 +61,10 @@ def test_lag_and_dead_time_together_are_the_published_delay(fitted, response):
     for one in fitted:
         found = one.parameters[f"{response}_lag"].value + one.parameters[f"{response}_dead_time"].value
         assert found == pytest.approx(whole, abs=0.05)
+
+
+def test_what_the_step_hardly_tells_apart_is_warned_of_and_nothing_else(fitted):
+    """The fin's direction answers within half the cycle that is averaged over; its force takes longer."""
+    for one in fitted:
+        told = [warning for warning in one.warnings if "hardly tell lag from dead time" in warning]
+        assert [warning.partition(":")[0] for warning in told] == ["angle"]

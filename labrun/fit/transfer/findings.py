@@ -4,10 +4,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.fit.correlation import correlation_length
+from labrun.fit.estimate import rounded
 from labrun.fit.transfer.fitting import TransferFit
 
 FloatArray = NDArray[np.float64]
 _CLOSE = 0.1
+_LOOSE = 3.0
+"""A lag whose interval spans more than this factor is not known by itself."""
 _LAGS = 100
 
 
@@ -59,7 +62,8 @@ def warnings_of(fit: TransferFit, name: str) -> list[str]:
         slow_s = 1.0 / max(abs(pole), 1e-300)
         if slow_s < step_s:
             said.append(
-                f"{name}: a time constant of {slow_s:.2g} s is below a sample ({step_s:.2g} s): not determined"
+                f"{name}: a time constant of {slow_s:.2g} s is below a sample ({step_s:.2g} s): not determined, and "
+                "the intervals of the coefficients hold for this one only; fit a pole less"
             )
         said += [
             f"{name}: a pole and a zero nearly cancel at {abs(pole):.3g} rad/s: one of each fewer fits as well"
@@ -75,7 +79,22 @@ def warnings_of(fit: TransferFit, name: str) -> list[str]:
             else f"{name}: the data do not determine the lag: it varies by more than its value between resamples; "
             "record a faster input, or more trials"
         )
-    return said
+    return said + _told_apart(fit, name)
+
+
+def _told_apart(fit: TransferFit, name: str) -> list[str]:
+    """Return a warning where the data know the sum of lag and dead time much better than either."""
+    if not (fit.transfer.is_first_order and fit.shape.dead_time and len(fit.draws)):
+        return []
+    lag = fit.estimate(lambda transfer: transfer.lag_s, "s")
+    dead = fit.estimate(lambda transfer: transfer.dead_s, "s")
+    if dead.ci95[0] > fit.trials[0].step_s and lag.ci95[1] < _LOOSE * lag.ci95[0]:
+        return []
+    value, low, high = rounded(fit.estimate(lambda transfer: transfer.lag_s + transfer.dead_s, "s"))
+    return [
+        f"{name}: the data hardly tell lag from dead time; their sum is {value} s ({low} ... {high}); a faster step, "
+        "less averaging or more trials would tell them apart"
+    ]
 
 
 def _centred(values: FloatArray) -> FloatArray:
