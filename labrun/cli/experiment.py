@@ -1,4 +1,4 @@
-"""`labrun check`, `run`, `sweep`, `cmaes`, `resume`."""
+"""`labrun check`, `run`, `sweep`, `track`, `cmaes`, `resume`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -51,7 +51,7 @@ def run(
 
     Example:  labrun run hinge --dry-run
     """
-    execute_kind(name, None, dry_run, overrides, seed, limit, results, as_json)
+    _execute(name, None, dry_run, overrides, seed, limit, results, as_json)
 
 
 def sweep(
@@ -67,7 +67,23 @@ def sweep(
 
     Example:  labrun sweep fin-params --dry-run
     """
-    execute_kind(name, "sweep", dry_run, overrides, seed, limit, results, as_json)
+    _execute(name, "sweep", dry_run, overrides, seed, limit, results, as_json)
+
+
+def track(
+    name: options.TrackName,
+    dry_run: options.DryRun = False,
+    overrides: options.Overrides = None,
+    seed: options.Seed = None,
+    limit: options.Limit = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Close loops: follow a reference with each controller.
+
+    Example:  labrun track force-control --dry-run
+    """
+    _execute(name, "track", dry_run, overrides, seed, limit, results, as_json)
 
 
 def cmaes(
@@ -83,7 +99,7 @@ def cmaes(
 
     Example:  labrun cmaes turn-torque --dry-run
     """
-    execute_kind(name, "cmaes", dry_run, overrides, seed, limit, results, as_json)
+    _execute(name, "cmaes", dry_run, overrides, seed, limit, results, as_json)
 
 
 def resume(
@@ -119,7 +135,7 @@ def resume(
         _print_result(result, as_json)
 
 
-def execute_kind(
+def _execute(
     name: str,
     kind: str | None,
     dry_run: bool,
@@ -179,5 +195,5 @@ def _print_result(result: "RunResult", as_json: bool) -> None:
 
 def register(app: typer.Typer) -> None:
     """Add this module's commands."""
-    for command in (check, run, sweep, cmaes, resume):
+    for command in (check, run, sweep, track, cmaes, resume):
         app.command()(command)

@@ -11,7 +11,8 @@ from typing import Any
 from labrun.nearest import nearest
 from labrun.spec.catalogue import DeviceInfo, examine
 from labrun.spec.channels import check_channel
-from labrun.spec.expression import CONSTANTS, FUNCTIONS, ExpressionError, is_comparison, names_in
+from labrun.spec.expression import CONSTANTS, FUNCTIONS, ExpressionError, is_comparison
+from labrun.spec.expression_checks import check_expression
 from labrun.spec.fit_checks import check_fit
 from labrun.spec.let import order
 from labrun.spec.names import suggest
@@ -156,7 +157,7 @@ def _check_expressions(data: Mapping[str, Any], conditions: list[str]) -> Iterat
     own = gait_names(data)
     in_gait = [*conditions, *let, *own, *driven_names(data)]
     for name, expression in let.items():
-        yield from _check_expression(expression, ("gait", "let", name), in_gait)
+        yield from check_expression(expression, ("gait", "let", name), in_gait)
     try:
         order({name: item for name, item in let.items() if isinstance(item, str | float | int)})
     except ExpressionError as error:
@@ -164,9 +165,9 @@ def _check_expressions(data: Mapping[str, Any], conditions: list[str]) -> Iterat
             yield Problem(("gait", "let"), str(error))
     for joint, keys in table(data, "gait", "joints").items():
         for key, expression in (keys if isinstance(keys, dict) else {}).items():
-            yield from _check_expression(expression, ("gait", "joints", joint, key), in_gait)
+            yield from check_expression(expression, ("gait", "joints", joint, key), in_gait)
     speed = table(data, "trial", "carriage").get("speed_m_s")
-    yield from _check_expression(speed, ("trial", "carriage", "speed_m_s"), conditions)
+    yield from check_expression(speed, ("trial", "carriage", "speed_m_s"), conditions)
     for kind, names in (
         ("sweep", table(data, "sweep", "axes")),
         ("cmaes", table(data, "cmaes", "variables")),
@@ -174,22 +175,9 @@ def _check_expressions(data: Mapping[str, Any], conditions: list[str]) -> Iterat
         where = table(data, kind).get("where")
         for number, expression in enumerate(where if isinstance(where, list) else []):
             path: KeyPath = (kind, "where", number)
-            found = list(_check_expression(expression, path, list(names)))
+            found = list(check_expression(expression, path, list(names)))
             if not found and isinstance(expression, str) and not is_comparison(expression):
                 found.append(
                     Problem(path, 'compares nothing; a constraint reads "a + abs(b) <= 60"', at_value=True)
                 )
             yield from found
-
-
-def _check_expression(expression: object, path: KeyPath, known: list[str]) -> Iterator[Problem]:
-    if not isinstance(expression, str):
-        return
-    try:
-        needed = names_in(expression)
-    except ExpressionError as error:
-        text = str(error).replace(f'expression "{expression}"', "expression", 1).replace("\n  ", "; ")
-        yield Problem(path, text.removeprefix("expression: "), at_value=True)
-        return
-    for name in sorted(needed - set(known)):
-        yield Problem(path, f'unknown name "{name}"; {suggest(name, known, kind="names")}', at_value=True)

@@ -10,6 +10,7 @@ from labrun.errors import PluginError
 from labrun.spec.catalogue import DeviceInfo
 from labrun.spec.channels import check_channel
 from labrun.spec.expression import ExpressionError, names_in
+from labrun.spec.expression_checks import check_expression
 from labrun.spec.names import suggest
 from labrun.spec.plugin_checks import load_plugin
 from labrun.spec.positions import KeyPath
@@ -155,24 +156,11 @@ def _check_part(group: str, keys: object, path: KeyPath, conditions: list[str] |
     for key, value in list(settings.items()):
         whole = key in getattr(plugin, "expression_settings", ())
         if conditions is not None and (whole or is_expression(model, key, value)):
-            found = list(_check_expression(value, (*path, key), known))
+            found = list(check_expression(value, (*path, key), known))
             yield from found
             if not whole:  # its value comes with each condition
                 settings[key] = 1.0
     yield from validate(model, settings, path, also=["plugin"])[1]
-
-
-def _check_expression(expression: object, path: KeyPath, known: list[str]) -> Iterator[Problem]:
-    if not isinstance(expression, str):
-        return
-    try:
-        needed = names_in(expression)
-    except ExpressionError as error:
-        text = str(error).replace(f'expression "{expression}"', "expression", 1).replace("\n  ", "; ")
-        yield Problem(path, text.removeprefix("expression: "), at_value=True)
-        return
-    for name in sorted(needed - set(known)):
-        yield Problem(path, f'unknown name "{name}"; {suggest(name, known, kind="names")}', at_value=True)
 
 
 def _check_feedback(
