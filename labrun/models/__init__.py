@@ -7,6 +7,7 @@ from labrun.models.python_model import compile_derivative, compile_output, pytho
 from labrun.models.simulation import Simulation, prepare, simulate, suggest_substeps
 from labrun.models.stepper import Stepper
 from labrun.models.toml_model import parse_model
+from labrun.models.writing import corrected_model_text
 
 __all__ = [
     "Between",
@@ -22,6 +23,7 @@ __all__ = [
     "Stepper",
     "compile_derivative",
     "compile_output",
+    "corrected_model_text",
     "load_model",
     "parse_model",
     "prepare",

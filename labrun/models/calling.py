@@ -23,6 +23,13 @@ def kernel(function: Function) -> Function:
     return cast("Function", njit(cache=True, nogil=True, error_model="numpy")(fresh(function)))
 
 
+def inlined(function: Function) -> Function:
+    """Compile a function into the kernels that call it: for what is called at every step, where a call costs most."""
+    return cast(
+        "Function", njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(fresh(function))
+    )
+
+
 def _data(context: Any, builder: Any, array_type: Any, array: Any, offset: Any) -> Any:
     pointer = context.make_array(array_type)(context, builder, array).data
     return builder.gep(pointer, [offset])
@@ -34,16 +41,53 @@ def _function(builder: Any, address: Any, result: Any, arguments: list[Any]) -> 
 
 
 @intrinsic  # type: ignore[untyped-decorator]
+def pointer(typing: Any, array: Any) -> Any:
+    """Return the pointer to the first number of a contiguous array, which the caller keeps alive.
+
+    Numba counts references to an array at every call it is handed to; a pointer costs nothing.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _data(context, builder, signature.args[0], arguments[0], cgutils.intp_t(0))
+
+    return types.CPointer(array.dtype)(array), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def beyond(typing: Any, start: Any, count: Any) -> Any:
+    """Return the pointer that begins `count` numbers behind `start`."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.gep(arguments[0], [arguments[1]])
+
+    return start(start, types.int64), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def few(typing: Any) -> Any:
+    """Keep a loop as it stands: it runs a few times, and preparing it for many takes longer than all its turns.
+
+    An empty piece of assembly, which the compiler neither vectorizes nor removes; it becomes no instruction.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.asm(ir.FunctionType(ir.VoidType(), []), "", "", [], True)
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
 def call_model(typing: Any, address: Any, t: Any, x: Any, u: Any, p: Any, force: Any, out: Any) -> Any:
-    """Call a function of signature ``model``; `x` ... `out` are contiguous float64 arrays."""
+    """Call a function of signature ``model``; `x` ... `out` are pointers to float64, or contiguous arrays."""
     signature = types.void(types.int64, types.float64, x, u, p, force, out)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         function = _function(builder, arguments[0], ir.VoidType(), [_DOUBLE, *[_POINTER] * 5])
         zero = cgutils.intp_t(0)
         pointers = [
-            _data(context, builder, kind, array, zero)
-            for kind, array in zip(signature.args[2:], arguments[2:], strict=True)
+            value if isinstance(kind, types.CPointer) else _data(context, builder, kind, value, zero)
+            for kind, value in zip(signature.args[2:], arguments[2:], strict=True)
         ]
         builder.call(function, [arguments[1], *pointers])
         return context.get_dummy_value()
@@ -62,23 +106,16 @@ def call_law(
     load: Any,
     stiffness: Any,
     values: Any,
-    values_at: Any,
     z: Any,
-    z_at: Any,
     dz: Any,
-    dz_at: Any,
 ) -> Any:
-    """Call a function of signature ``law``; each array with the index its part begins at."""
-    number, index = types.float64, types.int64
-    signature = number(types.int64, *[number] * 6, values, index, z, index, dz, index)
+    """Call a function of signature ``law``; the last three are pointers to float64."""
+    number = types.float64
+    signature = number(types.int64, *[number] * 6, values, z, dz)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         function = _function(builder, arguments[0], _DOUBLE, [*[_DOUBLE] * 6, *[_POINTER] * 3])
-        pointers = [
-            _data(context, builder, signature.args[place], arguments[place], arguments[place + 1])
-            for place in (7, 9, 11)
-        ]
-        return builder.call(function, [*arguments[1:7], *pointers])
+        return builder.call(function, arguments[1:])
 
     return signature, generate
 

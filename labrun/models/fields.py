@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from labrun.models.expression import RESERVED, Expression, ExpressionError, parse
-from labrun.models.problems import ModelText
+from labrun.models.problems import Key, ModelText
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 
@@ -37,7 +37,7 @@ class Fields:
             raise self.text.error(key, f"a name stands twice in {names}")
         return tuple(names)
 
-    def check_name(self, key: str, name: str) -> None:
+    def check_name(self, key: Key, name: str) -> None:
         """Refuse a name that equations cannot use, or that already means something in them."""
         if not is_name(name):
             raise self.text.error(
@@ -59,19 +59,19 @@ class Fields:
             )
         return table
 
-    def number(self, key: str, value: Any) -> float:
+    def number(self, key: Key, value: Any) -> float:
         """Return a number; infinity is one."""
         if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
             raise self.text.error(key, f"a number was expected, not {value!r}")
         return float(value)
 
-    def string(self, key: str, value: Any) -> str:
+    def string(self, key: Key, value: Any) -> str:
         """Return text."""
         if not isinstance(value, str):
             raise self.text.error(key, f"text in quotes was expected, not {value!r}")
         return value
 
-    def check_keys(self, key: str, entry: Any, known: tuple[str, ...]) -> None:
+    def check_keys(self, key: Key, entry: Any, known: tuple[str, ...]) -> None:
         """Refuse what is no table, and keys it does not have."""
         if not isinstance(entry, dict):
             raise self.text.error(key, f"a table with {', '.join(known)} was expected, not {entry!r}")
@@ -79,7 +79,7 @@ class Fields:
             if one not in known:
                 raise self.text.unknown_key(key, one, known)
 
-    def expression(self, key: str, text: Any) -> Expression:
+    def expression(self, key: Key, text: Any) -> Expression:
         """Return a checked equation; a number is one."""
         if isinstance(text, int | float) and not isinstance(text, bool):
             text = repr(text)

@@ -36,10 +36,23 @@ def equations(function: str, expressions: Sequence[Expression], variables: dict[
     return "\n".join([*lines, "    return"])
 
 
-def generated(functions: dict[str, str]) -> dict[str, NativeFunction]:
-    """Return the native functions of a generated module; nothing is written or compiled before one is used."""
-    text = "\n\n".join([_HEADER, *functions.values()]) + "\n"
+def generated(functions: dict[str, str], imports: str = "") -> dict[str, NativeFunction]:
+    """Return the native functions of a generated module; nothing is written or compiled before one is used.
+
+    `imports` stands on top of the module, for functions that call compiled ones of labrun.
+    """
+    text = "\n\n".join([_HEADER + imports, *functions.values()]) + "\n"
     return {name: NativeFunction("model", functools.partial(_function, text, name)) for name in functions}
+
+
+def is_generated(function: NativeFunction) -> bool:
+    """Tell whether a native function comes from expressions alone, and so does exactly what they say."""
+    provide = function.provide
+    return (
+        type(function) is NativeFunction
+        and isinstance(provide, functools.partial)
+        and provide.func is _function
+    )
 
 
 def cache_directory() -> Path:

@@ -66,21 +66,23 @@ def drive(time_s: FloatArray, inputs: FloatArray, between: Sequence[Between], su
     if values.size == 0 and not between:
         values = np.empty((len(time_s), 0))
     _check(time_s, values, len(between), substeps)
-    intervals = np.diff(time_s)
-    steps_s = np.repeat(intervals / substeps, substeps)
-    if not between:
-        return Drive(time_s, steps_s, np.empty((len(steps_s), 3, 0)), np.empty(0), substeps)
-    fractions = np.arange(2 * substeps + 1) / (2 * substeps)
-    grid = np.empty((len(intervals), 2 * substeps + 1, len(between)))
+    intervals = time_s[1:] - time_s[:-1]
+    _check_times(time_s, intervals)
+    steps_s = np.repeat(intervals / substeps, substeps) if substeps > 1 else intervals
+    u = np.empty((len(intervals), substeps, 3, len(between)))
     for index, kind in enumerate(between):
         column = values[:, index]
         if kind == "hold":
-            grid[:, :, index] = column[:-1, None]
-        elif kind == "linear":
-            grid[:, :, index] = column[:-1, None] * (1 - fractions) + column[1:, None] * fractions
-        else:
-            grid[:, :, index] = _band_limited(time_s, column, fractions)
-    u = np.stack([grid[:, 0:-1:2], grid[:, 1::2], grid[:, 2::2]], axis=2)
+            u[..., index] = column[:-1, None, None]
+            continue
+        fractions = np.arange(2 * substeps + 1) / (2 * substeps)
+        grid = (
+            column[:-1, None] * (1 - fractions) + column[1:, None] * fractions
+            if kind == "linear"
+            else _band_limited(time_s, column, fractions)
+        )
+        for place in range(3):
+            u[:, :, place, index] = grid[:, place : 2 * substeps - 1 + place : 2]
     return Drive(time_s, steps_s, u.reshape(len(steps_s), 3, len(between)), values[-1].copy(), substeps)
 
 
@@ -93,12 +95,18 @@ def _check(time_s: FloatArray, values: FloatArray, inputs: int, substeps: int) -
         )
     if substeps < 1:
         raise ModelError(f"substeps must be 1 or more, not {substeps}")
-    if not np.all(np.isfinite(time_s)) or np.any(np.diff(time_s) <= 0):
-        worst = int(np.argmin(np.diff(time_s))) if len(time_s) > 1 else 0
-        raise ModelError(f"time_s must increase; at sample {worst + 1} it does not")
-    if not np.all(np.isfinite(values)):
+    if values.size and not np.isfinite(values).all():
         row, column = np.argwhere(~np.isfinite(values))[0]
         raise ModelError(f"input {column} is not finite at sample {row} (t = {time_s[row]:g} s)")
+
+
+def _check_times(time_s: FloatArray, intervals: FloatArray) -> None:
+    # not-a-number compares false, and infinite times have an infinite interval or none
+    if intervals.size and intervals.min() > 0 and np.isfinite(intervals.max()) and np.isfinite(time_s[0]):
+        return
+    if not np.isfinite(time_s).all() or intervals.size:
+        worst = int(np.argmin(intervals)) if intervals.size else 0
+        raise ModelError(f"time_s must increase; at sample {worst + 1} it does not")
 
 
 def _band_limited(time_s: FloatArray, values: FloatArray, fractions: FloatArray) -> FloatArray:

@@ -2,59 +2,83 @@
 
 import numpy as np
 
-from labrun.models.calling import call_law, call_model, kernel
+from labrun.models.calling import beyond, call_model, few, inlined, kernel, pointer
+from labrun.models.coupling import couple
 from labrun.models.layout import IntArray
 from labrun.models.model import FloatArray
-from labrun.models.slopes import slopes
+from labrun.models.native import Pointer
+from labrun.models.slopes import load
+from labrun.models.steps import fifth_order, fourth_order
+from labrun.models.system import System
 
 
-@kernel
-def _record(row: int, state: FloatArray, y: FloatArray, states: FloatArray, outputs: FloatArray) -> bool:
+@inlined
+def _equal(one: Pointer, other: Pointer, count: int) -> bool:
+    for k in range(count):
+        few()
+        if one[k] != other[k]:
+            return False
+    return True
+
+
+@inlined
+def _keep(values: Pointer, kept: Pointer, count: int) -> bool:
+    """Copy values; tell whether all are finite."""
     finite = True
-    for k in range(state.size):
-        states[row, k] = state[k]
-        finite = finite and np.isfinite(state[k])
-    for k in range(y.size):
-        outputs[row, k] = y[k]
-        finite = finite and np.isfinite(y[k])
+    for k in range(count):
+        few()
+        kept[k] = values[k]
+        finite = finite and np.isfinite(values[k])
     return finite
 
 
-@kernel
-def _inputs_at(
-    step: int, steps: int, output_at_end: bool, u: FloatArray, u_last: FloatArray, row_u: FloatArray
-) -> None:
-    for k in range(u_last.size):
-        if step == steps:
-            row_u[k] = u_last[k]
-        else:
-            row_u[k] = u[step - 1, 2, k] if output_at_end and step > 0 else u[step, 0, k]
+@inlined
+def _row(
+    row: int,
+    t: float,
+    state: Pointer,
+    u: Pointer,
+    slope: Pointer,
+    output: int,
+    system: System,
+    states: FloatArray,
+    outputs: FloatArray,
+) -> bool:
+    """Write one row of states and outputs, which may show the forces at the sites; tell whether it is finite."""
+    if system.laws > 0:
+        load(t, state, u, slope, system)
+        if system.coupled:
+            couple(t, state, u, slope, system)
+    width = outputs.shape[1]
+    y = beyond(pointer(outputs), row * width)
+    call_model(output, t, state, u, system.p, system.force, y)
+    finite = _keep(state, beyond(pointer(states), row * system.total), system.total)
+    return _keep(y, y, width) and finite
 
 
 @kernel
-def integrate(  # noqa: PLR0912 - one loop on purpose, see below
+def integrate(
     start_s: float,
     steps_s: FloatArray,
     u: FloatArray,
     u_last: FloatArray,
     every: int,
     output_at_end: bool,
+    paired: bool,
     p: FloatArray,
     derivative: int,
     output: int,
-    site_address: int,
-    rate_states: IntArray,
-    laws: IntArray,
-    law_sites: IntArray,
-    inertial: IntArray,
-    offsets: IntArray,
+    site_values: int,
+    coupled: bool,
+    site_table: IntArray,
+    law_table: IntArray,
     values: FloatArray,
-    state_offsets: IntArray,
+    scratch: FloatArray,
     state: FloatArray,
     states: FloatArray,
     outputs: FloatArray,
 ) -> int:
-    """Integrate with classical Runge-Kutta steps; `state` is advanced in place.
+    """Integrate with Runge-Kutta steps; `state` is advanced in place.
 
     Parameters
     ----------
@@ -68,6 +92,13 @@ def integrate(  # noqa: PLR0912 - one loop on purpose, see below
     output_at_end
         Whether a row's outputs see the inputs at the end of the step before it, instead of those of the step after it
         (which differ where an input jumps).
+    paired
+        Whether an even step and the next are taken as one step of order 5 (where no input jumps between them); the
+        others are classical ones of order 4. The number of steps is even then.
+    derivative, output, site_values, coupled, site_table, law_table
+        See `labrun.models.system.System`.
+    scratch : (numbers,)
+        Zeros, as many as `Forces.scratch`.
     states, outputs : (steps // every + 1, ...)
         Written row by row; the first row is the initial state.
 
@@ -76,72 +107,40 @@ def integrate(  # noqa: PLR0912 - one loop on purpose, see below
     int
         Rows written: fewer than there are when a state or an output stops being finite.
     """
-    total, sites, count, inputs = state.size, rate_states.size, steps_s.size, u_last.size
-    slope, increment, at = np.empty(total), np.empty(total), np.empty(total)
-    force = np.zeros(max(sites, 1))[:sites]
-    site = np.empty(4 * sites + 1)
-    row_u, y = np.empty(inputs), np.empty(outputs.shape[1])
-    # Without a law that depends on acceleration, what `slopes` does stands here in line: numba counts a reference to
-    # each array on every call of it, which would take longer than the laws themselves.
-    coupled = inertial.size > 0 and inertial.max() != 0
-    t = start_s
-    for step in range(count + 1):
+    total, sites, count, inputs = state.size, site_table.shape[0], steps_s.size, u_last.size
+    now, drive, work = pointer(state), pointer(u), pointer(scratch)
+    force = beyond(work, 7 * total)
+    system = System(
+        derivative, site_values, total, sites, law_table.shape[0], coupled,
+        pointer(site_table), pointer(law_table), pointer(p), pointer(values),
+        force, beyond(force, sites), beyond(force, 5 * sites),
+    )  # fmt: skip
+    t, step = start_s, 0
+    while step <= count:
+        begin = pointer(u_last) if step == count else beyond(drive, 3 * inputs * step)
+        loaded = False  # whether the forces for this step's beginning are known from its row
         if step % every == 0:
             row = step // every
-            _inputs_at(step, count, output_at_end, u, u_last, row_u)
-            if coupled:  # outputs may show the forces at the sites
-                slopes(
-                    t, state, row_u, p, derivative, site_address, rate_states,
-                    laws, law_sites, inertial, offsets, values, state_offsets, force, slope, site,
-                )  # fmt: skip
-            elif laws.size > 0:
-                for k in range(sites):
-                    force[k] = 0.0
-                call_model(site_address, t, state, row_u, p, force, site)
-                for e in range(laws.size):
-                    k = law_sites[e]
-                    force[k] += call_law(
-                        laws[e], t, site[4 * k], site[4 * k + 1], 0.0, site[4 * k + 2], site[4 * k + 3],
-                        values, offsets[e], state, state_offsets[e], slope, state_offsets[e],
-                    )  # fmt: skip
-            call_model(output, t, state, row_u, p, force, y)
-            if not _record(row, state, y, states, outputs):
+            seen = beyond(drive, 3 * inputs * step - inputs) if output_at_end and 0 < step < count else begin
+            if not _row(row, t, now, seen, work, output, system, states, outputs):
                 return row
+            loaded = system.laws > 0 and _equal(seen, begin, inputs)
         if step == count:
             break
         h = steps_s[step]
-        for k in range(total):
-            at[k] = state[k]
-            increment[k] = 0.0
-        for stage in range(4 if total > 0 else 0):
-            moment = (stage + 1) // 2  # start, middle, middle, end
-            for k in range(inputs):
-                row_u[k] = u[step, moment, k]
-            if laws.size == 0:
-                call_model(derivative, t + 0.5 * moment * h, at, row_u, p, force, slope)
-            elif not coupled:
-                for k in range(sites):
-                    force[k] = 0.0
-                call_model(site_address, t + 0.5 * moment * h, at, row_u, p, force, site)
-                for e in range(laws.size):
-                    k = law_sites[e]
-                    force[k] += call_law(
-                        laws[e], t + 0.5 * moment * h, site[4 * k], site[4 * k + 1], 0.0,
-                        site[4 * k + 2], site[4 * k + 3],
-                        values, offsets[e], at, state_offsets[e], slope, state_offsets[e],
-                    )  # fmt: skip
-                call_model(derivative, t + 0.5 * moment * h, at, row_u, p, force, slope)
-            else:
-                slopes(
-                    t + 0.5 * moment * h, at, row_u, p, derivative, site_address, rate_states,
-                    laws, law_sites, inertial, offsets, values, state_offsets, force, slope, site,
-                )  # fmt: skip
-            weight = 1.0 if stage in (0, 3) else 2.0
-            reach = 0.5 * h if stage < 2 else h
-            for k in range(total):
-                increment[k] += weight * slope[k]
-                at[k] = state[k] + reach * slope[k]
-        for k in range(total):
-            state[k] += h / 6.0 * increment[k]
+        # inputs jump between samples only, unless a filter lets a jump through late
+        double = paired and _equal(beyond(begin, 2 * inputs), beyond(begin, 3 * inputs), inputs)
+        if total > 0 and double:
+            fifth_order(t, 2.0 * h, begin, inputs, now, work, system, loaded)
+        elif total > 0:
+            fourth_order(t, h, begin, inputs, now, work, system, loaded)
         t += h
+        step += 1
+        if double:
+            if step % every == 0:
+                row, seen, middle = step // every, beyond(begin, 3 * inputs), beyond(work, 6 * total)
+                if not _row(row, t, middle, seen, work, output, system, states, outputs):
+                    return row
+            t += h
+            step += 1
     return count // every + 1

@@ -27,20 +27,22 @@ def load_model(source: str | Path) -> Model:
     PluginError
         The plugin does not import.
     """
+    return load_from(source)
+
+
+def load_from(source: str | Path, depth: int = 0) -> Model:
+    """Do as `load_model`; `depth` counts the files that have referred to this one."""
+    path = model_file(source)
+    if path is not None:
+        return parse_model(_text(path), str(path), depth)
     name = str(source)
-    path = Path(source)
-    if path.suffix == ".toml" or path.is_file():
-        return _from_file(path)
     if ":" in name or registry.is_installed(_GROUP, name):
         found = registry.load(_GROUP, name)
         made = found() if callable(found) and not isinstance(found, Model) else found
         if not isinstance(made, Model):
             raise ModelError(f"{name} is no labrun model but {type(made).__name__}")
         return made
-    shipped = shipped_models()
-    if name in shipped:
-        return _from_file(shipped[name])
-    known = [*shipped, *registry.names(_GROUP)]
+    known = [*shipped_models(), *registry.names(_GROUP)]
     raise ModelError(
         f"there is no model {name!r}", hint=nearest(name, known) or "give the path of a .toml file"
     )
@@ -55,11 +57,21 @@ def shipped_models() -> dict[str, Path]:
     return {}
 
 
-def _from_file(path: Path) -> Model:
+def model_file(source: str | Path) -> Path | None:
+    """Return the file that `load_model` would read for a source; None where it is no file."""
+    path = Path(source)
+    if path.suffix == ".toml" or path.is_file():
+        return path
+    name = str(source)
+    if ":" in name or registry.is_installed(_GROUP, name):
+        return None
+    return shipped_models().get(name)
+
+
+def _text(path: Path) -> str:
     try:
-        text = path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise ModelError(f"there is no model file {path}", hint=f"looked from {Path.cwd()}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ModelError(f"{path} cannot be read: {error}") from None
-    return parse_model(text, str(path))

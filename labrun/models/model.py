@@ -1,9 +1,9 @@
 """What a model is: parameters, inputs, outputs, sites, and three compiled functions."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from labrun.errors import ModelError
 from labrun.models.expression import nearest
 from labrun.models.native import NativeFunction
+
+if TYPE_CHECKING:
+    from labrun.effects.effect import AttachedEffect
 
 FloatArray = NDArray[np.float64]
 Between = Literal["linear", "hold", "band-limited"]
@@ -107,6 +110,8 @@ class Model:
         The file or object it comes from, for messages.
     notes
         What is odd about it, in sentences.
+    effects
+        Physics it carries at its sites; every simulation adds it before the effects it is given.
     """
 
     name: str
@@ -123,6 +128,7 @@ class Model:
     constants: FloatArray = field(default_factory=lambda: np.empty(0), compare=False)
     source: str = ""
     notes: tuple[str, ...] = ()
+    effects: "tuple[AttachedEffect, ...]" = ()
 
     @property
     def places(self) -> tuple[Site, ...]:
@@ -205,6 +211,18 @@ class Model:
             for parameter, value in zip(self.parameters, vector, strict=False)
         ]
         return dataclasses.replace(self, parameters=tuple(parameters))
+
+    def with_effects(self, effects: "Sequence[AttachedEffect]") -> "Model":
+        """Return the model with these effects behind those it carries already.
+
+        Raises
+        ------
+        ModelError
+            An effect does not sit where it is put.
+        """
+        for one in effects:
+            one.check(self)
+        return dataclasses.replace(self, effects=(*self.effects, *effects))
 
     def with_between(self, between: Mapping[str, Between]) -> "Model":
         """Return the model with its inputs running between samples as a recording says."""

@@ -6,6 +6,7 @@ from labrun.models.expression import Expression, ExpressionError, nearest
 from labrun.models.fields import Fields
 from labrun.models.model import Input, Parameter, Site
 from labrun.models.rewriting import CONSTANTS
+from labrun.models.spans import KeyPath
 
 
 def places_of(
@@ -29,7 +30,7 @@ def places_of(
 
 def conditions_of(
     fields: Fields,
-    expressions: Mapping[str, Expression],
+    expressions: Mapping[str, Expression] | Mapping[KeyPath, Expression],
     known: Mapping[str, str],
     declared: Sequence[str] | None,
 ) -> tuple[str, ...]:
@@ -79,7 +80,7 @@ def check_forces(fields: Fields, expressions: Mapping[str, Expression], sites: S
 
 def refuse_unused(
     fields: Fields,
-    expressions: Mapping[str, Expression],
+    expressions: Mapping[str, Expression] | Mapping[KeyPath, Expression],
     parameters: Sequence[Parameter],
     conditions: Sequence[str],
 ) -> None:
@@ -98,3 +99,20 @@ def unused_inputs(expressions: Mapping[str, Expression], inputs: Sequence[Input]
     """Return what to tell about inputs that nothing uses: harmless, but worth knowing."""
     used = {name for one in expressions.values() for name in one.names}
     return tuple(f"input {one.name!r} is used by no equation" for one in inputs if one.name not in used)
+
+
+def only_in_loads(
+    expressions: Mapping[str, Expression] | Mapping[KeyPath, Expression], parameters: Sequence[Parameter]
+) -> tuple[str, ...]:
+    """Return what to tell about parameters that only loads of sites use: without an effect they change nothing."""
+    moving = {
+        name
+        for key, one in expressions.items()
+        if not (key.startswith("sites.") if isinstance(key, str) else key[0] == "sites")
+        for name in one.names
+    }
+    return tuple(
+        f"parameter {one.name!r} is used by the load of a site only: no data tell its value without an effect there"
+        for one in parameters
+        if one.name not in moving
+    )

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 from labrun.errors import ModelError
 from labrun.models.expression import ExpressionError, nearest
+from labrun.models.spans import KeyPath, spans
 
-_HEADER = re.compile(r"^\s*\[+\s*([A-Za-z0-9_.\- ]+?)\s*\]+")
+Key = str | KeyPath
+"""Names joined by dots, or a path where a name itself has dots or a table is one of an array."""
 
 
 @dataclass(frozen=True)
@@ -16,42 +18,40 @@ class ModelText:
     name: str
     text: str
 
-    def error(self, key: str, message: str, hint: str | None = None) -> ModelError:
+    def error(self, key: Key, message: str, hint: str | None = None) -> ModelError:
         """Return an error at a key such as ``"equations.rate"``."""
         line = self.line_of(key)
         where = self.name if line is None else f"{self.name}:{line}"
-        return ModelError(f"{where}: {key}: {message}" if key else f"{where}: {message}", hint=hint or None)
+        shown = _shown(_path(key))
+        return ModelError(
+            f"{where}: {shown}: {message}" if shown else f"{where}: {message}", hint=hint or None
+        )
 
-    def equation_error(self, key: str, equation: str, problem: ExpressionError) -> ModelError:
+    def equation_error(self, key: Key, equation: str, problem: ExpressionError) -> ModelError:
         """Return an error with the equation and a caret below the place."""
         flat = re.sub(r"\s", " ", equation)
         shown, caret = _window(flat, problem.position)
         return self.error(key, f"{problem}\n    {shown}\n    {' ' * caret}^", problem.hint)
 
-    def line_of(self, key: str) -> int | None:
-        """Return the line (from 1) a key stands on, or None for a file laid out in an unusual way."""
-        if not key:
-            return None
-        wanted = key.split(".")
-        section: list[str] = []
-        for number, line in enumerate(self.text.splitlines(), start=1):
-            header = _HEADER.match(line)
-            if header is not None:
-                section = [part.strip() for part in header.group(1).split(".")]
-                if section == wanted:
-                    return number
-                continue
-            assigned = re.match(r"^\s*([A-Za-z0-9_.\-\"]+)\s*=", line)
-            if assigned is not None:
-                path = [*section, *assigned.group(1).replace('"', "").split(".")]
-                if path == wanted[: len(path)] and path:
-                    return number
-        return None
+    def line_of(self, key: Key) -> int | None:
+        """Return the line (from 1) of a key, or of the nearest table around it that is there."""
+        return spans(self.text).line(_path(key))
 
-    def unknown_key(self, prefix: str, key: str, known: tuple[str, ...]) -> ModelError:
+    def unknown_key(self, prefix: Key, key: str, known: tuple[str, ...]) -> ModelError:
         """Return the error for a key that a table does not have."""
-        path = f"{prefix}.{key}" if prefix else key
-        return self.error(path, "there is no such key here", nearest(key, known))
+        return self.error((*_path(prefix), key), "there is no such key here", nearest(key, known))
+
+
+def _path(key: Key) -> KeyPath:
+    if isinstance(key, str):
+        return tuple(key.split(".")) if key else ()
+    return key
+
+
+def _shown(path: KeyPath) -> str:
+    """Join a path as one would write it; a table of an array is told by the line it stands on."""
+    names = [part for part in path if isinstance(part, str)]
+    return ".".join(f'"{name}"' if "." in name else name for name in names)
 
 
 def _window(text: str, position: int, width: int = 90) -> tuple[str, int]:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from labrun.errors import ModelError
 from labrun.models.inputs import Drive, drive
-from labrun.models.layout import filters, forces
+from labrun.models.layout import filters, law_values, layout
 from labrun.models.model import Condition, FloatArray, Model
 
 if TYPE_CHECKING:
@@ -67,9 +67,11 @@ def simulate(
     initial_state : (states,)
         None asks `Model.initial_state`, which has no measured outputs to begin at.
     effects
-        Physics to add; their internal states and memories begin at rest.
+        Physics to add to what the model carries; their internal states and memories begin at rest.
     substeps
-        Runge-Kutta steps per sample interval; None finds them with `suggest_substeps`, which costs several simulations.
+        Runge-Kutta steps per sample interval: an even number is taken in pairs, each as one step of order 5 (see
+        `labrun.models.steps`), an odd one by steps of order 4. None finds them with `suggest_substeps`, which costs
+        several simulations.
 
     Returns
     -------
@@ -128,7 +130,7 @@ def suggest_substeps(
     Returns `most` where none does (a chaotic or a discontinuous model), and 1 where the simulation blows up however
     short its steps are.
     """
-    if not model.states and not effects:
+    if not model.states and not effects and not model.effects:
         return 1
     condition = condition or {}
     start = _checked_state(model, model.initial_state(condition) if initial_state is None else initial_state)
@@ -160,42 +162,48 @@ def _checked_state(model: Model, initial_state: ArrayLike) -> FloatArray:
 def _run(
     model: Model, driven: Drive, p: FloatArray, initial_state: FloatArray, effects: "Sequence[AttachedEffect]"
 ) -> Simulation:
-    from labrun.models.filtering import filter_inputs, filter_outputs
     from labrun.models.integration import integrate
 
-    laws = forces(model, effects)
-    shortest = float(driven.steps_s.min()) if driven.steps_s.size else 1.0
-    before = filters(model, effects, "input", shortest / 2)
-    after = filters(model, effects, "output", shortest)
-    u, u_last = driven.u, driven.u_last
-    if before.addresses.size:
+    effects = (*model.effects, *effects)
+    found = layout(model, effects)
+    laws, own = found.forces, len(model.states)
+    u, u_last, steps_s = driven.u, driven.u_last, driven.steps_s
+    shortest = float(steps_s.min()) if (found.before or found.after) and steps_s.size else 1.0
+    if found.before:
+        from labrun.models.filtering import filter_inputs
+
+        before = filters(model, effects, found.before, shortest / 2)
         # one more step, over which the last sample is held, tells what the filters make of the last sample
         u = np.concatenate([u, np.broadcast_to(u_last, (1, 3, u_last.size))])
-        steps_s = np.append(driven.steps_s, shortest)
         filter_inputs(
-            u, steps_s, before.addresses, before.channels, before.offsets, before.values,
+            u, np.append(steps_s, shortest), before.addresses, before.channels, before.offsets, before.values,
             before.memory_offsets, before.memory, False,
         )  # fmt: skip
         u, u_last = u[:-1], u[-1, 0].copy()
 
-    every = 1 if after.addresses.size else driven.substeps
-    rows = driven.steps_s.size // every + 1
-    states = np.empty((rows, len(model.states) + laws.states))
+    every = 1 if found.after else driven.substeps
+    rows = steps_s.size // every + 1
+    states = np.empty((rows, own + laws.states))
     outputs = np.empty((rows, len(model.outputs)))
-    state = np.concatenate([initial_state, np.zeros(laws.states)])
+    state = np.zeros(own + laws.states)
+    state[:own] = initial_state
     written = integrate(
-        float(driven.time_s[0]), driven.steps_s, u, u_last, every, False, p,
-        model.derivative.address, model.output.address, model.site_values.address,
-        laws.rate_states, laws.addresses, laws.sites, laws.inertial, laws.offsets, laws.values, laws.state_offsets,
-        state, states, outputs,
+        float(driven.time_s[0]), steps_s, u, u_last, every, False, driven.substeps % 2 == 0, p,
+        found.derivative, found.output, laws.site_values, laws.coupled, laws.sites, laws.laws,
+        law_values(found, effects), np.zeros(laws.scratch), state, states, outputs,
     )  # fmt: skip
     finite = written == rows
-    if after.addresses.size and finite:
+    if found.after and finite:
+        from labrun.models.filtering import filter_outputs
+
+        after = filters(model, effects, found.after, shortest)
         filter_outputs(
-            outputs, np.empty((after.addresses.size, len(model.outputs))), driven.steps_s,
+            outputs, np.empty((after.addresses.size, len(model.outputs))), steps_s,
             after.addresses, after.channels, after.offsets, after.values, after.memory_offsets, after.memory, False,
         )  # fmt: skip
         finite = bool(np.isfinite(outputs).all())
-    states[written:], outputs[written:] = np.nan, np.nan
-    thin = slice(None, None, driven.substeps if every == 1 else 1)
-    return Simulation(outputs[thin], states[thin, : len(model.states)], finite, driven.substeps)
+    if not finite:
+        states[written:], outputs[written:] = np.nan, np.nan
+    if every != driven.substeps:
+        states, outputs = states[:: driven.substeps], outputs[:: driven.substeps]
+    return Simulation(outputs, states[:, :own] if laws.states else states, finite, driven.substeps)

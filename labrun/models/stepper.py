@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from labrun.errors import ModelError
-from labrun.models.layout import filters, forces
+from labrun.models.layout import filters, law_values, layout
 from labrun.models.model import Condition, FloatArray, Model
 
 if TYPE_CHECKING:
@@ -54,12 +54,14 @@ class Stepper:
         self.step_s = float(step_s)
         self.time_s = float(start_s)
         self._p = model.vector(parameters, condition or {})
-        self._forces = forces(model, effects)
-        self._before = filters(model, effects, "input", self.step_s / 2)
-        self._after = filters(model, effects, "output", self.step_s)
+        effects = (*model.effects, *effects)
+        self._layout = layout(model, effects)
+        self._values = law_values(self._layout, effects)
+        self._before = filters(model, effects, self._layout.before, self.step_s / 2)
+        self._after = filters(model, effects, self._layout.after, self.step_s)
         self._last_outputs = np.zeros((self._after.addresses.size, len(model.outputs)))
         self._begun = False
-        self._all = np.zeros(len(model.states) + self._forces.states)
+        self._all = np.zeros(len(model.states) + self._layout.forces.states)
         if initial_state is not None:
             self.state = np.asarray(initial_state, dtype=float)
 
@@ -103,7 +105,7 @@ class Stepper:
         if count == 0:
             return np.empty((0, len(self.model.outputs)))
         steps_s = np.full(count, self.step_s)
-        before, after, laws = self._before, self._after, self._forces
+        before, after, laws = self._before, self._after, self._layout.forces
         if before.addresses.size:
             filter_inputs(
                 u, steps_s, before.addresses, before.channels, before.offsets, before.values,
@@ -111,12 +113,10 @@ class Stepper:
             )  # fmt: skip
         states = np.empty((count + 1, self._all.size))
         outputs = np.empty((count + 1, len(self.model.outputs)))
-        model = self.model
         written = integrate(
-            self.time_s, steps_s, u, u[-1, 2].copy(), 1, True, self._p,
-            model.derivative.address, model.output.address, model.site_values.address,
-            laws.rate_states, laws.addresses, laws.sites, laws.inertial, laws.offsets, laws.values, laws.state_offsets,
-            self._all, states, outputs,
+            self.time_s, steps_s, u, u[-1, 2].copy(), 1, True, False, self._p,
+            self._layout.derivative, self._layout.output, laws.site_values, laws.coupled, laws.sites, laws.laws,
+            self._values, np.zeros(laws.scratch), self._all, states, outputs,
         )  # fmt: skip
         if written > 0 and after.addresses.size:
             filter_outputs(

@@ -1,12 +1,22 @@
 """Models as TOML files: parameters, equations, outputs, sites and initial state."""
 
+import dataclasses
 import tomllib
 
 from labrun.errors import ModelError
+from labrun.models.attaching import read_effects
+from labrun.models.based import based_model
 from labrun.models.fields import Fields
 from labrun.models.generate import equations, generated
 from labrun.models.model import Model
-from labrun.models.names import check_forces, conditions_of, places_of, refuse_unused, unused_inputs
+from labrun.models.names import (
+    check_forces,
+    conditions_of,
+    only_in_loads,
+    places_of,
+    refuse_unused,
+    unused_inputs,
+)
 from labrun.models.problems import ModelText
 from labrun.models.tables import (
     read_equations,
@@ -20,10 +30,11 @@ from labrun.models.tables import (
 
 _KEYS = (
     "name", "title", "states", "inputs", "conditions", "parameters", "equations", "outputs", "sites", "initial",
+    "effects",
 )  # fmt: skip
 
 
-def parse_model(text: str, name: str) -> Model:
+def parse_model(text: str, name: str, depth: int = 0) -> Model:
     """Make a model from the text of a TOML file.
 
     Parameters
@@ -31,7 +42,9 @@ def parse_model(text: str, name: str) -> Model:
     text
         See the example in docs or ``experiments/models/hinge-pendulum.toml``.
     name
-        What the file is called in messages.
+        What the file is called in messages; a path in the text is counted from its folder.
+    depth
+        How many files have referred to this one as their base.
 
     Raises
     ------
@@ -43,10 +56,17 @@ def parse_model(text: str, name: str) -> Model:
     except tomllib.TOMLDecodeError as error:
         raise ModelError(f"{name}: this is not TOML: {error}") from None
     fields = Fields(ModelText(name, text), data)
+    if "base" in data:
+        return based_model(fields, depth)
+    if "mujoco" in data:
+        from labrun.models.mjcf.file import mujoco_model
+
+        return mujoco_model(fields)
     for key in data:
         if key not in _KEYS:
             raise fields.text.unknown_key("", key, _KEYS)
-    return _model(fields)
+    model = _model(fields)
+    return dataclasses.replace(model, effects=read_effects(fields, model))
 
 
 def _model(fields: Fields) -> Model:
@@ -92,5 +112,5 @@ def _model(fields: Fields) -> Model:
         output=functions["output"],
         site_values=functions["site_values"],
         source=fields.text.name,
-        notes=unused_inputs(expressions, inputs),
+        notes=(*unused_inputs(expressions, inputs), *only_in_loads(expressions, parameters)),
     )

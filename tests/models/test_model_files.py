@@ -57,6 +57,22 @@ def test_an_input_that_nothing_uses_is_noted():
     assert model.notes == ("input 'enable' is used by no equation",)
 
 
+def test_a_parameter_that_only_a_load_uses_is_noted():
+    text = OSCILLATOR.replace("[equations]", "mass = 3.0\n[equations]").replace("10*angle", "mass*9.81")
+    (note,) = parse_model(text, "o.toml").notes
+    assert note.startswith("parameter 'mass' is used by the load of a site only")
+
+
+def test_an_unknown_site_is_told_with_the_nearest_one():
+    model = parse_model(OSCILLATOR, "o.toml")
+    with pytest.raises(ModelError, match=r"oscillator has no site 'hing'\n  did you mean 'hinge'"):
+        model.place("hing")
+    with pytest.raises(ModelError, match=r"has no output site 'hinge'"):
+        model.place("hinge", "output")
+    with pytest.raises(ModelError, match=r"has no joint site 'hinge'\n  it has no joint site at all"):
+        parse_model(FOLLOWER, "f.toml").place("hinge", "joint")
+
+
 EQUATION_FAULTS = {
     "-stiffness*sine(angle)": ("no function 'sine'", 11, "did you mean 'sin'?"),
     "stiffness*angle)": ("never opened", 15, ""),

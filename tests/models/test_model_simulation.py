@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from labrun.effects import load_effect
 from labrun.errors import ModelError
 from labrun.models import parse_model, prepare, simulate, suggest_substeps
 
@@ -82,6 +83,53 @@ def test_a_model_without_states_is_its_outputs():
     assert result.outputs[:, 0] == pytest.approx(3 * u**2)
     assert result.states.shape == (7, 0)
     assert result.finite
+
+
+MIXER = """
+name = "mixer"
+[inputs]
+speed = { unit = "m/s", between = "hold" }
+angle = { unit = "rad" }
+[parameters]
+gain = 3.0
+[outputs]
+lift = { equation = "gain*density*speed^2*sin(angle)", unit = "N" }
+drag = "where(flap > 0.5, 2, 1)*gain*speed^2 + offset"
+"""
+
+
+def test_a_static_relation_has_inputs_outputs_and_conditions():
+    model = parse_model(MIXER, "mixer.toml")
+    assert model.states == ()
+    assert set(model.conditions) == {"density", "flap", "offset"}
+    rng = np.random.default_rng(3)
+    time_s, inputs = np.arange(20.0), rng.normal(size=(20, 2))
+    condition = {"density": 1.2, "flap": 1, "offset": 0.5, "day": "Monday"}
+    speed, angle = inputs.T
+    found = simulate(model, time_s, inputs, parameters={"gain": 2.0}, condition=condition)
+    expected = np.column_stack([2.4 * speed**2 * np.sin(angle), 4 * speed**2 + 0.5])
+    np.testing.assert_allclose(found.outputs, expected, rtol=1e-14)
+    fixed = {"parameters": {"gain": 2.0}, "condition": condition}
+    assert suggest_substeps(model, time_s, inputs, **fixed) == 1
+    leak = load_effect("cross-talk").attach("lift", share=0.1)
+    late = load_effect("delay", "input").attach("angle", delay=1.0)
+    disturbed = simulate(model, time_s, inputs, effects=[leak, late], substeps=4, **fixed).outputs
+    np.testing.assert_allclose(disturbed[:, 1], expected[:, 1], rtol=1e-14)
+    shifted = 2.4 * speed[1:] ** 2 * np.sin(angle[:-1]) + 0.1 * expected[1:, 1]
+    np.testing.assert_allclose(disturbed[1:, 0], shifted, rtol=1e-12)
+
+
+def test_a_force_that_is_not_a_number_ends_the_simulation():
+    text = OSCILLATOR.replace("10*angle", "sqrt(angle - 0.05)")  # undefined once the angle falls below 0.05
+    model = parse_model(text, "o.toml")
+    friction = load_effect("load-dependent-friction").attach("hinge", coefficient=0.1, transition_speed=0.1)
+    time_s = np.linspace(0, 1, 101)
+    nothing = np.zeros((101, 1))
+    assert simulate(model, time_s, nothing, initial_state=[0.2, 0.0]).finite
+    blown = simulate(model, time_s, nothing, initial_state=[0.2, 0.0], effects=[friction])
+    assert not blown.finite
+    assert np.isfinite(blown.outputs[0]).all()
+    assert np.isnan(blown.outputs[-1]).all()
 
 
 def test_a_simulation_that_blows_up_says_so_without_raising_or_warning():
