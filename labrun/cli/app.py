@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from labrun.cli import bench, data, experiment, fit, report, watch, workspace
+from labrun.cli import bench, data, experiment, fit, gap, report, watch, workspace
 
 app = typer.Typer(
     name="labrun",
@@ -36,7 +36,7 @@ def _options(
     pass
 
 
-for module in (workspace, experiment, watch, fit, report, data, bench):
+for module in (workspace, experiment, watch, fit, gap, report, data, bench):
     module.register(app)
 
 

@@ -1,5 +1,6 @@
 """`labrun check`, `run`, `sweep`, `track`, `cmaes`, `resume`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -46,12 +47,14 @@ def run(
     limit: options.Limit = None,
     results: options.Results = options.RESULTS,
     as_json: options.Json = False,
+    hide: options.Hide = None,
+    hide_seed: options.HideSeed = None,
 ) -> None:
     """Run an experiment of any kind, as its file says.
 
     Example:  labrun run hinge --dry-run
     """
-    _execute(name, None, dry_run, overrides, seed, limit, results, as_json)
+    _execute(name, None, dry_run, overrides, seed, limit, results, as_json, hide, hide_seed)
 
 
 def sweep(
@@ -62,12 +65,14 @@ def sweep(
     limit: options.Limit = None,
     results: options.Results = options.RESULTS,
     as_json: options.Json = False,
+    hide: options.Hide = None,
+    hide_seed: options.HideSeed = None,
 ) -> None:
     """Measure every condition of a sweep, in shuffled blocks.
 
     Example:  labrun sweep fin-params --dry-run
     """
-    _execute(name, "sweep", dry_run, overrides, seed, limit, results, as_json)
+    _execute(name, "sweep", dry_run, overrides, seed, limit, results, as_json, hide, hide_seed)
 
 
 def track(
@@ -78,12 +83,14 @@ def track(
     limit: options.Limit = None,
     results: options.Results = options.RESULTS,
     as_json: options.Json = False,
+    hide: options.Hide = None,
+    hide_seed: options.HideSeed = None,
 ) -> None:
     """Close loops: follow a reference with each controller.
 
     Example:  labrun track force-control --dry-run
     """
-    _execute(name, "track", dry_run, overrides, seed, limit, results, as_json)
+    _execute(name, "track", dry_run, overrides, seed, limit, results, as_json, hide, hide_seed)
 
 
 def cmaes(
@@ -94,12 +101,14 @@ def cmaes(
     limit: options.Limit = None,
     results: options.Results = options.RESULTS,
     as_json: options.Json = False,
+    hide: options.Hide = None,
+    hide_seed: options.HideSeed = None,
 ) -> None:
     """Search by CMA-ES; the winner is confirmed by fresh repeats.
 
     Example:  labrun cmaes turn-torque --dry-run
     """
-    _execute(name, "cmaes", dry_run, overrides, seed, limit, results, as_json)
+    _execute(name, "cmaes", dry_run, overrides, seed, limit, results, as_json, hide, hide_seed)
 
 
 def resume(
@@ -144,10 +153,14 @@ def _execute(
     limit: int | None,
     results: Path,
     as_json: bool,
+    hide: list[str] | None,
+    hide_seed: int | None,
 ) -> None:
     """Run an experiment of a kind (None: of any), and print its result."""
     with reported(as_json):
-        result = _carried_out(name, kind, dry_run, overrides or [], seed, limit, results)
+        result = _carried_out(
+            name, kind, dry_run, overrides or [], seed, limit, results, hide or (), hide_seed
+        )
         _print_result(result, as_json)
 
 
@@ -164,6 +177,8 @@ def _carried_out(
     seed: int | None,
     limit: int | None,
     results: Path,
+    hide: Sequence[str] = (),
+    hide_seed: int | None = None,
 ) -> "RunResult":
     from labrun.report.figure import draw_run
     from labrun.search.execute import execute
@@ -172,8 +187,9 @@ def _carried_out(
     loaded = load_named(name, Path.cwd(), overrides, kind=kind)
     with _progress() as progress:
         return execute(
-            loaded, results=results, dry_run=dry_run, seed=seed, limit=limit, progress=progress, draw=draw_run
-        )
+            loaded, results=results, dry_run=dry_run, seed=seed, limit=limit, progress=progress, draw=draw_run,
+            hide=hide, hide_seed=hide_seed,
+        )  # fmt: skip
 
 
 def _progress() -> "Progress":

@@ -53,6 +53,17 @@ Seed = Annotated[
 Limit = Annotated[
     int | None, typer.Option(min=1, help="Stop after this many trials; `labrun resume` goes on.")
 ]
+Hide = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--hide",
+        metavar="WHAT",
+        help="Dry run: hide an effect in the bench and seal which: random, none, or EFFECT@SITE[:name=value,...].",
+    ),
+]
+HideSeed = Annotated[
+    int | None, typer.Option("--hide-seed", min=0, help="Seed of --hide random, for tests.", hidden=True)
+]
 Results = Annotated[Path, typer.Option(help="Folder of the runs.", file_okay=False)]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, for scripts.")]
 RESULTS = Path("results")

@@ -27,7 +27,7 @@ def test_the_commands_are_those_of_the_guide():
     found = " ".join(COMMANDS)
     assert (
         found
-        == "check cmaes doctor export fit import init list plugins report resume run show sweep track watch"
+        == "check cmaes doctor export fit gap import init list plugins report resume run show sweep track watch"
     )
 
 

@@ -1,0 +1,127 @@
+"""Causes and candidates as a person reads them: values with units and intervals, bounds, what is not to be told apart."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.gap.confidence import confidence
+from labrun.gap.diagnosis import Candidate, CandidateVerdict, Cause, Estimate, Name, Verdict
+from labrun.gap.estimates import effect_units, parameter_value, upper_bounds, values_of
+
+if TYPE_CHECKING:
+    from labrun.fit.dataset import Dataset
+    from labrun.gap.engine import Search
+    from labrun.gap.screening import Screened
+
+FloatArray = NDArray[np.float64]
+
+_AT_BOUND = 1e-3
+
+
+def causes_of(search: "Search", dataset: "Dataset", moved: FloatArray) -> tuple[Cause, ...]:
+    """Return the causes that were chosen, with sizes and 95 % intervals from the final fit."""
+    final = search.selection.final
+    model = final.problem.model
+    found = []
+    for one, rivals in zip(search.selection.chosen, search.selection.rivals, strict=True):
+        name = one.candidate.name
+        if name.kind == "parameter":
+            values = parameter_value(final.problem, final.z, name.effect, moved, model)
+            stated = next(parameter.value for parameter in model.parameters if parameter.name == name.effect)
+            remark = f"{values[name.effect].value / stated:.3g} times the stated value" if stated else ""
+        else:
+            place = _place(search, name)
+            values = values_of(final.problem, final.z, place, moved, model, dataset)
+            remark = _bound_remark(search, place)
+        found.append(
+            Cause(
+                name,
+                confidence(search, one),
+                values,
+                tuple(rival.candidate.name for rival, _ in rivals),
+                remark,
+            )
+        )
+    return tuple(found)
+
+
+def candidate_table(
+    search: "Search", dataset: "Dataset", decided: Verdict, causes: tuple[Cause, ...]
+) -> tuple[Candidate, ...]:
+    """Return what was found about every candidate, the most telling first."""
+    first, last = search.selection.rounds[0], search.selection.rounds[-1]
+    rated = {one.candidate.name: one for one in first.rated}
+    chosen = {cause.name: cause for cause in causes}
+    rivals: dict[Name, list[Name]] = {}
+    for cause in causes:
+        for rival in cause.indistinguishable_from:
+            rivals.setdefault(rival, []).append(cause.name)
+    found = []
+    for candidate in search.candidates:
+        name = candidate.name
+        screened = last.find(candidate) or first.find(candidate)
+        if screened is None:
+            continue
+        there = last if last.find(candidate) else first
+        judged = _judged(name, chosen, rivals, screened, there.guard.threshold)
+        bounds = upper_bounds(screened, there.base, there.guard.dispersion) if judged == "ruled-out" else {}
+        units = {} if candidate.attached is None else effect_units(candidate.attached, search.model, dataset)
+        early = first.find(candidate)
+        found.append(
+            Candidate(
+                name,
+                judged,
+                rated[name].share if name in rated else None,
+                (early or screened).gain / first.guard.threshold,
+                chosen[name].values if name in chosen else {},
+                {key: Estimate(bound, -bound, bound, units.get(key, "1")) for key, bound in bounds.items()},
+                chosen[name].indistinguishable_from if name in chosen else tuple(rivals.get(name, ())),
+                _remark(judged, decided),
+            )
+        )
+    rank = {"cause": 0, "indistinguishable": 1, "ruled-out": 2, "not-visible": 3}
+    return tuple(sorted(found, key=lambda one: (rank[one.verdict], -one.evidence)))
+
+
+def _judged(
+    name: Name, chosen: dict[Name, Cause], rivals: dict[Name, list[Name]], screened: "Screened", threshold: float
+) -> CandidateVerdict:
+    if name in chosen:
+        return "cause"
+    if name in rivals:
+        return "indistinguishable"
+    return "not-visible" if screened.visible**2 < threshold else "ruled-out"
+
+
+def _remark(judged: CandidateVerdict, decided: Verdict) -> str:
+    if judged == "not-visible":
+        return "even a large one would hardly change these data beyond what parameters absorb"
+    if judged == "ruled-out" and decided == "not-in-library":
+        return "does not explain enough of the gap on conditions it did not see"
+    return ""
+
+
+def _place(search: "Search", name: Name) -> int:
+    effects = search.selection.final.problem.effects
+    kinds = [(one.effect.id, one.site) for one in effects]
+    return kinds.index((name.effect, name.site))
+
+
+def _bound_remark(search: "Search", place: int) -> str:
+    final = search.selection.final
+    variable = final.problem.size - sum(
+        not one.held for other in final.problem.effects[place:] for one in other.effect.parameters
+    )
+    at_bounds = []
+    for parameter in final.problem.effects[place].effect.parameters:
+        if parameter.held:
+            continue
+        value = final.z[variable]
+        span = parameter.upper - parameter.lower
+        if min(abs(value - parameter.lower), abs(parameter.upper - value)) < _AT_BOUND * span:
+            at_bounds.append(parameter.name)
+        variable += 1
+    if not at_bounds:
+        return ""
+    return f"{' and '.join(at_bounds)} ended at a bound of what is searched: take it as a direction, not as a size"

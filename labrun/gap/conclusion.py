@@ -1,0 +1,112 @@
+"""From what the search found to a diagnosis."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labrun.fit.notes import Note
+from labrun.gap.causes import candidate_table, causes_of
+from labrun.gap.diagnosis import Diagnosis, MissingForce, Place, Shrinkage, Sizes
+from labrun.gap.estimates import floor_of, scatter, shrinkage
+from labrun.gap.excess import excess, mean_residuals
+from labrun.gap.pictures import difference_of, traces_of
+from labrun.gap.problem import named
+from labrun.gap.verdict import Findings, verdict
+from labrun.gap.wording import limitations, sentence, what_next
+
+if TYPE_CHECKING:
+    from labrun.fit.dataset import Dataset
+    from labrun.gap.engine import Search
+
+
+def conclude(
+    search: "Search", dataset: "Dataset", rng: np.random.Generator, *, places: bool, note: Note
+) -> Diagnosis:
+    """Put what was found into a diagnosis."""
+    problem, noise, z = search.recalibration.problem, search.noise, search.recalibration.z
+    selection = search.selection
+    floor = floor_of(search.units, noise, rng)
+    after = selection.held_out.gap if selection.chosen else search.held_out.gap
+    sizes = Sizes(search.raw.gap, search.held_out.gap, after, floor)
+    shrunk: Shrinkage | None = None
+    if selection.chosen:
+        shrunk = shrinkage(search.units, noise, search.held_out_residual, selection.residual, rng)
+    kinds = [one.candidate.name.kind for one in selection.chosen]
+    decided = verdict(
+        Findings(
+            sizes,
+            search.recalibrated.gap > floor,
+            _remaining(search) > floor,
+            noise.basis == "repeats",
+            kinds.count("effect"),
+            kinds.count("parameter"),
+            shrunk,
+        )
+    )
+    moved = scatter(selection.final, search.draws)
+    causes = causes_of(search, dataset, moved) if decided not in ("no-gap", "not-in-library") else ()
+    effects = selection.final.problem.attached(selection.final.problem.parameters(selection.final.z))
+    found: tuple[Place, ...] = ()
+    missing: tuple[MissingForce, ...] = ()
+    if places:
+        from labrun.gap.where.forces import missing_forces
+        from labrun.gap.where.places import find_places
+
+        note("looking where the gap is")
+        difference = difference_of(search)
+        found = find_places(difference, rng, note=note)
+        if decided in ("not-in-library", "partly-explained"):
+            missing = missing_forces(difference)
+    rated = selection.rounds[0].rated
+    nearest = max(rated, key=lambda one: one.share).candidate.name if rated else None
+    recalibrated, last = named(problem, z), named(selection.final.problem, selection.final.z)
+    repeats = search.units.repeats
+    return Diagnosis(
+        name=dataset.name,
+        model=problem.model.name,
+        source=str(dataset.source),
+        verdict=decided,
+        sentence=sentence(decided, sizes, causes, shrunk, nearest),
+        gap=sizes,
+        where=found,
+        causes=causes,
+        candidates=candidate_table(search, dataset, decided, causes),
+        shrinkage=shrunk if causes else None,
+        recalibration={
+            one.name: (one.value, one.tolerance, recalibrated[one.name]) for one in problem.model.parameters
+        },
+        corrected=last if causes else recalibrated,
+        effects=effects if causes else (),
+        limitations=tuple(
+            limitations(
+                repeats=repeats,
+                conditions=len(search.units.conditions),
+                basis=noise.basis,
+                single_trial=len(dataset.trials) == 1,
+                rejected=dataset.left_out,
+            )
+        ),
+        notes=(*dataset.notes, *problem.model.notes, *search.remarks),
+        what_next=tuple(what_next(decided, causes, repeats=repeats)),
+        channels=tuple((one.name, one.unit) for one in dataset.outputs),
+        input_channels=tuple((one.name, one.unit) for one in dataset.inputs),
+        noise={one.name: float(sd) for one, sd in zip(dataset.outputs, noise.sd, strict=True)},
+        trials=len(dataset.trials),
+        conditions=len(search.units.conditions),
+        repeats=repeats,
+        missing=missing,
+        traces=traces_of(search, with_causes=bool(causes)),
+        parameter_units={one.name: one.unit for one in problem.model.parameters},
+        guard=(
+            f"{len(search.draws)} draws of noise from the trials' own deviations, the whole library tried on each "
+            "(linearised); an announced cause must explain more than the best did in 97 of 100"
+        ),
+        seed=0,
+        seconds=0.0,
+    )
+
+
+def _remaining(search: "Search") -> float:
+    """Return the gap that the final model leaves, fitted to everything."""
+    final = search.selection.final
+    return excess(search.units, search.noise, mean_residuals(final.problem, final.z)).gap

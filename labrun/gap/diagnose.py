@@ -1,0 +1,91 @@
+"""Diagnose a run or a recording against a model."""
+
+import time
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labrun.fit.notes import Note, silent
+from labrun.gap.conclusion import conclude
+from labrun.gap.diagnosis import Diagnosis
+from labrun.gap.engine import search_causes
+
+if TYPE_CHECKING:
+    from labrun.fit.dataset import Dataset
+    from labrun.models import Model
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to diagnose.
+
+    Attributes
+    ----------
+    withhold
+        Ids of effects that the library is to be without.
+    full_guard
+        Run the whole search, with all its fits, on data made from the recalibrated model and the noise.
+    places
+        Whether to look for where the gap is; the search for causes does not need it.
+    """
+
+    seed: int = 0
+    withhold: Collection[str] = ()
+    full_guard: bool = False
+    workers: int = 1
+    places: bool = True
+
+
+def diagnose(
+    target: Path,
+    *,
+    model: str | Path | None = None,
+    more: Sequence[Path] = (),
+    signals: Mapping[str, str] | None = None,
+    options: Options | None = None,
+    workspace: Path = Path(),
+    note: Note = silent,
+) -> Diagnosis:
+    """Say where a model and measurements differ, which cause explains it, and how far.
+
+    Parameters
+    ----------
+    target
+        A recording folder, a run folder or a run.h5.
+    model
+        A model file, plugin or shipped name; else what the experiment's ``[gap]`` names; else the model.toml beside
+        the recording.
+    more
+        Further recordings or runs that belong to the same question.
+    signals
+        Which recorded channel is which input or output of the model; adds to the experiment's own.
+    workspace
+        Where model files that an experiment names are looked for.
+
+    Raises
+    ------
+    LabrunError
+        Data or a model that do not allow a diagnosis, with what was found and what to do.
+    """
+    from labrun.gap.loading import load_question
+
+    began = time.perf_counter()
+    note(f"reading {target}")
+    question = load_question(target, model, more, signals or {}, workspace)
+    found = diagnose_dataset(question.dataset, question.model, options, note=note)
+    return replace(found, source=str(target), seconds=time.perf_counter() - began)
+
+
+def diagnose_dataset(
+    dataset: "Dataset", model: "Model", options: Options | None = None, *, note: Note = silent
+) -> Diagnosis:
+    """Diagnose trials that are loaded already; see `diagnose`."""
+    options = options or Options()
+    began = time.perf_counter()
+    rng = np.random.default_rng(options.seed)
+    search = search_causes(dataset, model, rng, withhold=options.withhold, note=note)
+    found = conclude(search, dataset, rng, places=options.places, note=note)
+    return replace(found, seed=options.seed, seconds=time.perf_counter() - began)

@@ -1,0 +1,320 @@
+"""What a diagnosis says: the verdict, where, which, how far, and what it does not know."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from labrun.effects import AttachedEffect
+
+FloatArray = NDArray[np.float64]
+
+Verdict = Literal["no-gap", "parameter", "explained", "partly-explained", "not-in-library"]
+CandidateVerdict = Literal["cause", "ruled-out", "not-visible", "indistinguishable"]
+By = Literal["channel", "condition", "phase", "frequency", "state", "reversal", "equation"]
+CauseKind = Literal["effect", "parameter"]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A number with its 95 % interval from resampling whole trials."""
+
+    value: float
+    low: float
+    high: float
+    unit: str = "1"
+
+
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """Systematic residual, root mean square over channels, in units of one trial's noise.
+
+    Attributes
+    ----------
+    raw, recalibrated, after
+        With the stated parameters, with recalibrated ones, with the causes added: on conditions the fit did not see
+        (where there is more than one condition). The noise floor is taken off already.
+    floor
+        What noise alone leaves of such a number, at most, in 95 of 100 repetitions of the experiment.
+    """
+
+    raw: float
+    recalibrated: float
+    after: float
+    floor: float
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A place where the recalibrated model and the measurement differ.
+
+    Attributes
+    ----------
+    by, at
+        The way of dividing the data, and the part: ("condition", "amplitude_deg = 40, frequency_hz = 1").
+    share
+        Of the excess of the squared residual over the noise floor, all of whose parts of one `by` add up to about 1.
+    p
+        Probability that noise alone gives this part as much, corrected for all the places looked at; None where it
+        cannot be told.
+    text
+        `at`, for people: "the recovery stroke".
+    """
+
+    by: By
+    at: str
+    share: float
+    p: float | None
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Name:
+    """What a candidate is called: an effect at a site, or a parameter."""
+
+    effect: str
+    site: str
+    kind: CauseKind = "effect"
+
+    def __str__(self) -> str:
+        return f"{self.effect} at {self.site}" if self.kind == "effect" else f"parameter {self.effect}"
+
+
+@dataclass(frozen=True)
+class Cause:
+    """An effect (or parameter) that the data ask for.
+
+    Attributes
+    ----------
+    confidence
+        Probability that this is the right one, calibrated on a corpus of known cases.
+    values
+        Its parameters; for a parameter, its value.
+    indistinguishable_from
+        What explains these data as well.
+    remark
+        What to know about it: at a bound, far beyond its tolerance ("1.31 times the stated value") ...
+    """
+
+    name: Name
+    confidence: float
+    values: Mapping[str, Estimate]
+    indistinguishable_from: tuple[Name, ...] = ()
+    remark: str = ""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What was found about one candidate.
+
+    Attributes
+    ----------
+    held_out_share
+        Share of the recalibrated excess it removes on conditions its fit did not see; None where that was not tried.
+    evidence
+        How much the squared residual falls in units of the noise, beside what noise alone would give the best of all
+        candidates (the guard's threshold): above 1 it is beyond chance.
+    values
+        As fitted (SI).
+    upper_bound
+        Of a candidate that is ruled out: by parameter, the largest size the data leave room for (95 %).
+    same_as
+        What it cannot be told from.
+    """
+
+    name: Name
+    verdict: CandidateVerdict
+    held_out_share: float | None = None
+    evidence: float = 0.0
+    values: Mapping[str, Estimate] = field(default_factory=dict)
+    upper_bound: Mapping[str, Estimate] = field(default_factory=dict)
+    same_as: tuple[Name, ...] = ()
+    remark: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Shrinkage:
+    """Share of the recalibrated excess that the causes remove on conditions the fit did not see, with a 90 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class MissingForce:
+    """The force (or signal) that, added at a site over time, would close the recalibrated gap.
+
+    Attributes
+    ----------
+    site, unit
+        Where it acts.
+    share
+        Of the excess that it can explain.
+    time_s, force, coordinate, rate, load
+        Per unit of data, arrays (n,); `load` is empty where the site declares none.
+    labels
+        Of the units.
+    """
+
+    site: str
+    unit: str
+    share: float
+    labels: tuple[str, ...]
+    time_s: tuple[FloatArray, ...]
+    force: tuple[FloatArray, ...]
+    coordinate: tuple[FloatArray, ...]
+    rate: tuple[FloatArray, ...]
+    load: tuple[FloatArray, ...] = ()
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Measured and simulated outputs of one unit of data, for pictures. All arrays (n, m)."""
+
+    label: str
+    condition: Mapping[str, float | str]
+    repeats: int
+    time_s: FloatArray
+    inputs: FloatArray
+    measured: FloatArray
+    raw: FloatArray
+    recalibrated: FloatArray
+    after: FloatArray
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The answer to: where do model and measurement differ, which effect causes it, how far does it close the gap.
+
+    Attributes
+    ----------
+    sentence
+        The verdict, as a sentence.
+    recalibration : parameter -> (stated value, tolerance, recalibrated value)
+        Tolerance as in the model, relative or "free".
+    corrected : parameter -> value
+        All parameters of the model with the causes added.
+    effects
+        The causes as attached effects, to be written into a corrected model.
+    limitations
+        What these data do not allow to say, in sentences. Never empty where something was not checked.
+    notes
+        Remarks on data and model, in sentences.
+    what_next
+        What to do now, in sentences.
+    noise : output -> standard deviation of one trial
+    traces
+        A few units, those with the largest gap first.
+    """
+
+    name: str
+    model: str
+    source: str
+    verdict: Verdict
+    sentence: str
+    gap: Sizes
+    where: tuple[Place, ...]
+    causes: tuple[Cause, ...]
+    candidates: tuple[Candidate, ...]
+    shrinkage: Shrinkage | None
+    recalibration: Mapping[str, tuple[float, float | str, float]]
+    corrected: Mapping[str, float]
+    effects: "tuple[AttachedEffect, ...]"
+    limitations: tuple[str, ...]
+    notes: tuple[str, ...]
+    what_next: tuple[str, ...]
+    channels: tuple[tuple[str, str], ...]
+    input_channels: tuple[tuple[str, str], ...]
+    noise: Mapping[str, float]
+    trials: int
+    conditions: int
+    repeats: int
+    missing: tuple[MissingForce, ...]
+    traces: tuple[Trace, ...]
+    parameter_units: Mapping[str, str]
+    guard: str
+    seed: int
+    seconds: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``labrun gap diagnose --json`` prints."""
+        return {
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "model": self.model,
+            "source": self.source,
+            "gap": {
+                "raw": self.gap.raw,
+                "recalibrated": self.gap.recalibrated,
+                "after": self.gap.after,
+                "floor": self.gap.floor,
+            },
+            "where": [
+                {"by": place.by, "at": place.at, "share": place.share, "p": place.p, "text": place.text}
+                for place in self.where
+            ],
+            "causes": [_cause(cause) for cause in self.causes],
+            "candidates": [_candidate(candidate) for candidate in self.candidates],
+            "shrinkage": None
+            if self.shrinkage is None
+            else {
+                "share_removed": {
+                    "value": self.shrinkage.value,
+                    "ci90": [self.shrinkage.low, self.shrinkage.high],
+                }
+            },
+            "recalibration": {
+                name: {"stated": stated, "tolerance": tolerance, "recalibrated": found}
+                for name, (stated, tolerance, found) in self.recalibration.items()
+            },
+            "corrected": dict(self.corrected),
+            "limitations": list(self.limitations),
+            "notes": list(self.notes),
+            "what_next": list(self.what_next),
+            "noise": dict(self.noise),
+            "data": {"trials": self.trials, "conditions": self.conditions, "repeats": self.repeats},
+            "guard": self.guard,
+            "seed": self.seed,
+            "seconds": round(self.seconds, 2),
+        }
+
+
+def _cause(cause: Cause) -> dict[str, Any]:
+    return {
+        "kind": cause.name.kind,
+        "effect": cause.name.effect,
+        "site": cause.name.site,
+        "confidence": cause.confidence,
+        "values": _estimates(cause.values, "ci95"),
+        "indistinguishable_from": _names(cause.indistinguishable_from),
+        "remark": cause.remark,
+    }
+
+
+def _candidate(candidate: Candidate) -> dict[str, Any]:
+    return {
+        "kind": candidate.name.kind,
+        "effect": candidate.name.effect,
+        "site": candidate.name.site,
+        "verdict": candidate.verdict,
+        "held_out_share": candidate.held_out_share,
+        "evidence": candidate.evidence,
+        "values": _estimates(candidate.values, "ci95"),
+        "upper_bound": _estimates(candidate.upper_bound, "ci95"),
+        "indistinguishable_from": _names(candidate.same_as),
+        "remark": candidate.remark,
+    }
+
+
+def _estimates(values: Mapping[str, Estimate], key: str) -> dict[str, Any]:
+    return {
+        name: {"value": one.value, key: [one.low, one.high], "unit": one.unit} for name, one in values.items()
+    }
+
+
+def _names(names: Sequence[Name]) -> list[dict[str, str]]:
+    return [{"kind": name.kind, "effect": name.effect, "site": name.site} for name in names]

@@ -1,0 +1,133 @@
+"""The whole search on one dataset: recalibrate, measure the noise, try the library, choose the causes."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.fit.notes import Note, silent
+from labrun.gap.candidates import Candidate, candidates, without
+from labrun.gap.excess import Excess, excess, mean_residuals
+from labrun.gap.guard import noise_draws
+from labrun.gap.held_out import held_out_residuals
+from labrun.gap.noise import Noise, from_residual
+from labrun.gap.recalibration import Recalibrated, bound_remarks, in_noise, member_residuals, recalibrate
+from labrun.gap.scales import site_scales
+from labrun.gap.screening import Base, screen_all, survey
+from labrun.gap.selection import MOST_CAUSES, Selection, Selector, look
+from labrun.gap.units import Units, gather
+
+if TYPE_CHECKING:
+    from labrun.fit.dataset import Dataset
+    from labrun.models import Model
+
+FloatArray = NDArray[np.float64]
+
+_WORTH = 0.98
+"""A further candidate that lowers the squared residual by less than this is taken to fit noise."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """Everything that was found, before it is put into words.
+
+    Attributes
+    ----------
+    draws
+        Noise of the units' means, whitened, as the guard saw it.
+    raw, recalibrated
+        Excess with the stated and the recalibrated parameters; `held_out` that of recalibrations that did not
+        see the condition, with its residuals.
+    """
+
+    units: Units
+    recalibration: Recalibrated
+    candidates: list[Candidate]
+    draws: list[list[FloatArray]]
+    raw: Excess
+    recalibrated: Excess
+    held_out: Excess
+    held_out_residual: list[FloatArray]
+    selection: Selection
+
+    @property
+    def model(self) -> "Model":
+        """The model that was searched for."""
+        return self.recalibration.problem.model
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What to know about the recalibration."""
+        return bound_remarks(self.recalibration.problem, self.recalibration.z)
+
+    @property
+    def noise(self) -> Noise:
+        """The noise floor."""
+        return self.recalibration.noise
+
+
+def search_causes(
+    dataset: "Dataset",
+    model: "Model",
+    rng: np.random.Generator,
+    *,
+    withhold: Collection[str] = (),
+    note: Note = silent,
+) -> Search:
+    """Search the library for what a model lacks.
+
+    Parameters
+    ----------
+    withhold
+        Ids of effects that the library is to be without.
+
+    Raises
+    ------
+    RecordingError, FitError, ModelError, RequestError
+        Data or model that do not allow a diagnosis, with what to do.
+    """
+    units = gather(dataset, model)
+    recalibration = recalibrate(model, units, rng, note)
+    scales = site_scales(recalibration.problem, recalibration.z)
+    every = candidates(recalibration.problem.model, scales, withhold)
+    if recalibration.noise.basis == "residual":
+        recalibration = _without_repeats(recalibration, every, note)
+    problem, noise, z = recalibration.problem, recalibration.noise, recalibration.z
+    note(f"trying {len(every)} candidates")
+    draws = noise_draws(problem, noise, rng)
+    residual = held_out_residuals(problem, z)
+    reference = excess(units, noise, residual)
+    base = Base.of(problem, z)
+    first = look(base, every, noise, draws, reference)
+    selection = Selector(first, every, noise, draws, reference, residual, note).select()
+    return Search(
+        units,
+        recalibration,
+        every,
+        draws,
+        excess(units, noise, mean_residuals(problem, recalibration.raw)),
+        excess(units, noise, mean_residuals(problem, z)),
+        reference,
+        residual,
+        selection,
+    )
+
+
+def _without_repeats(recalibration: Recalibrated, every: list[Candidate], note: Note) -> Recalibrated:
+    """Take as noise what the best few candidates together leave: without repeats nothing else tells it from the gap.
+
+    Its colour is believed of that remainder only: where the model is wrong, the gap has a colour of its own.
+    """
+    units = recalibration.problem.units
+    note("no repeats: telling noise from gap by what the best candidates together leave")
+    base = Base.of(recalibration.problem, recalibration.z)
+    for _ in range(MOST_CAUSES):
+        rest = without(every, {one.name for one in base.added})
+        best = min(screen_all(base, [survey(base, one) for one in rest]), key=lambda one: one.squares)
+        if best.squares > _WORTH * base.squares:
+            break
+        base = Base.of(best.problem, best.z, (*base.added, best.candidate))
+    noise = from_residual(units, member_residuals(base.problem, base.z))
+    return in_noise(recalibration.problem, noise, recalibration.z)

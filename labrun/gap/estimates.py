@@ -1,0 +1,195 @@
+"""Intervals: how sizes of causes, and the share of the gap they remove, would scatter if the trials were run again."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.effects.quantities import unit_of
+from labrun.gap.diagnosis import Estimate, Shrinkage
+from labrun.gap.excess import Excess, group_means
+
+if TYPE_CHECKING:
+    from labrun.effects import AttachedEffect
+    from labrun.fit.dataset import Dataset
+    from labrun.gap.candidates import Candidate
+    from labrun.gap.noise import Noise
+    from labrun.gap.problem import GapProblem
+    from labrun.gap.screening import Base, Screened
+    from labrun.gap.units import Units
+    from labrun.models import Model
+
+FloatArray = NDArray[np.float64]
+
+_RESAMPLES = 400
+_NORMAL_95 = 1.96
+_RIDGE = 1e-10
+
+
+def scatter(base: "Base", draws: Sequence[Sequence[FloatArray]]) -> FloatArray:
+    """Return how the scaled shared variables move with noise drawn from whole trials, (draws, size), linearly."""
+    blocks = base.absorption.jacobian
+    size = base.problem.size
+    prior = -np.diag(base.problem.prior_weight * base.problem.scale / base.problem.pull_sigma)
+    rows, noise = [], []
+    for unit, (shared, own) in enumerate(zip(blocks.shared, blocks.own, strict=True)):
+        stacked = np.column_stack([draw[unit] for draw in draws])
+        if own.shape[1]:
+            span = np.linalg.qr(own)[0]
+            shared = shared - span @ (span.T @ shared)
+            stacked = stacked - span @ (span.T @ stacked)
+        rows.append(shared)
+        noise.append(stacked)
+    matrix = np.concatenate([*rows, prior])
+    right = np.concatenate([*noise, np.zeros((size, len(draws)))])
+    norms = np.linalg.norm(matrix, axis=0)
+    norms[norms == 0] = 1.0
+    solution = np.linalg.lstsq(matrix / norms, right, rcond=_RIDGE)[0] / norms[:, None]
+    moved: FloatArray = solution.T
+    return moved
+
+
+def values_of(
+    problem: "GapProblem", z: FloatArray, place: int, moved: FloatArray, model: "Model", dataset: "Dataset"
+) -> dict[str, Estimate]:
+    """Return the sizes of the effect that stands at `place` among those of the problem, with 95 % intervals."""
+    attached = problem.attached(problem.parameters(z))[place]
+    variable = problem.size - sum(
+        not one.held for other in problem.effects[place:] for one in other.effect.parameters
+    )
+    found = {}
+    units = effect_units(attached, model, dataset)
+    for parameter, value in zip(attached.effect.parameters, attached.values, strict=True):
+        if parameter.held:
+            continue
+        scale = float(problem.scale[variable])
+        low, high = np.percentile(moved[:, variable], [2.5, 97.5]) * scale
+        bounds = problem.lower[variable] * scale, problem.upper[variable] * scale
+        found[parameter.name] = Estimate(
+            float(value),
+            float(max(value + min(low, 0.0), bounds[0])),
+            float(min(value + max(high, 0.0), bounds[1])),
+            units[parameter.name],
+        )
+        variable += 1
+    return found
+
+
+def parameter_value(
+    problem: "GapProblem", z: FloatArray, name: str, moved: FloatArray, model: "Model"
+) -> dict[str, Estimate]:
+    """Return the value of a parameter with its 95 % interval."""
+    variable = problem.names.index(name)
+    scale = float(problem.scale[variable])
+    value = float(z[variable]) * scale
+    low, high = np.percentile(moved[:, variable], [2.5, 97.5]) * scale
+    unit = next(one.unit for one in model.parameters if one.name == name)
+    return {name: Estimate(value, value + min(float(low), 0.0), value + max(float(high), 0.0), unit)}
+
+
+def effect_units(attached: "AttachedEffect", model: "Model", dataset: "Dataset") -> dict[str, str]:
+    """Return the units of an effect's parameters at its site."""
+    signal, coordinate = "1", "rad"
+    if attached.effect.kind in ("input", "output"):
+        signals = dataset.inputs if attached.effect.kind == "input" else dataset.outputs
+        signal = next((one.unit for one in signals if one.name == attached.site), "1")
+    else:
+        site = model.place(attached.site, attached.effect.kind)
+        # the unit of a coordinate is known where an output shows it
+        coordinate = next((one.unit for one in dataset.outputs if one.name == site.coordinate), "rad")
+    return {one.name: unit_of(one.quantity, coordinate, signal) for one in attached.effect.parameters}
+
+
+def upper_bounds(screened: "Screened", base: "Base", dispersion: float) -> dict[str, float]:
+    """Return the largest sizes that the data leave room for (95 %), in SI; of parameters that vanish at zero only."""
+    candidate = screened.candidate
+    if candidate.attached is None or candidate.scale is None:
+        return {}
+    size = base.problem.size
+    fitted = [one for one in candidate.attached.effect.parameters if not one.held]
+    found = {}
+    norms = np.linalg.norm(screened.survey.directions, axis=0)
+    for place, parameter in enumerate(fitted):
+        if parameter.neutral != 0.0:
+            continue
+        per_unit = [
+            norm / abs(z[size + place])
+            for norm, z in zip(norms, screened.survey.starts, strict=True)
+            if z[size + place] != 0 and norm > 0
+        ]
+        if not per_unit:
+            continue
+        room = abs(float(screened.z[size + place])) + _NORMAL_95 * np.sqrt(dispersion) / float(np.median(per_unit))
+        found[parameter.name] = min(room, max(abs(parameter.lower), abs(parameter.upper))) * candidate.scale.of(
+            parameter.quantity
+        )
+    return found
+
+
+def shrinkage(
+    units: "Units",
+    noise: "Noise",
+    before: Sequence[FloatArray],
+    after: Sequence[FloatArray],
+    rng: np.random.Generator,
+) -> Shrinkage:
+    """Return the share of the excess that is removed on withheld conditions, with a 90 % interval.
+
+    Conditions are resampled whole, and each with the noise that its mean has.
+    """
+    then, now = group_means(units, before), group_means(units, after)
+    groups = len(then)
+    sizes = np.array([len(mean) for mean, _ in then], dtype=float)
+    shares = []
+    for _ in range(_RESAMPLES):
+        drawn = group_means(units, noise.draw(units, rng))
+        first, second = np.empty(groups), np.empty(groups)
+        for group in range(groups):
+            disturbance = drawn[group][0]
+            floor = noise.mean_floor(group, then[group][1])
+            first[group] = _shaken(then[group][0], disturbance, noise.sd, floor)
+            second[group] = _shaken(now[group][0], disturbance, noise.sd, floor)
+        chosen = rng.integers(0, groups, groups)
+        total = float(sizes[chosen] @ first[chosen])
+        if total > 0:
+            shares.append(1.0 - float(sizes[chosen] @ second[chosen]) / total)
+    whole = Excess(*_plain(units, noise, then)).total
+    rest = Excess(*_plain(units, noise, now)).total
+    value = 1.0 - rest / whole if whole > 0 else 0.0
+    low, high = np.percentile(shares, [5.0, 95.0]) if shares else (value, value)
+    return Shrinkage(float(min(value, 1.0)), float(min(low, value, 1.0)), float(min(max(high, value), 1.0)))
+
+
+def _shaken(mean: FloatArray, drawn: FloatArray, sd: FloatArray, floor: FloatArray) -> float:
+    """Return the excess had the noise come out differently; its own square is taken off as twice the floor."""
+    length = min(len(mean), len(drawn))
+    again = np.mean(np.square((mean[:length] + drawn[:length]) / sd), axis=0) - 2.0 * floor
+    return float(np.mean(again))
+
+
+def _plain(
+    units: "Units", noise: "Noise", groups: Sequence[tuple[FloatArray, int]]
+) -> tuple[FloatArray, FloatArray]:
+    present = [group for group in range(len(units.conditions)) if units.of_group(group)]
+    values = [
+        np.mean(np.square(mean / noise.sd), axis=0) - noise.mean_floor(group, count)
+        for group, (mean, count) in zip(present, groups, strict=True)
+    ]
+    sizes = np.array([float(len(mean)) for mean, _ in groups])
+    return np.array(values), sizes / sizes.sum()
+
+
+def floor_of(units: "Units", noise: "Noise", rng: np.random.Generator, draws: int = 200) -> float:
+    """Return the systematic residual that noise alone shows at most in 95 of 100 experiments."""
+    found = []
+    for _ in range(draws):
+        means = group_means(units, noise.draw(units, rng))
+        values, shares = _plain(units, noise, means)
+        found.append(Excess(values, shares).gap)
+    return float(np.percentile(found, 95.0))
+
+
+def plain_values(values: Mapping[str, float], units: Mapping[str, str]) -> dict[str, Estimate]:
+    """Return numbers without an interval."""
+    return {name: Estimate(value, value, value, units.get(name, "1")) for name, value in values.items()}

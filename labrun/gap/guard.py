@@ -1,0 +1,78 @@
+"""The guard against false alarms: how much the best of all candidates would explain of noise alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from labrun.gap.noise import Noise
+    from labrun.gap.problem import GapProblem
+    from labrun.gap.screening import Base, Survey
+
+FloatArray = NDArray[np.float64]
+
+LEVEL = 97.0
+DRAWS = 200
+_SLACK = 1.3
+"""Factor on the threshold: fits are not linear, and the noise itself is only estimated."""
+
+
+@dataclass(frozen=True)
+class Guard:
+    """What noise alone would do.
+
+    Attributes
+    ----------
+    threshold
+        The gain (fall of the sum of squares) that the best candidate must exceed.
+    dispersion
+        Mean energy of the noise in one direction; 1 if the noise is as white as it was taken to be.
+    """
+
+    threshold: float
+    dispersion: float
+
+
+def noise_draws(
+    problem: "GapProblem", noise: "Noise", rng: np.random.Generator, draws: int = DRAWS
+) -> list[list[FloatArray]]:
+    """Return whitened noise of the mean of every unit, as the residuals of `problem` see it, for every draw."""
+    rows = [len(part) for part in problem.residual_rows()]
+    found = []
+    for _ in range(draws):
+        parts = []
+        for index, drawn in enumerate(noise.draw(problem.units, rng)):
+            white = problem.white(drawn * problem.weights, index).ravel()
+            parts.append(np.concatenate([white, np.zeros(rows[index] - len(white))]))
+        found.append(parts)
+    return found
+
+
+def guard(base: "Base", surveys: "Sequence[Survey]", draws: Sequence[Sequence[FloatArray]]) -> Guard:
+    """Return the threshold from the linearised search: the whole library against noise drawn from the data's own.
+
+    Every candidate is stood for by the changes it makes at several sizes, so that one draw costs a few products of
+    vectors. The gain is the energy of the noise in the best of them.
+    """
+    units = len(base.residual)
+    stacked = [np.column_stack([draw[unit] for draw in draws]) for unit in range(units)]
+    noise = base.absorption.left(stacked)
+    most = np.zeros(len(draws))
+    energies = []
+    for one in surveys:
+        lines = one.lines
+        if lines.shape[1] == 0:
+            continue
+        along = np.square(lines.T @ noise)
+        energies.append(np.mean(along))
+        gain = np.max(along, axis=0)
+        variables = one.candidate.variables
+        if variables > 1:
+            plane = np.linalg.qr(lines[:, :variables])[0]
+            gain = np.maximum(gain, np.sum(np.square(plane.T @ noise), axis=0))
+        most = np.maximum(most, gain)
+    dispersion = max(1.0, float(np.mean(energies))) if energies else 1.0
+    return Guard(_SLACK * float(np.percentile(most, LEVEL)), dispersion)

@@ -1,0 +1,80 @@
+"""What a fit leaves on conditions it never saw."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.fit.descent import minimise
+from labrun.gap.problem import own_states
+
+if TYPE_CHECKING:
+    from labrun.gap.problem import GapProblem
+
+FloatArray = NDArray[np.float64]
+
+_MOST_FOLDS = 8
+_EVALUATIONS = 12
+_TOLERANCE = 1e-4
+
+
+def folds(groups: int) -> list[list[int]]:
+    """Return which conditions are left out together: one at a time, at most eight folds."""
+    count = min(groups, _MOST_FOLDS)
+    return [list(range(fold, groups, count)) for fold in range(count)]
+
+
+def held_out_residuals(problem: "GapProblem", z: FloatArray) -> list[FloatArray]:
+    """Return measured minus simulated of every unit, from fits that did not see its condition.
+
+    Only the unit's own initial states are fitted to it. With a single condition nothing can be left out: the
+    residual is then that of the fit itself.
+    """
+    groups = len(problem.units.conditions)
+    if groups == 1:
+        return _of_fit(problem, z)
+    residual: list[FloatArray | None] = [None] * len(problem.units.units)
+    everything = range(len(problem.units.units))
+    for left_out in folds(groups):
+        test = [index for index in everything if problem.units.units[index].group in left_out]
+        train = [index for index in everything if index not in test]
+        shared = _trained(problem, z, train)
+        for index, one in zip(test, _tested(problem, z, shared, test), strict=True):
+            residual[index] = one
+    return [one for one in residual if one is not None]
+
+
+def _of_fit(problem: "GapProblem", z: FloatArray) -> list[FloatArray]:
+    trials = problem.dataset.trials
+    return [one.outputs - got for one, got in zip(trials, problem.simulated(z), strict=True)]
+
+
+def _own(problem: "GapProblem", z: FloatArray, chosen: Sequence[int]) -> FloatArray:
+    own = own_states(problem, z).reshape(len(problem.units.units), problem.own_size)
+    return own[list(chosen)].ravel()
+
+
+def _trained(problem: "GapProblem", z: FloatArray, train: Sequence[int]) -> FloatArray:
+    part = problem.of_units(train)
+    start = np.concatenate([z[: problem.size], _own(problem, z, train)])
+    end = minimise(part, start, tolerance=_TOLERANCE, evaluations=_EVALUATIONS, central=False)
+    return end[: problem.size]
+
+
+def _tested(
+    problem: "GapProblem", z: FloatArray, shared: FloatArray, test: Sequence[int]
+) -> list[FloatArray]:
+    part = problem.of_units(test)
+    start = np.concatenate([shared, _own(problem, z, test)])
+    if problem.own_size:
+        start = minimise(
+            part, start, lower=shared, upper=shared, tolerance=_TOLERANCE, evaluations=_EVALUATIONS, central=False
+        )
+    found = []
+    parameters = part.parameters(start)
+    for index, trial in enumerate(part.dataset.trials):
+        outputs = part.simulate(parameters, index, part.own(start, index))
+        # parameters that blow up elsewhere explain nothing there: as bad as predicting the channels' means
+        found.append(trial.outputs - (np.mean(trial.outputs, axis=0) if outputs is None else outputs))
+    return found

@@ -1,0 +1,148 @@
+"""The noise floor: what repeats of a condition do not agree on."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.gap.units import Unit, Units
+from labrun.gap.whitening import Whitener, fit_whitener, white
+
+FloatArray = NDArray[np.float64]
+Basis = Literal["repeats", "residual"]
+
+_ENOUGH_FREEDOM = 8
+"""Independent whole-trial deviations from which noise is redrawn; with fewer it is drawn from its spectrum."""
+_OWN_FLOOR = 3
+"""Repeats from which a condition has a noise floor of its own."""
+_QUANTUM = 1.0 / np.sqrt(12.0)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of single trials, channel by channel.
+
+    Attributes
+    ----------
+    sd : (m,)
+        Standard deviation of one trial about what all repeats of its condition would agree on.
+    whitener
+        Turns noise of standard deviation 1 per channel into white noise.
+    basis
+        Whether repeats told it, or what is left of the best fit did.
+    systematic : (m,)
+        Variance that does not average out over repeats, in units of `sd` squared: the rounding of a sensor's steps,
+        which every repeat suffers alike where its own noise is smaller than a step.
+    deviations : per group, arrays (n, m)
+        Of whole trials from their condition's mean, scaled to a single trial's size.
+    freedom
+        Number of independent deviations.
+    """
+
+    sd: FloatArray
+    whitener: Whitener
+    basis: Basis
+    systematic: FloatArray
+    deviations: tuple[tuple[FloatArray, ...], ...]
+    freedom: int
+
+    def floor(self, group: int) -> FloatArray:
+        """Return the variance of one trial's noise in a condition, in units of `sd` squared, shape (m,).
+
+        Trials that scatter do so more where they move more: with enough repeats a condition has its own floor.
+        """
+        own = self.deviations[group]
+        if len(own) < _OWN_FLOOR:
+            return np.ones_like(self.sd)
+        return np.mean([np.mean(np.square(one / self.sd), axis=0) for one in own], axis=0)
+
+    def mean_floor(self, group: int, count: int) -> FloatArray:
+        """Return the variance of the mean of `count` trials of a condition, in units of `sd` squared, shape (m,)."""
+        return self.floor(group) / count + self.systematic
+
+    def mean_sd(self, count: int) -> FloatArray:
+        """Return the standard deviation of the mean of `count` trials of any condition, in units of `sd`, shape (m,)."""
+        return np.sqrt(1.0 / count + self.systematic)
+
+    def plain(self) -> "Noise":
+        """Return the same noise taken as white: where a large gap is mixed into it, its colour says nothing."""
+        return replace(self, whitener=white(len(self.sd)))
+
+    def draw(self, units: Units, rng: np.random.Generator) -> list[FloatArray]:
+        """Return noise of the mean of every unit, (n, m) each: the measured whole-trial deviations, recombined at
+        random within their condition; from the spectrum where there are too few of them.
+        """
+        return [self._draw_unit(unit, rng) for unit in units.units]
+
+    def _draw_unit(self, unit: Unit, rng: np.random.Generator) -> FloatArray:
+        shape = unit.trial.outputs.shape
+        own = self.deviations[unit.group] if self.freedom >= _ENOUGH_FREEDOM else ()
+        own = tuple(one for one in own if one.shape == shape)
+        rounding = rng.standard_normal(shape) * np.sqrt(self.systematic) * self.sd
+        if len(own) < 2:
+            whole = self.whitener.coloured(rng.standard_normal(shape)) * self.sd / np.sqrt(unit.count)
+            return np.asarray(whole + rounding)
+        # gaussian weights keep the covariance between the samples of a trial, and between its channels
+        weights = rng.standard_normal(len(own)) / np.sqrt(len(own) * unit.count)
+        return np.asarray(np.tensordot(weights, np.stack(own), axes=1) + rounding)
+
+
+def from_repeats(units: Units, residual: Sequence[Sequence[FloatArray]]) -> Noise | None:
+    """Estimate the noise from what repeats do not agree on; None where there are no repeats.
+
+    Parameters
+    ----------
+    residual : per unit, per member (n, m)
+        Measured minus simulated of every trial: repeats whose inputs differ are compared after what the model says.
+    """
+    groups = len(units.conditions)
+    deviations: list[tuple[FloatArray, ...]] = []
+    freedom = 0
+    for group in range(groups):
+        trials = [one for index in units.of_group(group) for one in residual[index]]
+        if len(trials) < 2:
+            deviations.append(())
+            continue
+        length = min(len(one) for one in trials)
+        mean = np.mean([one[:length] for one in trials], axis=0)
+        scale = np.sqrt(len(trials) / (len(trials) - 1.0))
+        deviations.append(tuple((one[:length] - mean) * scale for one in trials))
+        freedom += len(trials) - 1
+    if freedom == 0:
+        return None
+    every = [one for group in deviations for one in group]
+    sd = np.sqrt(np.sum([np.sum(np.square(one), axis=0) for one in every], axis=0) / sum(map(len, every)))
+    step = quantum(units)
+    # a rounding error averages out over repeats only as far as noise moves them across steps (Widrow and Kollar,
+    # Quantization Noise, 2008: the characteristic function of the noise at the step's frequency)
+    rounded = np.square(step * _QUANTUM) * np.exp(-4.0 * np.square(np.pi * sd / step))
+    sd = np.maximum(sd, step * _QUANTUM)
+    whitener = fit_whitener([one / sd for one in every])
+    return Noise(sd, whitener, "repeats", rounded / np.square(sd), tuple(deviations), freedom)
+
+
+def from_residual(units: Units, residual: Sequence[Sequence[FloatArray]]) -> Noise:
+    """Estimate the noise from what the best fit leaves, where nothing was repeated.
+
+    A slow remainder of a wrong model counts as noise here: the estimate errs to the cautious side.
+    """
+    every = [one for unit in residual for one in unit]
+    sd = np.sqrt(np.sum([np.sum(np.square(one), axis=0) for one in every], axis=0) / sum(map(len, every)))
+    sd = np.maximum(sd, quantum(units) * _QUANTUM)
+    groups: tuple[tuple[FloatArray, ...], ...] = tuple(() for _ in units.conditions)
+    whitener = fit_whitener([one / sd for one in every])
+    return Noise(sd, whitener, "residual", np.zeros_like(sd), groups, 0)
+
+
+def quantum(units: Units) -> FloatArray:
+    """Return the smallest step between different values of each output, the resolution of its sensor, shape (m,)."""
+    steps = []
+    for column in range(units.units[0].trial.outputs.shape[1]):
+        values = np.concatenate([one[:, column] for unit in units.units for one in unit.members])
+        different = np.diff(np.unique(values))
+        span = float(np.ptp(values))
+        different = different[different > 1e-9 * max(span, 1e-300)]
+        steps.append(float(different.min()) if different.size else max(1e-9 * float(np.max(np.abs(values))), 1e-300))
+    return np.array(steps)

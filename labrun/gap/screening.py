@@ -1,0 +1,184 @@
+"""Fits of one problem with one candidate more: several starts, the most promising of them followed to their ends."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.fit.descent import minimise
+from labrun.gap.absorption import Absorption
+from labrun.gap.candidates import Candidate
+from labrun.gap.problem import own_states
+
+if TYPE_CHECKING:
+    from labrun.gap.problem import GapProblem
+
+FloatArray = NDArray[np.float64]
+
+_FOLLOWED = 2
+_WORTH_A_FIT = 0.3
+"""A candidate is fitted if its survey promises this part of what a gain must exceed ..."""
+_BESIDE_BEST = 0.03
+"""... and this part of what the best one promises ..."""
+_ALWAYS = 3
+"""... and the best few in any case."""
+_TOLERANCE = 1e-4
+_EVALUATIONS = 30
+
+
+@dataclass(frozen=True)
+class Base:
+    """A fitted problem that candidates are added to.
+
+    Attributes
+    ----------
+    residual : per unit
+        Whitened.
+    squares
+        Sum of squared residuals, prior included.
+    absorption
+        What its variables can imitate.
+    """
+
+    problem: "GapProblem"
+    z: FloatArray
+    residual: list[FloatArray]
+    squares: float
+    absorption: Absorption
+    added: tuple[Candidate, ...] = ()
+
+    @classmethod
+    def of(cls, problem: "GapProblem", z: FloatArray, added: tuple[Candidate, ...] = ()) -> "Base":
+        """Take the state of a problem at `z`."""
+        return cls(problem, z, problem.residuals(z), problem.squares(z), Absorption(problem, z), added)
+
+
+@dataclass(frozen=True)
+class Survey:
+    """A candidate looked at from a base, without any fit.
+
+    Attributes
+    ----------
+    starts : per direction, `z` of the candidate's problem
+        Most promising first.
+    directions : (rows, d)
+        Changes of the residuals that the candidate makes at these starts, less what recalibration imitates; columns.
+    potential
+        By how much the sum of squares would fall if one of the changes, in the best measure, were added.
+    """
+
+    candidate: Candidate
+    problem: "GapProblem"
+    starts: list[FloatArray]
+    directions: FloatArray = field(repr=False)
+    potential: float
+
+    @property
+    def lines(self) -> FloatArray:
+        """The directions, one long; those that are nothing left out."""
+        norms = np.linalg.norm(self.directions, axis=0)
+        return self.directions[:, norms > 0] / norms[norms > 0]
+
+
+@dataclass(frozen=True)
+class Screened:
+    """A candidate added to a base and fitted.
+
+    Attributes
+    ----------
+    z, squares
+        Where the fit ended; where the survey promised nothing, its best start.
+    gain
+        By how much the sum of squares fell.
+    """
+
+    candidate: Candidate
+    problem: "GapProblem"
+    z: FloatArray
+    squares: float
+    gain: float
+    survey: Survey = field(repr=False)
+
+    @property
+    def visible(self) -> float:
+        """Norm of the largest change it makes, in units of the noise."""
+        return float(np.max(np.linalg.norm(self.survey.directions, axis=0), initial=0.0))
+
+
+def survey(base: Base, candidate: Candidate) -> Survey:
+    """Look at what a candidate would change, at several sizes, and order its starts.
+
+    A start is judged by what it would leave once parameters and initial states have adapted (linearly).
+    """
+    problem = candidate.added_to(base.problem)
+    shared, own = base.z[: base.problem.size], own_states(base.problem, base.z)
+    before = base.absorption.left(base.residual, base.problem.prior_residual(base.z))
+    rated: list[tuple[float, int, FloatArray, FloatArray]] = []
+    for number, start in enumerate(candidate.starts):
+        z = np.concatenate([shared, start, own])
+        if candidate.attached is None:
+            rated.append((0.0, number, z, _released(base, problem)))
+            continue
+        change = base.absorption.left(
+            [after - now for after, now in zip(problem.residuals(z), base.residual, strict=True)]
+        )
+        rated.append((float(np.sum((before + change) ** 2)), number, z, change))
+    rated.sort(key=lambda one: one[:2])
+    directions = np.column_stack([change for *_, change in rated])
+    norms = np.linalg.norm(directions, axis=0)
+    along = np.divide(directions.T @ before, norms, out=np.zeros_like(norms), where=norms > 0)
+    return Survey(
+        candidate, problem, [z for _, _, z, _ in rated], directions, float(np.max(np.square(along), initial=0.0))
+    )
+
+
+def follow(base: Base, surveyed: Survey) -> Screened:
+    """Fit all variables from the most promising starts."""
+    best, squares = surveyed.starts[0], np.inf
+    for z in surveyed.starts[:_FOLLOWED]:
+        end = minimise(surveyed.problem, z, tolerance=_TOLERANCE, evaluations=_EVALUATIONS, central=False)
+        there = surveyed.problem.squares(end)
+        if there < squares:
+            best, squares = end, there
+    gain = max(base.squares - squares, 0.0)
+    return Screened(surveyed.candidate, surveyed.problem, best, squares, gain, surveyed)
+
+
+def screen_all(base: Base, surveys: Sequence[Survey], threshold: float = 0.0) -> list[Screened]:
+    """Fit every candidate whose survey promises something, in their order.
+
+    Parameters
+    ----------
+    threshold
+        What a gain must exceed to count.
+    """
+    best = max((one.potential for one in surveys), default=0.0)
+    needed = max(_WORTH_A_FIT * threshold, _BESIDE_BEST * best)
+    top = sorted((one.potential for one in surveys), reverse=True)[:_ALWAYS]
+    needed = min(needed, top[-1]) if top else needed
+    return [
+        follow(base, one)
+        if one.potential >= needed
+        else Screened(
+            one.candidate, one.problem, one.starts[0], base.squares - one.potential, one.potential, one
+        )
+        for one in surveys
+    ]
+
+
+def refit(problem: "GapProblem", z: FloatArray, *, tolerance: float = 1e-6) -> FloatArray:
+    """Return the minimum that `z` leads to, followed closely."""
+    return minimise(problem, z, tolerance=tolerance, evaluations=60)
+
+
+def _released(base: Base, problem: "GapProblem") -> FloatArray:
+    """Return the derivative by a parameter, less what the others can imitate."""
+    variable = next(
+        index
+        for index, (mine, theirs) in enumerate(zip(base.problem.pull_sigma, problem.pull_sigma, strict=True))
+        if mine != theirs
+    )
+    size = base.problem.pull_sigma[variable] / base.problem.scale[variable]
+    return base.absorption.left([shared[:, variable] * size for shared in base.absorption.jacobian.shared])

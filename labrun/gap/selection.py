@@ -1,0 +1,245 @@
+"""Which causes: the best candidate, whether more than one is at work, and what cannot be told from them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labrun.fit.notes import Note
+from labrun.gap.candidates import Candidate, without
+from labrun.gap.excess import Excess, excess
+from labrun.gap.guard import Guard, guard
+from labrun.gap.held_out import held_out_residuals
+from labrun.gap.problem import own_states
+from labrun.gap.rating import Rated, promising, rate, weights
+from labrun.gap.screening import Base, Screened, refit, screen_all, survey
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from labrun.gap.noise import Noise
+
+    FloatArray = NDArray[np.float64]
+
+MOST_CAUSES = 3
+_LOOKED_AT = 8
+_ANOTHER = 0.08
+"""Part of the recalibrated excess that a further cause must remove on withheld conditions."""
+_NOTICED = 0.04
+"""The same of a cause that at least halves what is left."""
+_SWEEPS = 3
+FORM_SLACK = 0.02
+_SIMPLER = 0.02
+"""A candidate with fewer variables is preferred if it removes no less than this part of the excess less."""
+_RIVAL = 0.05
+_CLOSE = 0.06
+
+
+@dataclass(frozen=True)
+class Round:
+    """All candidates beside one base."""
+
+    base: Base
+    screened: list[Screened]
+    guard: Guard
+    rated: list[Rated]
+
+    def find(self, candidate: Candidate) -> Screened | None:
+        """Return how a candidate did."""
+        return next((one for one in self.screened if one.candidate.name == candidate.name), None)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What was chosen.
+
+    Attributes
+    ----------
+    rounds
+        Beside the recalibrated model, beside the first cause, and so on; the last finds nothing more.
+    chosen
+        The causes with the rating they had when they were taken in.
+    rivals : per cause
+        What explains the data as well, most probable first, with its weight beside the cause's own.
+    held_out
+        Excess of the final model on withheld conditions.
+    """
+
+    rounds: list[Round]
+    chosen: tuple[Rated, ...]
+    rivals: tuple[tuple[tuple[Rated, float], ...], ...]
+    weights: tuple[float, ...]
+    final: Base
+    held_out: Excess
+    residual: "list[FloatArray]"
+
+
+def look(
+    base: Base,
+    candidates: Sequence[Candidate],
+    noise: "Noise",
+    draws: "Sequence[Sequence[FloatArray]]",
+    reference: Excess,
+) -> Round:
+    """Try every candidate beside a base: fit, guard, and the best of them on withheld conditions."""
+    surveys = [survey(base, one) for one in candidates]
+    threshold = guard(base, surveys, draws)
+    screened = screen_all(base, surveys, threshold.threshold)
+    rated = [
+        rate(base, one, threshold, noise, reference) for one in promising(screened, threshold, _LOOKED_AT)
+    ]
+    return Round(base, screened, threshold, rated)
+
+
+@dataclass(frozen=True)
+class Selector:
+    """How causes are chosen: one by one, then each again beside the others.
+
+    Attributes
+    ----------
+    reference, residual
+        Held-out excess and residuals of the recalibrated model.
+    """
+
+    first: Round
+    candidates: Sequence[Candidate]
+    noise: "Noise"
+    draws: "Sequence[Sequence[FloatArray]]"
+    reference: Excess
+    residual: "list[FloatArray]"
+    note: Note
+
+    def select(self) -> Selection:
+        """Choose the causes; each must beat the guard given the others, and remove a part of the gap of its own."""
+        chosen, rounds = self._forward()
+        if len(chosen) > 1:
+            chosen, rounds = self._exchanged(chosen)
+        base = chosen[-1].base if chosen else self.first.base
+        left = chosen[-1].rated.held_out if chosen else self.reference
+        there = chosen[-1].rated.residual if chosen else self.residual
+        return Selection(
+            [*rounds],
+            tuple(one.rated for one in chosen),
+            tuple(one.rivals for one in chosen),
+            tuple(one.weight for one in chosen),
+            base,
+            left,
+            there,
+        )
+
+    def _forward(self) -> "tuple[list[_Chosen], list[Round]]":
+        rounds, chosen = [self.first], list[_Chosen]()
+        while len(chosen) < MOST_CAUSES:
+            left = chosen[-1].rated.held_out if chosen else self.reference
+            one = self._choose(rounds[-1], left, further=bool(chosen))
+            if one is None:
+                break
+            self.note(f"found {one.rated.candidate.name}; looking whether there is more")
+            chosen.append(one)
+            rounds.append(self._look(one.base))
+        return chosen, rounds
+
+    def _exchanged(self, chosen: "list[_Chosen]") -> "tuple[list[_Chosen], list[Round]]":
+        """Choose each cause again beside the others: what stood in for two of them gives way."""
+        for _ in range(_SWEEPS):
+            before = {one.rated.candidate.name for one in chosen}
+            for place in range(len(chosen)):
+                self.note(f"checking {chosen[0].rated.candidate.name} again beside the others")
+                base = self._without(chosen, 0)
+                again = self._look(base)
+                left = excess(base.problem.units, self.noise, held_out_residuals(base.problem, base.z))
+                one = self._choose(again, left, further=len(chosen) > 1)
+                chosen = chosen[1:] if one is None else [*chosen[1:], one]
+                if one is None or place == len(chosen):
+                    break
+            if {one.rated.candidate.name for one in chosen} == before:
+                break
+        return chosen, [self.first, self._look(chosen[-1].base)]
+
+    def _choose(self, current: Round, left: Excess, *, further: bool) -> "_Chosen | None":
+        best = _best(current.rated, left, self.reference, further=further)
+        if best is None:
+            return None
+        rivals, weight = _rivals(best, current.rated)
+        return _Chosen(best, rivals, weight, _settled(best.screened, (*current.base.added, best.candidate)))
+
+    def _look(self, base: Base) -> Round:
+        rest = without(self.candidates, {one.name for one in base.added})
+        return look(base, rest, self.noise, self.draws, self.reference)
+
+    def _without(self, chosen: "list[_Chosen]", place: int) -> Base:
+        """Return the last base without one of its causes, fitted again."""
+        last = chosen[-1].base
+        problem = self.first.base.problem
+        at, kept, parts = problem.size, list[Candidate](), [last.z[: problem.size]]
+        for candidate in last.added:
+            variables = last.z[at : at + candidate.variables]
+            at += candidate.variables
+            if candidate.name != chosen[place].rated.candidate.name:
+                problem = candidate.added_to(problem)
+                kept.append(candidate)
+                parts.append(variables)
+        z = np.concatenate([*parts, own_states(last.problem, last.z)])
+        return Base.of(problem, refit(problem, z), tuple(kept))
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """A cause, what cannot be told from it, and the model with it and those before it."""
+
+    rated: Rated
+    rivals: tuple[tuple[Rated, float], ...]
+    weight: float
+    base: Base
+
+
+def _settled(screened: Screened, added: tuple[Candidate, ...]) -> Base:
+    z = refit(screened.problem, screened.z)
+    return Base.of(screened.problem, z, added)
+
+
+def _best(rated: Sequence[Rated], left: Excess, reference: Excess, *, further: bool) -> Rated | None:
+    """Return the candidate to take in; the simplest of those that do as well as the best. None if none is needed.
+
+    Parameters
+    ----------
+    left
+        Held-out excess without it.
+    """
+    passing = [one for one in rated if one.evidence > 1.0]
+    if further and reference.total > 0:
+        removed = [left.total - one.held_out.total for one in passing]
+        passing = [
+            one
+            for one, less in zip(passing, removed, strict=True)
+            if less >= _ANOTHER * reference.total
+            or (less >= _NOTICED * reference.total and less >= 0.5 * left.total)
+        ]
+    if not passing:
+        return None
+    most = max(one.share for one in passing)
+    # what fits the seen conditions well and fails on the unseen has learned the wrong thing
+    fair = [one for one in passing if one.share >= most - 0.1]
+    best = max(fair, key=lambda one: one.score)
+    probable = weights(fair, FORM_SLACK)
+    alike = [
+        one
+        for one, weight in zip(fair, probable, strict=True)
+        if one.candidate.variables < best.candidate.variables
+        and one.share >= best.share - _SIMPLER
+        and weight >= _RIVAL
+    ]
+    return max(alike, key=lambda one: one.score) if alike else best
+
+
+def _rivals(best: Rated, rated: Sequence[Rated]) -> tuple[tuple[tuple[Rated, float], ...], float]:
+    """Return what cannot be told from the best, most probable first, and the best one's own weight."""
+    near = [one for one in rated if one.evidence > 0.5 and one.share >= best.share - _CLOSE]
+    if best not in near:
+        near.append(best)
+    shares = weights(near, FORM_SLACK)
+    own = float(shares[near.index(best)])
+    ordered = sorted(zip(near, shares, strict=True), key=lambda pair: -pair[1])
+    return tuple((one, float(weight)) for one, weight in ordered if one is not best and weight >= _RIVAL), own
+

@@ -1,0 +1,146 @@
+"""Measured trials as units: what one simulation predicts, with the repeats that agree on it averaged."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.errors import RecordingError
+from labrun.fit.dataset import Dataset, FitTrial
+from labrun.models import Model
+from labrun.store.recording import condition_label
+
+FloatArray = NDArray[np.float64]
+
+_FIRST_SAMPLES = 3
+_ALIKE = 5.0
+"""First samples of repeats that differ by less than this many standard deviations of the noise begin alike."""
+_FEWEST_SAMPLES = 8
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Trials of one condition that one simulation predicts: all repeats, or one trial where repeats differ by more
+    than noise (in their inputs, their time base or their free initial states).
+
+    Attributes
+    ----------
+    trial
+        Its time base, its inputs and the mean of its outputs.
+    group
+        Number of its condition.
+    members
+        Measured outputs of each trial in it, (n, m) each.
+    """
+
+    trial: FitTrial
+    group: int
+    members: tuple[FloatArray, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of trials in it."""
+        return len(self.members)
+
+
+@dataclass(frozen=True)
+class Units:
+    """All units of a dataset, and the dataset of their means.
+
+    Attributes
+    ----------
+    conditions
+        Labels, by group.
+    repeats
+        The fewest trials of any condition.
+    """
+
+    dataset: Dataset
+    units: tuple[Unit, ...]
+    conditions: tuple[str, ...]
+    repeats: int
+
+    def of_group(self, group: int) -> list[int]:
+        """Return the indices of the units of a condition."""
+        return [index for index, unit in enumerate(self.units) if unit.group == group]
+
+
+def gather(dataset: Dataset, model: Model) -> Units:
+    """Group the trials by condition and average repeats that are predicted by one simulation.
+
+    Raises
+    ------
+    RecordingError
+        A trial too short to say anything, or numbers that are not finite.
+    """
+    groups: dict[str, list[FitTrial]] = {}
+    for trial in dataset.trials:
+        _check(trial, dataset)
+        groups.setdefault(_key(trial.condition), []).append(trial)
+    free = any(model.initial.get(state, "free") == "free" for state in model.states)
+    units: list[Unit] = []
+    for group, trials in enumerate(groups.values()):
+        if len(trials) > 1 and not free and _same_course(trials) and _same_beginning(trials):
+            units.append(_averaged(trials, group))
+        else:
+            units.extend(Unit(trial, group, (trial.outputs,)) for trial in trials)
+    means = replace(dataset, trials=tuple(unit.trial for unit in units))
+    labels = [condition_label(trials[0].condition) or trials[0].label for trials in groups.values()]
+    return Units(means, tuple(units), tuple(labels), min(len(trials) for trials in groups.values()))
+
+
+def _key(condition: Mapping[str, float | str]) -> str:
+    return repr(sorted(condition.items()))
+
+
+def _check(trial: FitTrial, dataset: Dataset) -> None:
+    fewest = 1 if not np.any(np.diff(trial.time_s)) else 2
+    if len(trial.time_s) < fewest:
+        raise RecordingError(f"{trial.label} of {dataset.name} has {len(trial.time_s)} samples")
+    for what, values in (("an input", trial.inputs), ("an output", trial.outputs), ("the time", trial.time_s)):
+        if not np.all(np.isfinite(values)):
+            row = int(np.argwhere(~np.isfinite(values))[0][0])
+            raise RecordingError(
+                f"{what} of {trial.label} of {dataset.name} is not a finite number in sample {row + 1}",
+                hint="cut the trial there, or leave it out",
+            )
+    if np.any(np.diff(trial.time_s) <= 0):
+        row = int(np.argmax(np.diff(trial.time_s) <= 0)) + 2
+        raise RecordingError(
+            f"the time of {trial.label} of {dataset.name} does not increase at sample {row}",
+            hint="a clock went backwards or a sample is there twice: sort it out before asking for a diagnosis",
+        )
+
+
+def _same_course(trials: Sequence[FitTrial]) -> bool:
+    """Tell whether time bases and inputs are the same for all."""
+    first = trials[0]
+    return all(
+        len(one.time_s) == len(first.time_s)
+        and np.allclose(one.time_s, first.time_s, rtol=0.0, atol=1e-6 * _step_s(first))
+        and np.allclose(one.inputs, first.inputs, rtol=1e-9, atol=1e-12)
+        for one in trials[1:]
+    )
+
+
+def _step_s(trial: FitTrial) -> float:
+    return float(np.median(np.diff(trial.time_s))) if len(trial.time_s) > 1 else 1.0
+
+
+def _same_beginning(trials: Sequence[FitTrial]) -> bool:
+    """Tell whether the first samples of repeats differ no more than the samples after them do."""
+    outputs = np.stack([trial.outputs for trial in trials])
+    if outputs.shape[1] < _FEWEST_SAMPLES:
+        return True
+    spread = np.sqrt(np.mean(np.var(outputs, axis=0, ddof=1), axis=0))
+    begin = np.mean(outputs[:, :_FIRST_SAMPLES], axis=1)
+    return bool(np.all(np.ptp(begin, axis=0) <= _ALIKE * spread + 1e-12))
+
+
+def _averaged(trials: Sequence[FitTrial], group: int) -> Unit:
+    mean = np.mean([trial.outputs for trial in trials], axis=0)
+    label = condition_label(trials[0].condition) or trials[0].label
+    return Unit(
+        replace(trials[0], label=label, outputs=mean), group, tuple(trial.outputs for trial in trials)
+    )

@@ -1,0 +1,54 @@
+"""The verdict: is there a gap, do parameters explain it, do the causes, or is the cause not in the library?"""
+
+from dataclasses import dataclass
+
+from labrun.gap.diagnosis import Shrinkage, Sizes, Verdict
+
+_UNKNOWN = 0.6
+"""Share of the excess below which the best of the library is an impostor: true effects remove 97 % in the median,
+effects that stand in for one that is not there at most 60 %."""
+_WHOLE = 0.85
+_SMALL = 0.3
+"""A gap below this part of one trial's noise that nothing in the library explains is left alone."""
+_IMPOSTOR_HIGH = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What the verdict is made from.
+
+    Attributes
+    ----------
+    significant
+        Whether the recalibrated gap is beyond what noise leaves; `remains` the same of what the causes leave.
+    told_by_repeats
+        Whether noise was told from gap by repeats.
+    effects, parameters
+        Number of causes of each kind.
+    """
+
+    sizes: Sizes
+    significant: bool
+    remains: bool
+    told_by_repeats: bool
+    effects: int
+    parameters: int
+    shrinkage: Shrinkage | None
+
+
+def verdict(found: Findings) -> Verdict:
+    """Return the verdict."""
+    if found.effects + found.parameters == 0 or found.shrinkage is None:
+        if found.significant and found.told_by_repeats and found.sizes.recalibrated >= _SMALL:
+            return "not-in-library"
+        return "parameter" if _recalibration_helps(found.sizes) else "no-gap"
+    impostor = found.shrinkage.value < _UNKNOWN and found.shrinkage.high < _IMPOSTOR_HIGH
+    if impostor and found.remains and found.effects:
+        return "not-in-library"
+    if found.effects == 0:
+        return "parameter"
+    return "explained" if found.shrinkage.value >= _WHOLE or not found.remains else "partly-explained"
+
+
+def _recalibration_helps(sizes: Sizes) -> bool:
+    return sizes.raw > max(1.5 * sizes.recalibrated, 1.5 * sizes.floor)

@@ -1,0 +1,186 @@
+"""Compiled: Kalman filter and disturbance smoother for many series of one system. Importing this imports numba."""
+
+import numpy as np
+
+from labrun.models.calling import kernel
+from labrun.models.layout import IntArray
+from labrun.models.model import FloatArray
+
+
+@kernel
+def disturbed(  # noqa: PLR0912 - a recursion over small matrices, written out
+    phi: FloatArray,
+    q: FloatArray,
+    begin: IntArray,
+    c: FloatArray,
+    r: FloatArray,
+    start: FloatArray,
+    still: FloatArray,
+    intensity: float,
+    series: FloatArray,
+    gains: FloatArray,
+    variances: FloatArray,
+    innovations: FloatArray,
+    likelihood: FloatArray,
+) -> None:
+    """Filter series of residuals with the state started at zero in every unit; channels one after the other.
+
+    Parameters
+    ----------
+    phi, q : (n, k, k)
+        Transition and covariance of what a disturbance of intensity 1 adds, from each sample to the next.
+    begin : (n,)
+        1 at the first sample of a unit.
+    c : (n, m, k), r : (n, m)
+        Outputs by states, and variance of the measurement.
+    start, still : (k, k)
+        Covariance in which a unit begins: per intensity, and besides.
+    series : (n, m, b)
+    gains : (n, m, k), variances : (n, m), innovations : (n, m, b)
+        Written, for `left_over`.
+    likelihood : (b,)
+        Written: logarithm, without its constant.
+    """
+    count, channels, size = c.shape
+    many = series.shape[2]
+    cov, product = np.zeros((size, size)), np.zeros((size, size))
+    state, moved = np.zeros((size, many)), np.zeros((size, many))
+    z = np.empty(size)
+    for b in range(many):
+        likelihood[b] = 0.0
+    for row in range(count):
+        if begin[row] != 0:
+            for i in range(size):
+                for b in range(many):
+                    state[i, b] = 0.0
+                for j in range(size):
+                    cov[i, j] = intensity * start[i, j] + still[i, j]
+        else:
+            for i in range(size):
+                for j in range(size):
+                    value = 0.0
+                    for k in range(size):
+                        value += phi[row - 1, i, k] * cov[k, j]
+                    product[i, j] = value
+            for i in range(size):
+                for j in range(i + 1):
+                    value = intensity * q[row - 1, i, j]
+                    for k in range(size):
+                        value += product[i, k] * phi[row - 1, j, k]
+                    cov[i, j] = value
+                    cov[j, i] = value
+            for i in range(size):
+                for b in range(many):
+                    moved[i, b] = 0.0
+                for k in range(size):
+                    factor = phi[row - 1, i, k]
+                    for b in range(many):
+                        moved[i, b] += factor * state[k, b]
+            for i in range(size):
+                for b in range(many):
+                    state[i, b] = moved[i, b]
+        for j in range(channels):
+            variance = r[row, j]
+            for i in range(size):
+                value = 0.0
+                for k in range(size):
+                    value += cov[i, k] * c[row, j, k]
+                z[i] = value
+            for k in range(size):
+                variance += c[row, j, k] * z[k]
+            variances[row, j] = variance
+            for b in range(many):
+                innovations[row, j, b] = series[row, j, b]
+            for k in range(size):
+                gains[row, j, k] = z[k] / variance
+                for b in range(many):
+                    innovations[row, j, b] -= c[row, j, k] * state[k, b]
+            logarithm = np.log(variance)
+            for b in range(many):
+                v = innovations[row, j, b]
+                likelihood[b] -= 0.5 * (logarithm + v * v / variance)
+            for i in range(size):
+                for b in range(many):
+                    state[i, b] += gains[row, j, i] * innovations[row, j, b]
+                for k in range(size):
+                    cov[i, k] -= z[i] * z[k] / variance
+
+
+@kernel
+def left_over(  # noqa: PLR0912 - as above
+    phi: FloatArray,
+    begin: IntArray,
+    c: FloatArray,
+    r: FloatArray,
+    gains: FloatArray,
+    variances: FloatArray,
+    innovations: FloatArray,
+    squares: FloatArray,
+) -> None:
+    """Write to `squares` (b,) what the smoothed disturbance leaves of each series, in units of the noise.
+
+    Backward recursion of the disturbance smoother (de Jong 1989; Koopman 1993), channel after channel.
+    """
+    count, channels, size = c.shape
+    many = innovations.shape[2]
+    back, moved = np.zeros((size, many)), np.zeros((size, many))
+    for b in range(many):
+        squares[b] = 0.0
+    for row in range(count - 1, -1, -1):
+        for j in range(channels - 1, -1, -1):
+            for b in range(many):
+                value = innovations[row, j, b] / variances[row, j]
+                for k in range(size):
+                    value -= gains[row, j, k] * back[k, b]
+                left = r[row, j] * value
+                squares[b] += left * left / r[row, j]
+                for k in range(size):
+                    back[k, b] += c[row, j, k] * value
+        if begin[row] != 0:
+            for k in range(size):
+                for b in range(many):
+                    back[k, b] = 0.0
+        else:
+            for k in range(size):
+                for b in range(many):
+                    value = 0.0
+                    for i in range(size):
+                        value += phi[row - 1, i, k] * back[i, b]
+                    moved[k, b] = value
+            for k in range(size):
+                for b in range(many):
+                    back[k, b] = moved[k, b]
+
+
+@kernel
+def spread_of(  # noqa: PLR0912 - as above
+    phi: FloatArray, q: FloatArray, begin: IntArray, c: FloatArray, start: FloatArray, found: FloatArray
+) -> None:
+    """Write to `found` (n,) the largest variance of an output that a disturbance of intensity 1 makes."""
+    count, channels, size = c.shape
+    cov, product = np.zeros((size, size)), np.zeros((size, size))
+    for row in range(count):
+        if begin[row] != 0:
+            for i in range(size):
+                for j in range(size):
+                    cov[i, j] = start[i, j]
+        else:
+            for i in range(size):
+                for j in range(size):
+                    value = 0.0
+                    for k in range(size):
+                        value += phi[row - 1, i, k] * cov[k, j]
+                    product[i, j] = value
+            for i in range(size):
+                for j in range(size):
+                    value = q[row - 1, i, j]
+                    for k in range(size):
+                        value += product[i, k] * phi[row - 1, j, k]
+                    cov[i, j] = value
+        found[row] = 0.0
+        for j in range(channels):
+            value = 0.0
+            for i in range(size):
+                for k in range(size):
+                    value += c[row, j, i] * cov[i, k] * c[row, j, k]
+            found[row] = max(found[row], value)

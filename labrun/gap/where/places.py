@@ -1,0 +1,136 @@
+"""Where a recalibrated model and the measurement differ."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.gap.diagnosis import Place
+from labrun.gap.where.bands import Spectra, band_parts
+from labrun.gap.where.difference import Difference
+from labrun.gap.where.motion import Mover, input_movers, site_movers
+from labrun.gap.where.parts import JOINT, Layout, Part, channel_parts, condition_parts, in_each_condition
+from labrun.gap.where.phases import piece_cycles, quarter_parts, stroke_parts
+from labrun.gap.where.pooling import pieces
+from labrun.gap.where.regions import input_parts, reversal_parts, site_parts
+from labrun.gap.where.significance import CERTAIN, Finding, weigh
+
+FloatArray = NDArray[np.float64]
+Note = Callable[[str], None]
+
+
+def find_places(
+    difference: Difference,
+    rng: np.random.Generator,
+    *,
+    draws: int = 200,
+    note: Note = lambda _: None,
+) -> tuple[Place, ...]:
+    """Divide the excess of the squared residual over the noise floor in every way that means something here.
+
+    By channel, condition, phase of the cycle, frequency band, region of coordinate, rate, load and input, reversals,
+    and by the state equation that lacks a force. What the data do not allow is left out: no phase without a cycle,
+    and of trials that are one sample each only channels and conditions.
+
+    Parameters
+    ----------
+    difference
+        Recalibrated model beside the data.
+    rng
+        Redraws the noise.
+    draws
+        How often. The smallest p is 1 / (draws + 1).
+    note
+        Is told in sentences what there is to know about the shares and their p.
+
+    Returns
+    -------
+    places
+        Those beyond chance first, and of these the ones first that hold much of the excess, and more than their part
+        of the data. Parts that are cut by condition too have a bar in their name, ``"recovery stroke | frequency_hz =
+        0.3"``, and come behind those that are not.
+    """
+    layout = Layout(pieces(difference.units), len(difference.model.outputs))
+    spectra = Spectra(layout)
+    parts = _distinct(_parts(difference, layout, spectra))
+
+    def densities(scaled: Sequence[FloatArray]) -> dict[str, FloatArray]:
+        values = [piece.of(scaled) for piece in layout.pieces]
+        return {
+            "time": np.concatenate([np.square(one).ravel() for one in values]),
+            "frequency": spectra.power(values),
+        }
+
+    finding = weigh(difference, parts, densities, rng, draws)
+    _say(difference, finding, note)
+    equations = _equations(difference, rng, draws, finding, note)
+    return (*_placed(difference, parts, finding, equations),)
+
+
+def _parts(difference: Difference, layout: Layout, spectra: Spectra) -> list[Part]:
+    sites, inputs = site_movers(difference, layout.pieces), input_movers(difference, layout.pieces)
+    parts = [*channel_parts(difference, layout), *condition_parts(difference, layout)]
+    for mover in inputs:
+        parts += input_parts(mover, layout)
+    if all(piece.length < 2 for piece in layout.pieces):
+        return parts
+    for mover in sites:
+        parts += site_parts(mover, layout)
+    turning: tuple[Mover, ...] = sites or inputs
+    for mover in turning:
+        parts += reversal_parts(mover, layout)
+    cycles = piece_cycles(difference, layout, sites, inputs)
+    strokes = stroke_parts(layout, cycles, turning)
+    parts += [*strokes, *quarter_parts(layout, cycles), *in_each_condition(difference, layout, strokes)]
+    simulated = [piece.first(difference.simulated) for piece in layout.pieces]
+    return [*parts, *band_parts(spectra, cycles, simulated, driven=bool(inputs))]
+
+
+def _distinct(parts: Sequence[Part]) -> list[Part]:
+    """Leave out parts that hold nothing, and those that hold all and are no channel."""
+    return [
+        part for part in parts if np.any(part.members) and (part.by == "channel" or not np.all(part.members))
+    ]
+
+
+def _say(difference: Difference, finding: Finding, note: Note) -> None:
+    if difference.noise.basis == "residual":
+        note(
+            "Nothing was repeated, so that gap and noise cannot be told apart by their size: shares are of the whole "
+            "residual, noise included, and p asks whether it lies where it does by chance."
+        )
+    elif finding.quiet:
+        note("No part of the data holds more than noise does: there is nothing to place.")
+
+
+def _equations(
+    difference: Difference, rng: np.random.Generator, draws: int, finding: Finding, note: Note
+) -> list[Place]:
+    from labrun.gap.where.equations import equation_places
+
+    return equation_places(difference, rng, draws=draws, quiet=finding.quiet, note=note)
+
+
+def _placed(
+    difference: Difference, parts: Sequence[Part], finding: Finding, equations: Sequence[Place]
+) -> list[Place]:
+    ranked: list[tuple[bool, bool, float, Place]] = []
+    untold = _channels_that_told_their_noise(difference)
+    for index, part in enumerate(parts):
+        share = float(finding.share[index])
+        p = None if part.by == "channel" and part.at in untold else float(finding.p[index])
+        lift = share / max(float(finding.data_share[index]), 1e-12)
+        place = Place(part.by, part.at, share, p, part.text)
+        ranked.append((p is None or p > CERTAIN, JOINT in part.at, -max(lift, 0.0) * share, place))
+    for place in equations:
+        certain = place.p is not None and place.p <= CERTAIN
+        ranked.append((not certain, False, -len(difference.model.states) * place.share**2, place))
+    return [place for *_, place in sorted(ranked, key=lambda one: one[:3])]
+
+
+def _channels_that_told_their_noise(difference: Difference) -> set[str]:
+    """Return the channels whose noise is known from their own residual alone: they cannot stand out from that."""
+    outputs = difference.model.outputs
+    units = difference.output_units
+    alone = difference.noise.basis == "residual"
+    return {one.name for one, unit in zip(outputs, units, strict=True) if alone and units.count(unit) == 1}

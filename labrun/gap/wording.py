@@ -1,0 +1,96 @@
+"""The diagnosis in sentences."""
+
+from collections.abc import Sequence
+
+from labrun.gap.diagnosis import Cause, Name, Shrinkage, Sizes, Verdict
+
+
+def sentence(
+    verdict: Verdict, sizes: Sizes, causes: Sequence[Cause], shrinkage: Shrinkage | None, best: Name | None
+) -> str:
+    """Return the verdict as one sentence."""
+    named = " and ".join(str(cause.name) for cause in causes)
+    if verdict == "no-gap":
+        return (
+            f"No gap beyond noise: what model and measurement differ by ({sizes.recalibrated:.2g} times one trial's "
+            f"noise) is what noise leaves (up to {sizes.floor:.2g})."
+        )
+    if verdict == "parameter" and not causes:
+        return (
+            f"Parameters explain it: recalibrated within what is known of them, the gap falls from {sizes.raw:.2g} to "
+            f"{sizes.recalibrated:.2g} times one trial's noise, and nothing is missing."
+        )
+    removed = "" if shrinkage is None else f" {100 * shrinkage.value:.0f} %"
+    if verdict == "parameter":
+        verb = "explain" if len(causes) > 1 else "explains"
+        return f"A stated value is wrong: {named} {verb}{removed} of the gap on conditions the fit did not see."
+    if verdict == "explained":
+        verb = "explain" if len(causes) > 1 else "explains"
+        return (
+            f"{_capital(named)} {verb}{removed} of the gap on conditions the fit did not see "
+            f"({sizes.recalibrated:.2g} to {sizes.after:.2g} times one trial's noise)."
+        )
+    if verdict == "partly-explained":
+        return (
+            f"{_capital(named)} explains{removed} of the gap; {sizes.after:.2g} times one trial's noise remains that "
+            "nothing in the library accounts for."
+        )
+    nearest = f"; the nearest, {best}, removes{removed or ' too little'} of it" if best is not None else ""
+    return (
+        f"The cause is not in the library: a gap of {sizes.recalibrated:.2g} times one trial's noise remains after "
+        f"recalibration{nearest}."
+    )
+
+
+def limitations(*, repeats: int, conditions: int, basis: str, single_trial: bool, rejected: int) -> list[str]:
+    """Return what the data do not allow to say."""
+    found = []
+    if single_trial:
+        found.append("One trial only: nothing was repeated and nothing could be withheld; take this as a hint.")
+    if basis == "residual":
+        found.append(
+            "No condition was repeated: gap and noise are not separable by repeats. What the best candidates together "
+            "leave was taken as noise, so a cause outside the library would be taken for noise, too."
+        )
+    elif repeats < 3:
+        found.append(
+            f"Only {repeats} repeat{'s' if repeats > 1 else ''} of some conditions: the noise floor is uncertain; "
+            "three or more tell it better."
+        )
+    if conditions == 1:
+        found.append(
+            "One condition only: nothing could be withheld from the fit, and figures are those of the fit itself."
+        )
+    elif conditions < 4:
+        found.append(f"{conditions} conditions only: the figures on withheld conditions rest on few.")
+    if rejected:
+        found.append(f"{rejected} rejected or failed trials were left out.")
+    return found
+
+
+def what_next(verdict: Verdict, causes: Sequence[Cause], *, repeats: int) -> list[str]:
+    """Return what to do now."""
+    found = []
+    doubtful = [cause for cause in causes if cause.indistinguishable_from]
+    for cause in doubtful:
+        others = " or ".join(str(name) for name in cause.indistinguishable_from[:3])
+        found.append(
+            f"These data cannot tell {cause.name} from {others}: labrun gap next writes the experiment that can."
+        )
+    if verdict in ("explained", "partly-explained", "parameter") and causes and not doubtful:
+        found.append("labrun gap diagnose --save-model FILE writes the corrected model; run it against new data.")
+    if verdict == "not-in-library":
+        found.append(
+            "Look at where it is and at the missing force: an effect of that form, as a plugin, can be tried next."
+        )
+    if verdict == "partly-explained":
+        found.append("Diagnose again with the corrected model to see where the rest is.")
+    if verdict == "no-gap" and repeats < 3:
+        found.append("Repeat every condition three times or more: a smaller gap becomes visible.")
+    if verdict == "parameter" and not causes:
+        found.append("Take the recalibrated parameters over into the model.")
+    return found
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]

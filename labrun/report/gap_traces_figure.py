@@ -1,0 +1,193 @@
+"""Measured and simulated outputs where they differ most: as stated, recalibrated, and with the causes added."""
+
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.gap.diagnosis import Diagnosis, Trace
+from labrun.report.gap_canvas import plain_figure
+from labrun.report.gap_how_far_figure import AFTER, RECALIBRATED, STATED
+from labrun.report.gap_words import listed, name_words
+from labrun.report.html_words import spaced
+from labrun.report.style import FAINT, INK, zero_line
+from labrun.report.svg import as_svg
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FloatArray = NDArray[np.float64]
+
+_MOST_UNITS = 3
+_MOST_OUTPUTS = 3
+_MOST_SAMPLES = 700
+_LINE_SAMPLES = 3
+"""A trace shorter than this is a point: a reading of a static relation, not a course in time."""
+_NARROW = 30
+
+
+def traces_svg(diagnosis: Diagnosis) -> bytes | None:
+    """Return the picture of measured and simulated outputs; None where there are none."""
+    traces = [trace for trace in diagnosis.traces if trace.measured.size]
+    if not traces:
+        return None
+    if all(len(trace.time_s) < _LINE_SAMPLES for trace in traces):
+        return _points_svg(diagnosis, sorted(traces, key=_order))
+    return _courses_svg(diagnosis, _various([one for one in traces if len(one.time_s) >= _LINE_SAMPLES]))
+
+
+def _various(traces: Sequence[Trace]) -> list[Trace]:
+    """Return a few traces, of as many different conditions as there are."""
+    first: dict[str, Trace] = {}
+    for trace in traces:
+        first.setdefault(repr(sorted(trace.condition.items())), trace)
+    chosen = list(first.values())
+    again = [trace for trace in traces if not any(trace is one for one in chosen)]
+    return [*chosen, *again][:_MOST_UNITS]
+
+
+def _order(trace: Trace) -> tuple[tuple[float, str], ...]:
+    """Return what readings are sorted by: their condition."""
+    values = trace.condition.values()
+    return tuple((0.0, value) if isinstance(value, str) else (value, "") for value in values)
+
+
+def _courses_svg(diagnosis: Diagnosis, traces: Sequence[Trace]) -> bytes:
+    outputs = _worst_outputs(diagnosis, traces)
+    rows = 2 * len(outputs)
+    with plain_figure(9.4, 0.75 + 2.45 * len(outputs)) as figure:
+        grid = figure.subplots(
+            rows,
+            len(traces),
+            squeeze=False,
+            sharex="col",
+            sharey="row",
+            height_ratios=[1.6, 1.0] * len(outputs),
+        )
+        for column, trace in enumerate(traces):
+            for number, output in enumerate(outputs):
+                above, below = grid[2 * number][column], grid[2 * number + 1][column]
+                _draw_course(above, diagnosis, trace, output)
+                _draw_rest(below, diagnosis, trace, output)
+                if column == 0:
+                    name, unit = diagnosis.channels[output]
+                    above.set_ylabel(_label(name, unit))
+                    below.set_ylabel(_label("difference", unit))
+            grid[0][column].set_title(_title(trace, len(traces)), fontsize=8.5)
+            grid[-1][column].set_xlabel("time (s)")
+        figure.align_ylabels()
+        _legend(figure, grid[0][0])
+        return as_svg(figure)
+
+
+def _draw_course(axes: "Axes", diagnosis: Diagnosis, trace: Trace, output: int) -> None:
+    kept = _thinned(len(trace.time_s))
+    time_s = trace.time_s[kept]
+    lines: list[tuple[str, FloatArray, dict[str, Any]]] = [
+        ("model as stated", trace.raw, {"color": STATED, "linewidth": 1.0, "linestyle": (0, (1, 1.2))}),
+        ("measured", trace.measured, {"color": INK, "linewidth": 2.2, "alpha": 0.35}),
+        ("recalibrated", trace.recalibrated, {"color": RECALIBRATED, "linewidth": 1.2}),
+    ]
+    if diagnosis.causes:
+        style = {"color": AFTER, "linewidth": 1.2, "linestyle": (0, (5, 1.5))}
+        lines.append((_with(diagnosis), trace.after, style))
+    for label, values, look in lines:
+        axes.plot(time_s, values[kept, output], label=label, **look)
+    axes.margins(x=0.0)
+
+
+def _draw_rest(axes: "Axes", diagnosis: Diagnosis, trace: Trace, output: int) -> None:
+    kept = _thinned(len(trace.time_s))
+    time_s, measured = trace.time_s[kept], trace.measured[kept, output]
+    sd = diagnosis.noise.get(diagnosis.channels[output][0])
+    if sd is not None:
+        axes.axhspan(
+            -2 * sd, 2 * sd, color=FAINT, alpha=0.7, linewidth=0, zorder=0, label="\u00b1 2 sd of one trial"
+        )
+    axes.plot(time_s, measured - trace.recalibrated[kept, output], color=RECALIBRATED, linewidth=1.0)
+    if diagnosis.causes:
+        axes.plot(time_s, measured - trace.after[kept, output], color=AFTER, linewidth=1.0)
+    zero_line(axes)
+    axes.margins(x=0.0)
+
+
+def _points_svg(diagnosis: Diagnosis, traces: Sequence[Trace]) -> bytes:
+    """Draw readings without a course in time, beside each other."""
+    outputs = _worst_outputs(diagnosis, traces)
+    places = np.arange(len(traces), dtype=float)
+    with plain_figure(9.4, 1.1 + 2.0 * len(outputs)) as figure:
+        grid = figure.subplots(len(outputs), 1, squeeze=False, sharex=True)
+        for row, output in enumerate(outputs):
+            axes = grid[row][0]
+            models = [
+                ("model as stated", "raw", STATED, "s"),
+                ("recalibrated", "recalibrated", RECALIBRATED, "D"),
+            ]
+            if diagnosis.causes:
+                models.append((_with(diagnosis), "after", AFTER, "o"))
+            name, unit = diagnosis.channels[output]
+            sd = diagnosis.noise.get(name, 0.0)
+            axes.errorbar(
+                places,
+                [float(np.mean(one.measured[:, output])) for one in traces],
+                yerr=2 * sd,
+                color=INK,
+                fmt="_",
+                markersize=14,
+                capsize=3,
+                label="measured \u00b1 2 sd of one trial",
+            )
+            for number, (label, attribute, colour, marker) in enumerate(models):
+                values = [float(np.mean(getattr(one, attribute)[:, output])) for one in traces]
+                shift = 0.14 * (number - 0.5 * (len(models) - 1))
+                axes.plot(places + shift, values, marker, color=colour, markersize=5.5, label=label)
+            axes.set_ylabel(_label(name, unit))
+            axes.set_xlim(-0.6, len(traces) - 0.4)
+            zero_line(axes)
+        titles = [_title(one, len(traces)) for one in traces]
+        grid[-1][0].set_xticks(places, titles, fontsize=8)
+        grid[-1][0].set_xlabel("condition")
+        _legend(figure, grid[0][0])
+        return as_svg(figure)
+
+
+def _worst_outputs(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[int]:
+    """Return the outputs that are farthest off after recalibration, in the model's order."""
+    names = [name for name, _ in diagnosis.channels]
+
+    def off(output: int) -> float:
+        rest = np.concatenate([one.measured[:, output] - one.recalibrated[:, output] for one in traces])
+        sd = diagnosis.noise.get(names[output]) or 1.0
+        return float(np.sqrt(np.mean(np.square(rest)))) / sd
+
+    known = min(len(names), *(one.measured.shape[1] for one in traces))
+    return sorted(sorted(range(known), key=off, reverse=True)[:_MOST_OUTPUTS])
+
+
+def _legend(figure: Any, axes: "Axes") -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+
+
+def _with(diagnosis: Diagnosis) -> str:
+    names = listed([name_words(cause.name) for cause in diagnosis.causes])
+    return f"with {names}" if len(names) <= 2 * _NARROW else "with all causes"
+
+
+def _title(trace: Trace, beside: int) -> str:
+    width = max(90 // beside, 12)
+    times = f" ({trace.repeats} repeats)" if trace.repeats > 1 else ""
+    return "\n".join(textwrap.wrap(trace.label + times, width, max_lines=3, placeholder=" \u2026"))
+
+
+def _label(name: str, unit: str) -> str:
+    shown = spaced(name)
+    if len(shown) > _NARROW:
+        shown = f"{shown[: _NARROW - 1]}\u2026"
+    return shown if unit in ("1", "") else f"{shown} ({unit})"
+
+
+def _thinned(samples: int) -> slice:
+    return slice(None, None, max(1, samples // _MOST_SAMPLES))

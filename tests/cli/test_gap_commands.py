@@ -1,0 +1,57 @@
+"""`labrun gap`, as typed."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from labrun.cli.app import app
+
+
+def typed(*arguments):
+    return CliRunner().invoke(app, ["gap", *map(str, arguments)])
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("command", ["diagnose", "next", "check", "reveal"])
+def test_every_command_has_json_and_an_example(command):
+    shown = typed(command, "--help").stdout
+    assert "--json" in shown
+    assert f"Example:  labrun gap {command}" in shown
+
+
+@pytest.mark.parametrize("command", ["diagnose", "next", "reveal"])
+def test_a_target_that_is_not_there_is_a_wrong_request(command):
+    done = typed(command, "hinge")
+    assert done.exit_code == 2
+    assert "labrun run hinge --dry-run makes one" in done.stderr
+    assert done.stdout == ""
+
+
+def test_a_target_with_a_typo_names_the_nearest():
+    assert "did you mean 'hinge'?" in typed("diagnose", "hinje").stderr
+
+
+def test_an_error_is_one_json_object_for_a_script():
+    done = typed("diagnose", "hinge", "--json")
+    assert done.exit_code == 2
+    assert "no run yet" in json.loads(done.stdout)["error"]
+
+
+def test_a_place_that_cannot_hold_the_corrected_model_is_told_before_computing(tmp_path):
+    folder = tmp_path / "ring-down"
+    folder.mkdir()
+    (folder / "recording.toml").write_text("")
+    done = typed("diagnose", folder, "--save-model", tmp_path / "nowhere" / "corrected.toml")
+    assert done.exit_code == 2
+    assert "there is no folder" in done.stderr
+
+
+def test_completion_offers_effects():
+    from labrun.cli.gap import _effect_ids
+
+    assert _effect_ids("coul") == ["coulomb-friction"]

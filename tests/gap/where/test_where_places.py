@@ -1,0 +1,160 @@
+import numpy as np
+import pytest
+from scipy.stats import binom
+from where_cases import FREQUENCIES, made, replace, share_of
+
+from labrun.effects import load_effect
+from labrun.gap.where import describe, find_places
+
+
+def attached(name, kind="joint", site="hinge", **values):
+    return load_effect(name, kind).attach(site, **values)
+
+
+FRICTION = attached("coulomb-friction", torque=0.03, transition_speed=0.02)
+CUBIC = attached("cubic-stiffness", coefficient=0.4)
+
+
+def places_of(difference, seed=0, draws=60, note=lambda _: None):
+    return find_places(difference, np.random.default_rng(seed), draws=draws, note=note)
+
+
+def by(places, kind):
+    return [one for one in places if one.by == kind and " | " not in one.at]
+
+
+def test_hidden_dry_friction_is_a_force_missing_from_the_equation_of_the_rate():
+    places = places_of(made(np.random.default_rng(1), [FRICTION]))
+    best = max(by(places, "equation"), key=lambda one: one.share)
+    assert best.at == "rate"
+    assert best.share > 0.9
+    assert best.p < 0.05
+    assert "equation of rate lacks a term" in describe(
+        places, [f"frequency_hz = {one:g}" for one in FREQUENCIES]
+    )
+
+
+def test_what_happens_only_around_reversals_is_found_there():
+    def knock(time_s, truth):
+        """An output that is wrong within 50 ms of each reversal, whatever the model says of dynamics."""
+        turns = time_s[:-1][np.diff(np.sign(truth[:, 1])) != 0]
+        near = np.abs(time_s[:, None] - turns[None]).min(axis=1) < 0.05
+        return truth + np.outer(near, [0.02, 0.0])
+
+    places = places_of(made(np.random.default_rng(2), disturb=knock))
+    near = share_of(places, "reversal", "hinge")
+    assert near.share > 0.85
+    assert near.p < 0.05
+    assert near == by(places, "reversal")[0]
+    assert share_of(places, "channel", "angle").share == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_spring_that_hardens_shows_at_the_ends_of_the_travel():
+    def harden(_, truth):
+        """A sensor that reads too much where the angle is large: no dynamics between cause and place."""
+        return truth + np.stack([0.2 * truth[:, 0] ** 5, 0.0 * truth[:, 1]], axis=1)
+
+    places = places_of(
+        made(np.random.default_rng(3), disturb=harden, frequencies=(0.8, 1.0), recalibrate=False)
+    )
+    ends = share_of(places, "state", "hinge: ends of travel")
+    assert ends.share > 0.6
+    assert ends.p < 0.05
+    assert ends == by(places, "state")[0]
+
+
+def test_a_bias_of_an_output_is_placed_in_its_channel_below_the_drive_and_in_no_equation():
+    places = places_of(made(np.random.default_rng(4), disturb=lambda _, y: y + np.array([0.02, 0.0])))
+    assert share_of(places, "channel", "angle").share == pytest.approx(1.0, abs=0.05)
+    assert share_of(places, "frequency", "below the drive").share > 0.9
+    assert max(by(places, "equation"), key=lambda one: one.share).at == "angle (output)"
+    assert "mostly in the angle" in describe(places)
+
+
+def test_an_effect_that_is_there_at_two_of_five_frequencies_is_placed_in_those():
+    difference = made(np.random.default_rng(5), [FRICTION], effects_at=(0.5, 0.8))
+    places = places_of(difference)
+    conditions = by(places, "condition")
+    assert {one.at for one in conditions[:2]} == {"frequency_hz = 0.5", "frequency_hz = 0.8"}
+    assert sum(one.share for one in conditions[:2]) > 0.9
+    assert sum(one.share for one in conditions) == pytest.approx(1.0, abs=0.01)
+    assert describe(places, difference.units.conditions).startswith("9")
+    assert "at 0.5 and 0.8 Hz" in describe(places, difference.units.conditions)
+
+
+def test_one_stroke_at_some_conditions_is_said_in_one_sentence():
+    def late(time_s, truth):
+        fast = np.sum(np.diff(np.sign(truth[:, 0])) != 0) > 2.2 * time_s[-1]
+        return truth + np.outer(fast * (truth[:, 1] < 0), [0.03, 0.0])
+
+    difference = made(np.random.default_rng(6), disturb=late, recalibrate=False)
+    places = places_of(difference)
+    assert share_of(places, "phase", "recovery stroke").share > 0.9
+    sentence = describe(places, difference.units.conditions)
+    assert "of it is in the recovery stroke (hinge falls) at 1.3 and 1.6 Hz, mostly in the angle" in sentence
+
+
+def test_parts_of_each_way_of_dividing_add_up_to_the_whole():
+    places = places_of(made(np.random.default_rng(7), [CUBIC]))
+    strokes = [share_of(places, "phase", f"{name} stroke").share for name in ("forward", "recovery")]
+    quarters = [one.share for one in places if one.at.endswith("quarter")]
+    assert sum(one.share for one in by(places, "channel")) == pytest.approx(1.0)
+    assert sum(strokes) == pytest.approx(1.0)
+    assert sum(quarters) == pytest.approx(1.0)
+    assert sum(one.share for one in by(places, "frequency")) == pytest.approx(1.0)
+    assert sum(one.share for one in places if one.at.startswith("recovery stroke | ")) == pytest.approx(
+        strokes[1]
+    )
+
+
+@pytest.mark.parametrize("repeats", [2, 5])
+def test_noise_alone_is_announced_nowhere_more_often_than_chance_allows(repeats):
+    seeds = 40
+    alarms = []
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        difference = made(rng, frequencies=(0.8, 1.3), repeats=repeats, seconds=3.0, rate_hz=40.0)
+        places = places_of(difference, seed, draws=60)
+        alarms.append(min(one.p for one in places if one.by != "equation") <= 0.05)
+    assert sum(alarms) <= binom.ppf(0.999, seeds, 0.05)
+
+
+def test_noise_alone_gives_no_shares_and_says_so():
+    said = []
+    difference = made(np.random.default_rng(11))
+    places = places_of(difference, note=said.append)
+    assert all(one.share == 0.0 and one.p > 0.05 for one in places)
+    assert any("nothing to place" in one for one in said)
+    assert describe(places, difference.units.conditions) == "No part of the data stands out from the noise."
+
+
+def test_without_repeats_shares_are_told_with_the_reservation_that_goes_with_it():
+    said = []
+    difference = made(np.random.default_rng(12), [FRICTION], repeats=1, effects_at=(0.5, 0.8))
+    assert difference.noise.basis == "residual"
+    places = places_of(difference, note=said.append)
+    assert any("Nothing was repeated" in one for one in said)
+    assert {one.at for one in by(places, "condition")[:2]} == {"frequency_hz = 0.5", "frequency_hz = 0.8"}
+    assert all(one.p is None for one in places if one.by in ("channel", "equation"))
+    assert max(by(places, "equation"), key=lambda one: one.share).at == "rate"
+
+
+def test_the_same_seed_gives_the_same_places():
+    difference = made(np.random.default_rng(13), [FRICTION], frequencies=(0.5, 1.0))
+    assert places_of(difference, 3) == places_of(difference, 3)
+
+
+def test_what_recalibration_takes_out_of_noise_is_not_expected_back():
+    """With as many free directions as numbers nothing can be left, and noise must not be expected to leave anything."""
+    from labrun.gap.where.absorbed import Absorbed
+
+    difference = made(np.random.default_rng(14), frequencies=(1.0,), seconds=0.5, rate_hz=40.0)
+    size = difference.residual[0].size
+    everything = Absorbed(replace(difference, jacobian=np.eye(size)))
+    noise = [np.random.default_rng(0).standard_normal(difference.residual[0].shape)]
+    assert everything.rank == size
+    assert np.max(np.abs(everything.left(noise)[0])) < 1e-9
+    some = Absorbed(difference)
+    once = some.left(noise)
+    assert some.rank == 3
+    assert np.allclose(some.left(once)[0], once[0])

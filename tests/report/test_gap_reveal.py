@@ -1,0 +1,93 @@
+"""What a diagnosis said beside what was hidden."""
+
+import json
+
+import gap_examples as examples
+import pytest
+
+from labrun.errors import RecordingError, RequestError
+from labrun.gap.seal import seal
+from labrun.report.gap_reveal import compare
+from labrun.report.gap_store import store
+
+TRUTH = {
+    "effect": "coulomb-friction",
+    "site": "hinge",
+    "kind": "joint",
+    "values": {"torque": 1.5e-4},
+    "units": {"torque": "N m"},
+}
+
+
+def run_hiding(folder, *hidden, says):
+    folder.mkdir()
+    sealed = seal(folder, hidden)
+    (folder / "provenance.json").write_text(json.dumps({"sealed_sha256": sealed.sha256}))
+    store(says, folder, folder, page=False)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("hidden", "says", "score"),
+    [
+        ([TRUTH], examples.explained, "right"),
+        ([TRUTH], examples.no_gap, "missed"),
+        ([TRUTH], examples.parameter, "missed"),
+        ([TRUTH], examples.not_in_library, "missed"),
+        ([], examples.explained, "false alarm"),
+        ([], examples.no_gap, "right"),
+        ([], examples.parameter, "right"),
+        ([{**TRUTH, "effect": "backlash"}], examples.explained, "wrong"),
+        ([{**TRUTH, "site": "elbow"}], examples.explained, "wrong"),
+        ([TRUTH], examples.pair, "right in part"),
+        ([TRUTH, {**TRUTH, "effect": "lag", "site": "torque", "values": {}}], examples.pair, "right"),
+        (
+            [TRUTH, {**TRUTH, "effect": "delay", "site": "torque", "values": {}}],
+            examples.pair,
+            "right, in a stated set",
+        ),
+        ([TRUTH, {**TRUTH, "effect": "drift", "site": "angle"}], examples.explained, "right in part"),
+    ],
+)
+def test_verdict_and_truth_are_compared_by_effect_and_site(tmp_path, hidden, says, score):
+    assert compare(run_hiding(tmp_path / "run", *hidden, says=says())).score == score
+
+
+def test_said_and_hidden_stand_under_each_other_in_the_same_units(tmp_path):
+    lines = compare(run_hiding(tmp_path / "run", TRUTH, says=examples.explained())).to_text().splitlines()
+    assert lines[0].startswith(
+        "said      coulomb-friction at hinge: torque = 1.520e-04 [1.440e-04, 1.590e-04] N m"
+    )
+    assert lines[1] == "hidden    coulomb-friction at hinge: torque = 0.00015 N m"
+    assert lines[2] == "score     right"
+    assert lines[3] == "sizes     the hidden torque lies inside the 95 % interval that was stated"
+
+
+def test_a_size_outside_its_interval_is_told(tmp_path):
+    far = {**TRUTH, "values": {"torque": 9e-4}}
+    assert (
+        "torque lies outside"
+        in compare(run_hiding(tmp_path / "run", far, says=examples.explained())).sizes[0]
+    )
+
+
+def test_without_a_diagnosis_the_seal_stays_closed(tmp_path):
+    folder = run_hiding(tmp_path / "run", TRUTH, says=examples.explained())
+    (folder / "gap" / "diagnosis.json").unlink()
+    with pytest.raises(RequestError, match="no diagnosis yet"):
+        compare(folder)
+    assert json.loads((folder / "seal.json").read_text())["opened_at"] == []
+
+
+def test_a_seal_that_was_changed_is_not_believed(tmp_path):
+    folder = run_hiding(tmp_path / "run", TRUTH, says=examples.explained())
+    seal(folder, [])
+    with pytest.raises(RecordingError, match="not the seal that the run began with"):
+        compare(folder)
+
+
+def test_a_script_gets_score_and_truth(tmp_path):
+    found = compare(run_hiding(tmp_path / "run", TRUTH, says=examples.pair())).to_json()
+    assert found["score"] == "right in part"
+    assert found["hidden"][0]["values"] == {"torque": 1.5e-4}
+    assert found["verdict"] == "partly-explained"

@@ -1,0 +1,84 @@
+"""Where a diagnosis is kept."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import gap_examples as examples
+import pytest
+
+from labrun.errors import RequestError
+from labrun.gap.diagnosis import Sizes
+from labrun.report.gap_request import data_of
+from labrun.report.gap_store import read_stored, store
+
+
+@pytest.fixture
+def recording(tmp_path):
+    folder = tmp_path / "ring-down"
+    folder.mkdir()
+    (folder / "recording.toml").write_text('title = "a ring-down"\n')
+    return folder
+
+
+def test_a_run_keeps_its_diagnosis_in_its_own_folder(tmp_path):
+    run = tmp_path / "results" / "hinge" / "hinge-1"
+    run.mkdir(parents=True)
+    stored = store(examples.explained(), run, tmp_path / "results")
+    assert {path.name for path in (run / "gap").iterdir()} == {"diagnosis.json", "gap.html", "gap_figure.png"}
+    assert read_stored(run)["causes"][0]["effect"] == "coulomb-friction"
+    assert stored.to_json()["report"] == str(run / "gap" / "gap.html")
+
+
+def test_a_diagnosis_made_again_takes_the_place_of_the_earlier_one(tmp_path):
+    store(examples.explained(), tmp_path, tmp_path, page=False)
+    store(examples.no_gap(), tmp_path, tmp_path, page=False)
+    assert read_stored(tmp_path)["verdict"] == "no-gap"
+
+
+def test_a_recording_is_never_written_to(recording, tmp_path):
+    results = tmp_path / "results"
+    first = store(examples.no_gap(), recording, results, page=False)
+    second = store(examples.no_gap(), recording, results, page=False)
+    assert [path.name for path in recording.iterdir()] == ["recording.toml"]
+    assert first.numbers.parent.parent == results / "ring-down"
+    assert first.numbers != second.numbers
+
+
+def test_without_a_page_nothing_is_drawn(tmp_path):
+    stored = store(examples.no_gap(), tmp_path, tmp_path, page=False)
+    assert [path.name for path in (tmp_path / "gap").iterdir()] == ["diagnosis.json"]
+    assert stored.to_json()["report"] is None
+    assert stored.to_text(100)[-1].plain == f"report   {stored.numbers}"
+
+
+def test_numbers_that_json_has_no_word_for_become_null(tmp_path):
+    wild = replace(examples.no_gap(), gap=Sizes(float("inf"), 1.0, 1.0, 1.0))
+    text = store(wild, tmp_path, tmp_path, page=False).numbers.read_text()
+    assert json.loads(text)["gap"]["raw"] is None
+    assert "Infinity" not in text
+
+
+def test_the_object_of_the_contract_is_in_the_file(tmp_path):
+    found = json.loads(store(examples.pair(), tmp_path, tmp_path, page=False).numbers.read_text())
+    assert {"verdict", "gap", "where", "causes", "candidates", "shrinkage", "seconds"} <= set(found)
+    assert found["causes"][1]["indistinguishable_from"][0]["effect"] == "delay"
+
+
+def test_a_run_without_a_diagnosis_is_told_how_to_get_one(tmp_path):
+    with pytest.raises(RequestError, match="has no diagnosis yet") as raised:
+        read_stored(tmp_path)
+    assert "labrun gap diagnose" in str(raised.value.hint)
+
+
+@pytest.mark.parametrize("content", ["{", "[]", "{}"])
+def test_a_file_that_is_no_diagnosis_is_not_taken_for_one(tmp_path, content):
+    (tmp_path / "gap").mkdir()
+    (tmp_path / "gap" / "diagnosis.json").write_text(content)
+    with pytest.raises(RequestError, match=r"diagnosis\.json"):
+        read_stored(tmp_path)
+
+
+def test_a_recording_folder_is_meant_before_a_run_of_its_name(recording, monkeypatch):
+    monkeypatch.chdir(recording.parent)
+    assert data_of("ring-down", Path("results")) == Path("ring-down")
