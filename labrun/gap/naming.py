@@ -9,6 +9,7 @@ from labrun.errors import RequestError
 
 if TYPE_CHECKING:
     from labrun.models import Model
+    from labrun.spec.experiment import GapTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +33,9 @@ def plan_for(target: Path, model: str | Path | None, workspace: Path) -> GapPlan
     from labrun.models import load_model
 
     given = load_model(model) if model is not None else None
-    own = _of_experiment(target, workspace, wanted=given is None)
-    if own is not None:
-        return GapPlan(given or own.model, own.signals)
+    table = _gap_table(target)
+    if table is not None:
+        return GapPlan(given or _named(table, workspace), table.signals)
     plan = plan_of(target, workspace, need_model=given is None)
     found = given or plan.model
     if found is None:
@@ -44,5 +45,23 @@ def plan_for(target: Path, model: str | Path | None, workspace: Path) -> GapPlan
     return GapPlan(found, plan.signals)
 
 
-def _of_experiment(target: Path, workspace: Path, *, wanted: bool) -> GapPlan | None:
-    return None
+def _gap_table(target: Path) -> "GapTable | None":
+    """Return what the experiment of a run says, None for recordings and for experiments that say nothing."""
+    from labrun.fit.run_dataset import imported_channels
+    from labrun.spec.loading import loads_experiment
+    from labrun.store.reading import open_run
+    from labrun.store.recording import is_recording
+
+    if is_recording(target) or not target.exists():
+        return None
+    run = open_run(target)
+    if imported_channels(run.experiment_toml):
+        return None
+    return loads_experiment(run.experiment_toml, run.name, plugins=False).experiment.gap
+
+
+def _named(table: "GapTable", workspace: Path) -> "Model":
+    from labrun.models import load_model
+    from labrun.spec.workspace import find_model_file
+
+    return load_model(find_model_file(table.model, None, workspace) or table.model)

@@ -1,0 +1,46 @@
+"""The corrected model as a file that is usable wherever a model is named."""
+
+from pathlib import Path
+
+from labrun.errors import RequestError
+from labrun.gap.diagnosis import Diagnosis
+
+
+def save_model(diagnosis: Diagnosis, source: str | Path, path: Path) -> None:
+    """Write the model with its corrected parameters and with the causes at their sites.
+
+    Parameters
+    ----------
+    source
+        Where the model comes from: what `labrun.models.load_model` took.
+    path
+        The file to write; one that is there is not overwritten.
+
+    Raises
+    ------
+    RequestError
+        The file is there already.
+    ModelError
+        A value that the model does not allow.
+    """
+    from labrun.models import load_model
+    from labrun.models.writing import corrected_model_text
+
+    if path.exists():
+        raise RequestError(f"{path} is there already", hint="name another file, or move that one away")
+    model = load_model(source)
+    text = corrected_model_text(
+        model, source, diagnosis.corrected, diagnosis.effects, _remarks(diagnosis), folder=path.parent
+    )
+    path.write_text(text, encoding="utf-8")
+
+
+def _remarks(diagnosis: Diagnosis) -> list[str]:
+    found = [
+        f"Corrected by a diagnosis of {diagnosis.name}, {diagnosis.trials} trials of {diagnosis.conditions} conditions.",
+        diagnosis.sentence,
+    ]
+    for cause in diagnosis.causes:
+        for name, one in cause.values.items():
+            found.append(f"{cause.name}: {name} = {one.value:.5g} [{one.low:.5g}, {one.high:.5g}] {one.unit}")
+    return found
