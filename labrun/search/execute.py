@@ -63,6 +63,8 @@ def execute(
     limit: int | None = None,
     progress: "Progress",
     draw: Draw | None = None,
+    hide: Sequence[str] = (),
+    hide_seed: int | None = None,
 ) -> RunResult:
     """Run an experiment to its end: trials, honest best, run.h5, figure.
 
@@ -78,6 +80,11 @@ def execute(
         Stop after this many trials; the run can be resumed.
     draw
         What draws the finished run; without it there is no picture.
+    hide
+        Of a dry run: what its scene hides, see `labrun.runner.hiding.choose_hidden`; sealed with the run, and told
+        nowhere else. Empty hides nothing and seals nothing.
+    hide_seed
+        Of what is drawn; drawn itself if None, and stored nowhere.
 
     Raises
     ------
@@ -90,12 +97,18 @@ def execute(
     from labrun.runner.rig import Rig
     from labrun.store.folder import RunFolder
     from labrun.store.provenance import collect
+    from labrun.store.seal import SEALED, redacted, write_seal
 
     if seed is None:
         seed = int(np.random.default_rng().integers(2**32))
     clock = SimulatedClock() if dry_run else RealClock()
     progress.phase("checking the plan")
-    rig = Rig.build(loaded.experiment, clock=clock, seed=seed, dry_run=dry_run)
+    on_bench, seal = loaded.experiment, None
+    if hide:
+        from labrun.search.hidden import sealed_choice
+
+        on_bench, seal = sealed_choice(loaded, hide, seed=hide_seed, dry_run=dry_run)
+    rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run)
     _plan(loaded, seed, rig).require_feasible()
     progress.phase("connecting")
     with connected(rig):
@@ -104,7 +117,12 @@ def execute(
             **source_of(loaded.path),
             "dry_run": dry_run,
         }
+        if seal is not None:
+            origin |= {SEALED: seal.sha256, "command": redacted(origin["command"])}
         folder = RunFolder.create(results, loaded.name, loaded.resolved_toml, origin)
+        if seal is not None:
+            write_seal(folder.path, seal)
+            progress.note(f"sealed what this run hides: sha256 {seal.sha256[:16]}")
         return carry_out(loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress, draw=draw)
 
 

@@ -44,6 +44,7 @@ def resume(
     from labrun.spec.loading import loads_experiment
     from labrun.store.folder import RunFolder
     from labrun.store.locate import is_finished
+    from labrun.store.seal import is_sealed, read_seal
 
     folder = RunFolder.open(run)
     result = stored_result(run)
@@ -62,9 +63,14 @@ def resume(
     if changes:
         _refuse_or_note(run, origin, changes, accept_changed_spec, progress)
     loaded = loads_experiment(folder.spec_toml, run.parent.name)
+    on_bench = loaded.experiment
+    if is_sealed(origin):
+        from labrun.runner.concealment import concealed
+
+        on_bench = concealed(on_bench, read_seal(run, origin).hidden())
     seed, dry_run = int(origin["seed"]), bool(origin["dry_run"])
     clock = SimulatedClock() if dry_run else RealClock()
-    rig = Rig.build(loaded.experiment, clock=clock, seed=seed, dry_run=dry_run)
+    rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run)
     with folder.lock(), connected(rig):
         folder.journal.append("resumed", changed=changes)
         return carry_out(loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress, draw=draw)

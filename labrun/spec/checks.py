@@ -13,7 +13,7 @@ from labrun.spec.catalogue import DeviceInfo, examine
 from labrun.spec.channels import check_channel
 from labrun.spec.expression import CONSTANTS, FUNCTIONS, ExpressionError, is_comparison
 from labrun.spec.expression_checks import check_expression
-from labrun.spec.fit_checks import check_fit
+from labrun.spec.fit_checks import check_fit, check_gap
 from labrun.spec.let import order
 from labrun.spec.names import suggest
 from labrun.spec.plugin_checks import check_plugins, gait_names
@@ -43,6 +43,7 @@ def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Probl
     conditions = condition_names(data)
     problems += check_plugins(data, devices)
     problems += check_fit(data, path)
+    problems += check_gap(data, path)
     problems += _check_joints(data, devices)
     problems += _check_references(data, devices)
     problems += _check_conditions(data, conditions)
@@ -85,8 +86,11 @@ def _check_references(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]
         )
     yield from _check_device_names(trial, devices)
     joints = table(data, "gait", "joints")
-    for name, signal in table(data, "fit", "signals").items():
-        path = ("fit", "signals", name)
+    for signal, path in (
+        (signal, (owner, "signals", name))
+        for owner in ("fit", "gap")
+        for name, signal in table(data, owner, "signals").items()
+    ):
         if isinstance(signal, str) and signal.startswith("command."):
             joint = signal.removeprefix("command.")
             if joint not in joints:

@@ -31,7 +31,7 @@ from labrun.spec.trial_tables import (
 )
 
 __all__ = [
-    "Axis", "CarriageMove", "CmaEs", "Experiment", "Expression", "FitTable", "GaitTable", "Interval",
+    "Axis", "CarriageMove", "CmaEs", "Experiment", "Expression", "FitTable", "GaitTable", "GapTable", "Interval",
     "Leaders", "LoopTable", "Number", "ObjectiveTable", "Outliers", "Penalty", "PluginTable", "Range", "Reference",
     "RepeatRule", "Rig", "RunTable", "SceneTable", "Settle", "StopRules", "Sweep", "Table", "Tare",
     "Track", "TrialTable", "Value", "Variable",
@@ -92,6 +92,17 @@ class FitTable(Table):
     methods: dict[str, Mapping[str, Any]] = Field(default_factory=dict)
 
 
+class GapTable(Table):
+    """What a run is compared with by default: the model that a person at this bench would have.
+
+    `model` and `signals` are as in `FitTable`. ``--hide random`` draws among what this model could lack.
+    """
+
+    model: str
+    signals: dict[str, str] = Field(default_factory=dict)
+    settings: Mapping[str, Any] = Field(default_factory=dict)
+
+
 class Experiment(Table):
     """A whole experiment file."""
 
@@ -107,6 +118,7 @@ class Experiment(Table):
     leaders: Leaders = Leaders()
     objectives: dict[str, ObjectiveTable] = Field(default_factory=dict)
     fit: FitTable | None = None
+    gap: GapTable | None = None
     units: dict[str, str] = Field(default_factory=dict)
     """Units of conditions and variables, for tables and figures."""
 

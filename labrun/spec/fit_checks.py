@@ -1,4 +1,4 @@
-"""The table [fit]: whether the method and the model it names are there, and its settings hold."""
+"""The tables [fit] and [gap]: whether the method and the model it names are there, and the settings hold."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -38,8 +38,15 @@ def check_fit(data: Mapping[str, Any], experiment: Path | None) -> Iterator[Prob
         if loaded is not None and isinstance(settings, Mapping):
             shared = {k: v for k, v in table(fit, "settings").items() if k in loaded.Settings.model_fields}
             yield from check_settings(loaded, {**shared, **settings}, ("fit", "methods", name), [])
-    model = fit.get("model")
-    path: KeyPath = ("fit", "model")
+    yield from _check_model(fit.get("model"), ("fit", "model"), experiment)
+
+
+def check_gap(data: Mapping[str, Any], experiment: Path | None) -> Iterator[Problem]:
+    """Yield what is wrong with the model that a run is compared with; see `check_fit`."""
+    yield from _check_model(table(data, "gap").get("model"), ("gap", "model"), experiment)
+
+
+def _check_model(model: object, path: KeyPath, experiment: Path | None) -> Iterator[Problem]:
     if experiment is None or not isinstance(model, str):
         return
     if find_model_file(model, experiment, Path()) is not None:

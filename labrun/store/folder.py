@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from weakref import ReferenceType
 
-from labrun.errors import RecordingError, RigBusyError
+from labrun.errors import RecordingError, RigBusyError, StoreError
 from labrun.store.disk import fsync_directory, replace_durably, saving
 from labrun.store.journal import Journal
 from labrun.store.locking import FileLock
 from labrun.store.trial import Status, TrialOutcome
+from labrun.store.trial_log import TrialLog
 from labrun.store.writer import TrialWriter
 from labrun.store.written import Written
 
@@ -42,6 +43,8 @@ class RunFolder:
         What was found damaged when the folder was opened, for the person: one sentence each.
     written
         Of trials stored by this object: what allows to read their files without HDF5.
+    log
+        Makes trials durable before their files are.
     """
 
     def __init__(self, path: Path) -> None:
@@ -49,12 +52,13 @@ class RunFolder:
         self.journal = Journal(path / JOURNAL)
         self.faults: list[str] = []
         self.written: dict[int, Written] = {}
+        self.log = TrialLog(path / TRIALS, self.journal.sync)
         self._lock = FileLock(path / ".lock", f"run {path}")
         self._depth = 0
         self._known: dict[int, TrialOutcome] | None = None
         self._templates: Templates | None = None
-        # In a dry run nothing moves after a trial, so its line in the journal need not wait for the disk: the trial's
-        # file is durable, and where its line was lost it is read to the last sample instead.
+        # In a dry run nothing moves after a trial, so its line in the journal need not wait for the disk: the trial
+        # itself is durable, and where its line was lost the log has it, or it is read to the last sample instead.
         self._simulated = False
 
     @classmethod
@@ -133,22 +137,37 @@ class RunFolder:
         """
         if self._depth == 0:
             self._lock.acquire()
+            if self.log.path.exists():  # whoever held it last did not end in order
+                self._known = None
         self._depth += 1
         try:
             if self._known is None:
                 self.recover()
             yield
+        except BaseException:
+            with suppress(StoreError):  # what ended the session is what counts
+                self._leave()
+            raise
+        self._leave()
+
+    def _leave(self) -> None:
+        self._depth -= 1
+        if self._depth > 0:
+            return
+        try:
+            if self._known is not None:  # else recovery failed, and needs the log once more
+                with suppress(OSError, StoreError):  # the log stays then, for when the run is opened again
+                    self.log.settle()
+            self.journal.close()
         finally:
-            self._depth -= 1
-            if self._depth == 0:
-                self.journal.close()
-                self._lock.release()
+            self._lock.release()
 
     def recover(self) -> None:
         """Put in order what a crash left; needs the lock.
 
         A torn last journal line is cut off, temporary files are removed, damaged trials are moved aside
-        (``trials/000123.h5.damaged``) and count as not run. `faults` tells what was found.
+        (``trials/000123.h5.damaged``) and count as not run. `faults` tells what was found. Trials that the log has are
+        put back from it, silently: these were stored.
         """
         self.journal.repair()
         with saving("the removal of temporary files", self.path):
@@ -163,12 +182,14 @@ class RunFolder:
     def writer(self, index: int) -> TrialWriter:
         """Return what stores the trial with this index."""
         trials = self.path / TRIALS
-        trials.mkdir(exist_ok=True)
+        if not trials.is_dir():
+            trials.mkdir()
+            fsync_directory(self.path)
         if self._templates is None:
             from labrun.store.trial_image import Templates
 
             self._templates = Templates()
-        return TrialWriter(trials, index, self._templates, self._stored, self._saved)
+        return TrialWriter(trials, index, self._templates, self.log, self._stored, self._saved)
 
     def outcomes(self) -> dict[int, TrialOutcome]:
         """Return the outcome of every stored trial by index, in order, with later marks applied."""
@@ -210,13 +231,20 @@ class RunFolder:
             journal_jsonl=self.journal.text(),
         )
 
-    def _stored(self, outcome: TrialOutcome, described: Mapping[str, Any], places: "Places | None") -> None:
+    def _stored(
+        self, outcome: TrialOutcome, described: Mapping[str, Any], places: "Places | None", logged: bool
+    ) -> None:
         self.written.pop(outcome.index, None)
         if places is not None:
             self.written[outcome.index] = Written(described["blake2b"], outcome.tare, ReferenceType(places))
+        self._journal_trial(outcome, described, sync=not (self._simulated or logged))
+        if self._known is not None:
+            self._known[outcome.index] = outcome
+
+    def _journal_trial(self, outcome: TrialOutcome, described: Mapping[str, Any], *, sync: bool) -> None:
         self.journal.append(
             "trial",
-            sync=not self._simulated,
+            sync=sync,
             index=outcome.index,
             role=outcome.role,
             repeat=outcome.repeat,
@@ -225,8 +253,6 @@ class RunFolder:
             objectives=outcome.objectives,
             **described,
         )
-        if self._known is not None:
-            self._known[outcome.index] = outcome
 
     def _saved(self) -> str:
         count = len(self._known) if self._known is not None else 0
@@ -243,6 +269,7 @@ class RunFolder:
                 described[event["index"]] = event
             elif event["event"] == "damaged":
                 described.pop(event["index"], None)
+        restored = self._put_back(described) if repair else {}
         found = packed_file.read_outcomes(self.path / PACKED)
         for index, path in trial_file.trial_files(self.path / TRIALS).items():
             try:
@@ -250,12 +277,28 @@ class RunFolder:
             except RecordingError as error:
                 self._set_aside(path, error, repair=repair)
                 described.pop(index, None)
+                continue
+            if index in restored:
+                self._journal_trial(found[index], restored[index], sync=False)
         missing = sorted(described.keys() - found.keys())
         self.faults += [
             f"trial {index} is in the journal, but its file is gone: it counts as not run"
             for index in missing
         ]
         self._known = apply_marks(found, events)
+
+    def _put_back(self, described: dict[int, dict[str, Any]]) -> dict[int, dict[str, Any]]:
+        """Put the files of logged trials back where they suffered; return those whose line the journal has lost."""
+        lost = {}
+        for index, logged in self.log.records().items():
+            known = described.get(index)
+            if known is not None and known.get("blake2b") != logged.digest:
+                continue  # stored anew since, and not by the log
+            with saving(f"trial {index}", self.path):
+                self.log.put_back(index, logged)
+            if known is None:
+                lost[index] = described[index] = {"bytes": logged.length, "blake2b": logged.digest}
+        return lost
 
     def _set_aside(self, path: Path, error: RecordingError, *, repair: bool) -> None:
         fault = f"{error}; it counts as not run"

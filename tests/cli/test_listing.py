@@ -29,6 +29,7 @@ def test_list_shows_the_shipped_experiments_by_kind(tmp_path):
         "hinge-length": "sweep",
         "hinge-width": "sweep",
         "stabilise": "track",
+        "tail-sweep": "sweep",
         "turn-torque": "cmaes",
         "turn-torque-current": "cmaes",
     }

@@ -29,6 +29,7 @@ NAMES = (
     "hinge-area",
     "stabilise",
     "force-control",
+    "tail-sweep",
 )
 
 

@@ -8,11 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.devices import FloatArray, Trajectory
+from labrun.effects.quantities import Scale
 from labrun.errors import ExperimentError, SpecError
-from labrun.models.model import Model
+from labrun.models.model import Model, Site
 from labrun_plugins.simulated.scenes.drive import JointDrive
 from labrun_plugins.simulated.scenes.history import History
-from labrun_plugins.simulated.scenes.memory import generator_state, packed, restore_generator
+from labrun_plugins.simulated.scenes.memory import (
+    generator_state,
+    packed,
+    restore_generator,
+    sealed,
+    unsealed,
+)
 from labrun_plugins.simulated.scenes.settings import BenchSettings, checked
 
 _SNAPSHOT_SPAN_S = 0.2
@@ -33,18 +40,34 @@ class Bench:
     """
 
     Settings: ClassVar[type[BenchSettings]] = BenchSettings
-    step_s: ClassVar[float] = 0.005
+    step_s: float = 0.005
+    fine_step_s: ClassVar[float | None] = None
+    """Step of a bench that has to agree with a model, where `step_s` is too coarse for that."""
     signals: Mapping[str, str]
     joints: tuple[str, ...]
+    scale: ClassVar[Scale] = Scale()
+    """Typical magnitudes on the bench, in which effects without values are hidden."""
+    sensed: ClassVar[tuple[str, ...]] = ()
+    """Signals whose sensors effects can be hidden in; without any, the outputs of the bench's model."""
+    _model: Model
 
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         self._settings: Any = checked(self.Settings, settings)
+        if self._settings.as_modelled and self.fine_step_s is not None:
+            self.step_s = self.fine_step_s
         self._rng = rng
         self._columns = {signal: column for column, signal in enumerate(self.signals)}
         self._drives = {joint: JointDrive() for joint in self.joints}
         self._wanted: dict[tuple[str, ...], NDArray[np.int64]] = {}
         self._history = History(self.step_s, len(self.signals))
         self._began = False
+
+    @property
+    def places(self) -> tuple[Site, ...]:
+        """Where effects can be hidden from a model of this bench: joints, bodies, and what is sensed."""
+        driven = [Site(joint, "input") for joint in self.joints]
+        sensed = self.sensed or [output.name for output in self._model.outputs]
+        return (*driven, *self._model.sites, *(Site(signal, "output") for signal in sensed))
 
     def arrange(self, condition: Mapping[str, float | str]) -> None:
         """Put in place what a person would change by hand; this bench has nothing of the kind."""
@@ -87,16 +110,18 @@ class Bench:
 
     def snapshot(self) -> dict[str, Any]:
         """Return the whole memory of the bench as JSON-ready values."""
-        return {
+        memory = {
             "began": self._began,
             "history": self._history.snapshot(_SNAPSHOT_SPAN_S),
             "drives": {joint: drive.snapshot() for joint, drive in self._pruned_drives().items()},
             "generator": generator_state(self._rng),
             "memory": self._memory(),
         }
+        return sealed(memory) if self._settings.as_modelled else memory
 
     def restore(self, snapshot: Mapping[str, Any]) -> None:
         """Take back what `snapshot` gave."""
+        snapshot = unsealed(snapshot)
         self._began = bool(snapshot["began"])
         self._history.restore(snapshot["history"])
         for joint, stored in snapshot["drives"].items():

@@ -116,16 +116,32 @@ def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noq
     swing = 1.0 + p[1] * p[1] * _SWING_GAIN * x[4]
     jet = p[0] * x[0] * gain * swing
     wave_x, wave_y = _WAVE_SHARE * x[10], _WAVE_SHARE * x[12]
-    y[0] = jet * math.cos(x[7]) - p[0] * x[3] + x[8] - p[2] * u[6] + wave_x + force[0]
-    y[1] = jet * math.sin(x[7]) + x[9] - p[2] * u[7] + wave_y
+    y[0] = (
+        jet * math.cos(x[7])
+        - p[0] * x[3]
+        + x[8]
+        - p[2] * u[6]
+        + wave_x
+        + force[0]
+        + force[1] * math.sin(u[0])
+    )
+    y[1] = jet * math.sin(x[7]) + x[9] - p[2] * u[7] + wave_y + force[1] * math.cos(u[0])
 
 
 def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
-    """Site ``fish``: a body held still, whose force adds to the thrust; its speed is the returning current's."""
+    """Sites ``fish`` and ``fin``.
+
+    The fish is held still; its force adds to the thrust, and its speed is the returning current's. The fin's coordinate
+    is the tip's angle, and a force on it stands square to the sheet.
+    """
     values[0] = 0.0
     values[1] = x[3]
     values[2] = 0.0
     values[3] = 0.0
+    values[4] = u[0]
+    values[5] = u[1]
+    values[6] = 0.0
+    values[7] = 0.0
 
 
 def caudal_model() -> Model:
@@ -157,7 +173,10 @@ def caudal_model() -> Model:
             Parameter("bend", _BEND_RAD, unit="rad"),
         ),
         conditions=(),
-        sites=(Site("fish", "body", coordinate="0", rate="left_over"),),
+        sites=(
+            Site("fish", "body", coordinate="0", rate="left_over"),
+            Site("fin", "body", coordinate="tip_angle", rate="tip_rate"),
+        ),
         initial=dict.fromkeys(STATES, 0.0),
         derivative=native("model", derivative),
         output=native("model", output),

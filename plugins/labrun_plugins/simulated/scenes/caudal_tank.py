@@ -27,6 +27,8 @@ from labrun_plugins.simulated.scenes.servo_model import joint_model, joint_stepp
 from labrun_plugins.simulated.scenes.settings import BenchSettings
 
 _SCALE = Scale(coordinate=1.0, rate=0.5, acceleration=5.0, force=0.3, signal=0.5, time_s=2.0)
+_NOT_IN_THE_STEP_MODELS = ("echo", "left_over", "bend")
+"""Parameters of what (5.5) and (5.6) do not have: what walls and saturation do to a tail off its best gait."""
 
 
 class CaudalTankSettings(BenchSettings):
@@ -46,6 +48,9 @@ class CaudalTank(Bench):
     (time constant about 3 s), a returning current (4 s) and random vortices (3 s) behind, which the next
     trial feels unless it waits.
 
+    With `as_modelled` no wave comes back and the thrust is straight in amplitude: (5.5), (5.6), what a stroke's own
+    momentum does, and vortices.
+
     Signals: ``force_x`` (forward), ``force_y`` (side), ``force_z`` and the torques about the sensor (the fish
     hangs `bar_length_m` below it: torque_x = bar * force_y, torque_y = -bar * force_x), and ``tail``, the
     servo's angle (rad).
@@ -53,7 +58,9 @@ class CaudalTank(Bench):
 
     Settings: ClassVar[type[BenchSettings]] = CaudalTankSettings
     step_s = 0.01
+    scale = _SCALE
     joints = ("tail",)
+    sensed = ("torque_y", "torque_x")
     signals: Mapping[str, str] = {
         "force_x": "N", "force_y": "N", "force_z": "N", "torque_x": "N m", "torque_y": "N m", "torque_z": "N m",
         "tail": "rad",
@@ -62,18 +69,25 @@ class CaudalTank(Bench):
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
         self._model = self._with_errors(caudal_model())
+        if self._settings.as_modelled:
+            self._model = self._model.with_values(dict.fromkeys(_NOT_IN_THE_STEP_MODELS, 0.0))
         on_joints = [one for one in self._settings.hide if one.site in self.joints]
-        in_water = [one for one in self._settings.hide if one.site not in self.joints]
+        in_sensor = [one for one in self._settings.hide if one.site in self.sensed]
+        elsewhere = (*self.joints, *self.sensed)
+        in_water = [one for one in self._settings.hide if one.site not in elsewhere]
         hidden_joints = hidden_effects(on_joints, joint_model(self.joints), _SCALE)
-        self._hidden = hidden_effects(in_water, self._model, _SCALE) + hidden_joints
+        water = hidden_effects(in_water, self._model, _SCALE)
+        hidden_sensors = hidden_effects(in_sensor, joint_model(self.sensed), _SCALE)
+        self._hidden = water + hidden_joints + hidden_sensors
         self._servo = joint_stepper(self.joints, self.step_s, hidden_joints) if hidden_joints else None
-        water = [effect for effect in self._hidden if effect not in hidden_joints]
+        self._sensor = joint_stepper(self.sensed, self.step_s, hidden_sensors) if hidden_sensors else None
         self._stepper = Stepper(self._model, effects=water, step_s=self.step_s)
         self._tip_rad = 0.0
         self._servo_rad = 0.0
         self._late = DelayLine(self._steps(AMPLITUDE_DEAD_S + ECHO_S) + 2)
         self._angle = DelayLine(self._steps(ANGLE_DEAD_S) + 2)
         self._joint_before = np.zeros(1)
+        self._sensor_before = np.zeros((1, len(self.sensed)))
         self._momentum = np.zeros(2)
         self._inputs_before = np.zeros((1, len(self._model.inputs)))
 
@@ -117,6 +131,11 @@ class CaudalTank(Bench):
         rows[:, :2] = force
         rows[:, 3], rows[:, 4] = bar * force[:, 1], -bar * force[:, 0]
         rows[:, 6] = servo
+        if self._sensor is not None:
+            felt = [self._columns[signal] for signal in self.sensed]
+            true = rows[:, felt]
+            rows[:, felt] = self._sensor.advance(np.concatenate([self._sensor_before, true]))
+            self._sensor_before = true[-1:].copy()
         return rows
 
     def _tip(self, servo: FloatArray) -> FloatArray:
@@ -142,6 +161,8 @@ class CaudalTank(Bench):
             "momentum": self._momentum.tolist(),
             "inputs_before": self._inputs_before.tolist(),
             "servo": None if self._servo is None else self._servo.snapshot(),
+            "sensor_before": self._sensor_before.tolist(),
+            "sensor": None if self._sensor is None else self._sensor.snapshot(),
             "stepper": self._stepper.snapshot(),
         }
 
@@ -155,6 +176,9 @@ class CaudalTank(Bench):
         self._inputs_before = np.array(memory["inputs_before"])
         if self._servo is not None:
             self._servo.restore(memory["servo"])
+        self._sensor_before = np.array(memory["sensor_before"])
+        if self._sensor is not None:
+            self._sensor.restore(memory["sensor"])
         self._stepper.restore(memory["stepper"])
 
 

@@ -28,7 +28,9 @@ def described(effect: AttachedEffect) -> dict[str, Any]:
 
 
 def _attached(wanted: HiddenEffect, model: Model, scale: Scale) -> AttachedEffect:
-    places = [place for place in model.places if place.name == wanted.site]
+    places = [
+        place for place in model.places if place.name == wanted.site and wanted.kind in (None, place.kind)
+    ]
     if not places:
         known = ", ".join(dict.fromkeys(place.name for place in model.places))
         raise SpecError(f"rig.scene.hide: this bench has no site {wanted.site!r}", hint=f"it has {known}")

@@ -12,10 +12,12 @@ from labrun.effects.quadratic_drag import EFFECT as QUADRATIC_DRAG
 from labrun.effects.quantities import Scale
 from labrun.errors import ExperimentError
 from labrun.models.hinge_maps import damping, stiffness
+from labrun.models.model import Site
 from labrun.models.stepper import Stepper
 from labrun_plugins.simulated.scenes.bench import Bench
 from labrun_plugins.simulated.scenes.hidden import described, hidden_effects
 from labrun_plugins.simulated.scenes.hinge_model import hinge_model
+from labrun_plugins.simulated.scenes.servo_model import joint_model, joint_stepper
 from labrun_plugins.simulated.scenes.settings import BenchSettings
 
 _PIVOT_M = (0.2, 0.0, 1.1)
@@ -73,6 +75,8 @@ class HingeBench(Bench):
     left between the releases of one. A run begins with one setup, and every change of specimen makes another: a
     specimen that is taken off and comes back later is mounted anew.
 
+    With `as_modelled` there is no air drag but what the map's b contains, and the bench is what eq. (3.5) says.
+
     The joint ``hinge`` is held while a command for it runs, and free when it has ended.
 
     Signals: ``arm_x`` ... ``arm_qw``, pose of the body in the room (m; unit quaternion; the hinge axis is y,
@@ -81,7 +85,9 @@ class HingeBench(Bench):
 
     Settings: ClassVar[type[BenchSettings]] = HingeBenchSettings
     step_s = 0.001
+    scale = _SCALE
     joints = ("hinge",)
+    sensed = ("angle",)
     signals: Mapping[str, str] = {
         "arm_x": "m", "arm_y": "m", "arm_z": "m", "arm_qx": "1", "arm_qy": "1", "arm_qz": "1", "arm_qw": "1",
         "hinge": "rad",
@@ -97,7 +103,17 @@ class HingeBench(Bench):
         self._releases: list[list[float]] = []
         self._held = False
         self._specimen: dict[str, float] = {}
+        # What is sensed is the angle however it came about: effects there see the body held as well as swinging.
+        in_sight = [one for one in self._settings.hide if one.site in self.sensed]
+        self._in_sight = hidden_effects(in_sight, joint_model(self.sensed), _SCALE)
+        self._sight = joint_stepper(self.sensed, self.step_s, self._in_sight) if self._in_sight else None
+        self._angle_before = np.zeros(1)
         self._put({name: getattr(self._settings, name) for name in ("width_mm", "length_mm", "area_cm2")})
+
+    @property
+    def places(self) -> tuple[Site, ...]:
+        """Where effects can be hidden: the hinge, and the angle as it is seen; nothing drives it."""
+        return (*self._model.sites, *(Site(signal, "output") for signal in self.sensed))
 
     def arrange(self, condition: Mapping[str, float | str]) -> None:
         """Mount another specimen where the condition names another ``width_mm``, ``length_mm`` or ``area_cm2``."""
@@ -124,7 +140,7 @@ class HingeBench(Bench):
             "releases": [{"time_s": time_s, "stiffness": k, "damping": b} for time_s, k, b in self._releases],
             "parameter_errors": dict(self._settings.parameters),
             "built_in": [described(self._drag)],
-            "hidden": [described(effect) for effect in self._hidden],
+            "hidden": [described(effect) for effect in (*self._hidden, *self._in_sight)],
         }
 
     def _mounted(self) -> FloatArray:
@@ -151,7 +167,8 @@ class HingeBench(Bench):
         k = stiffness(width_m, length_m)
         inertia = mass_kg * (height_m**2 / 12 + self._lever_m**2)
         gravity = mass_kg * _GRAVITY_M_S2 * self._lever_m
-        drag = 0.5 * _AIR_KG_M3 * self._settings.drag_coefficient * body_width_m * height_m**4 / 4
+        coefficient = 0.0 if self._settings.as_modelled else self._settings.drag_coefficient
+        drag = 0.5 * _AIR_KG_M3 * coefficient * body_width_m * height_m**4 / 4
         speed_rad_s = math.sqrt((k + gravity) / inertia) * _ORDINARY_RAD
         total = damping(area_m2, width_m, length_m)
         model = hinge_model(
@@ -163,7 +180,8 @@ class HingeBench(Bench):
         self._specimen = specimen
         self._model = self._with_errors(model)
         self._drag = QUADRATIC_DRAG.attach("hinge", coefficient=drag)
-        self._hidden = hidden_effects(self._settings.hide, self._model, _SCALE)
+        at_hinge = [one for one in self._settings.hide if one.site not in self.sensed]
+        self._hidden = hidden_effects(at_hinge, self._model, _SCALE)
         self._stepper = Stepper(self._model, effects=[self._drag, *self._hidden], step_s=self.step_s)
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
@@ -188,7 +206,15 @@ class HingeBench(Bench):
             self._held = bool(held[last - 1])
         if not self._stepper.finite:
             raise ExperimentError("the simulated hinge bench blew up", hint="hide a weaker effect, or none")
-        return self._rows(angle)
+        return self._rows(self._seen(angle))
+
+    def _seen(self, angle: FloatArray) -> FloatArray:
+        """Return the angle as the cameras see it."""
+        if self._sight is None:
+            return angle
+        seen = self._sight.advance(np.append(self._angle_before, angle)[:, None])[:, 0]
+        self._angle_before = angle[-1:].copy()
+        return seen
 
     def _rows(self, angle: FloatArray) -> FloatArray:
         zero = np.zeros_like(angle)
@@ -207,6 +233,8 @@ class HingeBench(Bench):
             "scales": self._scales.tolist(),
             "held": self._held,
             "releases": [list(one) for one in self._releases],
+            "angle_before": self._angle_before.tolist(),
+            "sight": None if self._sight is None else self._sight.snapshot(),
             "stepper": self._stepper.snapshot(),
         }
 
@@ -216,4 +244,7 @@ class HingeBench(Bench):
         self._scales = np.array(memory["scales"])
         self._held = bool(memory["held"])
         self._releases = [[float(value) for value in one] for one in memory["releases"]]
+        self._angle_before = np.array(memory["angle_before"])
+        if self._sight is not None:
+            self._sight.restore(memory["sight"])
         self._stepper.restore(memory["stepper"])

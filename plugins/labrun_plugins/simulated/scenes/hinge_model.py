@@ -23,11 +23,11 @@ def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noq
 
 
 def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
-    """Site ``hinge``: angle, rate, load (none is modelled), stiffness."""
+    """Site ``hinge``: angle, rate, load (the weight's torque), stiffness in this release."""
     values[0] = x[0]
     values[1] = x[1]
-    values[2] = 0.0
-    values[3] = p[0]
+    values[2] = p[3] * math.sin(x[0])
+    values[3] = p[0] * u[0]
 
 
 def hinge_model(stiffness: float, damping: float, inertia: float, gravity_torque: float) -> Model:
@@ -44,7 +44,9 @@ def hinge_model(stiffness: float, damping: float, inertia: float, gravity_torque
             Parameter("gravity_torque", gravity_torque, 0.03, unit="N m", lower=0.0),
         ),
         conditions=(),
-        sites=(Site("hinge", "joint", coordinate="angle", rate="rate", stiffness="stiffness"),),
+        sites=(
+            Site("hinge", "joint", "angle", "rate", load="gravity_torque*sin(angle)", stiffness="stiffness"),
+        ),
         initial={"angle": 0.0, "rate": 0.0},
         derivative=native("model", derivative),
         output=native("model", output),

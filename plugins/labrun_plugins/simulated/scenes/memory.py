@@ -1,6 +1,9 @@
 """The memory of a bench as JSON-ready values, exact to the last bit."""
 
 import base64
+import json
+import zlib
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -19,6 +22,20 @@ def unpacked(stored: dict[str, Any]) -> FloatArray:
     """Return what `packed` was given."""
     data = np.frombuffer(base64.b64decode(stored["base64"]), dtype="<f8")
     return data.reshape(stored["shape"]).astype(np.float64)
+
+
+def sealed(memory: dict[str, Any]) -> dict[str, Any]:
+    """Return a memory in a form that nobody reads by accident."""
+    text = json.dumps(memory, separators=(",", ":"))
+    return {"sealed": base64.b64encode(zlib.compress(text.encode())).decode("ascii")}
+
+
+def unsealed(stored: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return what `sealed` was given; a memory that is not sealed as it is."""
+    if "sealed" not in stored:
+        return stored
+    memory: dict[str, Any] = json.loads(zlib.decompress(base64.b64decode(stored["sealed"])))
+    return memory
 
 
 def generator_state(rng: np.random.Generator) -> dict[str, Any]:

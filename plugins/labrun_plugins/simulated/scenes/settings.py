@@ -1,7 +1,7 @@
 """Settings that every simulated bench has."""
 
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, NonNegativeFloat, ValidationError
 
@@ -11,12 +11,16 @@ Settings = TypeVar("Settings", bound="BenchSettings")
 
 
 class HiddenEffect(BaseModel):
-    """An effect that the bench has and its model lacks; values not given are typical of the bench."""
+    """An effect that the bench has and its model lacks; values not given are typical of the bench.
+
+    `kind` is that of its site; needed only where sites of two kinds share a name and the effect fits both.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     effect: str
     site: str
+    kind: Literal["joint", "body", "input", "output"] | None = None
     values: dict[str, float] = {}
 
 
@@ -31,6 +35,9 @@ class BenchSettings(BaseModel):
         Relative errors: ``{ stiffness = 0.02 }`` makes the bench 2 % stiffer than its documentation says.
     noise
         Factor on everything random; 0 makes the bench exactly repeatable.
+    as_modelled
+        Leave out what the bench has beyond the model that its experiments name in ``[gap]``, so that `hide` is all
+        that this model lacks; and keep the memory of the bench in a form that tells nobody what that is.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -38,6 +45,7 @@ class BenchSettings(BaseModel):
     hide: tuple[HiddenEffect, ...] = ()
     parameters: dict[str, float] = {}
     noise: NonNegativeFloat = 1.0
+    as_modelled: bool = False
 
 
 def checked(model: type[Settings], settings: Mapping[str, Any]) -> Settings:

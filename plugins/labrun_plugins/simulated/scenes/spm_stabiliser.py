@@ -54,6 +54,7 @@ class SpmStabiliser(Bench):
 
     Settings: ClassVar[type[BenchSettings]] = SpmStabiliserSettings
     step_s = 0.005
+    scale = _SCALE
     joints = ("servo_1", "servo_2")
     signals: Mapping[str, str] = {
         **{f"{body}_{signal}": unit for body in BODIES for signal, unit in SIGNALS},

@@ -1,0 +1,54 @@
+"""The experiment as its dry run carries it out, with what is hidden; never what is stored."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from labrun.errors import RequestError
+from labrun.spec.experiment import SceneTable
+
+if TYPE_CHECKING:
+    from labrun.spec.experiment import Experiment
+
+_KEYS = ("effect", "site", "kind", "values")
+
+
+def concealed(
+    experiment: "Experiment",
+    hidden: Sequence[Mapping[str, Any]],
+    *,
+    noise: float | None = None,
+    parameters: Mapping[str, float] | None = None,
+) -> "Experiment":
+    """Return an experiment whose scene is what its model says, but for what it hides.
+
+    Parameters
+    ----------
+    hidden
+        Effects, see `labrun.runner.hiding.choose_hidden`.
+    noise
+        Instead of the scene's own factor.
+    parameters
+        Relative errors of the scene's parameters, in addition to its own.
+
+    Raises
+    ------
+    RequestError
+        The experiment has no scene.
+    """
+    scene = experiment.rig.scene
+    if scene is None:
+        raise RequestError("there is no simulated bench to hide an effect in", hint="name one in rig.scene")
+    settings: dict[str, Any] = {
+        **scene.settings,
+        "hide": [{key: one[key] for key in _KEYS} for one in hidden],
+        "as_modelled": True,
+    }
+    if noise is not None:
+        settings["noise"] = noise
+    if parameters:
+        own = settings.get("parameters", {})
+        settings["parameters"] = {
+            **own, **{name: (1 + own.get(name, 0.0)) * (1 + error) - 1 for name, error in parameters.items()}
+        }  # fmt: skip
+    table = SceneTable.model_validate({"plugin": scene.plugin, **settings})
+    return experiment.model_copy(update={"rig": experiment.rig.model_copy(update={"scene": table})})
