@@ -30,8 +30,11 @@ class Absorption:
         blocks = problem.blocks(z, problem.residuals(z))
         self._own = [basis(own) for own in blocks.own]
         prior = -np.diag(problem.prior_weight * problem.scale / problem.pull_sigma)
-        rows = [_off(own, shared) for own, shared in zip(self._own, blocks.shared, strict=True)]
-        self._rows = len(prior)
+        # what stands at a bound has given what it can
+        shared = z[: problem.size]
+        moving = (shared > problem.lower) & (shared < problem.upper)
+        rows = [_off(own, block[:, moving]) for own, block in zip(self._own, blocks.shared, strict=True)]
+        self._rows, prior = len(prior), prior[:, moving]
         self._shared = basis(np.concatenate([*rows, prior]))
         self.jacobian = blocks
 

@@ -117,7 +117,7 @@ def _starts(effect: "Effect") -> tuple[tuple[float, ...], ...]:
                 for value, parameter in zip(start, fitted, strict=True)
             ]
             inside = tuple(
-                min(max(value, parameter.lower), parameter.upper)
+                round(min(max(value, parameter.lower), parameter.upper), 9)
                 for value, parameter in zip(scaled, fitted, strict=True)
             )
             if inside not in found:

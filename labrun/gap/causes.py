@@ -85,7 +85,11 @@ def candidate_table(
 
 
 def _judged(
-    name: Name, chosen: dict[Name, Cause], rivals: dict[Name, list[Name]], screened: "Screened", threshold: float
+    name: Name,
+    chosen: dict[Name, Cause],
+    rivals: dict[Name, list[Name]],
+    screened: "Screened",
+    threshold: float,
 ) -> CandidateVerdict:
     if name in chosen:
         return "cause"

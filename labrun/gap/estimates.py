@@ -120,10 +120,12 @@ def upper_bounds(screened: "Screened", base: "Base", dispersion: float) -> dict[
         ]
         if not per_unit:
             continue
-        room = abs(float(screened.z[size + place])) + _NORMAL_95 * np.sqrt(dispersion) / float(np.median(per_unit))
-        found[parameter.name] = min(room, max(abs(parameter.lower), abs(parameter.upper))) * candidate.scale.of(
-            parameter.quantity
+        room = abs(float(screened.z[size + place])) + _NORMAL_95 * np.sqrt(dispersion) / float(
+            np.median(per_unit)
         )
+        found[parameter.name] = min(
+            room, max(abs(parameter.lower), abs(parameter.upper))
+        ) * candidate.scale.of(parameter.quantity)
     return found
 
 

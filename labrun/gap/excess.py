@@ -43,7 +43,7 @@ class Excess:
     @property
     def by_group(self) -> FloatArray:
         """Weighted share of each condition in `total`, shape (groups,)."""
-        return self.weights * np.mean(self.values, axis=1)
+        return np.asarray(self.weights * np.mean(self.values, axis=1))
 
 
 def mean_residuals(problem: "GapProblem", z: FloatArray) -> list[FloatArray]:

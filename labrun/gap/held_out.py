@@ -69,7 +69,13 @@ def _tested(
     start = np.concatenate([shared, _own(problem, z, test)])
     if problem.own_size:
         start = minimise(
-            part, start, lower=shared, upper=shared, tolerance=_TOLERANCE, evaluations=_EVALUATIONS, central=False
+            part,
+            start,
+            lower=shared,
+            upper=shared,
+            tolerance=_TOLERANCE,
+            evaluations=_EVALUATIONS,
+            central=False,
         )
     found = []
     parameters = part.parameters(start)

@@ -53,5 +53,8 @@ def _joined(one: Dataset, other: Dataset) -> Dataset:
             hint="diagnose together only what was recorded alike",
         )
     return replace(
-        one, trials=(*one.trials, *other.trials), left_out=one.left_out + other.left_out, notes=(*one.notes, *other.notes)
+        one,
+        trials=(*one.trials, *other.trials),
+        left_out=one.left_out + other.left_out,
+        notes=(*one.notes, *other.notes),
     )

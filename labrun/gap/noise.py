@@ -55,16 +55,16 @@ class Noise:
         """
         own = self.deviations[group]
         if len(own) < _OWN_FLOOR:
-            return np.ones_like(self.sd)
-        return np.mean([np.mean(np.square(one / self.sd), axis=0) for one in own], axis=0)
+            return 1.0 - self.systematic
+        return np.asarray(np.mean([np.mean(np.square(one / self.sd), axis=0) for one in own], axis=0))
 
     def mean_floor(self, group: int, count: int) -> FloatArray:
         """Return the variance of the mean of `count` trials of a condition, in units of `sd` squared, shape (m,)."""
-        return self.floor(group) / count + self.systematic
+        return np.asarray(self.floor(group) / count + self.systematic)
 
     def mean_sd(self, count: int) -> FloatArray:
         """Return the standard deviation of the mean of `count` trials of any condition, in units of `sd`, shape (m,)."""
-        return np.sqrt(1.0 / count + self.systematic)
+        return np.asarray(np.sqrt((1.0 - self.systematic) / count + self.systematic))
 
     def plain(self) -> "Noise":
         """Return the same noise taken as white: where a large gap is mixed into it, its colour says nothing."""
@@ -82,11 +82,16 @@ class Noise:
         own = tuple(one for one in own if one.shape == shape)
         rounding = rng.standard_normal(shape) * np.sqrt(self.systematic) * self.sd
         if len(own) < 2:
-            whole = self.whitener.coloured(rng.standard_normal(shape)) * self.sd / np.sqrt(unit.count)
+            size = self.sd * np.sqrt((1.0 - self.systematic) / unit.count)
+            whole = self.whitener.coloured(rng.standard_normal(shape)) * size
             return np.asarray(whole + rounding)
-        # gaussian weights keep the covariance between the samples of a trial, and between its channels
-        weights = rng.standard_normal(len(own)) / np.sqrt(len(own) * unit.count)
-        return np.asarray(np.tensordot(weights, np.stack(own), axes=1) + rounding)
+        # deviations from a mean add up to zero: a random direction among their independent contrasts has the
+        # covariance of one trial's noise, between samples and between channels, and its energy
+        direction = rng.standard_normal(len(own))
+        direction -= direction.mean()
+        direction /= np.linalg.norm(direction)
+        scale = np.sqrt((len(own) - 1.0) / len(own) / unit.count)
+        return np.asarray(scale * np.tensordot(direction, np.stack(own), axes=1) + rounding)
 
 
 def from_repeats(units: Units, residual: Sequence[Sequence[FloatArray]]) -> Noise | None:
@@ -114,13 +119,33 @@ def from_repeats(units: Units, residual: Sequence[Sequence[FloatArray]]) -> Nois
         return None
     every = [one for group in deviations for one in group]
     sd = np.sqrt(np.sum([np.sum(np.square(one), axis=0) for one in every], axis=0) / sum(map(len, every)))
-    step = quantum(units)
-    # a rounding error averages out over repeats only as far as noise moves them across steps (Widrow and Kollar,
-    # Quantization Noise, 2008: the characteristic function of the noise at the step's frequency)
-    rounded = np.square(step * _QUANTUM) * np.exp(-4.0 * np.square(np.pi * sd / step))
-    sd = np.maximum(sd, step * _QUANTUM)
+    rounding = np.array([_common_rounding(*one) for one in zip(sd, quantum(units), strict=True)])
+    sd = np.sqrt(np.square(sd) + rounding)
     whitener = fit_whitener([one / sd for one in every])
-    return Noise(sd, whitener, "repeats", rounded / np.square(sd), tuple(deviations), freedom)
+    return Noise(sd, whitener, "repeats", rounding / np.square(sd), tuple(deviations), freedom)
+
+
+def _common_rounding(deviation: float, step: float) -> float:
+    """Return the variance of the rounding error that all repeats of a condition share.
+
+    Noise of standard deviation s before the rounding leaves the sum over k of (step / (pi k))^2 / 2 exp(-2 (2 pi k s /
+    step)^2 / 2) in common (Widrow and Kollar, Quantization Noise, 2008, chapter 7); the rest of step^2 / 12 differs between
+    repeats, and is part of the deviation that is seen.
+    """
+    from scipy.optimize import brentq
+
+    orders = np.arange(1, 20)
+
+    def common(noise: float) -> float:
+        damped = np.exp(-4.0 * np.square(np.pi * orders * noise / step))
+        return float(np.sum(np.square(step / (np.pi * orders)) / 2.0 * damped))
+
+    def seen(noise: float) -> float:
+        return noise**2 + common(0.0) - common(noise) - deviation**2
+
+    if deviation >= step:
+        return 0.0
+    return common(float(brentq(seen, 0.0, 2.0 * step)))
 
 
 def from_residual(units: Units, residual: Sequence[Sequence[FloatArray]]) -> Noise:
@@ -144,5 +169,7 @@ def quantum(units: Units) -> FloatArray:
         different = np.diff(np.unique(values))
         span = float(np.ptp(values))
         different = different[different > 1e-9 * max(span, 1e-300)]
-        steps.append(float(different.min()) if different.size else max(1e-9 * float(np.max(np.abs(values))), 1e-300))
+        steps.append(
+            float(different.min()) if different.size else max(1e-9 * float(np.max(np.abs(values))), 1e-300)
+        )
     return np.array(steps)

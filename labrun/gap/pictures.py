@@ -61,5 +61,3 @@ def difference_of(search: "Search") -> "Difference":
         tuple(mean_residuals(problem, z)),
         problem.sensitivities(z),
     )
-
-

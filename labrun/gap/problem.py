@@ -25,6 +25,9 @@ WITHIN = 3.0
 """Recalibration moves a parameter by at most this many of its stated tolerances."""
 _FORM_SLACK = 5e-4
 """Part of an output's spread below which no model is believed: integrators and sampling differ by as much."""
+_NUMERICAL = 0.03
+"""Root mean square, in units of one trial's noise, that halving the integrator's steps may move an output by."""
+_MOST_SUBSTEPS = 64
 _LOOSE = 1e4
 _FIRST_SAMPLES = 3
 _HUGE = 1e3
@@ -53,7 +56,9 @@ class GapProblem(Problem):
         self._firsts: list[int] = []
         self._model_size = len(model.parameters)
         super().__init__(model, units.dataset)
-        self._firsts = [state for state, name in enumerate(model.states) if model.initial.get(name) == "first"]
+        self._firsts = [
+            state for state, name in enumerate(model.states) if model.initial.get(name) == "first"
+        ]
         self._bound_within_tolerance()
         if self._firsts:
             self.free_states = sorted({*self.free_states, *self._firsts})
@@ -82,7 +87,9 @@ class GapProblem(Problem):
         values, free, names = list(self.values), list(self.free), list(self.names)
         scale, lower, upper = list(self.scale), list(self.lower), list(self.upper)
         prior, pull = list(self.prior_sigma), list(self.pull_sigma)
-        for number, (attached, typical) in enumerate(zip(effects, scales, strict=True), start=len(self.effects)):
+        for number, (attached, typical) in enumerate(
+            zip(effects, scales, strict=True), start=len(self.effects)
+        ):
             for parameter, value in zip(attached.effect.parameters, attached.values, strict=True):
                 if not parameter.held:
                     size = typical.of(parameter.quantity)
@@ -141,11 +148,20 @@ class GapProblem(Problem):
         other._first = [other._first_values(trial) for trial in other.dataset.trials]
         return other
 
+    def at(self, units: Units) -> Self:
+        """Return the problem of other trials, held against the same prior and in the same units of noise."""
+        other = copy(self)
+        other.units, other.dataset = units, units.dataset
+        other._drives = other._prepared()
+        other._first = [other._first_values(trial) for trial in units.dataset.trials]
+        other._set_first_priors()
+        return other
+
     def attached(self, parameters: FloatArray) -> "tuple[AttachedEffect, ...]":
         """Return the effects with their sizes, from the vector that `parameters` gives."""
         found, at = [], self._model_size
         for one in self.effects:
-            found.append(one.with_values(parameters[at : at + len(one.values)]))
+            found.append(one.with_values(parameters[at : at + len(one.values)].tolist()))
             at += len(one.values)
         return tuple(found)
 
@@ -206,7 +222,9 @@ class GapProblem(Problem):
             return None
         residual = (self.dataset.trials[trial].outputs - outputs) * self.weights
         limit = _HUGE * float(np.max(self.weights * self.spread))
-        return np.concatenate([self.white(np.clip(residual, -limit, limit), trial).ravel(), self._begin(trial, own)])
+        return np.concatenate(
+            [self.white(np.clip(residual, -limit, limit), trial).ravel(), self._begin(trial, own)]
+        )
 
     def white(self, weighted: FloatArray, trial: int) -> FloatArray:
         """Return weighted values (n, m) of a unit as multiples of the noise of its mean, white."""
@@ -228,6 +246,28 @@ class GapProblem(Problem):
                 else residual
             )
         return found
+
+    def shorten_steps(self, z: FloatArray) -> bool:
+        """Halve the integrator's steps until that moves the outputs by a small part of the noise; tell whether it did.
+
+        What integration alone differs by must not be taken for physics.
+        """
+        shortened = False
+        before = self.simulated(z)
+        while self.substeps < _MOST_SUBSTEPS:
+            self.substeps *= 2
+            self._drives = self._prepared()
+            after = self.simulated(z)
+            moved = max(
+                float(np.max(np.sqrt(np.mean(np.square((one - two) * self.weights), axis=0))))
+                for one, two in zip(before, after, strict=True)
+            )
+            if moved <= _NUMERICAL:
+                self.substeps //= 2
+                self._drives = self._prepared()
+                return shortened
+            shortened, before = True, after
+        return shortened
 
     def sensitivities(self, z: FloatArray) -> FloatArray:
         """Return the derivative of the simulated outputs by all variables but effect sizes, (sum of n*m, variables).

@@ -51,9 +51,7 @@ class Rated:
         return self.screened.candidate
 
 
-def rate(
-    base: "Base", screened: "Screened", guard: "Guard", noise: "Noise", reference: Excess
-) -> Rated:
+def rate(base: "Base", screened: "Screened", guard: "Guard", noise: "Noise", reference: Excess) -> Rated:
     """Test a screened candidate on conditions its fit did not see.
 
     Parameters

@@ -56,6 +56,8 @@ def in_noise(problem: GapProblem, noise: Noise, z: FloatArray) -> Recalibrated:
     """Fit once more in units of a noise."""
     measured = problem.with_noise(noise)
     z = refit(measured, z)
+    if measured.shorten_steps(z):
+        z = refit(measured, z)
     return Recalibrated(measured, noise, stated(measured, z), z)
 
 

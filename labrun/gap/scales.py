@@ -66,7 +66,9 @@ def typical_time_s(problem: "GapProblem") -> float:
             power += np.abs(np.fft.rfft(values * np.hanning(len(values)))) ** 2
         frequency = np.fft.rfftfreq(len(even), (even[1] - even[0]))
         total = float(np.sum(power[1:]))
-        centre = float(np.exp(np.sum(power[1:] * np.log(frequency[1:])) / total)) if total > 0 else 5.0 / duration
+        centre = (
+            float(np.exp(np.sum(power[1:] * np.log(frequency[1:])) / total)) if total > 0 else 5.0 / duration
+        )
         periods.append(min(1.0 / centre, duration))
     return float(np.median(periods))
 
@@ -110,11 +112,15 @@ def _force(
         pushed = _answers(problem, z, [push(problem.model, problem.model.sites[place].name, size)])
         if pushed is None:
             return None
-        moved = np.concatenate([one[:, place] - two[:, place] for (one, _), (two, _) in zip(pushed, still, strict=True)])
+        moved = np.concatenate(
+            [one[:, place] - two[:, place] for (one, _), (two, _) in zip(pushed, still, strict=True)]
+        )
         shown = np.concatenate([one - two for (_, one), (_, two) in zip(pushed, still, strict=True)])
         share = max(_peak(moved[:, 0]) / peaks[0], _peak(moved[:, 1]) / peaks[1])
         if share == 0.0:
-            share = max(_peak(column) / spread for column, spread in zip(shown.T, problem.spread, strict=True))
+            share = max(
+                _peak(column) / spread for column, spread in zip(shown.T, problem.spread, strict=True)
+            )
         if share > _VISIBLE:
             return size / share
         size *= 10.0 if share < 1e-3 * _VISIBLE else max(2.0, 3.0 * _VISIBLE / share)

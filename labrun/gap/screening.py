@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-_FOLLOWED = 2
+_FOLLOWED = 3
+"""Starts that are followed: a delay, say, has a minimum of its own beside what damping imitates."""
+_ROUGH = 1e-2
+_FEW = 12
 _WORTH_A_FIT = 0.3
 """A candidate is fitted if its survey promises this part of what a gain must exceed ..."""
 _BESIDE_BEST = 0.03
@@ -79,7 +82,7 @@ class Survey:
     def lines(self) -> FloatArray:
         """The directions, one long; those that are nothing left out."""
         norms = np.linalg.norm(self.directions, axis=0)
-        return self.directions[:, norms > 0] / norms[norms > 0]
+        return np.asarray(self.directions[:, norms > 0] / norms[norms > 0])
 
 
 @dataclass(frozen=True)
@@ -130,20 +133,26 @@ def survey(base: Base, candidate: Candidate) -> Survey:
     norms = np.linalg.norm(directions, axis=0)
     along = np.divide(directions.T @ before, norms, out=np.zeros_like(norms), where=norms > 0)
     return Survey(
-        candidate, problem, [z for _, _, z, _ in rated], directions, float(np.max(np.square(along), initial=0.0))
+        candidate,
+        problem,
+        [z for _, _, z, _ in rated],
+        directions,
+        float(np.max(np.square(along), initial=0.0)),
     )
 
 
 def follow(base: Base, surveyed: Survey) -> Screened:
-    """Fit all variables from the most promising starts."""
-    best, squares = surveyed.starts[0], np.inf
-    for z in surveyed.starts[:_FOLLOWED]:
-        end = minimise(surveyed.problem, z, tolerance=_TOLERANCE, evaluations=_EVALUATIONS, central=False)
-        there = surveyed.problem.squares(end)
-        if there < squares:
-            best, squares = end, there
+    """Fit all variables from the most promising starts, roughly, and the best of these ends to its end."""
+    problem = surveyed.problem
+    ends = [
+        minimise(problem, z, tolerance=_ROUGH, evaluations=_FEW, central=False)
+        for z in surveyed.starts[:_FOLLOWED]
+    ]
+    best = min(ends, key=problem.squares)
+    best = minimise(problem, best, tolerance=_TOLERANCE, evaluations=_EVALUATIONS, central=False)
+    squares = problem.squares(best)
     gain = max(base.squares - squares, 0.0)
-    return Screened(surveyed.candidate, surveyed.problem, best, squares, gain, surveyed)
+    return Screened(surveyed.candidate, problem, best, squares, gain, surveyed)
 
 
 def screen_all(base: Base, surveys: Sequence[Survey], threshold: float = 0.0) -> list[Screened]:

@@ -242,4 +242,3 @@ def _rivals(best: Rated, rated: Sequence[Rated]) -> tuple[tuple[tuple[Rated, flo
     own = float(shares[near.index(best)])
     ordered = sorted(zip(near, shares, strict=True), key=lambda pair: -pair[1])
     return tuple((one, float(weight)) for one, weight in ordered if one is not best and weight >= _RIVAL), own
-

@@ -98,7 +98,11 @@ def _check(trial: FitTrial, dataset: Dataset) -> None:
     fewest = 1 if not np.any(np.diff(trial.time_s)) else 2
     if len(trial.time_s) < fewest:
         raise RecordingError(f"{trial.label} of {dataset.name} has {len(trial.time_s)} samples")
-    for what, values in (("an input", trial.inputs), ("an output", trial.outputs), ("the time", trial.time_s)):
+    for what, values in (
+        ("an input", trial.inputs),
+        ("an output", trial.outputs),
+        ("the time", trial.time_s),
+    ):
         if not np.all(np.isfinite(values)):
             row = int(np.argwhere(~np.isfinite(values))[0][0])
             raise RecordingError(

@@ -68,7 +68,9 @@ class Whitener:
             begin: list[float] = []
             for k in range(min(p, len(white))):
                 past = np.array(begin[::-1])
-                begin.append(float(predictor.coefficients[k] @ past + predictor.deviation[k] * white[k, column]))
+                begin.append(
+                    float(predictor.coefficients[k] @ past + predictor.deviation[k] * white[k, column])
+                )
             coloured[: len(begin), column] = begin
             denominator = np.concatenate([[1.0], -predictor.coefficients[p]])
             if len(white) > p:
@@ -100,7 +102,10 @@ def _predictor(sequences: Sequence[FloatArray]) -> Predictor:
     total = sum(len(one) for one in sequences)
     most = max(0, min(_MOST_ORDER, longest // 10))
     covariance = np.array(
-        [sum(float(one[lag:] @ one[: len(one) - lag]) for one in sequences) / total for lag in range(most + 1)]
+        [
+            sum(float(one[lag:] @ one[: len(one) - lag]) for one in sequences) / total
+            for lag in range(most + 1)
+        ]
     )
     if covariance[0] <= 0.0:
         return Predictor((np.empty(0),), np.ones(1))

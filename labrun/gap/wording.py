@@ -23,7 +23,9 @@ def sentence(
     removed = "" if shrinkage is None else f" {100 * shrinkage.value:.0f} %"
     if verdict == "parameter":
         verb = "explain" if len(causes) > 1 else "explains"
-        return f"A stated value is wrong: {named} {verb}{removed} of the gap on conditions the fit did not see."
+        return (
+            f"A stated value is wrong: {named} {verb}{removed} of the gap on conditions the fit did not see."
+        )
     if verdict == "explained":
         verb = "explain" if len(causes) > 1 else "explains"
         return (
@@ -46,7 +48,9 @@ def limitations(*, repeats: int, conditions: int, basis: str, single_trial: bool
     """Return what the data do not allow to say."""
     found = []
     if single_trial:
-        found.append("One trial only: nothing was repeated and nothing could be withheld; take this as a hint.")
+        found.append(
+            "One trial only: nothing was repeated and nothing could be withheld; take this as a hint."
+        )
     if basis == "residual":
         found.append(
             "No condition was repeated: gap and noise are not separable by repeats. What the best candidates together "
@@ -78,7 +82,9 @@ def what_next(verdict: Verdict, causes: Sequence[Cause], *, repeats: int) -> lis
             f"These data cannot tell {cause.name} from {others}: labrun gap next writes the experiment that can."
         )
     if verdict in ("explained", "partly-explained", "parameter") and causes and not doubtful:
-        found.append("labrun gap diagnose --save-model FILE writes the corrected model; run it against new data.")
+        found.append(
+            "labrun gap diagnose --save-model FILE writes the corrected model; run it against new data."
+        )
     if verdict == "not-in-library":
         found.append(
             "Look at where it is and at the missing force: an effect of that form, as a plugin, can be tried next."

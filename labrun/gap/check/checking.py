@@ -1,0 +1,185 @@
+"""The whole check: cases made and sealed, diagnosed, their seal opened, scored."""
+
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from labrun.errors import LabrunError, RequestError
+from labrun.fit.notes import Note, silent
+from labrun.gap.check.cases import ANNOUNCING, Said, Shown, Truth
+from labrun.gap.check.folder import CheckFolder
+from labrun.gap.check.generator import find_generator, make_cases
+from labrun.gap.check.jobs import diagnose_case, shrink_case
+from labrun.gap.check.judging import judge
+from labrun.gap.check.result import Checked
+from labrun.gap.check.scoring import score
+from labrun.gap.check.sealing import open_answers, seal_of
+from labrun.gap.check.workers import Pool, cores, pool, spread
+
+_STREAM = 30313
+"""Keeps seeds of diagnoses apart from those of the cases."""
+
+
+def check(
+    *,
+    cases: int = 60,
+    seed: int = 0,
+    first: int = 1,
+    workers: int | None = None,
+    cluster: str | None = None,
+    generator: Path | None = None,
+    out: Path | None = None,
+    note: Note = silent,
+    announce: Callable[[str], None] | None = None,
+) -> Checked:
+    """Have sealed cases made, diagnose each of them without its answer, then open the seal and score.
+
+    Every diagnosis is written as soon as it is there; the same call goes on where an earlier one was interrupted.
+
+    Parameters
+    ----------
+    cases
+        How many.
+    seed
+        Of the cases; with a case's number also that of its diagnosis. Below 1000 it is one of development.
+    first
+        Number of the first case.
+    workers
+        Processes; one per core if None. Results do not depend on it.
+    cluster
+        Address of a Dask scheduler to compute on instead, as ``tcp://host:8786``.
+    generator
+        Folder of the code that makes the cases; ``benchmarks/withheld`` from the working directory upwards if None.
+    out
+        Folder for cases and results; below ``gap-check`` in the working directory if None.
+    note
+        Told what is being done.
+    announce
+        Told the seal, before anything is diagnosed; standard error if None.
+
+    Raises
+    ------
+    RequestError
+        No generator, no cluster, or a folder that holds something else.
+    LabrunError
+        The generator failed, a worker died, the seal is broken, or Ctrl-C.
+    """
+    workers = workers or cores()
+    folder = CheckFolder(out or _default_folder(cases, seed, first))
+    try:
+        line = _prepared(folder, find_generator, generator, cases, seed, first, workers, note)
+        (announce or _to_stderr)(line)
+        printed = folder.ask({"cases": cases, "seed": seed, "first": first})
+        with pool(workers, cluster) as there:
+            said = _diagnosed(folder, seed, there, note)
+            note("simulating the corrected models on fresh trials")
+            shown = _shown(folder, seed, said, there)
+    except KeyboardInterrupt:
+        raise LabrunError(
+            "interrupted by Ctrl-C; every diagnosis that was finished is kept",
+            hint=f"the same command goes on: {folder.path}",
+        ) from None
+    note("opening the seal")
+    truths = [Truth.from_json(answer) for answer in open_answers(folder.path, printed)]
+    _same_seed(truths, seed, folder.path)
+    judged = tuple(
+        judge(
+            truth,
+            Said.from_json(truth.case, said[truth.case]),
+            Shown.from_json(shown[truth.case]) if truth.case in shown else None,
+        )
+        for truth in truths
+    )
+    programmes = tuple(sorted({str(one["programme"]) for one in said.values()}))
+    result = Checked(seed, printed, folder.path, programmes, judged, score(judged))
+    folder.keep_scores(result.to_json(), result.to_markdown())
+    return result
+
+
+def case_seed(seed: int, case: str) -> int:
+    """Return the seed of a case's diagnosis, from its number alone."""
+    import numpy as np
+
+    number = int(case.rpartition("-")[2])
+    return int(np.random.SeedSequence([seed, _STREAM, number]).generate_state(1)[0])
+
+
+def _prepared(
+    folder: CheckFolder,
+    find: Callable[[Path | None, Path], Path],
+    generator: Path | None,
+    cases: int,
+    seed: int,
+    first: int,
+    workers: int,
+    note: Note,
+) -> str:
+    """Return the line with the seal, after the cases were made, unless they are there."""
+    if folder.made:
+        return f"seal {seal_of(folder.path)}  (cases that were there, in {folder.path})"
+    if folder.path.exists() and (not folder.path.is_dir() or any(folder.path.iterdir())):
+        raise RequestError(
+            f"{folder.path} is there and holds something else than a check",
+            hint="name a new folder with --out",
+        )
+    found = find(generator, Path())
+    note("making the cases")
+    folder.path.parent.mkdir(parents=True, exist_ok=True)
+    return make_cases(found, folder.path, cases=cases, seed=seed, first=first, workers=workers, note=note)
+
+
+def _diagnosed(folder: CheckFolder, seed: int, there: Pool, note: Note) -> dict[str, dict[str, Any]]:
+    """Return what was said of every case; cases that were diagnosed before are not diagnosed again."""
+    names = folder.cases()
+    kept = {name: said for name in names if (said := folder.said(name)) is not None}
+    missing = [name for name in names if name not in kept]
+    said = dict(kept)
+
+    def jobs() -> Iterator[tuple[str, Callable[..., dict[str, Any]], tuple[Any, ...]]]:
+        for name in missing:
+            yield name, diagnose_case, (name, folder.seen(name), case_seed(seed, name))
+
+    note(f"diagnosing: {len(kept)} of {len(names)} there")
+    for name, found in spread(there, jobs()):
+        folder.keep_said(name, found)
+        said[name] = found
+        note(f"diagnosing: {len(said)} of {len(names)} there, {name} {found.get('verdict', 'failed')}")
+    return {name: said[name] for name in names}
+
+
+def _shown(
+    folder: CheckFolder, seed: int, said: Mapping[str, Mapping[str, Any]], there: Pool
+) -> dict[str, dict[str, Any]]:
+    """Return what fresh trials showed of every case in which a cause was announced."""
+    announced = [name for name, one in said.items() if one.get("verdict") in ANNOUNCING and one["causes"]]
+    shown = {name: found for name in announced if (found := folder.shown(name)) is not None}
+    missing = [name for name in announced if name not in shown]
+
+    def jobs() -> Iterator[tuple[str, Callable[..., dict[str, Any]], tuple[Any, ...]]]:
+        for name in missing:
+            arguments = (name, folder.fresh(name), folder.model(name), said[name], case_seed(seed, name))
+            yield name, shrink_case, arguments
+
+    for name, found in spread(there, jobs()):
+        folder.keep_shown(name, found)
+        shown[name] = found
+    return shown
+
+
+def _same_seed(truths: list[Truth], seed: int, folder: Path) -> None:
+    other = sorted({truth.seed for truth in truths} - {seed})
+    if other:
+        raise RequestError(
+            f"the cases in {folder} were made with seed {other[0]}, not {seed}",
+            hint=f"ask for --seed {other[0]}, or name a new folder with --out",
+        )
+
+
+def _default_folder(cases: int, seed: int, first: int) -> Path:
+    name = f"seed-{seed}-cases-{first}-to-{first + cases - 1}"
+    return Path("gap-check") / name
+
+
+def _to_stderr(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

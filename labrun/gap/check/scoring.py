@@ -1,0 +1,225 @@
+"""Score a whole check: shares by strength, confusion, false alarms, calibration, shrinkage."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+from labrun.gap.check.cases import STRENGTHS
+from labrun.gap.check.judging import Judged, right
+from labrun.gap.check.shares import Reliability, Share, reliability
+
+ByStrength = Mapping[str, Share]
+
+
+@dataclass(frozen=True, slots=True)
+class ShrinkageScore:
+    """Predicted against true shrinkage.
+
+    Attributes
+    ----------
+    differences
+        Predicted less true share of the excess removed, case by case.
+    covered
+        How many true shares lie in their 90 % interval.
+    too_small
+        Cases left out because their fresh excess is lost in the noise; `failed` those that could not be computed.
+    """
+
+    differences: Mapping[str, float]
+    covered: Share
+    too_small: int
+    failed: int
+
+    @property
+    def median_difference(self) -> float | None:
+        """Median of the absolute differences."""
+        return median(map(abs, self.differences.values())) if self.differences else None
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """Figures of a check.
+
+    Attributes
+    ----------
+    named : strength -> share
+        Single hidden effects that were named, alone or in a set of at most two, the effect alone counting; `sites` the
+        share of those at the right site.
+    pairs : strength -> outcome -> count
+        Two hidden effects: both, one or none of them named.
+    pair_sites
+        Right sites among the members of pairs that were named.
+    parameters
+        Parameters far off that were named.
+    set_sizes : size -> count
+        Of all announced causes.
+    confusion : what it is -> what was said -> count
+    false_alarms
+        Controls in which an effect was blamed; `control_claims` counts every verdict about them.
+    recognised : strength -> share
+        Of those outside of the library: called so.
+    wrongly_unknown
+        Of all others: called outside of the library.
+    extra
+        Cases with more effects announced than there are.
+    calibration
+        Confidence of every announced cause against whether it was a true one, site included.
+    errors
+        Cases that were not diagnosed.
+    """
+
+    cases: int
+    named: ByStrength
+    sites: Share
+    pairs: Mapping[str, Mapping[str, int]]
+    pair_sites: Share
+    parameters: Share
+    set_sizes: Mapping[int, int]
+    confusion: Mapping[str, Mapping[str, int]]
+    false_alarms: Share
+    control_claims: Mapping[str, int]
+    recognised: ByStrength
+    wrongly_unknown: Share
+    extra: Share
+    calibration: Reliability
+    shrinkage: ShrinkageScore
+    seconds: Mapping[str, float]
+    errors: Sequence[str]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return them JSON-ready."""
+        difference = self.shrinkage
+        return {
+            "cases": self.cases,
+            "named": _shares(self.named),
+            "site_right": self.sites.to_json(),
+            "pairs": {
+                "by_strength": {strength: dict(count) for strength, count in self.pairs.items()},
+                "site_right": self.pair_sites.to_json(),
+            },
+            "parameter_named": self.parameters.to_json(),
+            "set_sizes": {str(size): count for size, count in self.set_sizes.items()},
+            "confusion": {true: dict(said) for true, said in self.confusion.items()},
+            "false_alarms": self.false_alarms.to_json(),
+            "controls": dict(self.control_claims),
+            "not_in_library": {
+                "recognised": _shares(self.recognised),
+                "wrongly_claimed": self.wrongly_unknown.to_json(),
+            },
+            "more_effects_than_there_are": self.extra.to_json(),
+            "calibration": self.calibration.to_json(),
+            "shrinkage": {
+                "median_difference": difference.median_difference,
+                "covered_by_ci90": difference.covered.to_json(),
+                "differences": dict(difference.differences),
+                "excess_too_small": difference.too_small,
+                "not_computed": difference.failed,
+            },
+            "seconds": dict(self.seconds),
+            "errors": list(self.errors),
+        }
+
+
+def score(judged: Sequence[Judged]) -> Scores:
+    """Score cases that were judged one by one."""
+    singles = [one for one in judged if one.truth.kind == "effect"]
+    pairs = [one for one in judged if one.truth.kind == "pair"]
+    controls = [one for one in judged if one.truth.kind == "control"]
+    outside = [one for one in judged if one.truth.kind == "outside"]
+    known = [one for one in judged if one.truth.kind != "outside"]
+    announced = [(named, one.truth) for one in judged for named in one.said.announced]
+    return Scores(
+        cases=len(judged),
+        named=_by_strength(singles, lambda one: one.found == 1),
+        sites=Share(sum(one.sites for one in singles), sum(one.found for one in singles)),
+        pairs={
+            strength: dict(
+                sorted(Counter(one.outcome for one in pairs if one.truth.strength == strength).items())
+            )
+            for strength in STRENGTHS
+            if any(one.truth.strength == strength for one in pairs)
+        },
+        pair_sites=Share(sum(one.sites for one in pairs), sum(one.found for one in pairs)),
+        parameters=Share.among(one.found == 1 for one in judged if one.truth.kind == "parameter"),
+        set_sizes=dict(sorted(Counter(len(named.members) for named, _ in announced).items())),
+        confusion=confusion(judged),
+        false_alarms=Share.among(one.outcome == "false-alarm" for one in controls),
+        control_claims=dict(sorted(Counter(one.said.verdict for one in controls).items())),
+        recognised=_by_strength(outside, lambda one: one.outcome == "recognised"),
+        wrongly_unknown=Share.among(one.said.verdict == "not-in-library" for one in known),
+        extra=Share.among(one.extra > 0 for one in known),
+        calibration=reliability([(named.confidence, right(named.top, truth)) for named, truth in announced]),
+        shrinkage=shrinkage_score(judged),
+        seconds=_durations([one.said.seconds for one in judged if not one.said.error]),
+        errors=[one.truth.case for one in judged if one.said.error],
+    )
+
+
+def confusion(judged: Sequence[Judged]) -> dict[str, dict[str, int]]:
+    """Count what was said of what: an effect for each id (the first that is announced), a verdict where none was."""
+    table: dict[str, Counter[str]] = {}
+    for one in judged:
+        table.setdefault(_true_name(one), Counter())[_said_name(one)] += 1
+    return {true: dict(sorted(table[true].items())) for true in sorted(table)}
+
+
+def shrinkage_score(judged: Sequence[Judged]) -> ShrinkageScore:
+    """Compare predicted and true shrinkage of all cases in which a cause was announced."""
+    differences: dict[str, float] = {}
+    covered: list[bool] = []
+    too_small = failed = 0
+    for one in judged:
+        predicted, shown = one.said.shrinkage, one.shown
+        if not one.said.announced or predicted is None or shown is None:
+            continue
+        if shown.value is None:
+            failed += 1
+        elif not shown.counted:
+            too_small += 1
+        else:
+            differences[one.truth.case] = predicted.value - shown.value
+            covered.append(predicted.low <= shown.value <= predicted.high)
+    return ShrinkageScore(differences, Share.among(covered), too_small, failed)
+
+
+def _by_strength(judged: Sequence[Judged], hit: Callable[[Judged], bool]) -> dict[str, Share]:
+    return {
+        strength: Share.among(hit(one) for one in judged if one.truth.strength == strength)
+        for strength in STRENGTHS
+    }
+
+
+def _true_name(one: Judged) -> str:
+    truth = one.truth
+    if truth.kind in ("control", "outside"):
+        return f"({truth.kind})"
+    if truth.kind == "parameter":
+        return "(parameter)"
+    return " + ".join(sorted(cause.effect for cause in truth.causes))
+
+
+def _said_name(one: Judged) -> str:
+    if one.said.error:
+        return "(error)"
+    announced = one.said.announced
+    if not announced:
+        return (
+            f"({one.said.verdict}, no cause)" if one.said.verdict == "parameter" else f"({one.said.verdict})"
+        )
+    names = ["(parameter)" if named.top.kind == "parameter" else named.top.effect for named in announced]
+    return " + ".join(sorted(names)) if one.truth.kind == "pair" else names[0]
+
+
+def _durations(seconds: Sequence[float]) -> dict[str, float]:
+    if not seconds:
+        return {}
+    ordered = sorted(seconds)
+    # the nearest rank: a time that was really taken
+    ninetieth = ordered[max(0, -(-9 * len(ordered) // 10) - 1)]
+    return {"median": median(ordered), "of_nine_in_ten_at_most": ninetieth, "longest": ordered[-1]}
+
+
+def _shares(shares: ByStrength) -> dict[str, Any]:
+    return {strength: share.to_json() for strength, share in shares.items()}

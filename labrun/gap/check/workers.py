@@ -1,0 +1,164 @@
+"""Where the cases are computed: processes of this machine, or a Dask cluster."""
+
+import multiprocessing
+import os
+import signal
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from labrun.errors import LabrunError, RequestError
+
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_REACHING = "30s"
+
+Key = TypeVar("Key")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Pool:
+    """An executor, and how many jobs it is given at a time: enough that no worker waits, few enough for memory."""
+
+    executor: Executor
+    ahead: int
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def pool(workers: int, cluster: str | None) -> Iterator[Pool]:
+    """Open processes of this machine, or a cluster where one is named.
+
+    Raises
+    ------
+    RequestError
+        Dask is not installed, or no scheduler answers.
+    """
+    if cluster is None:
+        with _processes(workers) as found:
+            yield found
+    else:
+        with _dask(cluster) as found:
+            yield found
+
+
+def spread(
+    pool: Pool, jobs: Iterator[tuple[Key, Callable[..., Result], tuple[Any, ...]]]
+) -> Iterator[tuple[Key, Result]]:
+    """Run jobs, and give each result with its key as it comes.
+
+    Raises
+    ------
+    LabrunError
+        A worker died.
+    """
+    pending: dict[Future[Result], Key] = {}
+    try:
+        while True:
+            for key, job, arguments in jobs:
+                with _deaf():
+                    pending[pool.executor.submit(job, *arguments)] = key
+                if len(pending) >= pool.ahead:
+                    break
+            if not pending:
+                return
+            for future in wait(pending, return_when=FIRST_COMPLETED).done:
+                yield pending.pop(future), future.result()
+    except BrokenExecutor as error:
+        raise LabrunError(
+            "a worker process ended without a word; the machine may have run out of memory",
+            hint="the same command goes on where it was; fewer --workers take less memory",
+        ) from error
+    finally:
+        for future in pending:
+            future.cancel()
+
+
+@contextmanager
+def _processes(workers: int) -> Iterator[Pool]:
+    others = {child.pid for child in multiprocessing.active_children()}
+    with _one_thread():
+        # started anew: threads and locks of this process are not copied, and linear algebra starts with one thread
+        context = multiprocessing.get_context("spawn")
+        executor = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin)
+        try:
+            yield Pool(executor, 2 * workers)
+        except BaseException:
+            executor.shutdown(wait=False, cancel_futures=True)
+            for child in multiprocessing.active_children():
+                if child.pid not in others:
+                    child.terminate()
+            raise
+        executor.shutdown()
+
+
+@contextmanager
+def _dask(address: str) -> Iterator[Pool]:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise RequestError(
+            "a cluster needs Dask, which is not installed", hint='pip install "labrun[cluster]"'
+        ) from error
+    try:
+        client = Client(address, timeout=_REACHING, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise RequestError(
+            f"no Dask scheduler answers at {address}: {error}",
+            hint="start one with: dask scheduler; and workers, in the same environment, with: dask worker ADDRESS",
+        ) from error
+    with client:
+        threads = sum(client.nthreads().values())
+        if threads == 0:
+            raise RequestError(
+                f"the Dask scheduler at {address} has no workers",
+                hint=f"start some with: dask worker {address}",
+            )
+        # the same case twice is computed twice: no result of an earlier check is taken for it
+        executor = client.get_executor(pure=False, retries=0)
+        try:
+            yield Pool(executor, 2 * threads)
+        finally:
+            executor.shutdown(wait=False)
+
+
+def _begin() -> None:
+    """Leave Ctrl-C to the process that asked, and warnings to the diagnosis's own words."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.simplefilter("ignore")
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let processes that start meanwhile compute with one thread: sums come out the same on any number of cores."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Start a process while Ctrl-C is ignored, which it inherits: no traceback of a worker that is still importing."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

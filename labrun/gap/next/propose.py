@@ -1,0 +1,239 @@
+"""From data and a model to the next experiment."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labrun.fit.notes import Note, silent
+from labrun.gap.engine import search_causes
+from labrun.gap.next.advice import would_separate
+from labrun.gap.next.choosing import choose
+from labrun.gap.next.proposal import Outcome, Outlook, Proposal
+from labrun.gap.next.recording_bench import RecordingBench
+from labrun.gap.next.rivals import Rivals, rivals_of
+from labrun.gap.next.separation import Evidence, Separation, predict, rehearse
+from labrun.gap.next.trials import PlannedTrial
+from labrun.gap.next.writing import (
+    experiment_text,
+    free_place,
+    require_free,
+    write_experiment,
+    write_recording_plan,
+)
+
+if TYPE_CHECKING:
+    from labrun.fit.dataset import Dataset
+    from labrun.gap.engine import Search
+    from labrun.gap.loading import Question
+
+REPEATS = 3
+_ROOM = 1.2
+"""How far beyond the recorded range of an output a planned recording may be predicted to go."""
+_NOTHING = 0.1
+"""Evidence, over what a diagnosis asks for, below which trials are not worth their time."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """Chosen trials and what to expect of them, before anything is written."""
+
+    trials: tuple[PlannedTrial, ...]
+    evidence: tuple[Evidence, ...]
+    rivals: Rivals
+
+    @property
+    def outcome(self) -> Outcome:
+        """What to expect."""
+        ratios = [one.ratio for one in self.evidence]
+        if not self.trials or max(ratios, default=0.0) < _NOTHING:
+            return "cannot"
+        return "separates" if min(ratios) >= 1.0 else "helps"
+
+
+def propose(
+    target: Path,
+    *,
+    model: str | Path | None = None,
+    more: Sequence[Path] = (),
+    out: Path | None = None,
+    seed: int = 0,
+    workspace: Path = Path(),
+    note: Note = silent,
+) -> Proposal:
+    """Propose the trials that best separate what a diagnosis leaves, inside the rig's limits, and write them down.
+
+    Parameters
+    ----------
+    target, model, more, workspace
+        As for `labrun.gap.diagnose.diagnose`.
+    out
+        The file to write: an experiment for a run, a recording's toml (with the inputs as CSV files beside it) for a
+        recording. If None, ``experiments/<name>-next.toml`` or ``<name>-next/recording.toml`` in the workspace.
+    seed
+        Of the search and of the pool of trials.
+
+    Raises
+    ------
+    LabrunError
+        Data or a model that do not allow a diagnosis; a rig whose motion cannot be planned; a file that is there.
+    """
+    from labrun.gap.loading import load_question
+
+    if out is not None:
+        require_free(out)
+    note(f"reading {target}")
+    question = load_question(target, model, more, {}, workspace)
+    rng = np.random.default_rng(seed)
+    search = search_causes(question.dataset, question.model, rng, note=note)
+    if question.dataset.kind == "recording" or _was_imported(target):
+        return _for_recording(question, search, out, workspace, note)
+    return _for_run(target, model, question, search, out, workspace, rng, note)
+
+
+def _was_imported(target: Path) -> bool:
+    from labrun.fit.run_dataset import imported_channels
+    from labrun.store.reading import open_run
+
+    return bool(imported_channels(open_run(target).experiment_toml))
+
+
+def design(search: "Search", dataset: "Dataset", pool: Sequence[PlannedTrial], note: Note = silent) -> Design:
+    """Choose from a pool the trials that best separate what a search leaves."""
+    rivals = rivals_of(search)
+    note(f"comparing {len(pool)} trials for {len(rivals.rivals)} explanations")
+    separation = Separation(rivals, dataset, pool, REPEATS)
+    choice = choose(separation)
+    trials = tuple(separation.trials[k] for k in choice.trials)
+    if not trials or max(one.ratio for one in choice.evidence) < _NOTHING:
+        return Design((), choice.evidence, rivals)
+    note("fitting every explanation to what the others predict for the chosen trials")
+    return Design(trials, tuple(rehearse(rivals, dataset, trials, REPEATS)), rivals)
+
+
+def inside(search: "Search", dataset: "Dataset", pool: Sequence[PlannedTrial]) -> list[PlannedTrial]:
+    """Return the trials in which no output is predicted to leave the recorded range by more than a fifth."""
+    measured = np.concatenate([trial.outputs for trial in dataset.trials])
+    middle = 0.5 * (measured.max(axis=0) + measured.min(axis=0))
+    half = 0.5 * np.ptp(measured, axis=0)
+    predicted = predict(rivals_of(search).rivals[0], dataset, pool)
+    return [
+        trial
+        for trial, outputs in zip(pool, predicted, strict=True)
+        if outputs is not None and np.all(np.abs(outputs - middle) <= _ROOM * half)
+    ]
+
+
+def _for_recording(
+    question: "Question", search: "Search", out: Path | None, workspace: Path, note: Note
+) -> Proposal:
+    dataset = question.dataset
+    bench = RecordingBench(search.units.dataset, question.model, REPEATS)
+    found = design(search, dataset, inside(search, dataset, bench.pool()), note)
+    notes = [
+        "The recording does not say what its rig allows: every input stays within the range it was recorded in; "
+        "check speeds and resets yourself. The time is that of recording alone.",
+        *_by_hand(bench.set_by_hand, found.trials),
+    ]
+    time_s = sum(trial.cost_s for trial in found.trials)
+    file = None
+    commands: list[str] = []
+    if found.outcome != "cannot":
+        file = out or free_place(workspace, f"{dataset.name}-next", "recording.toml")
+        write_recording_plan(
+            file, f"{dataset.name}-next", dataset, found.trials, REPEATS, _remarks(found, time_s)
+        )
+        commands = [f"labrun gap diagnose {dataset.source} --with {file.parent}"]
+    return _proposal(found, file, time_s, time_s, notes, commands)
+
+
+def _for_run(
+    target: Path,
+    model: str | Path | None,
+    question: "Question",
+    search: "Search",
+    out: Path | None,
+    workspace: Path,
+    rng: np.random.Generator,
+    note: Note,
+) -> Proposal:
+    from labrun.gap.naming import plan_for
+    from labrun.gap.next.run_bench import RunBench
+    from labrun.store.reading import open_run
+
+    run = open_run(target)
+    dataset = question.dataset
+    signals = plan_for(target, model, workspace).signals
+    bench = RunBench.of(run, dataset, question.model, signals, REPEATS)
+    note("looking what the rig allows")
+    found = design(search, dataset, bench.pool(rng), note)
+    notes = _by_hand(bench.set_by_hand, found.trials)
+    if bench.stands_in:
+        names = ", ".join(bench.stands_in)
+        notes.append(f"The commanded motion was taken for what {names} will measure.")
+    file, commands = None, list[str]()
+    time_s = time_at_most_s = 0.0
+    if found.outcome != "cannot":
+        plan = bench.plan(found.trials)
+        time_s, time_at_most_s = bench.time_s(plan), max(plan.time_at_most_s, bench.time_s(plan))
+        file = out or free_place(workspace / "experiments", f"{run.name}-next")
+        text = experiment_text(
+            bench, found.trials, _remarks(found, time_s), None if model is None else _model_name(model, file)
+        )
+        write_experiment(file, text)
+        commands = [
+            f"labrun run {_shown(file)}",
+            f"labrun gap diagnose {run.name} --with {file.stem}",
+        ]
+    return _proposal(found, file, time_s, time_at_most_s, notes, commands)
+
+
+def _proposal(
+    found: Design,
+    file: Path | None,
+    time_s: float,
+    time_at_most_s: float,
+    notes: Sequence[str],
+    commands: Sequence[str],
+) -> Proposal:
+    rivals = found.rivals
+    outlook = tuple(
+        Outlook(truth.name, other.name, one.sigma, one.ratio)
+        for (truth, other), one in zip(rivals.pairs, found.evidence, strict=True)
+    )
+    open_pairs = [pair for pair, one in zip(rivals.pairs, found.evidence, strict=True) if one.ratio < 1.0]
+    advice = tuple(dict.fromkeys(would_separate(*pair) for pair in open_pairs))
+    return Proposal(
+        found.outcome, file, tuple(one.name for one in rivals.rivals), tuple(one.cause for one in rivals.rivals),
+        rivals.doubt, rivals.why, found.trials, REPEATS, time_s, time_at_most_s, outlook, advice, tuple(notes),
+        tuple(commands),
+    )  # fmt: skip
+
+
+def _remarks(found: Design, time_s: float) -> list[str]:
+    """Return the head of the file: what it is for."""
+    from labrun.gap.next.proposal import spoken
+
+    least = min(one.sigma for one in found.evidence)
+    return [
+        found.rivals.why,
+        f"These trials are expected to tell them apart by {least:.3g} standard deviations, in about {spoken(time_s)}.",
+    ]
+
+
+def _by_hand(names: Sequence[str], trials: Sequence[PlannedTrial]) -> list[str]:
+    used = [name for name in names if len({trial.condition.get(name) for trial in trials}) > 0 and trials]
+    return [f"Somebody at the bench sets {name}: no motion does." for name in used]
+
+
+def _model_name(model: str | Path, file: Path) -> str:
+    """Return how the experiment file names a model file: from its own folder, so that both can be moved together."""
+    path = Path(model)
+    return Path(os.path.relpath(path, file.parent)).as_posix() if path.is_file() else str(model)
+
+
+def _shown(file: Path) -> str:
+    return file.stem if file.parent.name == "experiments" else str(file)

@@ -1,0 +1,150 @@
+"""What could be recorded next where only recordings are known: other courses of the inputs, other conditions."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.gap.next.trials import PlannedTrial
+from labrun.gap.next.values import by_hand
+
+if TYPE_CHECKING:
+    from labrun.fit.dataset import Dataset, FitTrial
+    from labrun.models import Model
+
+FloatArray = NDArray[np.float64]
+
+_FACTORS = (0.25, 0.5, -1.0)
+_WARPS = (0.5, 2.0, 4.0)
+"""How much faster; slower ones take longer and are cut at the recorded length."""
+_CYCLES = (2.0, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
+"""Cycles of a sine in a trial."""
+_FEWEST_SAMPLES = 8.0
+"""Of one cycle: faster sines are not sampled well enough to be believed."""
+_SHAPES = (1.0, 0.3)
+_BASES = 3
+
+
+@dataclass(frozen=True)
+class RecordingBench:
+    """Recorded trials as examples of what the rig can do.
+
+    `dataset` holds one trial for each unit of the data: planned trials refer to units by their number.
+
+    Its limits are not known. What is planned stays within the range that every input was recorded in, and lasts no
+    longer than the recorded trials.
+    """
+
+    dataset: "Dataset"
+    model: "Model"
+    repeats: int
+
+    def pool(self) -> list[PlannedTrial]:
+        """Return recorded inputs scaled and sped up, sines, steps and sweeps of the same range, other conditions."""
+        bases = self._bases()
+        found: list[PlannedTrial] = []
+        for place in bases:
+            found += self._other_conditions(place)
+            if self.model.inputs:
+                found += self._changed(place)
+        if self.model.inputs:
+            found += self._made(bases[0])
+        return found
+
+    @property
+    def set_by_hand(self) -> tuple[str, ...]:
+        """Numbers of the condition that the model uses."""
+        trials = self.dataset.trials
+        return tuple(
+            name
+            for name in self.model.conditions
+            if all(isinstance(trial.condition.get(name), float | int) for trial in trials)
+        )
+
+    def _bases(self) -> list[int]:
+        """Return the first trials of a few conditions, one number each."""
+        firsts: dict[str, int] = {}
+        for place, trial in enumerate(self.dataset.trials):
+            firsts.setdefault(repr(sorted(trial.condition.items())), place)
+        places = list(firsts.values())
+        return [places[k] for k in np.unique(np.linspace(0, len(places) - 1, _BASES).round().astype(int))]
+
+    def _other_conditions(self, place: int) -> list[PlannedTrial]:
+        trial = self.dataset.trials[place]
+        found = []
+        for name in self.set_by_hand:
+            values = [float(one.condition[name]) for one in self.dataset.trials]
+            for value in by_hand(values):
+                condition = {**trial.condition, name: value}
+                label = f"{name} = {value:g}, else as recorded at {trial.label}"
+                found.append(self._trial(label, condition, trial, trial.inputs, (place, 1.0)))
+        return found
+
+    def _changed(self, place: int) -> list[PlannedTrial]:
+        trial = self.dataset.trials[place]
+        found = []
+        for factor in _FACTORS:
+            label = f"inputs of {trial.label} times {factor:g}"
+            condition = {**trial.condition, "input": f"{trial.label} times {factor:g}"}
+            found.append(self._trial(label, condition, trial, factor * trial.inputs, (place, factor)))
+        for warp in _WARPS:
+            label = f"inputs of {trial.label}, {warp:g} times as fast"
+            condition = {**trial.condition, "input": f"{trial.label} {warp:g} times as fast"}
+            began = trial.time_s - trial.time_s[0]
+            faster = np.column_stack(
+                [
+                    np.interp((began * warp) % max(began[-1], 1e-12), began, column)
+                    for column in trial.inputs.T
+                ]
+            )
+            found.append(self._trial(label, condition, trial, faster, (place, 1.0)))
+        return found
+
+    def _made(self, place: int) -> list[PlannedTrial]:
+        """Return sines, steps and sweeps of every input that moved, the others at their middle."""
+        trial = self.dataset.trials[place]
+        time_s = trial.time_s - trial.time_s[0]
+        length = float(time_s[-1])
+        fastest = 1.0 / (_FEWEST_SAMPLES * float(np.median(np.diff(time_s))))
+        found = []
+        for column, one in enumerate(self.model.inputs):
+            values = np.concatenate([each.inputs[:, column] for each in self.dataset.trials])
+            middle, half = 0.5 * (values.max() + values.min()), 0.5 * float(np.ptp(values))
+            if half == 0.0:
+                continue
+            shapes: list[tuple[str, FloatArray]] = []
+            for share in _SHAPES:
+                size = share * half
+                for cycles in _CYCLES:
+                    frequency = cycles / length
+                    if frequency <= fastest:
+                        course = middle + size * np.sin(2 * np.pi * frequency * time_s)
+                        shapes.append((f"sine of {size:.3g} at {frequency:.3g} Hz", course))
+                top = min(_CYCLES[-1] / length, fastest)
+                bottom = _CYCLES[0] / length
+                rate = np.log(top / bottom) / length
+                phase = 2 * np.pi * bottom * (np.exp(rate * time_s) - 1.0) / rate
+                shapes.append(
+                    (f"sweep of {size:.3g} from {bottom:.3g} to {top:.3g} Hz", middle + size * np.sin(phase))
+                )
+                square = middle + size * np.sign(np.sin(2 * np.pi * 2.0 / length * time_s + 1e-9))
+                shapes.append((f"steps of {size:.3g} every {length / 4:.3g} s", square))
+            for label, course in shapes:
+                inputs = np.tile(np.median(trial.inputs, axis=0), (len(time_s), 1))
+                inputs[:, column] = course
+                condition = {**trial.condition, "input": f"{label} at {one.name}"}
+                found.append(self._trial(f"{one.name}: {label}", condition, trial, inputs, (place, 0.0)))
+        return found
+
+    def _trial(
+        self,
+        label: str,
+        condition: dict[str, float | str],
+        like: "FitTrial",
+        inputs: FloatArray,
+        begins: tuple[int, float],
+    ) -> PlannedTrial:
+        time_s = like.time_s - like.time_s[0]
+        cost_s = self.repeats * float(time_s[-1])
+        return PlannedTrial(label, condition, time_s, np.ascontiguousarray(inputs), max(cost_s, 1e-3), begins)

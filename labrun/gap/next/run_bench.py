@@ -1,0 +1,283 @@
+"""What the rig of a recorded run could do next: its own gait, at conditions inside its limits."""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.errors import LabrunError, RequestError
+from labrun.fit.run_dataset import COMMAND
+from labrun.gap.next.trials import PlannedTrial
+from labrun.gap.next.values import beyond, by_hand
+from labrun.spec.expression import evaluate, names_in
+from labrun.spec.loading import loads_experiment, resolved
+from labrun.store.recording import condition_label
+
+if TYPE_CHECKING:
+    from labrun.fit.dataset import Dataset
+    from labrun.models import Model
+    from labrun.runner.plan import Plan
+    from labrun.spec.experiment import Experiment
+    from labrun.store.reading import Run
+
+FloatArray = NDArray[np.float64]
+Condition = Mapping[str, float | str]
+
+_MOST = 60
+_BASES = 4
+_FREED = {"frequency_hz": "Hz", "amplitude_deg": "deg", "offset_deg": "deg"}
+"""Keys of a sine that an experiment may hold constant, and that the next one may vary."""
+
+
+@dataclass(frozen=True)
+class RunBench:
+    """A run's experiment, as something that further trials can be asked of.
+
+    Attributes
+    ----------
+    tree
+        The experiment as TOML tables, with constants of the gait that may be varied made into conditions.
+    measured
+        Conditions that were measured, each once.
+    settle_s
+        What settling took on the bench, per trial; None where it was not watched.
+    step_s
+        Between samples.
+    joint_of
+        The joint whose command stands for each input of the model.
+    stands_in
+        Inputs whose measured course is taken to be the commanded one.
+    constraints
+        What the experiment's sweep or search demands of its conditions.
+    """
+
+    name: str
+    tree: dict[str, Any]
+    experiment: "Experiment"
+    model: "Model"
+    measured: list[dict[str, float | str]]
+    settle_s: float | None
+    step_s: float
+    joint_of: tuple[str, ...]
+    stands_in: tuple[str, ...]
+    constraints: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls, run: "Run", dataset: "Dataset", model: "Model", signals: Mapping[str, str], repeats: int
+    ) -> "RunBench":
+        """Take up a run.
+
+        Raises
+        ------
+        RequestError
+            Its experiment moves in a way that cannot be planned from here.
+        """
+        stored = loads_experiment(run.experiment_toml, run.name).experiment
+        if stored.track is not None:
+            raise RequestError(
+                f"{run.name} closes a loop: what it commands depends on what it measures, and cannot be planned ahead",
+                hint="make an open-loop experiment of the same bench, and diagnose that",
+            )
+        tree = tomllib.loads(resolved(stored))
+        measured = _distinct([outcome.condition for outcome in run.outcomes if outcome.status == "done"])
+        constants = _free_constants(tree)
+        measured = [{**one, **constants} for one in measured]
+        tree["kind"] = "run"
+        for key in ("sweep", "cmaes", "leaders"):
+            tree.pop(key, None)
+        tree["run"] = {"conditions": measured, "order": "shuffled"}
+        tree["trial"]["repeats"] = {"min": repeats, "max": repeats}
+        for name in constants:
+            tree.setdefault("units", {})[name] = _FREED[name]
+        import tomli_w
+
+        experiment = loads_experiment(tomli_w.dumps(tree), run.name).experiment
+        joints, stands_in = _commanded(model, signals, tuple(experiment.gait.joints))
+        settled = [outcome.settle.duration_s for outcome in run.outcomes if outcome.settle is not None]
+        step_s = float(np.median(np.diff(dataset.trials[0].time_s)))
+        return cls(
+            run.name, tree, experiment, model, measured, float(np.median(settled)) if settled else None, step_s,
+            joints, stands_in, _constraints(stored),
+        )  # fmt: skip
+
+    def pool(self, rng: np.random.Generator) -> list[PlannedTrial]:
+        """Return trials at conditions that were not measured and that stay inside every limit."""
+        from labrun.runner.motion import MotionMaker
+        from labrun.runner.plan import Planner
+
+        planner, maker = Planner(self.experiment), MotionMaker(self.experiment)
+        found = []
+        for condition in self._conditions(planner, rng):
+            plan = planner.plan([condition])
+            motion = maker.motion(condition)
+            time_s = np.arange(0.0, motion.duration_s + 0.5 * self.step_s, self.step_s)
+            trajectory = motion.trajectory
+            inputs = np.column_stack(
+                [np.empty((len(time_s), 0))]
+                + [
+                    np.interp(
+                        time_s, trajectory.time_s, trajectory.angle_rad[:, trajectory.joints.index(joint)]
+                    )
+                    for joint in self.joint_of
+                ]
+            )
+            found.append(
+                PlannedTrial(condition_label(condition), condition, time_s, inputs, self.time_s(plan))
+            )
+        return found
+
+    def time_s(self, plan: "Plan") -> float:
+        """Return the rig time of a plan, settling as it was on this bench."""
+        if self.settle_s is None:
+            return plan.time_s
+        return plan.time_s + plan.trials * (self.settle_s - plan.settle_s)
+
+    def plan(self, trials: Sequence[PlannedTrial]) -> "Plan":
+        """Return the plan of chosen trials, checked against every limit."""
+        from labrun.runner.plan import plan
+
+        made = plan(self.experiment, [dict(trial.condition) for trial in trials])
+        made.require_feasible()
+        return made
+
+    @property
+    def set_by_hand(self) -> tuple[str, ...]:
+        """Numbers of the condition that no motion depends on: somebody at the bench sees to them."""
+        moving = _names_of(self.tree["gait"]) | _names_of(self.tree["trial"])
+        return tuple(
+            name
+            for name in self.model.conditions
+            if name not in moving and all(isinstance(one.get(name), float | int) for one in self.measured)
+        )
+
+    def _conditions(self, planner: Any, rng: np.random.Generator) -> list[dict[str, float | str]]:
+        moving = _names_of(self.tree["gait"]) | _names_of(self.tree["trial"])
+        by_motion = [
+            name
+            for name in self.measured[0]
+            if name in moving and all(isinstance(one.get(name), float | int) for one in self.measured)
+        ]
+        places = np.unique(np.linspace(0, len(self.measured) - 1, _BASES).round().astype(int))
+        bases = [self.measured[place] for place in places]
+        one_way: list[dict[str, float | str]] = []
+        options: dict[str, list[float]] = {}
+        for name in (*by_motion, *self.set_by_hand):
+            values = sorted({float(one[name]) for one in self.measured})
+            for base in bases:
+                if name in by_motion:
+
+                    def allowed(value: float, name: str = name, base: Condition = base) -> bool:
+                        return self._allowed(planner, {**base, name: value})
+
+                    new = beyond(values, allowed)
+                else:
+                    new = by_hand(values)
+                options.setdefault(name, []).extend(new)
+                one_way += [{**base, name: value} for value in new]
+        both = [_drawn(bases, options, rng) for _ in range(_MOST)] if len(options) > 1 else []
+        every = _distinct([*_spread(one_way, _MOST * 2 // 3 if both else _MOST), *both])
+        fresh = [one for one in every if one not in self.measured and self._allowed(planner, one)]
+        return fresh[:_MOST]
+
+    def _allowed(self, planner: Any, condition: Condition) -> bool:
+        try:
+            return self._wanted(condition) and not planner.excess_of(condition)
+        except LabrunError:  # no motion comes of it
+            return False
+
+    def _wanted(self, condition: Condition) -> bool:
+        """Tell whether the constraints of a sweep or a search keep a condition in."""
+        return all(bool(evaluate(constraint, condition)) for constraint in self.constraints)
+
+
+def _constraints(experiment: "Experiment") -> tuple[str, ...]:
+    """Return what keeps conditions in: a sweep's or a search's own constraints, and the ranges of a search."""
+    if experiment.sweep is not None:
+        return tuple(experiment.sweep.where)
+    if experiment.cmaes is None:
+        return ()
+    ranges = [
+        bound
+        for name, one in experiment.cmaes.variables.items()
+        for bound in (f"{name} >= {one.start!r}", f"{name} <= {one.stop!r}")
+    ]
+    return (*experiment.cmaes.where, *ranges)
+
+
+def _free_constants(tree: dict[str, Any]) -> dict[str, float]:
+    """Turn constants of a sine with one joint into names of conditions, in place; return them with their values."""
+    gait = tree["gait"]
+    if gait["plugin"] != "sine" or len(gait["joints"]) != 1:
+        return {}
+    (keys,) = gait["joints"].values()
+    taken = _names_of(gait)
+    found = {}
+    for key in _FREED:
+        value = keys.get(key, 0.0)
+        if isinstance(value, float | int) and key not in taken:
+            found[key] = float(value)
+            keys[key] = key
+    return found
+
+
+def _commanded(
+    model: "Model", signals: Mapping[str, str], joints: tuple[str, ...]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the joint whose command drives each input, and the inputs for which it only stands in."""
+    found, stands_in = [], []
+    for one in model.inputs:
+        device, _, channel = signals.get(one.name, f"{COMMAND}.{one.name}").partition(".")
+        if channel in joints and device == COMMAND:
+            found.append(channel)
+        elif channel in joints or len(joints) == 1:
+            found.append(channel if channel in joints else joints[0])
+            stands_in.append(one.name)
+        else:
+            raise RequestError(
+                f"the model's input {one.name!r} is {device}.{channel}, which is measured and not commanded: nobody "
+                "knows beforehand what it will do",
+                hint=f"drive the model by a commanded joint ({', '.join(joints)}) to plan with it",
+            )
+    return tuple(found), tuple(stands_in)
+
+
+def _names_of(table: Any) -> frozenset[str]:
+    """Return the names that expressions anywhere in a table use."""
+    if isinstance(table, Mapping):
+        return frozenset().union(*(_names_of(item) for item in table.values()))
+    if isinstance(table, str):
+        try:
+            return names_in(table)
+        except LabrunError:  # a word, not an expression
+            return frozenset()
+    return frozenset()
+
+
+def _distinct(conditions: Sequence[Condition]) -> list[dict[str, float | str]]:
+    found: list[dict[str, float | str]] = []
+    for one in conditions:
+        if dict(one) not in found:
+            found.append(dict(one))
+    return found
+
+
+def _spread(items: list[dict[str, float | str]], most: int) -> list[dict[str, float | str]]:
+    if len(items) <= most:
+        return items
+    return [items[place] for place in np.linspace(0, len(items) - 1, most).round().astype(int)]
+
+
+def _drawn(
+    bases: Sequence[dict[str, float | str]], options: Mapping[str, list[float]], rng: np.random.Generator
+) -> dict[str, float | str]:
+    """Return a condition with several values changed at once."""
+    condition = dict(bases[int(rng.integers(len(bases)))])
+    for name, values in options.items():
+        if values and rng.random() < 0.8:
+            condition[name] = values[int(rng.integers(len(values)))]
+    return condition

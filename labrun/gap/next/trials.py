@@ -1,0 +1,110 @@
+"""Trials that could be made, and how each would begin."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.fit.dataset import FitTrial
+from labrun.gap.units import Unit, Units
+
+if TYPE_CHECKING:
+    from labrun.fit.dataset import Dataset
+    from labrun.gap.next.rivals import Rival
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PlannedTrial:
+    """One trial that the rig could make.
+
+    Attributes
+    ----------
+    time_s : (n,)
+        When outputs would be sampled.
+    inputs : (n, k)
+        What would drive the model, in its order.
+    cost_s
+        Rig time of all its repeats, moves, settling and resets included as far as they are known.
+    like
+        Unit of the data whose beginning it takes over, and a factor on it; None where the condition tells.
+    """
+
+    label: str
+    condition: Mapping[str, float | str]
+    time_s: FloatArray
+    inputs: FloatArray
+    cost_s: float
+    like: tuple[int, float] | None = None
+
+
+def beginnings(rival: "Rival", trials: Sequence[PlannedTrial]) -> FloatArray:
+    """Return the scaled free initial states that new trials would have, shape (trials, states).
+
+    Where a trial begins depends on its condition: a body that is let go at an angle begins there. The dependence is
+    taken from the states that were fitted to the measured trials, linear in the conditions.
+    """
+    own = rival.own
+    if own.shape[1] == 0:
+        return np.empty((len(trials), 0))
+    measured = [unit.trial.condition for unit in rival.problem.units.units]
+    names = _numbers(measured)
+    known = _features(measured, names)
+    coefficients = np.linalg.lstsq(known, own, rcond=1e-9)[0]
+    predicted = _features([trial.condition for trial in trials], names, measured) @ coefficients
+    for index, trial in enumerate(trials):
+        if trial.like is not None:
+            unit, factor = trial.like
+            predicted[index] = own[unit] * factor
+    return np.asarray(predicted)
+
+
+def units_of(
+    dataset: "Dataset", trials: Sequence[PlannedTrial], outputs: Sequence[FloatArray], repeats: int
+) -> Units:
+    """Return new trials as units of data, had they come out as `outputs` in every repeat."""
+    made = []
+    for group, (trial, one) in enumerate(zip(trials, outputs, strict=True)):
+        data = FitTrial(trial.label, trial.condition, 1, trial.time_s, trial.inputs, one)
+        made.append(Unit(data, group, (one,) * repeats))
+    means = replace(dataset, trials=tuple(unit.trial for unit in made))
+    return Units(means, tuple(made), tuple(trial.label for trial in trials), repeats)
+
+
+def joined(one: Units, other: Units) -> Units:
+    """Return the units of both, conditions of the second counted on."""
+    shift = len(one.conditions)
+    units = (*one.units, *(replace(unit, group=unit.group + shift) for unit in other.units))
+    dataset = replace(one.dataset, trials=tuple(unit.trial for unit in units))
+    return Units(dataset, units, (*one.conditions, *other.conditions), min(one.repeats, other.repeats))
+
+
+def _numbers(conditions: Sequence[Mapping[str, float | str]]) -> list[str]:
+    """Return the names of the numbers that differ between conditions; all numbers if only one was measured."""
+    first = conditions[0]
+    names = [
+        name
+        for name in first
+        if all(
+            isinstance(one.get(name), float | int) and not isinstance(one[name], bool) for one in conditions
+        )
+    ]
+    varying = [name for name in names if len({one[name] for one in conditions}) > 1]
+    return varying or names
+
+
+def _features(
+    conditions: Sequence[Mapping[str, float | str]],
+    names: Sequence[str],
+    measured: Sequence[Mapping[str, float | str]] | None = None,
+) -> FloatArray:
+    """Return the numbers of the conditions, and a constant where enough different ones were measured to tell it."""
+    known = conditions if measured is None else measured
+    different = {tuple(one[name] for name in names) for one in known}
+    columns = [np.array([float(one.get(name, 0.0)) for one in conditions]) for name in names]
+    if len(different) > len(names) + 1 or not names:
+        columns.append(np.ones(len(conditions)))
+    return np.column_stack(columns)

@@ -1,0 +1,69 @@
+"""Values that a condition could take beyond those that were measured, as far as limits allow."""
+
+from collections.abc import Callable, Sequence
+from math import floor, log10
+
+_FARTHEST = 4.0
+"""How far beyond the greatest measured value, as a factor."""
+_STEPS = 10
+_WITHIN = (0.25, 0.5, 0.75)
+_BY_HAND = (0.5, 1.5, 2.0)
+_DIGITS = 3
+
+
+def beyond(measured: Sequence[float], allowed: Callable[[float], bool]) -> list[float]:
+    """Return values inside, between and beyond the measured ones, and of the other sign, that are allowed.
+
+    Parameters
+    ----------
+    allowed
+        Whether the rig can do a value; asked on the way out, from the measured extremes.
+    """
+    found: list[float] = []
+    ends = {max(measured), min(measured)} - {0.0}
+    for end in ends:
+        far = _farthest(end, allowed)
+        found += [end + share * (far - end) for share in (0.5, 1.0)]
+        found += [share * end for share in _WITHIN]
+    if min(measured) * max(measured) >= 0.0:
+        most = max((abs(one) for one in measured), default=0.0)
+        sign = -1.0 if max(measured) > 0 else 1.0
+        found += [sign * most, _farthest(sign * most, allowed)]
+    return _new([one for one in map(rounded, found) if allowed(one)], measured)
+
+
+def by_hand(measured: Sequence[float]) -> list[float]:
+    """Return other values of what a person sets (a mass, a tilt), whose limits nobody states."""
+    most = max(measured, key=abs)
+    if most == 0.0:
+        return []
+    found = [factor * most for factor in _BY_HAND]
+    signed = [-most] if min(measured) < 0 else []
+    return _new([rounded(one) for one in (*found, *signed)], measured)
+
+
+def rounded(value: float) -> float:
+    """Return a value to three digits, towards zero: a limit is not overstepped by rounding."""
+    if value == 0.0:
+        return 0.0
+    unit = 10.0 ** (floor(log10(abs(value))) - _DIGITS + 1)
+    whole = int(abs(value) / unit + 1e-9)
+    return float(f"{whole * unit if value > 0 else -whole * unit:.{_DIGITS}g}")
+
+
+def _farthest(end: float, allowed: Callable[[float], bool]) -> float:
+    """Return the farthest allowed value from `end` outwards."""
+    if not allowed(end):
+        return end
+    low, high = 1.0, _FARTHEST
+    if allowed(high * end):
+        return high * end
+    for _ in range(_STEPS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if allowed(middle * end) else (low, middle)
+    return low * end
+
+
+def _new(values: Sequence[float], measured: Sequence[float]) -> list[float]:
+    known = {rounded(one) for one in measured} | {0.0}
+    return [one for one in dict.fromkeys(values) if one not in known]
