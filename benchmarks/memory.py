@@ -4,8 +4,8 @@
 
 The real runner, store and packing, in simulated time: the shipped stand-in for an ATI Net F/T box at 7000
 samples/s, on a bench with hardly any physics (plain_bench.py), in trials of `--trial-minutes` until `--hours`
-of recording are on disk; each trial has a mean and an RMS as objectives. `--trial-minutes 0` makes one trial
-of all of it, without objectives. Then everything is packed into run.h5 and verified. Ten hours are 252
+of recording are on disk; each trial has a mean and an RMS as objectives. `--hours 1 --trial-minutes 60` makes
+one trial of an hour. Then everything is packed into run.h5 and verified. Ten hours are 252
 million samples, 18 GB; trial files and run.h5 are on the disk together for a moment, so 41 GB must be free at
 `--folder`. It takes five to ten minutes. Everything is removed afterwards.
 
@@ -50,9 +50,6 @@ joints.tail = { angle_deg = "a" }
 duration_s = DURATION
 [sweep]
 axes = { a = [1] }
-OBJECTIVES
-"""
-OBJECTIVES = """
 [objectives]
 thrust = { plugin = "mean", channel = "wrench.force_x" }
 ripple = { plugin = "rms", channel = "wrench.force_x" }
@@ -67,16 +64,15 @@ def main() -> None:
     parser.add_argument("--trial-minutes", type=float, default=10.0)
     parser.add_argument("--folder", type=Path, default=Path())
     arguments = parser.parse_args()
-    whole = arguments.trial_minutes == 0
-    duration_s = 3600 * arguments.hours if whole else 60 * arguments.trial_minutes
-    trials = 1 if whole else round(3600 * arguments.hours / duration_s)
+    duration_s = 60 * arguments.trial_minutes
+    trials = round(3600 * arguments.hours / duration_s)
     needed = 2.25 * trials * duration_s * RATE_HZ * BYTES_A_SAMPLE
     free = shutil.disk_usage(arguments.folder).free
     if free < needed:
         raise SystemExit(
             f"{needed / 1e9:.0f} GB are needed at {arguments.folder}, {free / 1e9:.0f} GB are free"
         )
-    text = TEXT.replace("DURATION", repr(duration_s)).replace("OBJECTIVES", "" if whole else OBJECTIVES)
+    text = TEXT.replace("DURATION", repr(duration_s))
     experiment = Experiment.model_validate(tomllib.loads(text))
     with tempfile.TemporaryDirectory(dir=arguments.folder) as scratch:
         clock = SimulatedClock()

@@ -10,21 +10,26 @@ begins. `trace` stores all 100 x 6 samples with their times, `number` one number
 others are mostly used. labrun always stores traces.
 
 - labrun: a dry run through its Session, as `labrun run` makes it: limits checked for every sample and pose,
-  safe stop armed, journal, one HDF5 file a trial (fsync of the file, its directory and the journal),
-  objectives, a checkpoint to resume from. The devices are the shipped stand-ins for a servo and a Robotiq FT
-  300 on a bench with hardly any physics (plain_bench.py); their computing is part of the time. The second
-  line adds what the others do not do: settling on evidence (2 s hold) and tare. Packing into run.h5, written,
-  read back and verified at the end, is divided over the trials and part of both.
+  safe stop armed, journal, one HDF5 file a trial, objectives, a checkpoint to resume from. One fdatasync a
+  trial, of the log that stands behind the files (labrun/store/trial_log.py). The devices are the shipped
+  stand-ins for a servo and a Robotiq FT 300 on a bench with hardly any physics (plain_bench.py); their
+  computing is part of the time. The second line adds what the others do not do: settling on evidence (2 s
+  hold) and tare. Packing into run.h5, written, synced, read back and verified at the end, is divided over the
+  trials and part of both.
 - bluesky: RunEngine with ophyd.sim's SynAxis as the servo and a readable detector; a checkpoint and an event
-  a trial (mv, trigger_and_read); documents go to a JSONL file by json.dumps, fsync after each event and stop.
-  The trace is seven arrays in the event. `one run each` gives every trial a run with metadata of its own, as
-  labrun does; else all trials are events of one run (of 50).
+  a trial (mv, trigger_and_read); documents go to a JSONL file by json.dumps. bluesky leaves syncing to the
+  subscriber, so the one here does it: fsync after each event and stop document. The trace is seven arrays in
+  the event. `one run each` gives every trial a run with metadata of its own, as labrun does (two fsync a
+  trial); else all trials are events of one run (of 50; one fsync a trial).
 - QCoDeS: Measurement, ManualParameter as the servo; add_result and flush_data_to_database for every trial
-  into SQLite (its own WAL mode) with PRAGMA synchronous=FULL, so that every commit is an fsync. The trace is
-  seven array parameters. `one run each` as for bluesky.
+  into SQLite. Its own settings are kept: journal_mode=WAL, and synchronous=FULL, which is what SQLite is
+  compiled with here and is set once more to be sure. So every commit is one sync of the WAL file, and every
+  1000 pages the WAL is copied to the database with two more. The trace is seven array parameters.
+  `one run each` as for bluesky; it commits several times a run.
 - PyMeasure: the Recorder that its Worker hands every record to, called as the Worker does (Results, CSV); it
-  flushes each row itself; fsync once a trial. The trace is 100 rows.
-- h5py: rows appended to one open dataset, flush, fsync: the floor, with no experiment around it.
+  flushes each row itself; fsync once a trial, added here. The trace is 100 rows.
+- h5py: rows appended to one open dataset, flush, fsync: the floor, with no experiment around it. An append of
+  4 kB to a plain file with fsync tells what the disk is doing meanwhile.
 
 The sides take turns, 50 trials each, so that disk and machine load hit all alike. Everything that is done
 once (opening, compiling, the first block) is left out, except labrun's packing. Wall time counts; processor
@@ -123,13 +128,15 @@ class Labrun(Side):
         rig.open()
         self._folder = RunFolder.create(folder, "settled" if settle else "plain", text, {"dry_run": True})
         self._session = Session(experiment, rig, self._folder, clock, 1)
+        self._held = contextlib.ExitStack()
+        self._held.enter_context(self._folder.lock())  # from first trial to packed file, as `labrun run` holds it
 
     def run(self, poses: NDArray[np.float64]) -> None:
-        with self._folder.lock():
-            self._session.measure([{"a": float(pose)} for pose in poses], order="as-listed")
+        self._session.measure([{"a": float(pose)} for pose in poses], order="as-listed")
 
     def finish(self) -> None:
-        self._folder.pack()
+        with self._held:
+            self._folder.pack()
 
 
 class Bluesky(Side):
@@ -296,6 +303,20 @@ class BareH5py(Side):
             os.fsync(self._file.id.get_vfd_handle())
 
 
+class PlainAppend(Side):
+    """What the disk takes for one sync, meanwhile."""
+
+    name = "4 kB appended to a file, fsync"
+
+    def __init__(self, folder: Path) -> None:
+        self._file = os.open(folder / "plain.bin", os.O_WRONLY | os.O_CREAT)
+
+    def run(self, poses: NDArray[np.float64]) -> None:
+        for _ in poses:
+            os.write(self._file, bytes(4096))
+            os.fsync(self._file)
+
+
 def sides(folder: Path) -> list[Side]:
     """Return all sides, and say which are missing."""
     found: list[Side] = [Labrun(folder, settle=False), Labrun(folder, settle=True)]
@@ -304,6 +325,7 @@ def sides(folder: Path) -> list[Side]:
         (Qcodes, {"trace": True, "each": True}), (Qcodes, {"trace": True}), (Qcodes, {"trace": False}),
         (PyMeasure, {"trace": True}), (PyMeasure, {"trace": False}),
         (BareH5py, {"trace": True}), (BareH5py, {"trace": False}),
+        (PlainAppend, {}),
     ]  # fmt: skip
     for make, how in others:
         try:

@@ -61,13 +61,13 @@ def sensor_factor(residual: FloatArray, sensor: FloatArray, scattered: FloatArra
     Raises
     ------
     OutOfReachError
-        The noise would have to be more than 25 times smaller, or 4 times larger.
+        The noise would have to be more than 5 times smaller, or 4 times larger.
     """
 
     def gap(factor: float) -> float:
         return size_of(residual, np.sqrt((factor * sensor) ** 2 + scattered**2))
 
-    low, high = 0.04, 4.0
+    low, high = 0.2, 4.0
     if not gap(high) <= aim <= gap(low):
         raise OutOfReachError
     for _ in range(40):

@@ -71,7 +71,7 @@ def write_recording(
         )
         rows = [header]
         for index, t in enumerate(time_s):
-            cells = [f"{t:.5f}"]
+            cells = [f"{t:.9f}"]
             cells += [f"{value:.{_DIGITS}g}" for value in (*inputs[:, index], *outputs[:, index])]
             rows.append(",".join(cells))
         (folder / file).write_text("\n".join(rows) + "\n", encoding="utf-8")

@@ -1,12 +1,14 @@
 """What the objectives of one channel share."""
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, ClassVar, cast
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from labrun.devices import FloatArray
 from labrun.errors import SpecError
 from labrun.objectives.protocol import Signal, TrialSignals
 from labrun.spec.problem import dotted
@@ -64,15 +66,15 @@ class ChannelObjective(ABC):
 
     def __call__(self, signals: TrialSignals) -> float:
         """Return the number."""
-        return self._number(self._scaled(signals.counting(self.channel)))
+        return self._number(map(self._scaled, signals.counting_pieces(self.channel)))
 
     def _scaled(self, signal: Signal) -> Signal:
         factor = self._settings.scale / (self._settings.divide_by_m or 1.0)
         return Signal(signal.time_s, signal.values * factor, self.unit(signal.unit))
 
     @abstractmethod
-    def _number(self, signal: Signal) -> float:
-        """Reduce the counting part of the channel to one number."""
+    def _number(self, pieces: Iterable[Signal]) -> float:
+        """Reduce the counting part of the channel to one number; each piece begins with the last sample before it."""
 
 
 def per_metre(unit: str) -> str:
@@ -80,6 +82,21 @@ def per_metre(unit: str) -> str:
     return unit.removesuffix(" m") if unit.endswith(" m") else f"{unit}/m"
 
 
-def time_mean(signal: Signal) -> float:
-    """Return the mean over time (trapezoidal rule); missing samples do not shift it as they would a plain mean."""
-    return float(np.trapezoid(signal.values, signal.time_s) / (signal.time_s[-1] - signal.time_s[0]))
+def time_mean(pieces: Iterable[Signal], of: Callable[[FloatArray], FloatArray] = np.asarray) -> float:
+    """Return the mean over time (trapezoidal rule); missing samples do not shift it as they would a plain mean.
+
+    Parameters
+    ----------
+    pieces
+        At least one; each begins with the last sample of the one before.
+    of
+        What of the values is meant, for example their magnitude.
+    """
+    parts: list[float] = []
+    start_s = end_s = 0.0
+    for piece in pieces:
+        if not parts:
+            start_s = piece.time_s[0]
+        parts.append(float(np.trapezoid(of(piece.values), piece.time_s)))
+        end_s = piece.time_s[-1]
+    return math.fsum(parts) / float(end_s - start_s)

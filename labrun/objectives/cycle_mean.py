@@ -1,5 +1,7 @@
 """Mean over whole gait cycles."""
 
+from collections.abc import Iterable
+
 from labrun.errors import ExperimentError
 from labrun.objectives.channel import ChannelObjective, time_mean
 from labrun.objectives.protocol import Signal, TrialSignals
@@ -27,5 +29,5 @@ class CycleMean(ChannelObjective):
             )
         return super().__call__(signals)
 
-    def _number(self, signal: Signal) -> float:
-        return time_mean(signal)
+    def _number(self, pieces: Iterable[Signal]) -> float:
+        return time_mean(pieces)

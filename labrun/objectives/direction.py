@@ -1,7 +1,7 @@
 """Direction of a force in the plane."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar
 
 from labrun.errors import ExperimentError
@@ -42,11 +42,11 @@ class Direction(ChannelObjective):
         ExperimentError
             Both means are zero: there is no direction.
         """
-        forward = self._number(signals.counting(self.channel)) * self._settings.scale
-        side = self._number(signals.counting(self.side_channel)) * self._side_scale
+        forward = self._number(signals.counting_pieces(self.channel)) * self._settings.scale
+        side = self._number(signals.counting_pieces(self.side_channel)) * self._side_scale
         if forward == 0 and side == 0:
             raise ExperimentError(f"{self.channel} and {self.side_channel} are both zero: no direction")
         return math.degrees(math.atan2(side, forward))
 
-    def _number(self, signal: Signal) -> float:
-        return time_mean(signal)
+    def _number(self, pieces: Iterable[Signal]) -> float:
+        return time_mean(pieces)

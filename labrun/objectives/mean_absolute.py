@@ -1,6 +1,7 @@
 """Mean of the magnitude."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from itertools import chain
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -51,20 +52,20 @@ class MeanAbsolute(ChannelObjective):
         ExperimentError
             Fewer than two samples lie between `from_s` and `to_s`.
         """
-        counting = signals.counting(self.channel) if self._to_s is None else self._all(signals)
-        start_s = counting.time_s[0] if self._from_s is None else self._from_s
-        end_s = counting.time_s[-1] if self._to_s is None else self._to_s
-        part = counting.between(start_s, end_s)
-        if len(part.time_s) < 2:
+        # A stated end need not be that of a gait cycle: up to there, the whole recording counts.
+        start_s, end_s = (signals.start_s, signals.end_s) if self._to_s is not None else signals.window()
+        start_s = start_s if self._from_s is None else max(start_s, self._from_s)
+        end_s = end_s if self._to_s is None else min(end_s, self._to_s)
+        whole = signals.counting_pieces if self._to_s is None else signals.pieces
+        parts = (piece.between(start_s, end_s) for piece in whole(self.channel))
+        first = next((part for part in parts if len(part.time_s) > 1), None)
+        if first is None:
             raise ExperimentError(
                 f"{self.channel} has fewer than 2 samples between {start_s:.4g} and {end_s:.4g} s",
                 hint=f"the recording lasts {signals.end_s - signals.start_s:.4g} s: look at from_s and to_s",
             )
-        return self._number(self._scaled(part))
+        rest = (part for part in parts if len(part.time_s) > 1)
+        return self._number(map(self._scaled, chain([first], rest)))
 
-    def _all(self, signals: TrialSignals) -> Signal:
-        """Return the whole recording: a stated end need not be that of a gait cycle."""
-        return signals.signal(self.channel).between(signals.start_s, signals.end_s)
-
-    def _number(self, signal: Signal) -> float:
-        return time_mean(Signal(signal.time_s, np.abs(signal.values), signal.unit))
+    def _number(self, pieces: Iterable[Signal]) -> float:
+        return time_mean(pieces, np.abs)

@@ -1,5 +1,7 @@
 """Greatest magnitude."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from labrun.objectives.channel import ChannelObjective
@@ -9,5 +11,6 @@ from labrun.objectives.protocol import Signal
 class Peak(ChannelObjective):
     """The value of a channel that is farthest from zero, with its sign."""
 
-    def _number(self, signal: Signal) -> float:
-        return float(signal.values[np.argmax(np.abs(signal.values))])
+    def _number(self, pieces: Iterable[Signal]) -> float:
+        peaks = (float(piece.values[np.argmax(np.abs(piece.values))]) for piece in pieces)
+        return max(peaks, key=abs)

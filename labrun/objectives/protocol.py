@@ -1,10 +1,11 @@
 """What an objective sees of a trial, what it is, and how one is made from its table in the experiment file."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labrun.devices import FloatArray, Trajectory
 from labrun.errors import ExperimentError, SpecError
@@ -36,6 +37,15 @@ class Signal:
         return Signal(self.time_s[first:end], self.values[first:end], self.unit)
 
 
+@runtime_checkable
+class InPieces(Protocol):
+    """Signals, some of them longer than memory should hold, that can also be had piece by piece."""
+
+    def pieces(self, channel: str) -> Iterator[Signal]:
+        """Yield consecutive parts of a channel; KeyError if there is none of that name."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class TrialSignals:
     """Everything an objective may look at.
@@ -43,7 +53,7 @@ class TrialSignals:
     Attributes
     ----------
     signals
-        "device.channel" -> signal.
+        "device.channel" -> signal; may be `InPieces` too.
     command
         The motion that was asked for; its time starts at `start_s`.
     start_s, end_s
@@ -105,19 +115,98 @@ class TrialSignals:
         The ends are interpolated between their neighbours, so that a mean over the window covers whole cycles and not
         one sample more or less; outside the recorded samples the nearest one stands.
         """
-        signal = self.signal(channel)
+        pieces = list(self.counting_pieces(channel))
+        if len(pieces) == 1:
+            return pieces[0]
+        time_s = np.concatenate([pieces[0].time_s, *(piece.time_s[1:] for piece in pieces[1:])])
+        values = np.concatenate([pieces[0].values, *(piece.values[1:] for piece in pieces[1:])])
+        return Signal(time_s, values, pieces[0].unit)
+
+    def pieces(self, channel: str) -> Iterator[Signal]:
+        """Yield all of a channel in consecutive pieces, in one if it is short.
+
+        Each piece begins with the last sample of the one before, so that integrals over time add up.
+        """
+        if isinstance(self.signals, InPieces) and channel in self.signals:
+            yield from _chained(self.signals.pieces(channel))
+        else:
+            yield self.signal(channel)
+
+    def counting_pieces(self, channel: str) -> Iterator[Signal]:
+        """Yield what `counting` returns in pieces as `pieces` does: for trials too long for memory.
+
+        Raises
+        ------
+        ExperimentError
+            As `counting`; where it is found out only at the end, after the last piece.
+        """
         start, end = self.window()
-        inner = (signal.time_s > start) & (signal.time_s < end)
-        if np.count_nonzero(inner) < 2:
+        before, after = _nothing(), _nothing()
+        held: Signal | None = None
+        count, finite = 0, True
+        for number, piece in enumerate(self.pieces(channel)):
+            signal = piece if number == 0 else Signal(piece.time_s[1:], piece.values[1:], piece.unit)
+            inner = (signal.time_s > start) & (signal.time_s < end)
+            real = np.isfinite(signal.values)
+            before = _last(signal, real & (signal.time_s <= start), before)
+            if inner.any():
+                part = Signal(signal.time_s[inner], signal.values[inner], signal.unit)
+                count += len(part.time_s)
+                finite &= bool(real[inner].all())
+                if held is None:
+                    held = _joined(_at(start, before, part.time_s[:1], part.values[:1]), part)
+                else:
+                    yield held
+                    held = _joined((held.time_s[-1:], held.values[-1:]), part)
+            late = np.flatnonzero(real & (signal.time_s >= end))[:1]
+            after = signal.time_s[late], signal.values[late]
+            if len(late):
+                break
+        if held is None or count < 2:
             raise ExperimentError(f"{channel} has fewer than 2 samples between {start:.4g} and {end:.4g} s")
-        if not np.isfinite(signal.values[inner]).all():
+        if not finite:
             raise ExperimentError(
                 f"{channel} holds values that are not numbers between {start:.4g} and {end:.4g} s"
             )
-        finite = np.isfinite(signal.values)
-        ends = np.interp([start, end], signal.time_s[finite], signal.values[finite])
-        time_s = np.concatenate([[start], signal.time_s[inner], [end]])
-        return Signal(time_s, np.concatenate([ends[:1], signal.values[inner], ends[1:]]), signal.unit)
+        made = _at(end, (held.time_s[-1:], held.values[-1:]), *after)
+        yield Signal(
+            np.concatenate([held.time_s, made[0]]), np.concatenate([held.values, made[1]]), held.unit
+        )
+
+
+Points = tuple[FloatArray, FloatArray]
+"""Times and values of some samples."""
+
+
+def _nothing() -> Points:
+    return np.empty(0), np.empty(0)
+
+
+def _last(signal: Signal, which: NDArray[np.bool_], otherwise: Points) -> Points:
+    """Return the last of the samples that are meant, of shape (1,)."""
+    found = np.flatnonzero(which)[-1:]
+    return (signal.time_s[found], signal.values[found]) if len(found) else otherwise
+
+
+def _at(time_s: float, before: Points, after_s: FloatArray, after: FloatArray) -> Points:
+    """Return a sample between its neighbours, of which one may be missing."""
+    times, values = np.concatenate([before[0], after_s]), np.concatenate([before[1], after])
+    return np.array([time_s]), np.interp([time_s], times, values)
+
+
+def _joined(first: Points, signal: Signal) -> Signal:
+    return Signal(
+        np.concatenate([first[0], signal.time_s]), np.concatenate([first[1], signal.values]), signal.unit
+    )
+
+
+def _chained(pieces: Iterator[Signal]) -> Iterator[Signal]:
+    last: Points | None = None
+    for piece in pieces:
+        if len(piece.time_s) == 0:
+            continue
+        yield piece if last is None else _joined(last, piece)
+        last = piece.time_s[-1:], piece.values[-1:]
 
 
 class Objective(Protocol):

@@ -83,7 +83,7 @@ def trial_signals(
 
 
 class _TaredSignals(Mapping[str, Signal]):
-    """Every channel by ``device.channel``, made when asked for: a long trial has more than memory holds."""
+    """Every channel by ``device.channel``, made when asked for, whole or in pieces: a trial may exceed memory."""
 
     def __init__(self, streams: Streams, tare: Mapping[str, float]) -> None:
         self._tare = tare
@@ -97,6 +97,19 @@ class _TaredSignals(Mapping[str, Signal]):
         stream, channel = self._places[name]
         values = stream.column(channel.name) - self._tare.get(name, 0.0)
         return Signal(stream.time_s, values, channel.unit)
+
+    def pieces(self, name: str) -> Iterator[Signal]:
+        """Yield consecutive parts of a channel; KeyError if there is none of that name."""
+        stream, channel = self._places[name]
+        if isinstance(stream, Stream):
+            yield self[name]
+            return
+        offset = self._tare.get(name, 0.0)
+        for time_s, values in stream.pieces(channel.name):
+            yield Signal(time_s, values - offset, channel.unit)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._places
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._places)

@@ -37,6 +37,23 @@ def write_all(descriptor: int, data: bytes) -> None:
         view = view[os.write(descriptor, view) :]
 
 
+def write_all_at(descriptor: int, data: bytes, first: int) -> None:
+    """Write all of `data` at a place of the file."""
+    view = memoryview(data)
+    while view:
+        count = os.pwrite(descriptor, view, first)
+        view, first = view[count:], first + count
+
+
+def write_unsynced(path: Path, data: bytes) -> None:
+    """Write a file and leave it to the system when it goes to disk."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+    try:
+        write_all(descriptor, data)
+    finally:
+        os.close(descriptor)
+
+
 def write_synced(path: Path, data: bytes) -> None:
     """Write a file and wait until it is on disk; its name becomes durable with `fsync_directory`."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)

@@ -67,9 +67,12 @@ class Journal:
     def close(self) -> None:
         """Sync and release the file; the next `append` opens it again."""
         if self._descriptor is not None:
-            self.sync()
-            os.close(self._descriptor)
-            self._descriptor = None
+            descriptor = self._descriptor
+            try:
+                self.sync()
+            finally:
+                os.close(descriptor)
+                self._descriptor, self._unsynced = None, False
 
     def text(self) -> str:
         """Return all whole lines, as they stand in the file; empty if there is no journal yet."""

@@ -75,6 +75,7 @@ def _remove_trials(folder: "RunFolder", files: Mapping[int, Path]) -> None:
     with saving("the removal of packed trials", folder.path, f"everything is in {PACKED}"):
         for path in files.values():
             path.unlink()
+        folder.log.remove()
         with suppress(OSError):
             trials.rmdir()
         fsync_directory(folder.path)

@@ -1,6 +1,6 @@
 """A trial too long for memory: its samples grow in the temporary file while it runs."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -57,9 +57,21 @@ class SpilledStream:
 
     def column(self, channel: str) -> FloatArray:
         """Return the values of one channel, shape (n,); KeyError if there is none of that name."""
+        self._check(channel)
+        return self._file.column(self.name, channel)
+
+    def pieces(self, channel: str) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Yield times and values of one channel, `BLOCK` of them at a time; KeyError if there is none of that name."""
+        self._check(channel)
+        return zip(
+            self._file.time_blocks(self.name, self._start_s),
+            self._file.column_blocks(self.name, channel),
+            strict=True,
+        )
+
+    def _check(self, channel: str) -> None:
         if all(known.name != channel for known in self.channels):
             raise KeyError(channel)
-        return self._file.column(self.name, channel)
 
 
 class SpillFile:
@@ -103,24 +115,19 @@ class SpillFile:
 
     def column(self, device: str, name: str) -> FloatArray:
         """Return one column whole."""
-        dataset = self._dataset(device, name)
-        values = np.empty(dataset.shape)
-        end = 0
-        for block in blocks(dataset):
-            values[end : end + len(block)] = block
-            end += len(block)
-        return values
+        return self._whole(device, self.column_blocks(device, name))
+
+    def column_blocks(self, device: str, name: str) -> Iterator[FloatArray]:
+        """Yield one column, `BLOCK` values at a time."""
+        return blocks(self._dataset(device, name))
 
     def time_s(self, device: str, start_s: float) -> FloatArray:
         """Return the trial-relative times that `complete` will store."""
-        dataset = self._dataset(device, "device_time_s")
-        values = np.empty(dataset.shape)
-        mapper = self._clocks[device].mapper(start_s)
-        end = 0
-        for block in blocks(dataset):
-            values[end : end + len(block)] = mapper(block)
-            end += len(block)
-        return values
+        return self._whole(device, self.time_blocks(device, start_s))
+
+    def time_blocks(self, device: str, start_s: float) -> Iterator[FloatArray]:
+        """Yield the trial-relative times that `complete` will store, `BLOCK` of them at a time."""
+        return map(self._clocks[device].mapper(start_s), self.column_blocks(device, "device_time_s"))
 
     def complete(
         self, device: str, start_s: float, tare: dict[str, float], attributes: dict[str, Attribute]
@@ -154,6 +161,14 @@ class SpillFile:
             dataset = hdf5.create_growing(group, name)
             write_attribute(dataset, "units", unit)
             scale = hdf5.join_axis(dataset, name, scale)
+
+    def _whole(self, device: str, parts: Iterator[FloatArray]) -> FloatArray:
+        values = np.empty(self._dataset(device, "device_time_s").shape)
+        end = 0
+        for part in parts:
+            values[end : end + len(part)] = part
+            end += len(part)
+        return values
 
     def _dataset(self, device: str, name: str) -> h5d.DatasetID:
         return h5d.open(self._groups[device], name.encode())

@@ -2,16 +2,17 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from labrun.devices.samples import Channel, Samples
 from labrun.devices.trajectory import Trajectory
 from labrun.store import layout
-from labrun.store.disk import fsync_directory, fsync_file, saving, write_synced
+from labrun.store.disk import fsync_directory, fsync_file, saving, write_synced, write_unsynced
 from labrun.store.timing import ClockMap
 from labrun.store.trial import SettleCurve, Stream, TrialOutcome
+from labrun.store.trial_log import TrialLog
 from labrun.store.written import digest_of
 
 if TYPE_CHECKING:
@@ -32,6 +33,9 @@ class _Device:
     lost: int = 0
     saturated: int = 0
     blocks: list[Samples] = field(default_factory=list)
+    mapped: tuple[Stream, int] | None = None
+    """The stream as it was last made, with the clock's glitches; None once more samples have come."""
+    mapped_from_s: float = 0.0
 
     def joined(self) -> Samples:
         """Return what is in memory as one block, and keep it as one."""
@@ -54,9 +58,11 @@ class TrialWriter:
         The trial's execution counter.
     templates
         Of the run's earlier trials.
+    log
+        Makes a small trial durable before its file is.
     stored
-        Called once the trial is on disk: with the outcome, the file's size and digest, and where everything stands in
-        it, if that is known.
+        Called once the trial is on disk: with the outcome, the file's size and digest, where everything stands in
+        it, if that is known, and whether the log has it.
     saved
         Tells what is saved so far, for an error message.
     """
@@ -66,13 +72,16 @@ class TrialWriter:
         trials: Path,
         index: int,
         templates: "Templates",
-        stored: Callable[[TrialOutcome, Mapping[str, Any], "Places | None"], None],
+        log: TrialLog,
+        stored: Callable[[TrialOutcome, Mapping[str, Any], "Places | None", bool], None],
         saved: Callable[[], str],
     ) -> None:
         self.index = index
         self.path = trials / f"{index:06d}.h5"
         self._partial = trials / f".{index:06d}.h5.partial"
         self._templates = templates
+        self._log = log
+        self._logged = False
         self._places: Places | None = None
         self._stored = stored
         self._saved = saved
@@ -96,6 +105,7 @@ class TrialWriter:
         known.saturated += samples.saturated
         if len(samples):
             known.blocks.append(samples)
+            known.mapped = None
             self._bytes += 8 * len(samples) * (2 + len(channels))
             if self._bytes > SPILL_BYTES:
                 with self._saving():
@@ -141,10 +151,10 @@ class TrialWriter:
         with self._saving():
             complete = self._finish_in_memory if self._spill is None else self._finish_spilled
             described = complete(outcome, settle_curve, command)
-            self._partial.rename(self.path)
-            fsync_directory(self.path.parent)
+            if not self._logged:
+                self._put_in_place()
         self._devices = {}
-        self._stored(outcome, described, self._places)
+        self._stored(outcome, described, self._places, self._logged)
 
     def discard(self) -> None:
         """Forget the trial and remove its temporary file. Never raises."""
@@ -170,6 +180,12 @@ class TrialWriter:
             raise
 
     def _stream(self, device: _Device, start_s: float, tare: Mapping[str, float]) -> tuple[Stream, int]:
+        if device.mapped is None or device.mapped_from_s != start_s:
+            device.mapped, device.mapped_from_s = self._map(device, start_s), start_s
+        stream, glitches = device.mapped
+        return replace(stream, lost=device.lost, saturated=device.saturated, tare=tare), glitches
+
+    def _map(self, device: _Device, start_s: float) -> tuple[Stream, int]:
         samples = device.joined()
         clock = ClockMap(device.rate_hz)
         clock.learn(samples.device_time_s, samples.host_time_s)
@@ -182,9 +198,6 @@ class TrialWriter:
             host_time_s=samples.host_time_s,
             values=samples.values,
             rate_hz=device.rate_hz,
-            lost=device.lost,
-            saturated=device.saturated,
-            tare=tare,
         )
         return stream, clock.glitches
 
@@ -202,8 +215,26 @@ class TrialWriter:
         content, self._places = self._templates.image(
             Content(layout.outcome_attributes(outcome), tuple(tables))
         )
-        write_synced(self._partial, content)
-        return {"bytes": len(content), "blake2b": digest_of(content)}
+        digest = digest_of(content)
+        if self._log.takes(len(content)):
+            self._write_logged(content, digest)
+        else:
+            write_synced(self._partial, content)
+        return {"bytes": len(content), "blake2b": digest}
+
+    def _write_logged(self, content: bytes, digest: str) -> None:
+        self._log.append(self.index, digest, content)
+        try:
+            write_unsynced(self._partial, content)
+            self._partial.rename(self.path)
+        except OSError:
+            self._log.take_back()
+            raise
+        self._logged = True
+
+    def _put_in_place(self) -> None:
+        self._partial.rename(self.path)
+        fsync_directory(self.path.parent)
 
     def _move_to_disk(self) -> None:
         from labrun.store.spill import SpillFile

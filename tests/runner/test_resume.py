@@ -81,7 +81,8 @@ def test_the_recorded_samples_are_identical_too(whole, tmp_path):
 def test_a_trial_that_vanished_from_the_middle_is_run_again_with_the_same_result(whole, tmp_path):
     lab, _ = whole
     folder = new_folder(tmp_path)
-    Lab(folder, experiment_with(**CHANGES)).session.measure(CONDITIONS)
+    with folder.lock():
+        Lab(folder, experiment_with(**CHANGES)).session.measure(CONDITIONS)
     (folder.path / "trials" / "000006.h5").unlink()
     again = Lab(RunFolder.open(folder.path), experiment_with(**CHANGES))
     again.session.measure(CONDITIONS)

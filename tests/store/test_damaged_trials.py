@@ -21,7 +21,8 @@ def whole(tmp_path_factory):
 
 def run_with_second_trial(results, content, *, journalled):
     folder = stored_runs.new_run(results)
-    stored_runs.store_many(folder, 3)
+    with folder.lock():
+        stored_runs.store_many(folder, 3)
     (folder.path / "trials" / "000001.h5").write_bytes(content)
     if not journalled:
         lines = folder.journal.path.read_text().splitlines(keepends=True)
@@ -64,7 +65,8 @@ def test_a_damaged_trial_is_run_again_under_its_index(tmp_path, whole):
 
 def test_a_trial_that_was_journalled_but_is_gone_is_told(tmp_path):
     folder = stored_runs.new_run(tmp_path)
-    stored_runs.store_many(folder, 2)
+    with folder.lock():
+        stored_runs.store_many(folder, 2)
     (folder.path / "trials" / "000001.h5").unlink()
     reopened = RunFolder.open(folder.path)
     assert sorted(reopened.outcomes()) == [0]
@@ -73,7 +75,8 @@ def test_a_trial_that_was_journalled_but_is_gone_is_told(tmp_path):
 
 def test_a_trial_file_under_a_wrong_name_does_not_count(tmp_path):
     folder = stored_runs.new_run(tmp_path)
-    stored_runs.store_many(folder, 2)
+    with folder.lock():
+        stored_runs.store_many(folder, 2)
     (folder.path / "trials" / "000001.h5").rename(folder.path / "trials" / "000005.h5")
     assert sorted(RunFolder.open(folder.path).outcomes()) == [0]
 

@@ -114,6 +114,9 @@ def die_at(step: int, path: Path, *, packing: bool) -> None:
 
     for owner, name in (
         (os, "fsync"),
+        (os, "fdatasync"),
+        (os, "pwrite"),
+        (os, "ftruncate"),
         (Path, "replace"),
         (Path, "rename"),
         (Path, "unlink"),

@@ -82,11 +82,12 @@ def test_an_outcome_too_long_for_an_attribute_is_written_as_before():
 
 def test_a_trial_file_changed_behind_our_back_is_not_packed_as_if_it_were_whole(tmp_path):
     folder = stored_runs.new_run(tmp_path)
-    stored_runs.store_many(folder, 4)
     path = folder.path / "trials" / "000003.h5"
-    path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(StoreError, match="truncated"):
-        folder.pack()
+    with folder.lock():
+        stored_runs.store_many(folder, 4)
+        path.write_bytes(path.read_bytes()[:1000])
+        with pytest.raises(StoreError, match="truncated"):
+            folder.pack()
     assert path.exists()
 
 

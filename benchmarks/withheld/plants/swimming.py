@@ -20,7 +20,6 @@ from withheld.plant import (
 )
 from withheld.plants.programmes import driven, round_inputs, time_base
 
-_BODY = ("drag-error", "added-mass", "reynolds-dependent-drag", "wall-echo", "mean-current")
 _SMOOTH = ("sine", "chirp", "multisine", "triangle")
 """Signals whose speed can be recorded."""
 
@@ -125,13 +124,18 @@ class Swimmer(Plant):
         spring = float(f"{mass * (2 * np.pi * self.natural_hz) ** 2:.4g}")
         drag = float(f"{mass * rng.uniform(2.0, 5.0):.4g}")
         linear = float(f"{mass * rng.uniform(0.3, 0.8):.4g}")
-        # a body's drag is free to be calibrated only where nothing hidden has exactly its form
+        # where drag is calibrated, it takes an error of its own; and with the thrust's share, an added mass
         drag_known = rng.random() < 0.6
         pull = " - tether*position" if self.tether else ""
         law = "drag*abs(speed)*speed" if self.quadratic else "damping*speed"
-        effects = (
-            [*_BODY] if drag_known or not self.quadratic else [one for one in _BODY if one != "drag-error"]
-        )
+        exact = self.quadratic and drag_known
+        effects = [
+            "reynolds-dependent-drag",
+            "wall-echo",
+            "mean-current",
+            *only_if(exact or not self.quadratic, "drag-error"),
+            *only_if(exact or self.tether, "added-mass"),
+        ]
         super().__init__(
             name="tethered-swimmer" if self.tether else "free-swimmer",
             states=("position", "speed"),

@@ -39,7 +39,8 @@ class FreeDecay(Plant):
         if self.pendulum:
             effects += ["constant-force", "load-dependent-friction"]
         else:
-            effects += ["backlash", "rest-offset"]
+            # let go from where nobody knows, a spring with another rest is a sensor with another zero
+            effects += ["backlash", *only_if(start == "release_rad", "rest-offset")]
         super().__init__(
             name="free-swing" if self.pendulum else "fin-decay",
             states=("angle", "rate"),
