@@ -1,4 +1,4 @@
-"""Causes and candidates as a person reads them: values with units and intervals, bounds, what is not to be told apart."""
+"""Causes and candidates as a person reads them: sizes with intervals, bounds, what cannot be told apart."""
 
 from typing import TYPE_CHECKING
 

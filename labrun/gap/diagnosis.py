@@ -137,7 +137,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Shrinkage:
-    """Share of the recalibrated excess that the causes remove on conditions the fit did not see, with a 90 % interval."""
+    """Share of the recalibrated excess that the causes remove on withheld conditions, with a 90 % interval."""
 
     value: float
     low: float

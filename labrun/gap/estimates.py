@@ -13,7 +13,6 @@ from labrun.gap.excess import Excess, group_means
 if TYPE_CHECKING:
     from labrun.effects import AttachedEffect
     from labrun.fit.dataset import Dataset
-    from labrun.gap.candidates import Candidate
     from labrun.gap.noise import Noise
     from labrun.gap.problem import GapProblem
     from labrun.gap.screening import Base, Screened
@@ -35,12 +34,9 @@ def scatter(base: "Base", draws: Sequence[Sequence[FloatArray]]) -> FloatArray:
     rows, noise = [], []
     for unit, (shared, own) in enumerate(zip(blocks.shared, blocks.own, strict=True)):
         stacked = np.column_stack([draw[unit] for draw in draws])
-        if own.shape[1]:
-            span = np.linalg.qr(own)[0]
-            shared = shared - span @ (span.T @ shared)
-            stacked = stacked - span @ (span.T @ stacked)
-        rows.append(shared)
-        noise.append(stacked)
+        span = np.linalg.qr(own)[0]  # without columns where no initial state is free
+        rows.append(shared - span @ (span.T @ shared))
+        noise.append(stacked - span @ (span.T @ stacked))
     matrix = np.concatenate([*rows, prior])
     right = np.concatenate([*noise, np.zeros((size, len(draws)))])
     norms = np.linalg.norm(matrix, axis=0)

@@ -21,8 +21,9 @@ class GapPlan:
 
 
 def plan_for(target: Path, model: str | Path | None, workspace: Path) -> GapPlan:
-    """Return the model that was asked for, that the experiment's ``[gap]`` (or ``[fit]``) names, or that stands beside a
-    recording.
+    """Return the model that was asked for, that the experiment names, or that stands beside a recording.
+
+    An experiment names it in ``[gap]``, or else in ``[fit]``.
 
     Raises
     ------

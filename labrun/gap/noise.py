@@ -49,7 +49,7 @@ class Noise:
     freedom: int
 
     def floor(self, group: int) -> FloatArray:
-        """Return the variance of one trial's noise in a condition, in units of `sd` squared, shape (m,).
+        """Return the variance of one trial's own noise in a condition, in units of `sd` squared, (m,).
 
         Trials that scatter do so more where they move more: with enough repeats a condition has its own floor.
         """
@@ -71,8 +71,10 @@ class Noise:
         return replace(self, whitener=white(len(self.sd)))
 
     def draw(self, units: Units, rng: np.random.Generator) -> list[FloatArray]:
-        """Return noise of the mean of every unit, (n, m) each: the measured whole-trial deviations, recombined at
-        random within their condition; from the spectrum where there are too few of them.
+        """Return noise of the mean of every unit, (n, m) each.
+
+        The measured whole-trial deviations, recombined at random within their condition; drawn from the spectrum where
+        there are too few of them.
         """
         return [self._draw_unit(unit, rng) for unit in units.units]
 
@@ -128,9 +130,9 @@ def from_repeats(units: Units, residual: Sequence[Sequence[FloatArray]]) -> Nois
 def _common_rounding(deviation: float, step: float) -> float:
     """Return the variance of the rounding error that all repeats of a condition share.
 
-    Noise of standard deviation s before the rounding leaves the sum over k of (step / (pi k))^2 / 2 exp(-2 (2 pi k s /
-    step)^2 / 2) in common (Widrow and Kollar, Quantization Noise, 2008, chapter 7); the rest of step^2 / 12 differs between
-    repeats, and is part of the deviation that is seen.
+    Noise of standard deviation s before the rounding leaves the sum over k of
+    (step / (pi k))^2 / 2 exp(-(2 pi k s / step)^2) in common (Widrow and Kollar, Quantization Noise, 2008, chapter 7);
+    the rest of step^2 / 12 differs between repeats, and is part of the deviation that is seen.
     """
     from scipy.optimize import brentq
 

@@ -317,7 +317,7 @@ class GapProblem(Problem):
         return np.array(away)
 
     def _set_first_priors(self) -> None:
-        """A state that begins at the first samples is known as well as their mean: noise, and how far they moved."""
+        """Hold a state that begins at the first samples by their noise, and by how far they moved."""
         self._prior_of_first = []
         if not self._firsts:
             return

@@ -37,7 +37,7 @@ def save_model(diagnosis: Diagnosis, source: str | Path, path: Path) -> None:
 
 def _remarks(diagnosis: Diagnosis) -> list[str]:
     found = [
-        f"Corrected by a diagnosis of {diagnosis.name}, {diagnosis.trials} trials of {diagnosis.conditions} conditions.",
+        f"Corrected by a diagnosis of {diagnosis.name}: {diagnosis.trials} trials, {diagnosis.conditions} conditions.",
         diagnosis.sentence,
     ]
     for cause in diagnosis.causes:

@@ -145,11 +145,13 @@ class Selector:
         for _ in range(_SWEEPS):
             before = {one.rated.candidate.name for one in chosen}
             for place in range(len(chosen)):
+                if len(chosen) == 1:
+                    break
                 self.note(f"checking {chosen[0].rated.candidate.name} again beside the others")
                 base = self._without(chosen, 0)
                 again = self._look(base)
                 left = excess(base.problem.units, self.noise, held_out_residuals(base.problem, base.z))
-                one = self._choose(again, left, further=len(chosen) > 1)
+                one = self._choose(again, left, further=True)
                 chosen = chosen[1:] if one is None else [*chosen[1:], one]
                 if one is None or place == len(chosen):
                     break

@@ -21,8 +21,10 @@ _FEWEST_SAMPLES = 8
 
 @dataclass(frozen=True)
 class Unit:
-    """Trials of one condition that one simulation predicts: all repeats, or one trial where repeats differ by more
-    than noise (in their inputs, their time base or their free initial states).
+    """Trials of one condition that one simulation predicts.
+
+    All repeats, or one trial where repeats differ by more than noise: in their inputs, their time base or their free
+    initial states.
 
     Attributes
     ----------

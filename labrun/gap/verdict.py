@@ -1,4 +1,4 @@
-"""The verdict: is there a gap, do parameters explain it, do the causes, or is the cause not in the library?"""
+"""The verdict: no gap, explained by parameters, by causes, in part, or not by anything in the library."""
 
 from dataclasses import dataclass
 

@@ -21,7 +21,7 @@ class NoLabrun:
 
 sys.meta_path.insert(0, NoLabrun())
 import runpy
-sys.argv = ["withheld", "--cases", "1", "--seed", "3", "--out", sys.argv[1]]
+sys.argv = ["withheld", "--cases", "1", "--first", "2", "--seed", "12", "--out", sys.argv[1]]
 try:
     runpy.run_path(GENERATOR, run_name="__main__")
 except SystemExit as done:
@@ -59,4 +59,4 @@ def test_it_runs_where_labrun_cannot_be_imported(tmp_path: Path) -> None:
         [sys.executable, "-c", code, str(tmp_path / "alone")], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "alone" / "cases" / "case-0001" / "recording.toml").is_file()
+    assert (tmp_path / "alone" / "cases" / "case-0002" / "recording.toml").is_file()

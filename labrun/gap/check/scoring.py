@@ -57,11 +57,11 @@ class Scores:
         Of all announced causes.
     confusion : what it is -> what was said -> count
     false_alarms
-        Controls in which an effect was blamed; `control_claims` counts every verdict about them.
+        Controls in which an effect was blamed, of those that were diagnosed; `control_claims` counts every verdict.
     recognised : strength -> share
         Of those outside of the library: called so.
     wrongly_unknown
-        Of all others: called outside of the library.
+        Of all others that were diagnosed: called outside of the library.
     extra
         Cases with more effects announced than there are.
     calibration
@@ -128,7 +128,8 @@ def score(judged: Sequence[Judged]) -> Scores:
     pairs = [one for one in judged if one.truth.kind == "pair"]
     controls = [one for one in judged if one.truth.kind == "control"]
     outside = [one for one in judged if one.truth.kind == "outside"]
-    known = [one for one in judged if one.truth.kind != "outside"]
+    # a case that raised had no occasion for a false claim: it must not make them look rarer
+    spoken = [one for one in judged if one.truth.kind != "outside" and not one.said.error]
     announced = [(named, one.truth) for one in judged for named in one.said.announced]
     return Scores(
         cases=len(judged),
@@ -145,11 +146,11 @@ def score(judged: Sequence[Judged]) -> Scores:
         parameters=Share.among(one.found == 1 for one in judged if one.truth.kind == "parameter"),
         set_sizes=dict(sorted(Counter(len(named.members) for named, _ in announced).items())),
         confusion=confusion(judged),
-        false_alarms=Share.among(one.outcome == "false-alarm" for one in controls),
+        false_alarms=Share.among(one.outcome == "false-alarm" for one in controls if not one.said.error),
         control_claims=dict(sorted(Counter(one.said.verdict for one in controls).items())),
         recognised=_by_strength(outside, lambda one: one.outcome == "recognised"),
-        wrongly_unknown=Share.among(one.said.verdict == "not-in-library" for one in known),
-        extra=Share.among(one.extra > 0 for one in known),
+        wrongly_unknown=Share.among(one.said.verdict == "not-in-library" for one in spoken),
+        extra=Share.among(one.extra > 0 for one in spoken),
         calibration=reliability([(named.confidence, right(named.top, truth)) for named, truth in announced]),
         shrinkage=shrinkage_score(judged),
         seconds=_durations([one.said.seconds for one in judged if not one.said.error]),

@@ -1,6 +1,7 @@
 """What `labrun gap next` answers: which trials, how long they take, what they would tell apart."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -9,6 +10,9 @@ from labrun.gap.diagnosis import Name
 from labrun.gap.next.trials import PlannedTrial
 
 Outcome = Literal["separates", "helps", "cannot"]
+
+SURE = 1.5
+_CLEARLY = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,13 +24,19 @@ class Outlook:
     sigma
         Standard deviations by which the wrong one, fitted to everything, would miss.
     ratio
-        Log likelihood over what a diagnosis asks for before it drops the wrong one: above 1 it names the right one alone.
+        Log likelihood over what a diagnosis asks for before it drops the wrong one: above 1 it names the right one alone if sizes
+        and parameters are what they were fitted to be; `SURE` leaves room for their errors.
     """
 
     truth: str
     rival: str
     sigma: float
     ratio: float
+
+    @property
+    def by_simplicity(self) -> bool:
+        """Whether the rival would explain it as well, and is dropped for having more parameters."""
+        return self.ratio >= SURE and self.sigma < _CLEARLY
 
 
 @dataclass(frozen=True)
@@ -73,8 +83,9 @@ class Proposal:
 
     @property
     def sigma(self) -> float:
-        """Of the pair that is told apart worst."""
-        return min((one.sigma for one in self.outlook), default=0.0)
+        """Of the pair that is told apart worst; what the simpler one decides without a difference is left out."""
+        worst = [one.sigma for one in self.outlook if not one.by_simplicity]
+        return min(worst, default=0.0)
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap next --json`` prints."""
@@ -119,7 +130,7 @@ class Proposal:
                 f"{len(self.trials)} trials, {self.repeats} repeats each, about {spoken(self.time_s)}:"
             )
             lines += [f"  {trial.label}" for trial in self.trials]
-        lines += [f"  if it is {one.truth}: {one.rival} would miss by {_sigmas(one)}" for one in self.outlook]
+            lines += told(self.outlook)
         lines.append(self.conclusion)
         lines += self.advice
         lines += self.notes
@@ -132,12 +143,9 @@ class Proposal:
     def conclusion(self) -> str:
         """What to expect, as a sentence."""
         if self.outcome == "separates":
-            return f"Expected to tell them apart at {_number(self.sigma)} standard deviations or more."
+            return f"Expected to tell them apart, at {_number(self.sigma)} standard deviations or more."
         if self.outcome == "helps":
-            return (
-                "It narrows the question, but is not expected to settle all of it: the weakest pair differs by "
-                f"{_number(self.sigma)} standard deviations."
-            )
+            return "It narrows the question down, but is not expected to settle all of it."
         return "Nothing that this rig can do inside its limits tells them apart."
 
 
@@ -149,9 +157,25 @@ def spoken(seconds: float) -> str:
     return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
 
 
-def _sigmas(one: Outlook) -> str:
-    verdict = "" if one.ratio >= 1.0 else ", which is not enough"
-    return f"{_number(one.sigma)} sigma{verdict}"
+def told(outlook: Sequence[Outlook]) -> list[str]:
+    """Return a sentence for every two explanations, the worse of the two ways round."""
+    worst: dict[frozenset[str], Outlook] = {}
+    for one in outlook:
+        pair = frozenset((one.truth, one.rival))
+        known = worst.get(pair)
+        if known is None or one.ratio < known.ratio:
+            worst[pair] = one
+    return [_told(one) for one in worst.values()]
+
+
+def _told(one: Outlook) -> str:
+    if one.by_simplicity:
+        return f"if it is {one.truth}, {one.rival} can do the same with more parameters: the simpler is named"
+    if one.ratio >= SURE:
+        return f"{one.truth} or {one.rival}: told apart, at {_number(one.sigma)} standard deviations"
+    if one.sigma < _CLEARLY:
+        return f"{one.truth} or {one.rival}: not told apart, they predict the same"
+    return f"{one.truth} or {one.rival}: {_number(one.sigma)} standard deviations, too few beside the size of the effect"
 
 
 def _number(sigma: float) -> str:

@@ -12,7 +12,7 @@ from labrun.fit.notes import Note, silent
 from labrun.gap.engine import search_causes
 from labrun.gap.next.advice import would_separate
 from labrun.gap.next.choosing import choose
-from labrun.gap.next.proposal import Outcome, Outlook, Proposal
+from labrun.gap.next.proposal import SURE, Outcome, Outlook, Proposal, spoken, told
 from labrun.gap.next.recording_bench import RecordingBench
 from labrun.gap.next.rivals import Rivals, rivals_of
 from labrun.gap.next.separation import Evidence, Separation, predict, rehearse
@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 REPEATS = 3
 _ROOM = 1.2
 """How far beyond the recorded range of an output a planned recording may be predicted to go."""
+_AIMS = (3.0, 10.0)
+"""Evidence to aim at, to first order; the higher one where fits in earnest imitate more than the first order says."""
+_VISIBLE = 1.0
 _NOTHING = 0.1
 """Evidence, over what a diagnosis asks for, below which trials are not worth their time."""
 
@@ -48,10 +51,14 @@ class Design:
     @property
     def outcome(self) -> Outcome:
         """What to expect."""
-        ratios = [one.ratio for one in self.evidence]
-        if not self.trials or max(ratios, default=0.0) < _NOTHING:
+        if not self.trials:
             return "cannot"
-        return "separates" if min(ratios) >= 1.0 else "helps"
+        return "separates" if self.decided == len(self.evidence) else "helps"
+
+    @property
+    def decided(self) -> int:
+        """How many of the pairs a diagnosis of everything would decide."""
+        return sum(one.ratio >= SURE for one in self.evidence)
 
 
 def propose(
@@ -106,12 +113,21 @@ def design(search: "Search", dataset: "Dataset", pool: Sequence[PlannedTrial], n
     rivals = rivals_of(search)
     note(f"comparing {len(pool)} trials for {len(rivals.rivals)} explanations")
     separation = Separation(rivals, dataset, pool, REPEATS)
-    choice = choose(separation)
-    trials = tuple(separation.trials[k] for k in choice.trials)
-    if not trials or max(one.ratio for one in choice.evidence) < _NOTHING:
-        return Design((), choice.evidence, rivals)
-    note("fitting every explanation to what the others predict for the chosen trials")
-    return Design(trials, tuple(rehearse(rivals, dataset, trials, REPEATS)), rivals)
+    best: Design | None = None
+    for enough in _AIMS:
+        choice = choose(separation, enough)
+        trials = tuple(separation.trials[k] for k in choice.trials)
+        if not trials or all(one.sigma < _VISIBLE or one.ratio < _NOTHING for one in choice.evidence):
+            return Design((), choice.evidence, rivals)
+        if best is not None and trials == best.trials:
+            break
+        note("fitting every explanation to what the others predict for the chosen trials")
+        found = Design(trials, tuple(rehearse(rivals, dataset, trials, REPEATS)), rivals)
+        if best is None or found.decided > best.decided:
+            best = found
+        if found.decided == len(found.evidence):
+            break
+    return best if best is not None else Design((), (), rivals)
 
 
 def inside(search: "Search", dataset: "Dataset", pool: Sequence[PlannedTrial]) -> list[PlannedTrial]:
@@ -200,28 +216,26 @@ def _proposal(
     commands: Sequence[str],
 ) -> Proposal:
     rivals = found.rivals
-    outlook = tuple(
-        Outlook(truth.name, other.name, one.sigma, one.ratio)
-        for (truth, other), one in zip(rivals.pairs, found.evidence, strict=True)
-    )
     open_pairs = [pair for pair, one in zip(rivals.pairs, found.evidence, strict=True) if one.ratio < 1.0]
     advice = tuple(dict.fromkeys(would_separate(*pair) for pair in open_pairs))
     return Proposal(
         found.outcome, file, tuple(one.name for one in rivals.rivals), tuple(one.cause for one in rivals.rivals),
-        rivals.doubt, rivals.why, found.trials, REPEATS, time_s, time_at_most_s, outlook, advice, tuple(notes),
+        rivals.doubt, rivals.why, found.trials, REPEATS, time_s, time_at_most_s, _outlook(found), advice, tuple(notes),
         tuple(commands),
     )  # fmt: skip
 
 
+def _outlook(found: Design) -> tuple[Outlook, ...]:
+    return tuple(
+        Outlook(truth.name, other.name, one.sigma, one.ratio)
+        for (truth, other), one in zip(found.rivals.pairs, found.evidence, strict=True)
+    )
+
+
 def _remarks(found: Design, time_s: float) -> list[str]:
     """Return the head of the file: what it is for."""
-    from labrun.gap.next.proposal import spoken
-
-    least = min(one.sigma for one in found.evidence)
-    return [
-        found.rivals.why,
-        f"These trials are expected to tell them apart by {least:.3g} standard deviations, in about {spoken(time_s)}.",
-    ]
+    lines = [found.rivals.why, f"Rig time of these trials: about {spoken(time_s)}. What to expect:"]
+    return [*lines, *(f"  {line}" for line in told(_outlook(found)))]
 
 
 def _by_hand(names: Sequence[str], trials: Sequence[PlannedTrial]) -> list[str]:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 _FACTORS = (0.25, 0.5, -1.0)
+_GENTLER = (0.5, 0.25)
+"""Factors on the inputs at a condition nobody has tried."""
 _WARPS = (0.5, 2.0, 4.0)
 """How much faster; slower ones take longer and are cut at the recorded length."""
 _CYCLES = (2.0, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
@@ -75,10 +77,21 @@ class RecordingBench:
         found = []
         for name in self.set_by_hand:
             values = [float(one.condition[name]) for one in self.dataset.trials]
-            for value in by_hand(values):
+            for value in by_hand(name, values):
                 condition = {**trial.condition, name: value}
                 label = f"{name} = {value:g}, else as recorded at {trial.label}"
                 found.append(self._trial(label, condition, trial, trial.inputs, (place, 1.0)))
+                for factor in _GENTLER if self.model.inputs else ():
+                    gentle = {**condition, "input": f"times {factor:g}"}
+                    found.append(
+                        self._trial(
+                            f"{label}, inputs times {factor:g}",
+                            gentle,
+                            trial,
+                            factor * trial.inputs,
+                            (place, factor),
+                        )
+                    )
         return found
 
     def _changed(self, place: int) -> list[PlannedTrial]:
@@ -128,7 +141,10 @@ class RecordingBench:
                 shapes.append(
                     (f"sweep of {size:.3g} from {bottom:.3g} to {top:.3g} Hz", middle + size * np.sin(phase))
                 )
-                square = middle + size * np.sign(np.sin(2 * np.pi * 2.0 / length * time_s + 1e-9))
+                # it begins at rest: what an input was before a trial is not known to any effect
+                square = middle + size * np.sign(np.sin(4 * np.pi * time_s / length + 1e-9)) * (
+                    time_s > length / 16
+                )
                 shapes.append((f"steps of {size:.3g} every {length / 4:.3g} s", square))
             for label, course in shapes:
                 inputs = np.tile(np.median(trial.inputs, axis=0), (len(time_s), 1))

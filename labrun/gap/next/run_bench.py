@@ -3,7 +3,6 @@
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -176,7 +175,7 @@ class RunBench:
 
                     new = beyond(values, allowed)
                 else:
-                    new = by_hand(values)
+                    new = by_hand(name, values)
                 options.setdefault(name, []).extend(new)
                 one_way += [{**base, name: value} for value in new]
         both = [_drawn(bases, options, rng) for _ in range(_MOST)] if len(options) > 1 else []

@@ -22,8 +22,8 @@ _CLEAR = 3.0
 """Log likelihood between two explanations at which the weaker one's weight falls below a twentieth."""
 _EACH_VARIABLE = 3.0
 """What a further variable must earn, as in the rating of candidates."""
-_TOLERANCE = 1e-4
-_EVALUATIONS = 25
+_TOLERANCE = 1e-5
+_EVALUATIONS = 40
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ class Evidence:
     dispersion
         Of the noise, see `Rivals`.
     price
-        Log likelihood that the truth has to earn first, for having more variables than its rival.
+        Log likelihood that the truth has to earn first, for having more variables than its rival; negative if it has
+        fewer.
     """
 
     squares: float
@@ -69,7 +70,7 @@ class Evidence:
 
 def price(truth: "Rival", other: "Rival") -> float:
     """Return what `truth` must earn for its further variables."""
-    return _EACH_VARIABLE * max(max(truth.variables, 1) - max(other.variables, 1), 0)
+    return _EACH_VARIABLE * (max(truth.variables, 1) - max(other.variables, 1))
 
 
 class Separation:

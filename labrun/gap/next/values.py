@@ -9,6 +9,7 @@ _STEPS = 10
 _WITHIN = (0.25, 0.5, 0.75)
 _BY_HAND = (0.5, 1.5, 2.0)
 _DIGITS = 3
+_ANGLES = ("_deg", "_rad")
 
 
 def beyond(measured: Sequence[float], allowed: Callable[[float], bool]) -> list[float]:
@@ -32,14 +33,19 @@ def beyond(measured: Sequence[float], allowed: Callable[[float], bool]) -> list[
     return _new([one for one in map(rounded, found) if allowed(one)], measured)
 
 
-def by_hand(measured: Sequence[float]) -> list[float]:
-    """Return other values of what a person sets (a mass, a tilt), whose limits nobody states."""
+def by_hand(name: str, measured: Sequence[float]) -> list[float]:
+    """Return other values of what a person sets (a mass, a tilt), whose limits nobody states.
+
+    What has been measured on both sides of zero, angles by their unit, and an orientation that is +1 or -1 by itself may
+    change its sign.
+    """
     most = max(measured, key=abs)
     if most == 0.0:
         return []
-    found = [factor * most for factor in _BY_HAND]
-    signed = [-most] if min(measured) < 0 else []
-    return _new([rounded(one) for one in (*found, *signed)], measured)
+    if all(abs(one) == 1.0 for one in measured):
+        return _new([1.0, -1.0], measured)
+    signed = [-most] if min(measured) < 0.0 < max(measured) or name.endswith(_ANGLES) else []
+    return _new([rounded(one) for one in (*(factor * most for factor in _BY_HAND), *signed)], measured)
 
 
 def rounded(value: float) -> float:

@@ -1,0 +1,156 @@
+"""Causes that the data cannot tell apart are told apart by the experiment that is proposed for it."""
+
+import pytest
+from ambiguous import Bench, sine
+
+from labrun.gap.diagnose import Options, diagnose_dataset
+from labrun.gap.next import propose
+
+DRIVEN = """
+name = "driven"
+states = ["angle", "rate"]
+[inputs]
+torque = { unit = "N m" }
+[parameters]
+inertia   = { value = 0.01, tolerance = 0.02, unit = "kg m^2", lower = 0.001 }
+stiffness = { value = 10.0, tolerance = 0.02, unit = "N m/rad", lower = 0.1 }
+damping   = { value = 0.4,  tolerance = 0.1, unit = "N m s/rad", lower = 0.0 }
+[equations]
+angle = "rate"
+rate  = "(torque - stiffness*angle - damping*rate)/inertia"
+[outputs]
+angle = { equation = "angle", unit = "rad" }
+[initial]
+angle = 0.0
+rate  = 0.0
+"""
+
+# gravity pulls the joint back, too, and grows with the payload
+HANGING = """
+name = "hanging"
+states = ["angle", "rate"]
+[inputs]
+torque = { unit = "N m" }
+[parameters]
+inertia   = { value = 0.05, tolerance = 0.02, unit = "kg m^2", lower = 0.001 }
+stiffness = { value = 2.0,  tolerance = 0.02, unit = "N m/rad", lower = 0.1 }
+damping   = { value = 0.4,  tolerance = 0.1,  unit = "N m s/rad", lower = 0.0 }
+[equations]
+angle = "rate"
+rate  = "(torque + force.hinge - stiffness*angle - damping*rate - 9.81*0.2*payload_kg*sin(angle))/inertia"
+[outputs]
+angle = { equation = "angle", unit = "rad" }
+[sites.hinge]
+kind       = "joint"
+coordinate = "angle"
+rate       = "rate"
+stiffness  = "stiffness"
+[initial]
+angle = "free"
+rate  = "free"
+"""
+
+TILTED = """
+name = "tilted"
+states = ["angle", "rate"]
+[inputs]
+torque = { unit = "N m" }
+[parameters]
+inertia   = { value = 0.05, tolerance = 0.02, unit = "kg m^2", lower = 0.001 }
+stiffness = { value = 2.0,  tolerance = 0.02, unit = "N m/rad", lower = 0.1 }
+damping   = { value = 0.4,  tolerance = 0.1,  unit = "N m s/rad", lower = 0.0 }
+tilt      = { value = 0.0,  tolerance = 0.002, unit = "rad" }
+[equations]
+angle = "rate"
+rate  = "(torque + force.hinge - stiffness*angle - damping*rate - up*1.0*sin(angle + tilt))/inertia"
+[outputs]
+angle = { equation = "angle", unit = "rad" }
+[sites.hinge]
+kind       = "joint"
+coordinate = "angle"
+rate       = "rate"
+[initial]
+angle = 0.0
+rate  = 0.0
+"""
+
+SLIDING = """
+name = "sliding"
+states = ["way", "speed"]
+[inputs]
+push = { unit = "N" }
+[parameters]
+mass      = { value = 1.0,  tolerance = 0.02, unit = "kg", lower = 0.1 }
+spring    = { value = 40.0, tolerance = 0.02, unit = "N/m", lower = 0.1 }
+damping   = { value = 2.0,  tolerance = 0.1,  unit = "N s/m", lower = 0.0 }
+[equations]
+way   = "speed"
+speed = "(push + force.rail - spring*way - damping*speed)/(mass + payload_kg)"
+[outputs]
+way = { equation = "way", unit = "m" }
+[sites.rail]
+kind       = "joint"
+coordinate = "way"
+rate       = "speed"
+load       = "9.81*(mass + payload_kg)"
+[initial]
+way   = 0.0
+speed = 0.0
+"""
+
+PAIRS = {
+    "delay or lag": (
+        Bench(
+            DRIVEN, ("lag", "input", "torque", {"time_constant": 0.06}),
+            tuple(({"f": f}, sine(5.0, f)) for f in (0.3, 0.5)), noise=0.02,
+        ),
+        "lag at torque", {"delay at torque", "delay at angle"},
+    ),
+    "rest offset or bias": (
+        Bench(
+            HANGING, ("rest-offset", "joint", "hinge", {"offset": 0.06}),
+            tuple(({"payload_kg": 0.5, "f": f}, sine(0.6, f)) for f in (0.5, 0.9)), noise=0.005,
+        ),
+        "rest-offset at hinge", {"bias at angle"},
+    ),
+    "tilt or a constant force": (
+        Bench(
+            TILTED, None, tuple(({"up": 1.0, "f": f}, sine(0.6, f)) for f in (0.5, 0.9)), noise=0.005,
+            parameters={"tilt": 0.06},
+        ),
+        "parameter tilt", {"constant-force at hinge"},
+    ),
+    "friction that depends on the load, or not": (
+        Bench(
+            SLIDING, ("load-dependent-friction", "joint", "rail", {"coefficient": 0.05}),
+            tuple(({"payload_kg": 0.5, "f": f}, sine(6.0, f)) for f in (0.5, 0.9)), noise=0.002,
+        ),
+        "load-dependent-friction at rail", {"coulomb-friction at rail"},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_a_pair_that_the_data_cannot_tell_apart_is_told_apart_by_the_proposed_trials(pair, tmp_path):
+    bench, truth, others = PAIRS[pair]
+    folder = bench.write(tmp_path / "bench")
+    proposal = propose(folder, workspace=tmp_path)
+    assert proposal.doubt
+    assert {truth, *others} & set(proposal.rivals) >= {truth}
+    assert others & set(proposal.rivals)
+    dataset, model = bench.carry_out(proposal, folder)
+    found = diagnose_dataset(dataset, model, Options(places=False))
+    (cause,) = found.causes
+    left = {str(cause.name), *(str(name) for name in cause.indistinguishable_from)}
+    assert truth in left
+    assert not others & left
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_what_is_expected_of_the_proposed_trials_names_the_pair(pair, tmp_path):
+    bench, truth, others = PAIRS[pair]
+    proposal = propose(bench.write(tmp_path / "bench"), workspace=tmp_path)
+    expected = {(one.truth, one.rival): one for one in proposal.outlook}
+    pairs = [expected[truth, other] for other in others if (truth, other) in expected]
+    assert pairs
+    assert all(one.ratio > 1.0 and one.sigma > 5.0 for one in pairs)
