@@ -12,6 +12,7 @@ from labrun.fit.notes import Note, silent
 from labrun.gap.conclusion import conclude
 from labrun.gap.diagnosis import Diagnosis
 from labrun.gap.engine import search_causes
+from labrun.gap.workers import workers
 
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset
@@ -86,6 +87,15 @@ def diagnose_dataset(
     options = options or Options()
     began = time.perf_counter()
     rng = np.random.default_rng(options.seed)
-    search = search_causes(dataset, model, rng, withhold=options.withhold, note=note)
+    with workers(options.workers) as each:
+        search = search_causes(
+            dataset,
+            model,
+            rng,
+            withhold=options.withhold,
+            full_guard=options.full_guard,
+            each=each,
+            note=note,
+        )
     found = conclude(search, dataset, rng, places=options.places, note=note)
     return replace(found, seed=options.seed, seconds=time.perf_counter() - began)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from labrun.fit.notes import Note, silent
 from labrun.gap.candidates import Candidate, candidates, without
 from labrun.gap.excess import Excess, excess, mean_residuals
-from labrun.gap.guard import noise_draws
+from labrun.gap.guard import full_strictness, guard, noise_draws
 from labrun.gap.held_out import held_out_residuals
 from labrun.gap.noise import Noise, from_residual
 from labrun.gap.recalibration import Recalibrated, bound_remarks, in_noise, member_residuals, recalibrate
@@ -18,6 +18,7 @@ from labrun.gap.scales import site_scales
 from labrun.gap.screening import Base, screen_all, survey
 from labrun.gap.selection import MOST_CAUSES, Selection, Selector, look
 from labrun.gap.units import Units, gather
+from labrun.gap.workers import Each, one_by_one
 
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
+_WITHOUT_REPEATS = 1.8
+"""Factor on the guard's threshold where noise was told from gap by a fit, not by repeats."""
 _WORTH = 0.98
 """A further candidate that lowers the squared residual by less than this is taken to fit noise."""
 
@@ -74,6 +77,8 @@ def search_causes(
     rng: np.random.Generator,
     *,
     withhold: Collection[str] = (),
+    full_guard: bool = False,
+    each: Each = one_by_one,
     note: Note = silent,
 ) -> Search:
     """Search the library for what a model lacks.
@@ -82,6 +87,8 @@ def search_causes(
     ----------
     withhold
         Ids of effects that the library is to be without.
+    full_guard
+        Run the whole search, with all its fits, on noise alone, too.
 
     Raises
     ------
@@ -93,15 +100,20 @@ def search_causes(
     scales = site_scales(recalibration.problem, recalibration.z)
     every = candidates(recalibration.problem.model, scales, withhold)
     if recalibration.noise.basis == "residual":
-        recalibration = _without_repeats(recalibration, every, note)
+        recalibration = _without_repeats(recalibration, every, note, each)
     problem, noise, z = recalibration.problem, recalibration.noise, recalibration.z
     note(f"trying {len(every)} candidates")
     draws = noise_draws(problem, noise, rng)
     residual = held_out_residuals(problem, z)
     reference = excess(units, noise, residual)
     base = Base.of(problem, z)
-    first = look(base, every, noise, draws, reference)
-    selection = Selector(first, every, noise, draws, reference, residual, note).select()
+    strictness = 1.0 if noise.basis == "repeats" else _WITHOUT_REPEATS
+    if full_guard:
+        note("running the whole search on noise alone, for the guard")
+        linear = guard(base, each(lambda one: survey(base, one), every), draws)
+        strictness *= full_strictness(base, every, noise, linear, rng, each=each)
+    first = look(base, every, noise, draws, reference, strictness, each)
+    selection = Selector(first, every, noise, draws, reference, residual, note, strictness, each).select()
     return Search(
         units,
         recalibration,
@@ -115,7 +127,9 @@ def search_causes(
     )
 
 
-def _without_repeats(recalibration: Recalibrated, every: list[Candidate], note: Note) -> Recalibrated:
+def _without_repeats(
+    recalibration: Recalibrated, every: list[Candidate], note: Note, each: Each
+) -> Recalibrated:
     """Take as noise what the best few candidates together leave: without repeats nothing else tells it from the gap.
 
     Its colour is believed of that remainder only: where the model is wrong, the gap has a colour of its own.
@@ -125,7 +139,8 @@ def _without_repeats(recalibration: Recalibrated, every: list[Candidate], note: 
     base = Base.of(recalibration.problem, recalibration.z)
     for _ in range(MOST_CAUSES):
         rest = without(every, {one.name for one in base.added})
-        best = min(screen_all(base, [survey(base, one) for one in rest]), key=lambda one: one.squares)
+        surveys = [survey(base, one) for one in rest]
+        best = min(screen_all(base, surveys, each=each), key=lambda one: one.squares)
         if best.squares > _WORTH * base.squares:
             break
         base = Base.of(best.problem, best.z, (*base.added, best.candidate))

@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.gap.workers import Each, one_by_one
+
 if TYPE_CHECKING:
+    from labrun.gap.candidates import Candidate
     from labrun.gap.noise import Noise
     from labrun.gap.problem import GapProblem
     from labrun.gap.screening import Base, Survey
@@ -16,6 +19,7 @@ FloatArray = NDArray[np.float64]
 
 LEVEL = 97.0
 DRAWS = 200
+FULL_DRAWS = 30
 _SLACK = 1.3
 """Factor on the threshold: fits are not linear, and the noise itself is only estimated."""
 
@@ -35,6 +39,10 @@ class Guard:
     threshold: float
     dispersion: float
 
+    def times(self, strictness: float) -> "Guard":
+        """Return a guard that asks for so many times more."""
+        return Guard(self.threshold * strictness, self.dispersion)
+
 
 def noise_draws(
     problem: "GapProblem", noise: "Noise", rng: np.random.Generator, draws: int = DRAWS
@@ -49,6 +57,36 @@ def noise_draws(
             parts.append(np.concatenate([white, np.zeros(rows[index] - len(white))]))
         found.append(parts)
     return found
+
+
+def full_strictness(
+    base: "Base",
+    candidates: "Sequence[Candidate]",
+    noise: "Noise",
+    linear: Guard,
+    rng: np.random.Generator,
+    *,
+    draws: int = FULL_DRAWS,
+    each: Each = one_by_one,
+) -> float:
+    """Return by what factor the linearised threshold has to grow, from the whole search run on noise alone.
+
+    Data are made from the base's own prediction and noise redrawn from whole trials; parameters are fitted again, every
+    candidate is surveyed and fitted with all its variables, and the gain of the best one kept.
+    """
+    from labrun.gap.screening import Base, refit, screen_all, survey
+
+    simulated = base.problem.simulated(base.z)
+    most = []
+    for _ in range(draws):
+        drawn = noise.draw(base.problem.units, rng)
+        problem = base.problem.with_measured(
+            [one + other for one, other in zip(simulated, drawn, strict=True)]
+        )
+        null = Base.of(problem, refit(problem, base.z, tolerance=1e-4))
+        surveys = each(lambda one, null=null: survey(null, one), candidates)  # type: ignore[misc]
+        most.append(max(one.gain for one in screen_all(null, surveys, linear.threshold, each)))
+    return max(1.0, float(np.percentile(most, LEVEL)) / linear.threshold)
 
 
 def guard(base: "Base", surveys: "Sequence[Survey]", draws: Sequence[Sequence[FloatArray]]) -> Guard:

@@ -63,7 +63,7 @@ class Noise:
         return np.asarray(self.floor(group) / count + self.systematic)
 
     def mean_sd(self, count: int) -> FloatArray:
-        """Return the standard deviation of the mean of `count` trials of any condition, in units of `sd`, shape (m,)."""
+        """Return the standard deviation of the mean of `count` trials, in units of `sd`, shape (m,)."""
         return np.asarray(np.sqrt((1.0 - self.systematic) / count + self.systematic))
 
     def plain(self) -> "Noise":

@@ -11,6 +11,7 @@ from labrun.fit.descent import minimise
 from labrun.gap.absorption import Absorption
 from labrun.gap.candidates import Candidate
 from labrun.gap.problem import own_states
+from labrun.gap.workers import Each, one_by_one
 
 if TYPE_CHECKING:
     from labrun.gap.problem import GapProblem
@@ -155,7 +156,9 @@ def follow(base: Base, surveyed: Survey) -> Screened:
     return Screened(surveyed.candidate, problem, best, squares, gain, surveyed)
 
 
-def screen_all(base: Base, surveys: Sequence[Survey], threshold: float = 0.0) -> list[Screened]:
+def screen_all(
+    base: Base, surveys: Sequence[Survey], threshold: float = 0.0, each: Each = one_by_one
+) -> list[Screened]:
     """Fit every candidate whose survey promises something, in their order.
 
     Parameters
@@ -167,14 +170,14 @@ def screen_all(base: Base, surveys: Sequence[Survey], threshold: float = 0.0) ->
     needed = max(_WORTH_A_FIT * threshold, _BESIDE_BEST * best)
     top = sorted((one.potential for one in surveys), reverse=True)[:_ALWAYS]
     needed = min(needed, top[-1]) if top else needed
-    return [
-        follow(base, one)
-        if one.potential >= needed
-        else Screened(
-            one.candidate, one.problem, one.starts[0], base.squares - one.potential, one.potential, one
-        )
-        for one in surveys
-    ]
+
+    def fitted(one: Survey) -> Screened:
+        if one.potential >= needed:
+            return follow(base, one)
+        left = base.squares - one.potential
+        return Screened(one.candidate, one.problem, one.starts[0], left, one.potential, one)
+
+    return each(fitted, surveys)
 
 
 def refit(problem: "GapProblem", z: FloatArray, *, tolerance: float = 1e-6) -> FloatArray:

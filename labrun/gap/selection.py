@@ -1,7 +1,7 @@
 """Which causes: the best candidate, whether more than one is at work, and what cannot be told from them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +14,7 @@ from labrun.gap.held_out import held_out_residuals
 from labrun.gap.problem import own_states
 from labrun.gap.rating import Rated, promising, rate, weights
 from labrun.gap.screening import Base, Screened, refit, screen_all, survey
+from labrun.gap.workers import Each, one_by_one
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -81,14 +82,22 @@ def look(
     noise: "Noise",
     draws: "Sequence[Sequence[FloatArray]]",
     reference: Excess,
+    strictness: float = 1.0,
+    each: Each = one_by_one,
 ) -> Round:
-    """Try every candidate beside a base: fit, guard, and the best of them on withheld conditions."""
-    surveys = [survey(base, one) for one in candidates]
-    threshold = guard(base, surveys, draws)
-    screened = screen_all(base, surveys, threshold.threshold)
-    rated = [
-        rate(base, one, threshold, noise, reference) for one in promising(screened, threshold, _LOOKED_AT)
-    ]
+    """Try every candidate beside a base: fit, guard, and the best of them on withheld conditions.
+
+    Parameters
+    ----------
+    strictness
+        Factor on the guard's threshold.
+    """
+    surveys = each(lambda one: survey(base, one), candidates)
+    threshold = guard(base, surveys, draws).times(strictness)
+    screened = screen_all(base, surveys, threshold.threshold, each)
+    rated = each(
+        lambda one: rate(base, one, threshold, noise, reference), promising(screened, threshold, _LOOKED_AT)
+    )
     return Round(base, screened, threshold, rated)
 
 
@@ -109,6 +118,8 @@ class Selector:
     reference: Excess
     residual: "list[FloatArray]"
     note: Note
+    strictness: float = 1.0
+    each: Each = one_by_one
 
     def select(self) -> Selection:
         """Choose the causes; each must beat the guard given the others, and remove a part of the gap of its own."""
@@ -116,8 +127,8 @@ class Selector:
         if len(chosen) > 1:
             chosen, rounds = self._exchanged(chosen)
         base = chosen[-1].base if chosen else self.first.base
-        left = chosen[-1].rated.held_out if chosen else self.reference
-        there = chosen[-1].rated.residual if chosen else self.residual
+        left = chosen[-1].held_out if chosen else self.reference
+        there = chosen[-1].residual if chosen else self.residual
         return Selection(
             [*rounds],
             tuple(one.rated for one in chosen),
@@ -131,7 +142,7 @@ class Selector:
     def _forward(self) -> "tuple[list[_Chosen], list[Round]]":
         rounds, chosen = [self.first], list[_Chosen]()
         while len(chosen) < MOST_CAUSES:
-            left = chosen[-1].rated.held_out if chosen else self.reference
+            left = chosen[-1].held_out if chosen else self.reference
             one = self._choose(rounds[-1], left, further=bool(chosen))
             if one is None:
                 break
@@ -142,19 +153,22 @@ class Selector:
 
     def _exchanged(self, chosen: "list[_Chosen]") -> "tuple[list[_Chosen], list[Round]]":
         """Choose each cause again beside the others: what stood in for two of them gives way."""
-        for _ in range(_SWEEPS):
+        for _sweep in range(_SWEEPS):
             before = {one.rated.candidate.name for one in chosen}
-            for place in range(len(chosen)):
-                if len(chosen) == 1:
-                    break
+            if len(chosen) == 1:
+                break
+            for _ in range(len(chosen)):
                 self.note(f"checking {chosen[0].rated.candidate.name} again beside the others")
                 base = self._without(chosen, 0)
                 again = self._look(base)
-                left = excess(base.problem.units, self.noise, held_out_residuals(base.problem, base.z))
+                residual = held_out_residuals(base.problem, base.z)
+                left = excess(base.problem.units, self.noise, residual)
                 one = self._choose(again, left, further=True)
-                chosen = chosen[1:] if one is None else [*chosen[1:], one]
-                if one is None or place == len(chosen):
+                if one is None:  # the others do without it
+                    kept = replace(chosen[-1], base=base, held_out=left, residual=residual)
+                    chosen = [*chosen[1:-1], kept]
                     break
+                chosen = [*chosen[1:], one]
             if {one.rated.candidate.name for one in chosen} == before:
                 break
         return chosen, [self.first, self._look(chosen[-1].base)]
@@ -164,11 +178,12 @@ class Selector:
         if best is None:
             return None
         rivals, weight = _rivals(best, current.rated)
-        return _Chosen(best, rivals, weight, _settled(best.screened, (*current.base.added, best.candidate)))
+        base = _settled(best.screened, (*current.base.added, best.candidate))
+        return _Chosen(best, rivals, weight, base, best.held_out, best.residual)
 
     def _look(self, base: Base) -> Round:
         rest = without(self.candidates, {one.name for one in base.added})
-        return look(base, rest, self.noise, self.draws, self.reference)
+        return look(base, rest, self.noise, self.draws, self.reference, self.strictness, self.each)
 
     def _without(self, chosen: "list[_Chosen]", place: int) -> Base:
         """Return the last base without one of its causes, fitted again."""
@@ -194,6 +209,8 @@ class _Chosen:
     rivals: tuple[tuple[Rated, float], ...]
     weight: float
     base: Base
+    held_out: Excess
+    residual: "list[FloatArray]"
 
 
 def _settled(screened: Screened, added: tuple[Candidate, ...]) -> Base:

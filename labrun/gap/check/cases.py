@@ -126,6 +126,11 @@ class Said:
         if "error" in said:
             return cls(case, "error", (), None, float(said.get("seconds", 0.0)), str(said["error"]))
         share = (said.get("shrinkage") or {}).get("share_removed")
+        if share is not None and None in (share["value"], *share["ci90"]):
+            share = None
+        unsure = [one["confidence"] for one in said["causes"] if not _is_probability(one["confidence"])]
+        if unsure:
+            return cls(case, "error", (), None, float(said["seconds"]), f"states a confidence of {unsure[0]}")
         return cls(
             case,
             said["verdict"],
@@ -155,6 +160,10 @@ class Shown:
     def from_json(cls, shown: Mapping[str, Any]) -> "Shown":
         """Read what `labrun.gap.check.shrinking` returns."""
         return cls(shown.get("share"), bool(shown.get("counted", False)), str(shown.get("error", "")))
+
+
+def _is_probability(value: Any) -> bool:
+    return isinstance(value, float | int) and 0.0 <= value <= 1.0
 
 
 def _named(one: Mapping[str, Any]) -> Named:

@@ -69,8 +69,8 @@ def check(
     folder = CheckFolder(out or _default_folder(cases, seed, first))
     try:
         line = _prepared(folder, find_generator, generator, cases, seed, first, workers, note)
-        (announce or _to_stderr)(line)
         printed = folder.ask({"cases": cases, "seed": seed, "first": first})
+        (announce or _to_stderr)(line)
         with pool(workers, cluster) as there:
             said = _diagnosed(folder, seed, there, note)
             note("simulating the corrected models on fresh trials")

@@ -39,10 +39,12 @@ class CheckFolder:
         path = self.path / _ASKED
         seal = seal_of(self.path)
         if not path.is_file():
-            if len(sealed_cases(self.path)) != asked["cases"]:
+            names = sealed_cases(self.path)
+            if names != [f"case-{asked['first'] + number:04d}" for number in range(asked["cases"])]:
                 raise RequestError(
-                    f"{self.path} holds {len(sealed_cases(self.path))} cases, not {asked['cases']}",
-                    hint=f"ask for --cases {len(sealed_cases(self.path))}, or name a new folder with --out",
+                    f"{self.path} holds {len(names)} cases from {names[0] if names else 'none'} on; "
+                    f"asked for are {asked['cases']} from case-{asked['first']:04d} on",
+                    hint="ask for what is there, or name a new folder with --out",
                 )
             _write(path, {**asked, "seal": seal})
             return seal

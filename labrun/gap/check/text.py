@@ -53,8 +53,8 @@ def _naming(scores: "Scores") -> Iterator[str]:
         both, one, none = (counts.get(name, 0) for name in ("both-named", "one-named", "none-named"))
         yield _row(f"pairs, {strength}", f"both named {both}, one {one}, none {none}")
     yield _row("parameter far off", share_text(scores.parameters))
-    sizes = ", ".join(f"{count} of {size}" for size, count in scores.set_sizes.items())
-    yield _row("sets announced", sizes or "none")
+    sizes = ", ".join(f"{count} with {size}" for size, count in scores.set_sizes.items())
+    yield _row("candidates per cause", f"{sizes} (alone: 1)" if sizes else "none announced")
 
 
 def _restraint(scores: "Scores") -> Iterator[str]:

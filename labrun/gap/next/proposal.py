@@ -24,8 +24,8 @@ class Outlook:
     sigma
         Standard deviations by which the wrong one, fitted to everything, would miss.
     ratio
-        Log likelihood over what a diagnosis asks for before it drops the wrong one: above 1 it names the right one alone if sizes
-        and parameters are what they were fitted to be; `SURE` leaves room for their errors.
+        Log likelihood over what a diagnosis asks for before it drops the wrong one. Above 1 it names the right one alone
+        if sizes and parameters are what they were fitted to be; `SURE` leaves room for their errors.
     """
 
     truth: str
@@ -130,7 +130,7 @@ class Proposal:
                 f"{len(self.trials)} trials, {self.repeats} repeats each, about {spoken(self.time_s)}:"
             )
             lines += [f"  {trial.label}" for trial in self.trials]
-            lines += told(self.outlook)
+        lines += told(self.outlook)
         lines.append(self.conclusion)
         lines += self.advice
         lines += self.notes
@@ -175,7 +175,7 @@ def _told(one: Outlook) -> str:
         return f"{one.truth} or {one.rival}: told apart, at {_number(one.sigma)} standard deviations"
     if one.sigma < _CLEARLY:
         return f"{one.truth} or {one.rival}: not told apart, they predict the same"
-    return f"{one.truth} or {one.rival}: {_number(one.sigma)} standard deviations, too few beside the size of the effect"
+    return f"{one.truth} or {one.rival}: {_number(one.sigma)} standard deviations, too few for what the effect shows"
 
 
 def _number(sigma: float) -> str:

@@ -217,7 +217,8 @@ def _proposal(
 ) -> Proposal:
     rivals = found.rivals
     open_pairs = [pair for pair, one in zip(rivals.pairs, found.evidence, strict=True) if one.ratio < 1.0]
-    advice = tuple(dict.fromkeys(would_separate(*pair) for pair in open_pairs))
+    once = {frozenset((one.name, other.name)): (one, other) for one, other in open_pairs}
+    advice = tuple(would_separate(*pair) for pair in once.values())
     return Proposal(
         found.outcome, file, tuple(one.name for one in rivals.rivals), tuple(one.cause for one in rivals.rivals),
         rivals.doubt, rivals.why, found.trials, REPEATS, time_s, time_at_most_s, _outlook(found), advice, tuple(notes),

@@ -83,9 +83,10 @@ class RunBench:
                 hint="make an open-loop experiment of the same bench, and diagnose that",
             )
         tree = tomllib.loads(resolved(stored))
-        measured = _distinct([outcome.condition for outcome in run.outcomes if outcome.status == "done"])
+        known = {key for outcome in run.outcomes for key in outcome.condition}
+        measured = _distinct([one.condition for one in dataset.trials if known <= set(one.condition)])
         constants = _free_constants(tree)
-        measured = [{**one, **constants} for one in measured]
+        measured = _distinct([{**constants, **one} for one in measured])
         tree["kind"] = "run"
         for key in ("sweep", "cmaes", "leaders"):
             tree.pop(key, None)

@@ -162,7 +162,7 @@ def predict(rival: "Rival", dataset: "Dataset", trials: Sequence[PlannedTrial]) 
 
 
 def information(rival: "Rival") -> FloatArray:
-    """Return what data and prior say about parameters and effect sizes, (p, p): J'J with the initial states eliminated."""
+    """Return what data and prior say about parameters and effect sizes: J'J (p, p), initial states eliminated."""
     problem = rival.problem
     blocks = problem.blocks(rival.z, central=False)
     slope = problem.prior_weight * problem.scale / problem.pull_sigma

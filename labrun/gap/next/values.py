@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 from math import floor, log10
 
-_FARTHEST = 4.0
-"""How far beyond the greatest measured value, as a factor."""
+_FARTHEST, _OUT_OF_SIGHT = 4.0, 20.0
+"""How far beyond the greatest measured value, as a factor, where no limit is nearer than the second."""
 _STEPS = 10
 _WITHIN = (0.25, 0.5, 0.75)
 _BY_HAND = (0.5, 1.5, 2.0)
@@ -36,8 +36,7 @@ def beyond(measured: Sequence[float], allowed: Callable[[float], bool]) -> list[
 def by_hand(name: str, measured: Sequence[float]) -> list[float]:
     """Return other values of what a person sets (a mass, a tilt), whose limits nobody states.
 
-    What has been measured on both sides of zero, angles by their unit, and an orientation that is +1 or -1 by itself may
-    change its sign.
+    What has been measured on both sides of zero, an angle (by its unit) and an orientation of +1 or -1 may change sign.
     """
     most = max(measured, key=abs)
     if most == 0.0:
@@ -61,9 +60,9 @@ def _farthest(end: float, allowed: Callable[[float], bool]) -> float:
     """Return the farthest allowed value from `end` outwards."""
     if not allowed(end):
         return end
-    low, high = 1.0, _FARTHEST
-    if allowed(high * end):
-        return high * end
+    low, high = 1.0, _OUT_OF_SIGHT
+    if allowed(high * end):  # no limit speaks of it
+        return _FARTHEST * end if allowed(_FARTHEST * end) else end
     for _ in range(_STEPS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if allowed(middle * end) else (low, middle)

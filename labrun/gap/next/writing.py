@@ -93,7 +93,7 @@ def write_recording_plan(
     columns = ", ".join(signal.name for signal in dataset.outputs)
     head = [
         *remarks,
-        f"Each CSV file holds time and inputs of one trial; add what was measured as columns {columns}, sampled at these times.",
+        f"Each CSV file holds time and inputs of one trial; what was measured goes beside them as {columns}.",
     ]
     text = "".join(f"# {line}\n" for line in head)
     text += tomli_w.dumps({"experiment": name, "channels": channels, "trials": entries})
