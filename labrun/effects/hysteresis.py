@@ -27,6 +27,7 @@ EFFECT = Effect(
     ),
     function=force_law(law),
     form="F = -force z, dz/dt = rate (1 - |z|^2 (1 + sign(rate z)) / 2) / yield_displacement",
+    contains=("coulomb-friction", "presliding-friction"),
     source="Bouc 1967; Wen, J. Engineering Mechanics 102 (1976) 249, with exponent 2 and equal shape parameters",
     states=1,
 )

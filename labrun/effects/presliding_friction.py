@@ -40,6 +40,7 @@ EFFECT = Effect(
     ),
     function=force_law(law),
     form="F = -torque (z + damping_time dz/dt), dz/dt = (rate - |rate| z / g(rate)) / presliding",
+    contains=("coulomb-friction", "hysteresis"),
     source="Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE Trans. Automatic Control 40 (1995) 419",
     states=1,
 )

@@ -28,5 +28,6 @@ EFFECT = Effect(
     ),
     function=force_law(law),
     form="F = -coefficient |rate| rate (reference / |rate|)^exponent: the drag coefficient falls with Re^-exponent",
+    contains=("drag-error", "quadratic-drag"),
     source="Schlichting and Gersten, Boundary-Layer Theory (2000): creeping flow Re^-1, laminar layer Re^-1/2",
 )

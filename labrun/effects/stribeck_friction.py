@@ -31,5 +31,6 @@ EFFECT = Effect(
     ),
     function=force_law(law),
     form="F = -(torque + static_excess exp(-(rate / stribeck_speed)^2)) tanh(rate / transition_speed)",
+    contains=("coulomb-friction",),
     source="Stribeck 1902; the form is that of Bo and Pavelescu, Wear 82 (1982) 277",
 )

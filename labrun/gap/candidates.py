@@ -61,7 +61,7 @@ def candidates(
     ----------
     scales : (kind, site) -> typical magnitudes there
     withhold
-        Ids of effects that the library is to be without.
+        Ids of effects that the library is to be without, and without those that contain them.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def candidates(
             )
     found = []
     for effect in library:
-        if effect.id in withhold:
+        if effect.id in withhold or any(name in withhold for name in effect.contains):
             continue
         for site in model.places:
             if effect.kind == site.kind and (site.kind, site.name) in scales and effect.fits(site):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-_WITHOUT_REPEATS = 1.8
+_WITHOUT_REPEATS = 2.5
 """Factor on the guard's threshold where noise was told from gap by a fit, not by repeats."""
 _WORTH = 0.98
 """A further candidate that lowers the squared residual by less than this is taken to fit noise."""

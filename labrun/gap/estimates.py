@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 _RESAMPLES = 400
+_NEW_CONDITIONS = 3
+"""The interval is for an experiment of so many new conditions."""
+_FORM = 0.006
+_BEYOND = 0.6
 _NORMAL_95 = 1.96
 _RIDGE = 1e-10
 
@@ -134,7 +138,8 @@ def shrinkage(
 ) -> Shrinkage:
     """Return the share of the excess that is removed on withheld conditions, with a 90 % interval.
 
-    Conditions are resampled whole, and each with the noise that its mean has.
+    It says what an experiment of a few new conditions would show: conditions are resampled whole, each with the noise
+    that its mean has. Both ends may lie beyond 1, as a measured share may.
     """
     then, now = group_means(units, before), group_means(units, after)
     groups = len(then)
@@ -148,7 +153,7 @@ def shrinkage(
             floor = noise.mean_floor(group, then[group][1])
             first[group] = _shaken(then[group][0], disturbance, noise.sd, floor)
             second[group] = _shaken(now[group][0], disturbance, noise.sd, floor)
-        chosen = rng.integers(0, groups, groups)
+        chosen = rng.integers(0, groups, min(groups, _NEW_CONDITIONS))
         total = float(sizes[chosen] @ first[chosen])
         if total > 0:
             shares.append(1.0 - float(sizes[chosen] @ second[chosen]) / total)
@@ -156,7 +161,10 @@ def shrinkage(
     rest = Excess(*_plain(units, noise, now)).total
     value = 1.0 - rest / whole if whole > 0 else 0.0
     low, high = np.percentile(shares, [5.0, 95.0]) if shares else (value, value)
-    return Shrinkage(float(min(value, 1.0)), float(min(low, value, 1.0)), float(min(max(high, value), 1.0)))
+    # new conditions ask for more than those between the old ones: forms and parameters are extrapolated
+    low = min(low, value) - _FORM - _BEYOND * max(1.0 - value, 0.0)
+    high = max(high, value) + _FORM
+    return Shrinkage(float(min(value, 1.0)), float(low), float(high))
 
 
 def _shaken(mean: FloatArray, drawn: FloatArray, sd: FloatArray, floor: FloatArray) -> float:

@@ -39,6 +39,9 @@ class Noise:
         Of whole trials from their condition's mean, scaled to a single trial's size.
     freedom
         Number of independent deviations.
+    energy_freedom
+        Degrees of freedom of the energy of one trial's noise: large for noise of a sensor, about 1 where trials differ
+        in one way only, as by a friction that changes.
     """
 
     sd: FloatArray
@@ -47,6 +50,7 @@ class Noise:
     systematic: FloatArray
     deviations: tuple[tuple[FloatArray, ...], ...]
     freedom: int
+    energy_freedom: float = np.inf
 
     def floor(self, group: int) -> FloatArray:
         """Return the variance of one trial's own noise in a condition, in units of `sd` squared, (m,).
@@ -93,6 +97,8 @@ class Noise:
         direction -= direction.mean()
         direction /= np.linalg.norm(direction)
         scale = np.sqrt((len(own) - 1.0) / len(own) / unit.count)
+        if np.isfinite(self.energy_freedom):
+            scale *= np.sqrt(rng.chisquare(self.energy_freedom) / self.energy_freedom)
         return np.asarray(scale * np.tensordot(direction, np.stack(own), axes=1) + rounding)
 
 
@@ -124,7 +130,36 @@ def from_repeats(units: Units, residual: Sequence[Sequence[FloatArray]]) -> Nois
     rounding = np.array([_common_rounding(*one) for one in zip(sd, quantum(units), strict=True)])
     sd = np.sqrt(np.square(sd) + rounding)
     whitener = fit_whitener([one / sd for one in every])
-    return Noise(sd, whitener, "repeats", rounding / np.square(sd), tuple(deviations), freedom)
+    energy = _energy_freedom(deviations, sd)
+    return Noise(sd, whitener, "repeats", rounding / np.square(sd), tuple(deviations), freedom, energy)
+
+
+def _energy_freedom(deviations: Sequence[Sequence[FloatArray]], sd: FloatArray) -> float:
+    """Return the degrees of freedom that the energies of independent deviations of one condition scatter like.
+
+    The energy of noise with nu degrees of freedom has a relative variance of 2 / nu.
+    """
+    scatter, counted = 0.0, 0
+    for group in deviations:
+        if len(group) < _OWN_FLOOR:
+            continue
+        stacked = np.stack([(one / sd).ravel() for one in group])
+        count = len(group)
+        helmert = np.array([_contrast(row, count) for row in range(1, count)])
+        energies = np.sum(np.square(helmert @ stacked), axis=1)
+        scatter += float(np.var(energies, ddof=1)) / float(np.mean(energies)) ** 2 * (count - 2)
+        counted += count - 2
+    if counted == 0:
+        return np.inf
+    return float(np.clip(2.0 / max(scatter / counted, 1e-9), 1.0, 1e6))
+
+
+def _contrast(row: int, count: int) -> FloatArray:
+    """Return one row of Helmert's orthonormal contrasts."""
+    weights = np.zeros(count)
+    weights[:row] = 1.0
+    weights[row] = -float(row)
+    return weights / np.linalg.norm(weights)
 
 
 def _common_rounding(deviation: float, step: float) -> float:

@@ -29,6 +29,8 @@ _ANOTHER = 0.08
 """Part of the recalibrated excess that a further cause must remove on withheld conditions."""
 _NOTICED = 0.04
 """The same of a cause that at least halves what is left."""
+_LEAST_SHARE = 0.3
+"""Part of the excess that a cause must remove on withheld conditions, however well it fits those it saw."""
 _SWEEPS = 3
 FORM_SLACK = 0.02
 _SIMPLER = 0.02
@@ -226,7 +228,7 @@ def _best(rated: Sequence[Rated], left: Excess, reference: Excess, *, further: b
     left
         Held-out excess without it.
     """
-    passing = [one for one in rated if one.evidence > 1.0]
+    passing = [one for one in rated if one.evidence > 1.0 and one.share >= _LEAST_SHARE]
     if further and reference.total > 0:
         removed = [left.total - one.held_out.total for one in passing]
         passing = [

@@ -7,10 +7,13 @@ from labrun.gap.diagnosis import Shrinkage, Sizes, Verdict
 _UNKNOWN = 0.6
 """Share of the excess below which the best of the library is an impostor: true effects remove 97 % in the median,
 effects that stand in for one that is not there at most 60 %."""
+_DOUBTFUL = ((1.0, 0.88), (0.5, 0.8))
+"""The same where a plain remainder is left (in units of one trial's noise): more than what is in the library leaves."""
 _WHOLE = 0.85
 _SMALL = 0.3
 """A gap below this part of one trial's noise that nothing in the library explains is left alone."""
-_IMPOSTOR_HIGH = 0.8
+_ROOM = 0.1
+"""By how much the interval of the share may reach beyond that limit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +45,8 @@ def verdict(found: Findings) -> Verdict:
         if found.significant and found.told_by_repeats and found.sizes.recalibrated >= _SMALL:
             return "not-in-library"
         return "parameter" if _recalibration_helps(found.sizes) else "no-gap"
-    impostor = found.shrinkage.value < _UNKNOWN and found.shrinkage.high < _IMPOSTOR_HIGH
+    least = next((share for size, share in _DOUBTFUL if found.sizes.after >= size), _UNKNOWN)
+    impostor = found.shrinkage.value < least and found.shrinkage.high < least + _ROOM
     if impostor and found.remains and found.effects:
         return "not-in-library"
     if found.effects == 0:

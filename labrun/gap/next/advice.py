@@ -37,19 +37,22 @@ _RULES = (
     _Rule(
         frozenset({"load-dependent-friction"}),
         _DRY | {"viscous-damping"},
-        "Load the joint differently: a second mass, as a condition that the model uses, changes friction that depends on "
+        "Load the joint differently: a second mass, as a condition that the "
+        "model uses, changes friction that depends on "
         "the load and leaves the other as it is.",
     ),
     _Rule(
         frozenset({"coulomb-friction"}),
         frozenset({"stribeck-friction", "presliding-friction"}),
-        "The richer friction contains the simpler one, and at the sizes found they are the same: only slower motion, and "
+        "The richer friction contains the simpler one, and at the sizes found "
+        "they are the same: only slower motion, and "
         "reversals, could show a difference.",
     ),
     _Rule(
         frozenset({"constant-force"}),
         frozenset({"rest-offset"}),
-        "A constant force and a displaced rest position are the same in a joint of one stiffness: exchange its spring, or "
+        "A constant force and a displaced rest position are the same in a "
+        "joint of one stiffness: exchange its spring, or "
         "turn it over against gravity.",
     ),
     _Rule(
@@ -61,7 +64,8 @@ _RULES = (
     _Rule(
         _SIDED,
         _DRY | _SIDED | _OFFSET,
-        "Measure at two orientations of gravity: what comes from the bench's tilt changes sides, what belongs to the joint "
+        "Measure at two orientations of gravity: what comes from the bench's "
+        "tilt changes sides, what belongs to the joint "
         "does not.",
     ),
     _Rule(

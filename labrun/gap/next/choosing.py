@@ -82,10 +82,14 @@ def _greedy(separation: "Separation", aim: _Aim, dear: float) -> Choice:
     """Add the trial that raises the evidence most for its time (to the power `dear`), until there is enough."""
     chosen: list[int] = []
     value = aim.value(separation.evidence(chosen))
+    doubt = [separation.doubt(k) for k in range(len(separation.trials))]
     while len(chosen) < min(MOST, len(separation.trials)):
         rest = [k for k in range(len(separation.trials)) if k not in chosen]
         gains = [aim.value(separation.evidence([*chosen, k])) - value for k in rest]
-        worth = [gain / separation.trials[k].cost_s ** dear for gain, k in zip(gains, rest, strict=True)]
+        worth = [
+            gain / (doubt[k] * separation.trials[k].cost_s ** dear)
+            for gain, k in zip(gains, rest, strict=True)
+        ]
         at = int(np.argmax(worth))
         if len(chosen) >= FEWEST and gains[at] <= 0.02 * max(value, 1e-12):
             break

@@ -24,8 +24,8 @@ class Outlook:
     sigma
         Standard deviations by which the wrong one, fitted to everything, would miss.
     ratio
-        Log likelihood over what a diagnosis asks for before it drops the wrong one. Above 1 it names the right one alone
-        if sizes and parameters are what they were fitted to be; `SURE` leaves room for their errors.
+        Log likelihood over what a diagnosis asks for before it drops the wrong one. Above 1 it names the right one
+        alone if sizes and parameters are what they were fitted to be; `SURE` leaves room for their errors.
     """
 
     truth: str
@@ -163,7 +163,7 @@ def told(outlook: Sequence[Outlook]) -> list[str]:
     for one in outlook:
         pair = frozenset((one.truth, one.rival))
         known = worst.get(pair)
-        if known is None or one.ratio < known.ratio:
+        if known is None or (one.ratio >= SURE, one.sigma) < (known.ratio >= SURE, known.sigma):
             worst[pair] = one
     return [_told(one) for one in worst.values()]
 

@@ -122,7 +122,10 @@ def design(search: "Search", dataset: "Dataset", pool: Sequence[PlannedTrial], n
         if best is not None and trials == best.trials:
             break
         note("fitting every explanation to what the others predict for the chosen trials")
-        found = Design(trials, tuple(rehearse(rivals, dataset, trials, REPEATS)), rivals)
+        fitted = rehearse(rivals, dataset, trials, REPEATS)
+        # a fit that lost its way leaves more than the first order does: the lesser of the two is to be believed
+        pairs = zip(choice.evidence, fitted, strict=True)
+        found = Design(trials, tuple(min(both, key=lambda one: one.ratio) for both in pairs), rivals)
         if best is None or found.decided > best.decided:
             best = found
         if found.decided == len(found.evidence):

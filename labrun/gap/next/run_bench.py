@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from labrun.errors import LabrunError, RequestError
 from labrun.fit.run_dataset import COMMAND
 from labrun.gap.next.trials import PlannedTrial
-from labrun.gap.next.values import beyond, by_hand
+from labrun.gap.next.values import beyond, by_hand, reach
 from labrun.spec.expression import evaluate, names_in
 from labrun.spec.loading import loads_experiment, resolved
 from labrun.store.recording import condition_label
@@ -127,7 +127,14 @@ class RunBench:
                 ]
             )
             found.append(
-                PlannedTrial(condition_label(condition), condition, time_s, inputs, self.time_s(plan))
+                PlannedTrial(
+                    condition_label(condition),
+                    condition,
+                    time_s,
+                    inputs,
+                    self.time_s(plan),
+                    reach=self._reach(condition),
+                )
             )
         return found
 
@@ -183,6 +190,16 @@ class RunBench:
         every = _distinct([*_spread(one_way, _MOST * 2 // 3 if both else _MOST), *both])
         fresh = [one for one in every if one not in self.measured and self._allowed(planner, one)]
         return fresh[:_MOST]
+
+    def _reach(self, condition: Condition) -> float:
+        """Return how far the numbers of a condition go beyond the measured ones."""
+        found = 1.0
+        for name, value in condition.items():
+            measured = [one[name] for one in self.measured if name in one]
+            numbers = [float(one) for one in measured if not isinstance(one, str)]
+            if not isinstance(value, str) and numbers:
+                found *= reach(float(value), numbers)
+        return found
 
     def _allowed(self, planner: Any, condition: Condition) -> bool:
         try:

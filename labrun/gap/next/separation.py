@@ -73,6 +73,10 @@ def price(truth: "Rival", other: "Rival") -> float:
     return _EACH_VARIABLE * (max(truth.variables, 1) - max(other.variables, 1))
 
 
+_APART = 0.3
+"""Difference between rivals, in units of what the outputs do, beyond which a fit may not find its way."""
+
+
 class Separation:
     """Evidence of any choice of trials from a pool, to first order.
 
@@ -126,6 +130,19 @@ class Separation:
             squares = self._squares(truth, other, chosen)
             found.append(Evidence(squares, gain, self.rivals.dispersion, price(truth, other)))
         return found
+
+    def doubt(self, index: int) -> float:
+        """Return by how much less a trial's evidence is to be believed, as a factor of at least 1.
+
+        Models were found to hold where they were measured, not beyond; and where rivals predict quite different things
+        neither the first order nor a fit can be trusted to find the best imitation.
+        """
+        outputs = [self.predicted[id(one)][index] for one in self.rivals.rivals]
+        does = np.maximum(np.std(outputs[0], axis=0), 1e-300)
+        apart = max(
+            float(np.max(np.sqrt(np.mean(np.square(one - outputs[0]), axis=0)) / does)) for one in outputs[1:]
+        )
+        return max(1.0, apart / _APART) ** 2 * self.trials[index].reach ** 2
 
     def _z(self, rival: "Rival") -> FloatArray:
         return np.concatenate([rival.shared, beginnings(rival, self.trials).ravel()])

@@ -31,6 +31,8 @@ class PlannedTrial:
         Rig time of all its repeats, moves, settling and resets included as far as they are known.
     like
         Unit of the data whose beginning it takes over, and a factor on it; None where the condition tells.
+    reach
+        How far it goes beyond what was measured, as a factor: the farther, the less any model is to be believed.
     """
 
     label: str
@@ -39,6 +41,7 @@ class PlannedTrial:
     inputs: FloatArray
     cost_s: float
     like: tuple[int, float] | None = None
+    reach: float = 1.0
 
 
 def beginnings(rival: "Rival", trials: Sequence[PlannedTrial]) -> FloatArray:

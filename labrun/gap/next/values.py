@@ -7,6 +7,7 @@ _FARTHEST, _OUT_OF_SIGHT = 4.0, 20.0
 """How far beyond the greatest measured value, as a factor, where no limit is nearer than the second."""
 _STEPS = 10
 _WITHIN = (0.25, 0.5, 0.75)
+_FURTHER = (1.25, 1.5, 2.0, 3.0)
 _BY_HAND = (0.5, 1.5, 2.0)
 _DIGITS = 3
 _ANGLES = ("_deg", "_rad")
@@ -24,8 +25,8 @@ def beyond(measured: Sequence[float], allowed: Callable[[float], bool]) -> list[
     ends = {max(measured), min(measured)} - {0.0}
     for end in ends:
         far = _farthest(end, allowed)
-        found += [end + share * (far - end) for share in (0.5, 1.0)]
-        found += [share * end for share in _WITHIN]
+        found += [factor * end for factor in (*_WITHIN, *_FURTHER) if abs(factor * end) < abs(far)]
+        found.append(far)
     if min(measured) * max(measured) >= 0.0:
         most = max((abs(one) for one in measured), default=0.0)
         sign = -1.0 if max(measured) > 0 else 1.0
@@ -45,6 +46,12 @@ def by_hand(name: str, measured: Sequence[float]) -> list[float]:
         return _new([1.0, -1.0], measured)
     signed = [-most] if min(measured) < 0.0 < max(measured) or name.endswith(_ANGLES) else []
     return _new([rounded(one) for one in (*(factor * most for factor in _BY_HAND), *signed)], measured)
+
+
+def reach(value: float, measured: Sequence[float]) -> float:
+    """Return how far a value lies beyond the greatest measured one, as a factor of at least 1."""
+    most = max(abs(one) for one in measured)
+    return max(1.0, abs(value) / most) if most > 0 else 1.0
 
 
 def rounded(value: float) -> float:

@@ -120,6 +120,16 @@ def test_a_case_that_raised_counts_as_one_that_was_not_named() -> None:
     assert found.seconds["longest"] == 1.0
 
 
+def test_a_confidence_that_is_no_probability_is_an_error_of_its_case() -> None:
+    cause = {"kind": "effect", "effect": "lag", "site": "torque", "indistinguishable_from": []}
+    told = {"verdict": "explained", "seconds": 1.0, "shrinkage": None}
+    for confidence in (None, 1.2):
+        spoken = Said.from_json("case-0001", {**told, "causes": [{**cause, "confidence": confidence}]})
+        assert judge(truth("effect", LAG), spoken).outcome == "error"
+    spoken = Said.from_json("case-0001", {**told, "causes": [{**cause, "confidence": 0.5}]})
+    assert outcome(truth("effect", LAG), spoken) == "named"
+
+
 def test_a_control_that_raised_does_not_make_false_alarms_rarer() -> None:
     failed = Said.from_json("case-0002", {"error": "ValueError: no"})
     alarm = said("explained", named(LAG))

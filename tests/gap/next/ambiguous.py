@@ -1,4 +1,4 @@
-"""A bench that is known through and through: recordings of a model with a hidden cause, made by simulation with noise."""
+"""A bench that is known through and through: recordings of a model with a hidden cause, with noise."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,10 +1,17 @@
 """Causes that the data cannot tell apart are told apart by the experiment that is proposed for it."""
 
+import shutil
+import tomllib
+from pathlib import Path
+
+import numpy as np
 import pytest
 from ambiguous import Bench, sine
 
+from labrun.errors import RecordingError, RequestError
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.next import propose
+from labrun.store.recording import read_recording
 
 DRIVEN = """
 name = "driven"
@@ -130,13 +137,18 @@ PAIRS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("pair", PAIRS)
-def test_a_pair_that_the_data_cannot_tell_apart_is_told_apart_by_the_proposed_trials(pair, tmp_path):
-    bench, truth, others = PAIRS[pair]
-    folder = bench.write(tmp_path / "bench")
-    proposal = propose(folder, workspace=tmp_path)
+@pytest.fixture(scope="module", params=PAIRS)
+def proposed(request, tmp_path_factory):
+    bench, truth, others = PAIRS[request.param]
+    workspace = tmp_path_factory.mktemp("bench")
+    folder = bench.write(workspace / "recorded")
+    return bench, folder, propose(folder, workspace=workspace), truth, others
+
+
+def test_what_the_data_cannot_tell_apart_is_told_apart_by_the_proposed_trials(proposed):
+    bench, folder, proposal, truth, others = proposed
     assert proposal.doubt
-    assert {truth, *others} & set(proposal.rivals) >= {truth}
+    assert truth in proposal.rivals
     assert others & set(proposal.rivals)
     dataset, model = bench.carry_out(proposal, folder)
     found = diagnose_dataset(dataset, model, Options(places=False))
@@ -146,11 +158,43 @@ def test_a_pair_that_the_data_cannot_tell_apart_is_told_apart_by_the_proposed_tr
     assert not others & left
 
 
-@pytest.mark.parametrize("pair", PAIRS)
-def test_what_is_expected_of_the_proposed_trials_names_the_pair(pair, tmp_path):
-    bench, truth, others = PAIRS[pair]
-    proposal = propose(bench.write(tmp_path / "bench"), workspace=tmp_path)
-    expected = {(one.truth, one.rival): one for one in proposal.outlook}
-    pairs = [expected[truth, other] for other in others if (truth, other) in expected]
-    assert pairs
-    assert all(one.ratio > 1.0 and one.sigma > 5.0 for one in pairs)
+def test_the_pair_is_expected_to_be_told_apart_beforehand(proposed):
+    _, _, proposal, truth, others = proposed
+    expected = [one for one in proposal.outlook if one.truth == truth and one.rival in others]
+    assert expected
+    assert all(one.ratio > 1.0 and one.sigma > 5.0 for one in expected)
+
+
+def test_planned_inputs_stay_within_the_recorded_range(proposed):
+    _, folder, proposal, _, _ = proposed
+    recorded = np.concatenate([trial.inputs for trial in read_recording(folder).trials])
+    for trial in proposal.trials:
+        assert np.all(trial.inputs <= recorded.max(axis=0) * (1 + 1e-9))
+        assert np.all(trial.inputs >= recorded.min(axis=0) * (1 + 1e-9))
+
+
+def test_the_written_recording_waits_for_nothing_but_its_outputs(proposed, tmp_path):
+    _, _, proposal, _, _ = proposed
+    copy = Path(shutil.copytree(proposal.file.parent, tmp_path / "filled"))
+    with pytest.raises(RecordingError, match="column"):
+        read_recording(copy)
+    output = [
+        name
+        for name, one in tomllib.loads(proposal.file.read_text())["channels"].items()
+        if one["kind"] == "output"
+    ]
+    for file in copy.glob("*.csv"):
+        head, *rows = file.read_text().splitlines()
+        file.write_text("\n".join([f"{head},{output[0]}", *(f"{row},0.0" for row in rows)]) + "\n")
+    filled = read_recording(copy)
+    assert len(filled.trials) == len(proposal.trials) * proposal.repeats
+    assert [dict(one.condition) for one in filled.trials[:: proposal.repeats]] == [
+        dict(trial.condition) for trial in proposal.trials
+    ]
+
+
+def test_a_proposal_never_overwrites_a_file(tmp_path):
+    taken = tmp_path / "mine.toml"
+    taken.write_text("")
+    with pytest.raises(RequestError, match="there already"):
+        propose(tmp_path, out=taken)

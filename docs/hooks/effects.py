@@ -1,0 +1,112 @@
+"""The entries of effects.md, made from the effects that are installed, so that the page says what the code does.
+
+    python docs/hooks/effects.py
+
+writes the entries and their pictures anew; the tests compare page and pictures with what is installed.
+"""
+
+import importlib
+import math
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from labrun.effects import Effect, effects
+from labrun.effects.effect import EffectParameter
+
+DOCS = Path(__file__).parents[1]
+PAGE = DOCS / "effects.md"
+PICTURES = DOCS / "images" / "effects"
+BEGIN, END = "<!-- effects: begin -->", "<!-- effects: end -->"
+KINDS = {
+    "joint": ("Joints", "The pendulum is driven for five seconds, then left to swing."),
+    "body": ("Bodies in a fluid", "The body is pushed to and fro for five seconds, then left to glide."),
+    "input": ("Inputs", "The signal is what a model is given: a sine, then steps."),
+    "output": ("Outputs", "The signal is what a model puts out: a sine, then steps."),
+}
+
+
+def pictures() -> dict[str, Effect]:
+    """Return every installed effect by the name of its picture."""
+    return {f"{effect.kind}-{effect.id}.png": effect for effect in effects()}
+
+
+def entries() -> str:
+    """Return the entries of the page as Markdown, by kind of site."""
+    parts = []
+    said = _first_lines()
+    for kind, (title, rig) in KINDS.items():
+        parts += [f"## {title}", rig]
+        for effect in sorted((one for one in effects() if one.kind == kind), key=lambda one: one.id):
+            parts.append(entry(effect, said[effect.id]))
+    return "\n\n".join(parts)
+
+
+def entry(effect: Effect, said: str) -> str:
+    """Return the entry of one effect: what it is, its equation, parameters, source and picture."""
+    heading = f"### {effect.id}" + (f" ({effect.kind})" if effect.kind in ("input", "output") else "")
+    needs = [f"the site's `{need}`" for need in effect.needs]
+    if effect.signals > 1:
+        needs.append(f"{effect.signals} {effect.kind}s")
+    rows = "\n".join(_row(effect, one) for one in effect.parameters)
+    return "\n\n".join(
+        [
+            heading,
+            said + (f" Needs {' and '.join(needs)}." if needs else ""),
+            f"```text\n{effect.form}\n```",
+            "| parameter | unit | bounds | times typical | neutral | starts |\n|---|---|---|---|---|---|\n"
+            + rows,
+            f"Source: {effect.source}.",
+            f"![{effect.id} at a {effect.kind} site: the output without it and at two sizes, and the change]"
+            f"(images/effects/{effect.kind}-{effect.id}.png)",
+        ]
+    )
+
+
+def page(text: str) -> str:
+    """Return the page with its entries made anew."""
+    head, rest = text.split(BEGIN)
+    return f"{head}{BEGIN}\n\n{entries()}\n\n{END}{rest.split(END)[1]}"
+
+
+def _row(effect: Effect, one: EffectParameter) -> str:
+    bounds = f"{_number(one.lower)} to {_number(one.upper)}"
+    neutral = "(shape)" if one.neutral is None else _number(one.neutral)
+    starts = ", ".join(dict.fromkeys(_number(start) for start in one.starts))
+    held = " (held)" if one.held else ""
+    return (
+        f"| `{one.name}` | {_unit(effect, one)} | {bounds} | {_typical(one)} | {neutral} | {starts}{held} |"
+    )
+
+
+def _unit(effect: Effect, one: EffectParameter) -> str:
+    """Return the unit at a turning and at a straight site, or as that of the signal."""
+    if effect.kind in ("input", "output"):
+        return one.unit(signal_unit="signal").replace("signal", "the signal's")
+    turning, straight = one.unit("rad"), one.unit("m")
+    return turning if turning == straight else f"{turning} or {straight}"
+
+
+def _typical(one: EffectParameter) -> str:
+    return "itself" if one.quantity == "ratio" else one.quantity.replace("-", " ")
+
+
+def _number(value: float) -> str:
+    text = ("\u221e" if value > 0 else "-\u221e") if math.isinf(value) else f"{value:g}"
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def _first_lines() -> dict[str, str]:
+    """Return the first line of every effect's module, by its id."""
+    return {
+        point.name: (importlib.import_module(point.module).__doc__ or "").strip().splitlines()[0]
+        for point in entry_points(group="labrun.effects")
+    }
+
+
+if __name__ == "__main__":
+    from effect_signatures import write_pictures
+
+    PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    write_pictures(pictures(), PICTURES)
+    sys.stdout.write(f"wrote {PAGE} and {len(pictures())} pictures\n")

@@ -1,0 +1,146 @@
+"""A diagnosis names what is missing, says how far it closes the gap, and is quiet where nothing is missing."""
+
+import json
+
+import numpy as np
+import pytest
+
+from labrun.errors import LabrunError, RequestError
+from labrun.gap.diagnose import Options, diagnose_dataset
+from labrun.gap.diagnosis import Diagnosis
+
+from .benches import CONDITIONS, TRUE, dry_friction, pendulum, recorded
+
+QUICK = Options(places=False)
+
+
+@pytest.fixture(scope="module")
+def with_friction() -> Diagnosis:
+    return diagnose_dataset(recorded(dry_friction(0.006)), pendulum(), QUICK)
+
+
+def names(diagnosis: Diagnosis) -> list[str]:
+    return [str(cause.name) for cause in diagnosis.causes]
+
+
+def test_hidden_dry_friction_is_named_at_its_joint(with_friction: Diagnosis) -> None:
+    assert with_friction.verdict == "explained"
+    assert names(with_friction) == ["coulomb-friction at hinge"]
+
+
+def test_the_size_of_the_friction_is_found_with_an_interval_about_it(with_friction: Diagnosis) -> None:
+    torque = with_friction.causes[0].values["torque"]
+    assert torque.value == pytest.approx(0.006, rel=0.1)
+    assert torque.low < torque.value < torque.high
+    assert torque.unit == "N m"
+
+
+def test_the_gap_shrinks_to_the_floor_on_conditions_the_fit_did_not_see(with_friction: Diagnosis) -> None:
+    gap = with_friction.gap
+    assert gap.raw > gap.recalibrated > 1.0
+    assert gap.after < 0.2 * gap.recalibrated
+    assert with_friction.shrinkage is not None
+    assert with_friction.shrinkage.value > 0.95
+
+
+def test_every_candidate_has_a_verdict_and_the_cause_has_the_first_place(with_friction: Diagnosis) -> None:
+    verdicts = [one.verdict for one in with_friction.candidates]
+    assert verdicts[0] == "cause"
+    assert set(verdicts) <= {"cause", "ruled-out", "not-visible", "indistinguishable"}
+    assert len({one.name for one in with_friction.candidates}) == len(verdicts) > 20
+
+
+def test_what_parameters_imitate_is_not_visible(with_friction: Diagnosis) -> None:
+    damping = next(one for one in with_friction.candidates if one.name.effect == "viscous-damping")
+    assert damping.verdict == "not-visible"  # the model's own damping is free
+
+
+def test_the_answer_for_scripts_is_plain_json_without_nan(with_friction: Diagnosis) -> None:
+    answer = json.loads(json.dumps(with_friction.to_json(), allow_nan=False))
+    assert answer["causes"][0]["effect"] == "coulomb-friction"
+    assert set(answer["gap"]) == {"raw", "recalibrated", "after", "floor"}
+
+
+def test_the_same_data_and_seed_give_the_same_answer(with_friction: Diagnosis) -> None:
+    again = diagnose_dataset(recorded(dry_friction(0.006)), pendulum(), Options(places=False, workers=2))
+    first, second = with_friction.to_json(), again.to_json()
+    assert {**first, "seconds": 0} == {**second, "seconds": 0}
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_wrong_parameters_alone_are_not_blamed_on_an_effect(seed: int) -> None:
+    diagnosis = diagnose_dataset(recorded(seed=seed), pendulum(), QUICK)
+    assert diagnosis.verdict == "parameter"
+    assert diagnosis.causes == ()
+    assert diagnosis.gap.recalibrated <= diagnosis.gap.floor
+
+
+def test_a_model_that_is_right_has_no_gap() -> None:
+    stated = {"inertia": 1.2e-3, "gravity": 0.06, "stiffness": 0.068, "damping": 1.0e-3}
+    assert diagnose_dataset(recorded(true=stated), pendulum(), QUICK).verdict == "no-gap"
+
+
+def test_a_parameter_far_beyond_its_tolerance_is_a_cause_of_its_own() -> None:
+    diagnosis = diagnose_dataset(recorded(true={**TRUE, "inertia": 1.6e-3}), pendulum(), QUICK)
+    assert diagnosis.verdict == "parameter"
+    named = {diagnosis.causes[0].name, *diagnosis.causes[0].indistinguishable_from}
+    assert any(one.kind == "parameter" and one.effect == "inertia" for one in named)
+
+
+def test_a_delayed_sensor_is_told_from_everything_in_the_joint() -> None:
+    def late(angle: np.ndarray) -> np.ndarray:
+        return np.interp(np.arange(len(angle)) - 2.5, np.arange(len(angle)), angle)
+
+    diagnosis = diagnose_dataset(recorded(seen=late), pendulum(), QUICK)
+    first = diagnosis.causes[0]
+    named = {(one.effect, one.site) for one in (first.name, *first.indistinguishable_from)}
+    # with one output, a late sensor and a late drive are the same
+    assert named & {("delay", "angle"), ("delay", "torque")}
+
+
+def test_an_effect_taken_out_of_the_library_is_not_blamed_on_a_neighbour() -> None:
+    stiffening = recorded(lambda t, q, v: -0.12 * q**3, noise=0.002)
+    known = diagnose_dataset(stiffening, pendulum(), QUICK)
+    assert names(known) == ["cubic-stiffness at hinge"]
+    unknown = diagnose_dataset(stiffening, pendulum(), Options(places=False, withhold=("cubic-stiffness",)))
+    assert unknown.verdict in ("not-in-library", "partly-explained")
+    assert unknown.gap.after > unknown.gap.floor
+
+
+def test_withholding_an_effect_that_does_not_exist_names_the_nearest() -> None:
+    with pytest.raises(RequestError, match="coulomb-frction") as caught:
+        diagnose_dataset(recorded(repeats=1), pendulum(), Options(withhold=("coulomb-frction",)))
+    assert "coulomb-friction" in (caught.value.hint or "")
+
+
+def test_without_repeats_it_says_that_gap_and_noise_are_not_separable() -> None:
+    diagnosis = diagnose_dataset(recorded(repeats=1), pendulum(), QUICK)
+    assert diagnosis.verdict in ("parameter", "no-gap")
+    assert any("not separable" in one for one in diagnosis.limitations)
+
+
+def test_one_trial_is_answered_with_its_limits() -> None:
+    diagnosis = diagnose_dataset(recorded(repeats=1, conditions=CONDITIONS[:1]), pendulum(), QUICK)
+    assert any("One trial only" in one for one in diagnosis.limitations)
+
+
+def test_numbers_that_are_not_finite_are_refused_with_their_place() -> None:
+    dataset = recorded(repeats=1)
+    dataset.trials[2].outputs[17, 0] = np.nan
+    with pytest.raises(LabrunError, match="sample 18"):
+        diagnose_dataset(dataset, pendulum(), QUICK)
+
+
+def test_a_clock_that_went_backwards_is_refused() -> None:
+    dataset = recorded(repeats=1)
+    dataset.trials[0].time_s[10] = dataset.trials[0].time_s[8]
+    with pytest.raises(LabrunError, match="does not increase"):
+        diagnose_dataset(dataset, pendulum(), QUICK)
+
+
+def test_an_output_that_never_moves_is_refused() -> None:
+    dataset = recorded(repeats=2)
+    for trial in dataset.trials:
+        trial.outputs[:] = 0.0
+    with pytest.raises(LabrunError, match="zero throughout"):
+        diagnose_dataset(dataset, pendulum(), QUICK)
