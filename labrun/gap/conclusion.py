@@ -26,8 +26,10 @@ def conclude(
     problem, noise, z = search.recalibration.problem, search.noise, search.recalibration.z
     selection = search.selection
     floor = floor_of(search.units, noise, rng)
-    after = selection.held_out.gap if selection.chosen else search.held_out.gap
-    sizes = Sizes(search.raw.gap, search.held_out.gap, after, floor)
+    if selection.chosen:
+        sizes = Sizes(search.raw.gap, search.held_out.gap, selection.held_out.gap, floor)
+    else:  # nothing to compare on withheld conditions, where extrapolated parameters alone would leave a gap
+        sizes = Sizes(search.raw.gap, search.recalibrated.gap, search.recalibrated.gap, floor)
     shrunk: Shrinkage | None = None
     if selection.chosen:
         shrunk = shrinkage(search.units, noise, search.held_out_residual, selection.residual, rng)

@@ -36,7 +36,7 @@ class Sizes:
     ----------
     raw, recalibrated, after
         With the stated parameters, with recalibrated ones, with the causes added: on conditions the fit did not see
-        (where there is more than one condition). The noise floor is taken off already.
+        (where there is more than one condition, and where there are causes to compare). The noise floor is taken off.
     floor
         What noise alone leaves of such a number, at most, in 95 of 100 repetitions of the experiment.
     """

@@ -25,6 +25,8 @@ WITHIN = 3.0
 """Recalibration moves a parameter by at most this many of its stated tolerances."""
 _FORM_SLACK = 5e-4
 """Part of an output's spread below which no model is believed: integrators and sampling differ by as much."""
+_FAR = 3.0
+"""Factor by which a stated value may be wrong: beyond it, an effect is the better explanation."""
 _NUMERICAL = 0.03
 """Root mean square, in units of one trial's noise, that halving the integrator's steps may move an output by."""
 _MOST_SUBSTEPS = 64
@@ -112,11 +114,13 @@ class GapProblem(Problem):
         other.released = self.released | {name}
         variable = self.names.index(name)
         parameter = next(one for one in self.model.parameters if one.name == name)
+        stated = parameter.value / self.scale[variable]
+        ends = sorted((stated / _FAR, stated * _FAR)) if stated else (-np.inf, np.inf)
         for attribute, value in (
             ("prior_sigma", np.inf),
             ("pull_sigma", _LOOSE * self.scale[variable]),
-            ("lower", parameter.lower / self.scale[variable]),
-            ("upper", parameter.upper / self.scale[variable]),
+            ("lower", max(parameter.lower / self.scale[variable], ends[0])),
+            ("upper", min(parameter.upper / self.scale[variable], ends[1])),
         ):
             changed = getattr(self, attribute).copy()
             changed[variable] = value

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
+_IMITATED = 0.08
+"""Part of a change, at a small size, below which it counts as imitated by parameters: it is not linear after all."""
 _FOLLOWED = 3
 """Starts that are followed: a delay, say, has a minimum of its own beside what damping imitates."""
 _ROUGH = 1e-2
@@ -69,6 +71,8 @@ class Survey:
         Most promising first.
     directions : (rows, d)
         Changes of the residuals that the candidate makes at these starts, less what recalibration imitates; columns.
+    whole : (d,)
+        Norm of each change before that, in units of the noise.
     potential
         By how much the sum of squares would fall if one of the changes, in the best measure, were added.
     """
@@ -77,6 +81,7 @@ class Survey:
     problem: "GapProblem"
     starts: list[FloatArray]
     directions: FloatArray = field(repr=False)
+    whole: FloatArray
     potential: float
 
     @property
@@ -107,8 +112,17 @@ class Screened:
 
     @property
     def visible(self) -> float:
-        """Norm of the largest change it makes, in units of the noise."""
-        return float(np.max(np.linalg.norm(self.survey.directions, axis=0), initial=0.0))
+        """Norm of the largest change it makes and recalibration cannot imitate, in units of the noise.
+
+        What recalibration cannot imitate is taken from the smallest change: of a large one the linear projection leaves
+        much that parameters would follow.
+        """
+        whole = self.survey.whole
+        if not np.any(whole > 0):
+            return 0.0
+        smallest = int(np.argmin(np.where(whole > 0, whole, np.inf)))
+        left = float(np.linalg.norm(self.survey.directions[:, smallest])) / float(whole[smallest])
+        return left * float(np.max(whole)) if left > _IMITATED else 0.0
 
 
 def survey(base: Base, candidate: Candidate) -> Survey:
@@ -119,25 +133,27 @@ def survey(base: Base, candidate: Candidate) -> Survey:
     problem = candidate.added_to(base.problem)
     shared, own = base.z[: base.problem.size], own_states(base.problem, base.z)
     before = base.absorption.left(base.residual, base.problem.prior_residual(base.z))
-    rated: list[tuple[float, int, FloatArray, FloatArray]] = []
+    rated: list[tuple[float, int, FloatArray, FloatArray, float]] = []
     for number, start in enumerate(candidate.starts):
         z = np.concatenate([shared, start, own])
         if candidate.attached is None:
-            rated.append((0.0, number, z, _released(base, problem)))
+            change, whole = _released(base, problem)
+            rated.append((0.0, number, z, change, whole))
             continue
-        change = base.absorption.left(
-            [after - now for after, now in zip(problem.residuals(z), base.residual, strict=True)]
-        )
-        rated.append((float(np.sum((before + change) ** 2)), number, z, change))
+        parts = [after - now for after, now in zip(problem.residuals(z), base.residual, strict=True)]
+        change = base.absorption.left(parts)
+        whole = float(np.sqrt(sum(float(part @ part) for part in parts)))
+        rated.append((float(np.sum((before + change) ** 2)), number, z, change, whole))
     rated.sort(key=lambda one: one[:2])
-    directions = np.column_stack([change for *_, change in rated])
+    directions = np.column_stack([change for *_, change, _ in rated])
     norms = np.linalg.norm(directions, axis=0)
     along = np.divide(directions.T @ before, norms, out=np.zeros_like(norms), where=norms > 0)
     return Survey(
         candidate,
         problem,
-        [z for _, _, z, _ in rated],
+        [z for _, _, z, _, _ in rated],
         directions,
+        np.array([whole for *_, whole in rated]),
         float(np.max(np.square(along), initial=0.0)),
     )
 
@@ -185,12 +201,13 @@ def refit(problem: "GapProblem", z: FloatArray, *, tolerance: float = 1e-6) -> F
     return minimise(problem, z, tolerance=tolerance, evaluations=60)
 
 
-def _released(base: Base, problem: "GapProblem") -> FloatArray:
-    """Return the derivative by a parameter, less what the others can imitate."""
+def _released(base: Base, problem: "GapProblem") -> tuple[FloatArray, float]:
+    """Return the derivative by a parameter, less what the others can imitate, and its norm before that."""
     variable = next(
         index
         for index, (mine, theirs) in enumerate(zip(base.problem.pull_sigma, problem.pull_sigma, strict=True))
         if mine != theirs
     )
     size = base.problem.pull_sigma[variable] / base.problem.scale[variable]
-    return base.absorption.left([shared[:, variable] * size for shared in base.absorption.jacobian.shared])
+    parts = [shared[:, variable] * size for shared in base.absorption.jacobian.shared]
+    return base.absorption.left(parts), float(np.sqrt(sum(float(part @ part) for part in parts)))

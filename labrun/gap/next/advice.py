@@ -16,7 +16,10 @@ _FAST = frozenset({"viscous-damping", "quadratic-drag", "drag-error", "reynolds-
 _STIFF = frozenset({"cubic-stiffness", "asymmetric-stiffness", "end-stop", "backlash"})
 
 _HARDLY = "More repeats, or larger motion: what is left of the gap is hardly beyond the noise."
-_OTHERWISE = "A further sensor between the two, or motion over a wider range of amplitude and frequency than was allowed here."
+_OTHERWISE = (
+    "A further sensor between the two, or motion over a wider range of amplitude and frequency than was "
+    "allowed here."
+)
 
 
 @dataclass(frozen=True, slots=True)

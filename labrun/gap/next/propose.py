@@ -51,7 +51,7 @@ class Design:
     @property
     def outcome(self) -> Outcome:
         """What to expect."""
-        if not self.trials:
+        if not self.trials or all(one.sigma < _VISIBLE or one.ratio < _NOTHING for one in self.evidence):
             return "cannot"
         return "separates" if self.decided == len(self.evidence) else "helps"
 

@@ -5,7 +5,7 @@ from math import floor, log10
 
 _FARTHEST, _OUT_OF_SIGHT = 4.0, 20.0
 """How far beyond the greatest measured value, as a factor, where no limit is nearer than the second."""
-_STEPS = 10
+_STEPS = 14
 _WITHIN = (0.25, 0.5, 0.75)
 _FURTHER = (1.25, 1.5, 2.0, 3.0)
 _BY_HAND = (0.5, 1.5, 2.0)
