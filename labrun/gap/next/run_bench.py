@@ -28,6 +28,7 @@ Condition = Mapping[str, float | str]
 
 _MOST = 60
 _BASES = 4
+_FROM_ZERO_DEG = (5.0, -5.0, 15.0, -15.0)
 _FREED = {"frequency_hz": "Hz", "amplitude_deg": "deg", "offset_deg": "deg"}
 """Keys of a sine that an experiment may hold constant, and that the next one may vary."""
 
@@ -181,7 +182,9 @@ class RunBench:
                     def allowed(value: float, name: str = name, base: Condition = base) -> bool:
                         return self._allowed(planner, {**base, name: value})
 
-                    new = beyond(values, allowed)
+                    # what was zero throughout has no range to go beyond
+                    unmoved = [one for one in _FROM_ZERO_DEG if name == "offset_deg" and allowed(one)]
+                    new = beyond(values, allowed) if any(values) else unmoved
                 else:
                     new = by_hand(name, values)
                 options.setdefault(name, []).extend(new)
