@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL import Image
 
 from labrun.effects import AttachedEffect, Effect, Scale
 from labrun.models import FloatArray, Model, parse_model, simulate
@@ -78,6 +79,8 @@ second = { equation = "other" }
 """
 _DPI = 140
 _TINTS = 48
+_LARGEST = 3.0
+"""The second size is at most so many times the first."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,7 @@ class Signature:
 
 
 def signature(effect: Effect) -> Signature:
-    """Return what an effect does to the rig of its kind, at the first and the last of its starts."""
+    """Return what an effect does to the rig of its kind, at the first of its starts and towards the last of them."""
     rig = rig_for(effect.kind)
     sizes = _at(effect, rig, 0), _at(effect, rig, -1)
     bare, first, second = (_output(rig, attached) for attached in ((), sizes[:1], sizes[1:]))
@@ -174,7 +177,10 @@ def _at(effect: Effect, rig: Rig, which: int) -> AttachedEffect:
     values = {}
     for one in effect.parameters:
         starts = one.start_values(rig.scale)
-        values[one.name] = starts[0 if one.neutral is None else which]
+        most = _LARGEST * abs(
+            starts[0]
+        )  # friction above what drives the rig would only show that it stands still
+        values[one.name] = starts[0] if one.neutral is None else min(max(starts[which], -most), most)
     return effect.attach(rig.site, rig.scale, **values)
 
 
@@ -203,7 +209,7 @@ def _label(one: AttachedEffect, model: Model) -> str:
     shown = [p for p in one.effect.parameters if not p.held]
     parts = []
     for parameter in shown:
-        of = parameter.unit(unit)
+        of = parameter.unit(unit).replace("^2", "\u00b2").replace("^3", "\u00b3")
         value = f"{one.named_values[parameter.name]:.2g}".replace("-", "\N{MINUS SIGN}")
         parts.append(f"{parameter.name.replace('_', ' ')} {value}{'' if of == '1' else f' {of}'}")
     return ", ".join(parts)
@@ -215,8 +221,6 @@ def _long(found: Signature) -> bool:
 
 def _as_png(figure: "Figure") -> bytes:
     """Return the figure as PNG of few colours, which is a third of the size."""
-    from PIL import Image
-
     drawn, small = BytesIO(), BytesIO()
     figure.savefig(drawn, format="png", dpi=_DPI)
     drawn.seek(0)

@@ -31,6 +31,11 @@ SMALLER = {
     "level": "--set trial.duration_s=18",
     "stabilise": "--set trial.duration_s=5 --set trial.repeats=1",
 }
+HIDING = (
+    "--set trial.repeats=3 --set trial.duration_s=5 "
+    "--set run.conditions=[{release=15},{release=25},{release=35},{release=50}]"
+)
+"""Fewer and shorter trials of `hinge` for what a page hides at random: a diagnosis follows."""
 ENDINGS = {
     "labrun: no trial was accepted": 1,
     "labrun: mine.toml: 4 errors": 2,
@@ -140,6 +145,8 @@ class Reader:
 
     def _smaller(self, line: str) -> str:
         words = line.split()
+        if line == "labrun run hinge --dry-run --hide random":
+            return f"{line} {' '.join(repr(word) for word in HIDING.split(' '))}"
         if words[0] != "labrun" or words[1] not in RUNS or words[2] not in SMALLER or "sweep.axes" in line:
             return line
         return f"{line} {' '.join(word if word == '--set' else repr(word) for word in SMALLER[words[2]].split(' '))}"

@@ -1,6 +1,6 @@
 """The entries of effects.md, made from the effects that are installed, so that the page says what the code does.
 
-    python docs/hooks/effects.py
+    python docs/hooks/effects_page.py
 
 writes the entries and their pictures anew; the tests compare page and pictures with what is installed.
 """
