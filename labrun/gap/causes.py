@@ -12,7 +12,6 @@ from labrun.gap.estimates import effect_units, parameter_value, upper_bounds, va
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset
     from labrun.gap.engine import Search
-    from labrun.gap.screening import Screened
 
 FloatArray = NDArray[np.float64]
 
@@ -64,16 +63,17 @@ def candidate_table(
         if screened is None:
             continue
         there = last if last.find(candidate) else first
-        judged = _judged(name, chosen, rivals, screened, there.guard.threshold)
+        early = first.find(candidate) or screened
+        seen = max(screened.visible**2, early.gain) > there.guard.threshold
+        judged = _judged(name, chosen, rivals, seen=seen)
         bounds = upper_bounds(screened, there.base, there.guard.dispersion) if judged == "ruled-out" else {}
         units = {} if candidate.attached is None else effect_units(candidate.attached, search.model, dataset)
-        early = first.find(candidate)
         found.append(
             Candidate(
                 name,
                 judged,
                 rated[name].share if name in rated else None,
-                (early or screened).gain / first.guard.threshold,
+                early.gain / first.guard.threshold,
                 chosen[name].values if name in chosen else {},
                 {key: Estimate(bound, -bound, bound, units.get(key, "1")) for key, bound in bounds.items()},
                 chosen[name].indistinguishable_from if name in chosen else tuple(rivals.get(name, ())),
@@ -85,17 +85,13 @@ def candidate_table(
 
 
 def _judged(
-    name: Name,
-    chosen: dict[Name, Cause],
-    rivals: dict[Name, list[Name]],
-    screened: "Screened",
-    threshold: float,
+    name: Name, chosen: dict[Name, Cause], rivals: dict[Name, list[Name]], *, seen: bool
 ) -> CandidateVerdict:
     if name in chosen:
         return "cause"
     if name in rivals:
         return "indistinguishable"
-    return "not-visible" if screened.visible**2 < threshold else "ruled-out"
+    return "ruled-out" if seen else "not-visible"
 
 
 def _remark(judged: CandidateVerdict, decided: Verdict) -> str:

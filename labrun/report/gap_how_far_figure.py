@@ -81,6 +81,7 @@ def _set_scale(axes: "Axes", sizes: list[float], largest: float) -> float:
         low = 0.5 * min(visible)
         axes.set_xlim(low, largest * (largest / low) ** (_ROOM - 1))
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.xaxis.set_minor_formatter(lambda *_: "")
         return low
     axes.set_xlim(0.0, largest * _ROOM)
     return 0.0

@@ -118,7 +118,7 @@ def _which(diagnosis: Diagnosis, room: int, most: int) -> list[str]:
 def _rival(one: Candidate, room: int) -> str:
     text = f"{name_words(one.name)}: {VERDICTS[one.verdict]}"
     if one.held_out_share is not None:
-        text += f", removes {percent(one.held_out_share)}"
+        text += f", removes {percent(min(one.held_out_share, 1.0))}"
     bounds = bound_words(one.upper_bound) if one.verdict == "ruled-out" else []
     return _first_that_fits([f"{text}; {bounds[0]}", text] if bounds else [text], room)
 
