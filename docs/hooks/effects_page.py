@@ -8,6 +8,7 @@ writes the entries and their pictures anew; the tests compare page and pictures 
 import importlib
 import math
 import sys
+import textwrap
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -18,6 +19,7 @@ DOCS = Path(__file__).parents[1]
 PAGE = DOCS / "effects.md"
 PICTURES = DOCS / "images" / "effects"
 BEGIN, END = "<!-- effects: begin -->", "<!-- effects: end -->"
+_WIDTH = 78
 KINDS = {
     "joint": ("Joints", "The pendulum is driven for five seconds, then left to swing."),
     "body": ("Bodies in a fluid", "The body is pushed to and fro for five seconds, then left to glide."),
@@ -53,7 +55,7 @@ def entry(effect: Effect, said: str) -> str:
         [
             heading,
             said + (f" Needs {' and '.join(needs)}." if needs else ""),
-            f"```text\n{effect.form}\n```",
+            "```text\n" + textwrap.fill(effect.form, _WIDTH, break_on_hyphens=False) + "\n```",
             "| parameter | unit | bounds | times typical | neutral | starts |\n|---|---|---|---|---|---|\n"
             + rows,
             f"Source: {effect.source}.",

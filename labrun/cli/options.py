@@ -58,7 +58,10 @@ Hide = Annotated[
     typer.Option(
         "--hide",
         metavar="WHAT",
-        help="Dry run: hide an effect in the bench and seal which: random, none, or EFFECT@SITE[:name=value,...].",
+        help=(
+            "Dry run: hide an effect in the bench and seal which: random, none, EFFECT@SITE[:name=value,...], "
+            "or same-as:RUN for the bench of an earlier run."
+        ),
     ),
 ]
 HideSeed = Annotated[

@@ -99,6 +99,14 @@ def execute(
     from labrun.store.provenance import collect
     from labrun.store.seal import SEALED, redacted, write_seal
 
+    again = None
+    if hide:
+        from labrun.search.hidden import bench_of
+
+        bench = bench_of(hide, results)
+        if bench is not None:
+            # the same bench: what was built from the seed there is built from it here
+            seed, again = (bench[0] if seed is None else seed), bench[1]
     if seed is None:
         seed = int(np.random.default_rng().integers(2**32))
     clock = SimulatedClock() if dry_run else RealClock()
@@ -107,7 +115,7 @@ def execute(
     if hide:
         from labrun.search.hidden import sealed_choice
 
-        on_bench, seal = sealed_choice(loaded, hide, seed=hide_seed, dry_run=dry_run)
+        on_bench, seal = sealed_choice(loaded, hide, seed=hide_seed, dry_run=dry_run, again=again)
     rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run)
     _plan(loaded, seed, rig).require_feasible()
     progress.phase("connecting")

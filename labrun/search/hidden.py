@@ -13,9 +13,16 @@ if TYPE_CHECKING:
     from labrun.spec.loading import LoadedExperiment
     from labrun.store.seal import Seal
 
+SAME_AS = "same-as:"
+
 
 def sealed_choice(
-    loaded: "LoadedExperiment", hide: Sequence[str], *, seed: int | None, dry_run: bool
+    loaded: "LoadedExperiment",
+    hide: Sequence[str],
+    *,
+    seed: int | None,
+    dry_run: bool,
+    again: "Seal | None" = None,
 ) -> "tuple[Experiment, Seal]":
     """Return the experiment as its dry run carries it out, and the seal of what that hides.
 
@@ -23,6 +30,8 @@ def sealed_choice(
     ----------
     hide, seed
         See `labrun.runner.hiding.choose_hidden`.
+    again
+        What another run hides, to be hidden here, too.
 
     Raises
     ------
@@ -36,8 +45,41 @@ def sealed_choice(
     if not dry_run:
         raise RequestError("--hide is for simulated benches: a real one hides enough", hint="add --dry-run")
     experiment = loaded.experiment
+    if again is not None:
+        return concealed(experiment, again.hidden()), Seal.of(again.hidden())
     hidden = choose_hidden(hide, experiment, named_model(loaded), conditions(experiment), seed=seed)
     return concealed(experiment, hidden), Seal.of(hidden)
+
+
+def bench_of(hide: Sequence[str], results: Path) -> "tuple[int, Seal] | None":
+    """Return seed and seal of the run whose simulated bench is to be used again, None if none is asked for.
+
+    Parameters
+    ----------
+    hide
+        ``["same-as:RUN"]``: an experiment's name (its latest run) or a run folder.
+
+    Raises
+    ------
+    RequestError
+        No such run, or one that hides nothing under seal.
+    """
+    if not any(one.startswith(SAME_AS) for one in hide):
+        return None
+    if len(hide) > 1:
+        raise RequestError(f"--hide {SAME_AS}RUN stands alone")
+    from labrun.store.folder import RunFolder
+    from labrun.store.locate import find_run
+    from labrun.store.seal import is_sealed, read_seal
+
+    run = find_run(hide[0].removeprefix(SAME_AS), results)
+    origin = RunFolder(run).provenance
+    if not is_sealed(origin):
+        raise RequestError(
+            f"{run} hides nothing under seal",
+            hint="name a run that was started with --hide random or --hide EFFECT@SITE",
+        )
+    return int(origin["seed"]), read_seal(run, origin)
 
 
 def named_model(loaded: "LoadedExperiment") -> "Model | None":

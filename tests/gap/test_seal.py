@@ -321,3 +321,15 @@ def test_the_stored_command_line_keeps_the_secret():
         "1",
         "--hide=(sealed)",
     ]
+
+
+def test_a_further_run_can_use_the_bench_of_an_earlier_one_without_opening_its_seal(copy_of, tmp_path):
+    again = dry_run(tmp_path, [f"same-as:{copy_of}"], overrides=[*SMALL, "trial.repeats=1"])
+    assert not json.loads((copy_of / "seal.json").read_text()).get("opened")
+    assert reveal(again).hidden == reveal(copy_of).hidden
+
+
+def test_a_run_that_hides_nothing_under_seal_has_no_bench_to_use_again(tmp_path):
+    plain = dry_run(tmp_path, [], overrides=[*SMALL, "trial.repeats=1"])
+    with pytest.raises(RequestError, match="hides nothing under seal"):
+        dry_run(tmp_path, [f"same-as:{plain}"])
