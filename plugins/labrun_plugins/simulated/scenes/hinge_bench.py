@@ -12,7 +12,8 @@ from labrun.effects.quadratic_drag import EFFECT as QUADRATIC_DRAG
 from labrun.effects.quantities import Scale
 from labrun.errors import ExperimentError
 from labrun.models.hinge_maps import damping, stiffness
-from labrun.models.model import Site
+from labrun.models.loading import load_model
+from labrun.models.model import Model, Site
 from labrun.models.stepper import Stepper
 from labrun_plugins.simulated.scenes.bench import Bench
 from labrun_plugins.simulated.scenes.hidden import described, hidden_effects
@@ -50,6 +51,8 @@ class HingeBenchSettings(BenchSettings):
         that is towed has about 2; the default is less, since the map's b has most of the air's drag in it.
     scatter
         Factor on the scatter of stiffness and damping.
+    model
+        A model file that the bench is, in place of a specimen: one that a diagnosis saved, say.
     """
 
     width_mm: PositiveFloat = 50.0
@@ -59,6 +62,20 @@ class HingeBenchSettings(BenchSettings):
     areal_density_kg_m2: PositiveFloat = 3.58
     drag_coefficient: NonNegativeFloat = 0.4
     scatter: NonNegativeFloat = 1.0
+    model: str | None = None
+
+
+def _swinging(name: str) -> Model:
+    """Return a model that can stand for this bench: a body that swings freely on one joint, ``hinge``."""
+    model = load_model(name)
+    outputs = [output.name for output in model.outputs]
+    if model.inputs or model.states != ("angle", "rate") or outputs != ["angle"]:
+        raise ExperimentError(
+            f"rig.scene.model: model {model.name} ({name}) cannot be the hinge bench, "
+            "which has the states angle and rate, the output angle, and no input",
+            hint="name a model like experiments/models/hinge-pendulum.toml, or what labrun gap diagnose saved from it",
+        )
+    return model
 
 
 class HingeBench(Bench):
@@ -76,6 +93,8 @@ class HingeBench(Bench):
     specimen that is taken off and comes back later is mounted anew.
 
     With `as_modelled` there is no air drag but what the map's b contains, and the bench is what eq. (3.5) says.
+    With `model`, a file such as a diagnosis saves, the bench is that model, with the effects it carries, and nothing of
+    it scatters.
 
     The joint ``hinge`` is held while a command for it runs, and free when it has ended.
 
@@ -132,8 +151,9 @@ class HingeBench(Bench):
         the latest 200 releases, whatever specimen it was of.
         """
         values = self._nominal()
-        values["stiffness"] *= float(self._setup_scale[0])
-        values["damping"] *= float(self._setup_scale[1])
+        if self._settings.model is None:
+            values["stiffness"] *= float(self._setup_scale[0])
+            values["damping"] *= float(self._setup_scale[1])
         return {
             "specimen": dict(self._specimen),
             "parameters": values,
@@ -178,6 +198,8 @@ class HingeBench(Bench):
             gravity_torque=gravity,
         )
         self._specimen = specimen
+        if self._settings.model is not None:
+            model, drag = _swinging(self._settings.model), 0.0
         self._model = self._with_errors(model)
         self._drag = QUADRATIC_DRAG.attach("hinge", coefficient=drag)
         at_hinge = [one for one in self._settings.hide if one.site not in self.sensed]
@@ -195,13 +217,14 @@ class HingeBench(Bench):
                 angle[first:last] = commanded[first:last]
                 self._stepper.state = (commanded[last - 1], 0.0)
             else:
-                if self._held:
+                if self._held and self._settings.model is None:
                     self._scales = self._setup_scale * (1.0 + self._release_sd * self._rng.standard_normal(2))
                     nominal = self._nominal()
                     k, b = self._scales * (nominal["stiffness"], nominal["damping"])
                     self._releases.append([float(time_s[first]), float(k), float(b)])
                     del self._releases[:-_REMEMBERED_RELEASES]
-                inputs = np.broadcast_to(self._scales, (last - first + 1, 2))
+                scales = self._scales[: len(self._model.inputs)]
+                inputs = np.broadcast_to(scales, (last - first + 1, len(scales)))
                 angle[first:last] = self._stepper.advance(inputs)[:, 0]
             self._held = bool(held[last - 1])
         if not self._stepper.finite:
