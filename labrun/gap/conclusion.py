@@ -50,7 +50,7 @@ def conclude(
     effects = selection.final.problem.attached(selection.final.problem.parameters(selection.final.z))
     found: tuple[Place, ...] = ()
     missing: tuple[MissingForce, ...] = ()
-    if places:
+    if places and (causes or decided == "not-in-library" or search.recalibrated.gap > floor):
         from labrun.gap.where.forces import missing_forces
         from labrun.gap.where.places import find_places
 

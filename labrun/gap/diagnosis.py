@@ -18,6 +18,15 @@ By = Literal["channel", "condition", "phase", "frequency", "state", "reversal", 
 CauseKind = Literal["effect", "parameter"]
 
 
+_PROPER = ("coulomb", "stribeck", "reynolds")
+
+
+def effect_words(effect: str) -> str:
+    """Return an effect's id as words, with the capitals of people's names."""
+    words = effect.split("-")
+    return " ".join(word.capitalize() if word in _PROPER else word for word in words)
+
+
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """A number with its 95 % interval from resampling whole trials."""
@@ -81,6 +90,11 @@ class Name:
 
     def __str__(self) -> str:
         return f"{self.effect} at {self.site}" if self.kind == "effect" else f"parameter {self.effect}"
+
+    @property
+    def words(self) -> str:
+        """For people: ``Coulomb friction at hinge``, or ``parameter inertia``."""
+        return f"{effect_words(self.effect)} at {self.site}" if self.kind == "effect" else str(self)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ def sentence(
     verdict: Verdict, sizes: Sizes, causes: Sequence[Cause], shrinkage: Shrinkage | None, best: Name | None
 ) -> str:
     """Return the verdict as one sentence."""
-    named = " and ".join(str(cause.name) for cause in causes)
+    named = " and ".join(cause.name.words for cause in causes)
     if verdict == "no-gap":
         return (
             f"No gap beyond noise: what model and measurement differ by ({sizes.recalibrated:.2g} times one trial's "
@@ -21,23 +21,24 @@ def sentence(
             f"{sizes.recalibrated:.2g} times one trial's noise, and nothing is missing."
         )
     removed = "" if shrinkage is None else f" {100 * shrinkage.value:.0f} %"
+    verb = "explain" if len(causes) > 1 else "explains"
     if verdict == "parameter":
-        verb = "explain" if len(causes) > 1 else "explains"
         return (
             f"A stated value is wrong: {named} {verb}{removed} of the gap on conditions the fit did not see."
         )
     if verdict == "explained":
-        verb = "explain" if len(causes) > 1 else "explains"
         return (
             f"{_capital(named)} {verb}{removed} of the gap on conditions the fit did not see "
             f"({sizes.recalibrated:.2g} to {sizes.after:.2g} times one trial's noise)."
         )
     if verdict == "partly-explained":
         return (
-            f"{_capital(named)} explains{removed} of the gap; {sizes.after:.2g} times one trial's noise remains that "
+            f"{_capital(named)} {verb}{removed} of the gap; {sizes.after:.2g} times one trial's noise remains that "
             "nothing in the library accounts for."
         )
-    nearest = f"; the nearest, {best}, removes{removed or ' too little'} of it" if best is not None else ""
+    nearest = (
+        f"; the nearest, {best.words}, removes{removed or ' too little'} of it" if best is not None else ""
+    )
     return (
         f"The cause is not in the library: a gap of {sizes.recalibrated:.2g} times one trial's noise remains after "
         f"recalibration{nearest}."
@@ -77,9 +78,9 @@ def what_next(verdict: Verdict, causes: Sequence[Cause], *, repeats: int) -> lis
     found = []
     doubtful = [cause for cause in causes if cause.indistinguishable_from]
     for cause in doubtful:
-        others = " or ".join(str(name) for name in cause.indistinguishable_from[:3])
+        others = " or ".join(name.words for name in cause.indistinguishable_from[:3])
         found.append(
-            f"These data cannot tell {cause.name} from {others}: labrun gap next writes the experiment that can."
+            f"These data cannot tell {cause.name.words} from {others}: labrun gap next writes the experiment that can."
         )
     if verdict in ("explained", "partly-explained", "parameter") and causes and not doubtful:
         found.append(

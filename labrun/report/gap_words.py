@@ -25,21 +25,12 @@ HEADLINES = {
 }
 _TAKE_PREFIX = ("N", "m", "s", "rad", "V", "A", "W", "Pa")
 _SMALL = 2e-3
-_PROPER = ("coulomb", "stribeck", "reynolds")
 _RANK: Mapping[CandidateVerdict, int] = {"cause": 0, "indistinguishable": 1, "ruled-out": 2, "not-visible": 3}
 
 
 def name_words(name: Name) -> str:
     """Return ``Coulomb friction at hinge``, or ``parameter inertia``."""
-    if name.kind == "parameter":
-        return f"parameter {name.effect}"
-    return f"{effect_words(name.effect)} at {name.site}"
-
-
-def effect_words(effect: str) -> str:
-    """Return an effect's id as words, with the capitals of people's names."""
-    words = effect.split("-")
-    return " ".join(word.capitalize() if word in _PROPER else word for word in words)
+    return name.words
 
 
 def listed(parts: list[str], last: str = "and") -> str:
