@@ -74,15 +74,20 @@ class Noise:
         """Return the same noise taken as white: where a large gap is mixed into it, its colour says nothing."""
         return replace(self, whitener=white(len(self.sd)))
 
-    def draw(self, units: Units, rng: np.random.Generator) -> list[FloatArray]:
+    def draw(self, units: Units, rng: np.random.Generator, *, cautious: bool = False) -> list[FloatArray]:
         """Return noise of the mean of every unit, (n, m) each.
 
         The measured whole-trial deviations, recombined at random within their condition; drawn from the spectrum where
         there are too few of them.
-        """
-        return [self._draw_unit(unit, rng) for unit in units.units]
 
-    def _draw_unit(self, unit: Unit, rng: np.random.Generator) -> FloatArray:
+        Parameters
+        ----------
+        cautious
+            Let the energy scatter as widely as so few deviations allow: for parts of trials, where each is one of few.
+        """
+        return [self._draw_unit(unit, rng, cautious) for unit in units.units]
+
+    def _draw_unit(self, unit: Unit, rng: np.random.Generator, cautious: bool) -> FloatArray:
         shape = unit.trial.outputs.shape
         own = self.deviations[unit.group] if self.freedom >= _ENOUGH_FREEDOM else ()
         own = tuple(one for one in own if one.shape == shape)
@@ -97,8 +102,9 @@ class Noise:
         direction -= direction.mean()
         direction /= np.linalg.norm(direction)
         scale = np.sqrt((len(own) - 1.0) / len(own) / unit.count)
-        if np.isfinite(self.energy_freedom):
-            scale *= np.sqrt(rng.chisquare(self.energy_freedom) / self.energy_freedom)
+        freedom = min(self.energy_freedom, len(own) - 1.0) if cautious else self.energy_freedom
+        if np.isfinite(freedom):
+            scale *= np.sqrt(rng.chisquare(freedom) / freedom)
         return np.asarray(scale * np.tensordot(direction, np.stack(own), axes=1) + rounding)
 
 

@@ -136,7 +136,9 @@ def redrawn(difference: Difference, rng: np.random.Generator, draws: int) -> Ite
     for _ in range(draws):
         # the noise was estimated from few repeats, and may be larger than the estimate
         size = np.sqrt(known / rng.chisquare(known)) / sd
-        yield absorbed.left([one * size for one in difference.noise.draw(difference.units, rng)])
+        yield absorbed.left(
+            [one * size for one in difference.noise.draw(difference.units, rng, cautious=True)]
+        )
 
 
 def _freedom(difference: Difference, rng: np.random.Generator) -> FloatArray:
@@ -151,7 +153,7 @@ def _freedom(difference: Difference, rng: np.random.Generator) -> FloatArray:
     squares = [
         np.mean(np.square(one) * unit.count, axis=0) / noise.sd**2
         for _ in range(max(1, _TRIALS // len(units.units)))
-        for one, unit in zip(noise.draw(units, rng), units.units, strict=True)
+        for one, unit in zip(noise.draw(units, rng, cautious=True), units.units, strict=True)
     ]
     scatter = np.var(squares, axis=0) / max(noise.freedom, 1)
     return np.asarray(np.clip(2.0 / np.maximum(scatter, 2.0 / _KNOWN), 1.0, _KNOWN), dtype=float)
