@@ -30,7 +30,7 @@ _ANOTHER = 0.08
 _NOTICED = 0.04
 """The same of a cause that at least halves what is left."""
 _LEAST_SHARE = 0.3
-"""Part of the excess that a cause must remove on withheld conditions, however well it fits those it saw."""
+"""Part of the excess that causes must remove on withheld conditions, however well they fit those they saw."""
 _SWEEPS = 3
 FORM_SLACK = 0.02
 _SIMPLER = 0.02
@@ -128,6 +128,9 @@ class Selector:
         chosen, rounds = self._forward()
         if len(chosen) > 1:
             chosen, rounds = self._exchanged(chosen)
+        # one of two causes alone may fail where it was not fitted; all that were chosen together must not
+        if chosen and self._share(chosen[-1].held_out) < _LEAST_SHARE:
+            chosen, rounds = [], [self.first]
         base = chosen[-1].base if chosen else self.first.base
         left = chosen[-1].held_out if chosen else self.reference
         there = chosen[-1].residual if chosen else self.residual
@@ -140,6 +143,9 @@ class Selector:
             left,
             there,
         )
+
+    def _share(self, left: Excess) -> float:
+        return 1.0 - left.total / self.reference.total if self.reference.total > 0 else 0.0
 
     def _forward(self) -> "tuple[list[_Chosen], list[Round]]":
         rounds, chosen = [self.first], list[_Chosen]()
@@ -228,7 +234,7 @@ def _best(rated: Sequence[Rated], left: Excess, reference: Excess, *, further: b
     left
         Held-out excess without it.
     """
-    passing = [one for one in rated if one.evidence > 1.0 and one.share >= _LEAST_SHARE]
+    passing = [one for one in rated if one.evidence > 1.0]
     if further and reference.total > 0:
         removed = [left.total - one.held_out.total for one in passing]
         passing = [

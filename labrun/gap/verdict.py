@@ -12,6 +12,8 @@ _DOUBTFUL = ((1.0, 0.88), (0.5, 0.8))
 _WHOLE = 0.85
 _SMALL = 0.3
 """A gap below this part of one trial's noise that nothing in the library explains is left alone."""
+_FAR_ABOVE = 3.0
+"""How far above the floor a gap is told from noise even where nothing was repeated."""
 _ROOM = 0.1
 """By how much the interval of the share may reach beyond that limit."""
 
@@ -42,7 +44,8 @@ class Findings:
 def verdict(found: Findings) -> Verdict:
     """Return the verdict."""
     if found.effects + found.parameters == 0 or found.shrinkage is None:
-        if found.significant and found.told_by_repeats and found.sizes.recalibrated >= _SMALL:
+        plain = found.sizes.recalibrated >= max(_FAR_ABOVE * found.sizes.floor, 1.0)
+        if found.significant and (plain or (found.told_by_repeats and found.sizes.recalibrated >= _SMALL)):
             return "not-in-library"
         return "parameter" if _recalibration_helps(found.sizes) else "no-gap"
     least = next((share for size, share in _DOUBTFUL if found.sizes.after >= size), _UNKNOWN)
