@@ -54,7 +54,13 @@ rate = 0.0
 """
 TRUE = {"inertia": 1.22e-3, "gravity": 0.0612, "stiffness": 0.075, "damping": 1.3e-3}
 DRIVES = ((0.02, 0.6), (0.03, 0.9), (0.04, 1.2), (0.03, 1.7), (0.05, 0.8), (0.02, 2.2), (0.04, 0.4))
-FRICTION = ("coulomb-friction", "stribeck-friction", "load-dependent-friction", "presliding-friction", "hysteresis")
+FRICTION = (
+    "coulomb-friction",
+    "stribeck-friction",
+    "load-dependent-friction",
+    "presliding-friction",
+    "hysteresis",
+)
 EVALUATIONS = 1000
 
 
@@ -70,7 +76,9 @@ def recorded(model: Model) -> Dataset:
         condition = {"amplitude_n_m": amplitude, "frequency_hz": frequency}
         for repeat in (1, 2, 3):
             noisy = angle + 0.004 * rng.standard_normal(angle.shape)
-            trials.append(FitTrial(f"{amplitude} N m, {frequency} Hz", condition, repeat, time_s, torque, noisy))
+            trials.append(
+                FitTrial(f"{amplitude} N m, {frequency} Hz", condition, repeat, time_s, torque, noisy)
+            )
     inputs, outputs = (SignalInfo("torque", "N m", "linear"),), (SignalInfo("angle", "rad", "linear"),)
     return Dataset("pendulum", Path("pendulum"), "recording", inputs, outputs, tuple(trials))
 
@@ -83,7 +91,9 @@ def by_cmaes(problem: GapProblem, z: np.ndarray, candidate: Candidate) -> float:
     low = np.where(np.isfinite(added.lower), added.lower, -10.0)
     high = np.where(np.isfinite(added.upper), added.upper, 10.0)
     settings = {"seed": 1, "verbose": -9, "maxfevals": EVALUATIONS, "bounds": [low, high]}
-    found = cma.fmin2(lambda x: added.squares(np.concatenate([x, own])), np.clip(start, low, high), 0.1, settings)
+    found = cma.fmin2(
+        lambda x: added.squares(np.concatenate([x, own])), np.clip(start, low, high), 0.1, settings
+    )
     return float(found[1].result.fbest)
 
 
@@ -113,7 +123,9 @@ def main() -> None:
     ends = {one.name.effect: by_cmaes(recalibration.problem, recalibration.z, one) for one in known}
     took = time.perf_counter() - began
     best = min(ends, key=ends.__getitem__)
-    print(f"CMA-ES, {len(ends)} friction models, {EVALUATIONS} evaluations each: {took:.1f} s; least error: {best}")
+    print(
+        f"CMA-ES, {len(ends)} friction models, {EVALUATIONS} evaluations each: {took:.1f} s; least error: {best}"
+    )
 
 
 if __name__ == "__main__":

@@ -129,7 +129,9 @@ class Labrun(Side):
         self._folder = RunFolder.create(folder, "settled" if settle else "plain", text, {"dry_run": True})
         self._session = Session(experiment, rig, self._folder, clock, 1)
         self._held = contextlib.ExitStack()
-        self._held.enter_context(self._folder.lock())  # from first trial to packed file, as `labrun run` holds it
+        self._held.enter_context(
+            self._folder.lock()
+        )  # from first trial to packed file, as `labrun run` holds it
 
     def run(self, poses: NDArray[np.float64]) -> None:
         self._session.measure([{"a": float(pose)} for pose in poses], order="as-listed")

@@ -9,18 +9,17 @@ if TYPE_CHECKING:
     from labrun.gap.rating import Rated
 
 
-_SURE = 0.97
-_SURE_WITHOUT_REPEATS = 0.85
-"""How often a cause without rivals and far beyond chance was the right one, on the development corpus (seed 12)."""
+_SURE = 0.96
+"""How often a cause far beyond chance, or its first rival, was the right one (development corpus, seed 12)."""
 
 
 def confidence(search: "Search", one: "Rated") -> float:
-    """Return the probability that a chosen cause, and none of its rivals, is the right one.
+    """Return the probability that a chosen cause, or the first of its rivals, is the right one.
 
-    Its weight among what explains the data as well, less what even a cause without rivals turned out to be wrong.
+    Their weight among all that explains the data as well, less what even a cause without rivals turned out to be wrong.
     """
     place = search.selection.chosen.index(one)
-    weight = search.selection.weights[place]
+    rivals = search.selection.rivals[place]
+    weight = search.selection.weights[place] + (rivals[0][1] if rivals else 0.0)
     beyond_chance = 1.0 - np.exp(-max(one.evidence - 0.8, 0.05))
-    sure = _SURE if search.noise.basis == "repeats" else _SURE_WITHOUT_REPEATS
-    return float(np.clip(sure * weight * beyond_chance, 0.02, _SURE))
+    return float(np.clip(_SURE * weight * beyond_chance, 0.02, _SURE))

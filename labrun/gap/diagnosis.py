@@ -104,7 +104,7 @@ class Cause:
     Attributes
     ----------
     confidence
-        Probability that this is the right one, calibrated on a corpus of known cases.
+        Probability that this, or the first of `indistinguishable_from`, is the right one; calibrated on known cases.
     values
         Its parameters; for a parameter, its value.
     indistinguishable_from

@@ -31,6 +31,8 @@ _NOTICED = 0.04
 """The same of a cause that at least halves what is left."""
 _LEAST_SHARE = 0.3
 """Part of the excess that causes must remove on withheld conditions, however well they fit those they saw."""
+_TOGETHER = 0.9
+"""The same where nothing does so alone: two that only fit together are often two that stand in for a third."""
 _SWEEPS = 3
 FORM_SLACK = 0.02
 _SIMPLER = 0.02
@@ -129,7 +131,9 @@ class Selector:
         if len(chosen) > 1:
             chosen, rounds = self._exchanged(chosen)
         # one of two causes alone may fail where it was not fitted; all that were chosen together must not
-        if chosen and self._share(chosen[-1].held_out) < _LEAST_SHARE:
+        alone = max((one.share for one in self.first.rated), default=0.0)
+        needed = _LEAST_SHARE if alone >= _LEAST_SHARE else _TOGETHER
+        if chosen and self._share(chosen[-1].held_out) < needed:
             chosen, rounds = [], [self.first]
         base = chosen[-1].base if chosen else self.first.base
         left = chosen[-1].held_out if chosen else self.reference

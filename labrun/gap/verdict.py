@@ -9,6 +9,8 @@ _UNKNOWN = 0.6
 effects that stand in for one that is not there at most 60 %."""
 _DOUBTFUL = ((1.0, 0.88), (0.5, 0.8))
 """The same where a plain remainder is left (in units of one trial's noise): more than what is in the library leaves."""
+_LARGE, _NEARLY_ALL = 3.0, 0.97
+"""A remainder of several times one trial's noise is part of the answer, unless it is next to nothing of the gap."""
 _WHOLE = 0.85
 _SMALL = 0.3
 """A gap below this part of one trial's noise that nothing in the library explains is left alone."""
@@ -54,7 +56,8 @@ def verdict(found: Findings) -> Verdict:
         return "not-in-library"
     if found.effects == 0:
         return "parameter"
-    return "explained" if found.shrinkage.value >= _WHOLE or not found.remains else "partly-explained"
+    whole = _NEARLY_ALL if found.sizes.after >= _LARGE else _WHOLE
+    return "explained" if found.shrinkage.value >= whole or not found.remains else "partly-explained"
 
 
 def _recalibration_helps(sizes: Sizes) -> bool:

@@ -71,6 +71,11 @@ def right(cause: Cause, truth: Truth) -> bool:
     return any(cause.same(one) for one in truth.causes)
 
 
+def held(named: Named, truth: Truth) -> bool:
+    """Tell whether an announced cause, or the first of its rivals, is a true one: what its confidence is about."""
+    return any(right(one, truth) for one in named.members[:2])
+
+
 def _single(true: Cause, said: Said) -> Outcome:
     if not said.announced:
         return "said-unknown" if said.verdict == "not-in-library" else "nothing-said"

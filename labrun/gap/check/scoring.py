@@ -7,7 +7,7 @@ from statistics import median
 from typing import Any
 
 from labrun.gap.check.cases import STRENGTHS
-from labrun.gap.check.judging import Judged, right
+from labrun.gap.check.judging import Judged, held
 from labrun.gap.check.shares import Reliability, Share, reliability
 
 ByStrength = Mapping[str, Share]
@@ -65,7 +65,7 @@ class Scores:
     extra
         Cases with more effects announced than there are.
     calibration
-        Confidence of every announced cause against whether it was a true one, site included.
+        Confidence of every announced cause against whether it, or its first rival, was a true one, site included.
     errors
         Cases that were not diagnosed.
     """
@@ -151,7 +151,7 @@ def score(judged: Sequence[Judged]) -> Scores:
         recognised=_by_strength(outside, lambda one: one.outcome == "recognised"),
         wrongly_unknown=Share.among(one.said.verdict == "not-in-library" for one in spoken),
         extra=Share.among(one.extra > 0 for one in spoken),
-        calibration=reliability([(named.confidence, right(named.top, truth)) for named, truth in announced]),
+        calibration=reliability([(named.confidence, held(named, truth)) for named, truth in announced]),
         shrinkage=shrinkage_score(judged),
         seconds=_durations([one.said.seconds for one in judged if not one.said.error]),
         errors=[one.truth.case for one in judged if one.said.error],
