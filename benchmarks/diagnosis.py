@@ -5,7 +5,7 @@
 The data: a driven pendulum with dry friction that its model lacks, 7 conditions of 6 s at 120 Hz, 3 repeats each: 21
 trials. The diagnosis tries every effect of the library at every site, on withheld conditions, and looks where the gap
 is. The other way is that of BAM (Duclusaud et al., "Extended friction models for the physics simulation of servo
-actuators", 2024): a list of friction models, each fitted by CMA-ES to everything, and the one of least error taken. Five
+actuators", 2024): a list of friction models, each fitted by CMA-ES to everything, the one of least error taken. Five
 models are fitted, with 1000 evaluations each, on the same compiled simulation; BAM itself evaluates far more often.
 """
 

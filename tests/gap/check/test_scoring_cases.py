@@ -183,18 +183,20 @@ def test_the_confusion_tells_what_was_said_of_what() -> None:
     }
 
 
-def test_confidence_is_held_against_the_cause_itself_and_its_site() -> None:
+def test_confidence_is_held_against_the_cause_or_its_first_rival_and_the_site() -> None:
     found = score(
         [
             judge(truth("effect", COULOMB), said("explained", named(COULOMB, confidence=0.95))),
-            judge(truth("effect", COULOMB), said("explained", named(ELSEWHERE, COULOMB, confidence=0.95))),
+            judge(
+                truth("effect", COULOMB), said("explained", named(ELSEWHERE, LAG, COULOMB, confidence=0.95))
+            ),
             judge(truth("control"), said("explained", named(LAG, confidence=0.15))),
         ]
     )
     low, high = found.calibration.bins
     assert (low.right.hits, low.right.of, high.right.hits, high.right.of) == (0, 1, 1, 2)
     assert abs((found.calibration.error or 0.0) - (1 * 0.15 + 2 * 0.45) / 3) < 1e-12
-    assert found.set_sizes == {1: 2, 2: 1}
+    assert found.set_sizes == {1: 2, 3: 1}
 
 
 def test_shrinkage_is_compared_where_the_fresh_gap_is_large_enough() -> None:
