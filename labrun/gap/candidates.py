@@ -1,7 +1,7 @@
 """The candidates: every effect of the library at every site it fits, and every parameter that could be wrong."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -128,8 +128,3 @@ def _starts(effect: "Effect") -> tuple[tuple[float, ...], ...]:
 def without(everything: Sequence[Candidate], names: Collection[Name]) -> list[Candidate]:
     """Return the candidates that are not among `names`."""
     return [one for one in everything if one.name not in names]
-
-
-def started(candidate: Candidate, multiples: Sequence[float]) -> Candidate:
-    """Return the candidate with one start."""
-    return replace(candidate, starts=(tuple(multiples),))

@@ -1,6 +1,6 @@
 """Intervals: how sizes of causes, and the share of the gap they remove, would scatter if the trials were run again."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -194,8 +194,3 @@ def floor_of(units: "Units", noise: "Noise", rng: np.random.Generator, draws: in
         values, shares = _plain(units, noise, means)
         found.append(Excess(values, shares).gap)
     return float(np.percentile(found, 95.0))
-
-
-def plain_values(values: Mapping[str, float], units: Mapping[str, str]) -> dict[str, Estimate]:
-    """Return numbers without an interval."""
-    return {name: Estimate(value, value, value, units.get(name, "1")) for name, value in values.items()}

@@ -40,11 +40,6 @@ class Excess:
         """Root mean square of the systematic residual over channels, in units of one trial's noise."""
         return float(np.sqrt(max(self.total, 0.0)))
 
-    @property
-    def by_group(self) -> FloatArray:
-        """Weighted share of each condition in `total`, shape (groups,)."""
-        return np.asarray(self.weights * np.mean(self.values, axis=1))
-
 
 def mean_residuals(problem: "GapProblem", z: FloatArray) -> list[FloatArray]:
     """Return measured mean minus simulated of every unit, (n, m) each, in the units of the outputs."""

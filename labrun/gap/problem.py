@@ -67,11 +67,6 @@ class GapProblem(Problem):
             self.state_scale = self._state_scale()
             self._set_first_priors()
 
-    @property
-    def counts(self) -> FloatArray:
-        """Number of trials behind every unit, shape (units,)."""
-        return np.array([unit.count for unit in self.units.units], dtype=float)
-
     def with_noise(self, noise: Noise) -> Self:
         """Return the same problem, measured in units of this noise."""
         other = copy(self)
@@ -304,10 +299,6 @@ class GapProblem(Problem):
     def drive(self, trial: int) -> "Drive":
         """Return the inputs of a unit as prepared for simulation."""
         return self._drives[trial]
-
-    def start(self, base: FloatArray, own: FloatArray, multiples: Sequence[float]) -> FloatArray:
-        """Return `z` from scaled parameters (of the problem without the last effects), own states and effect sizes."""
-        return np.concatenate([base, np.asarray(multiples, dtype=float), own])
 
     def _begin(self, trial: int, own: FloatArray) -> FloatArray:
         if not self._prior_of_first:

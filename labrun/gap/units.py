@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ _FIRST_SAMPLES = 3
 _ALIKE = 5.0
 """First samples of repeats that differ by less than this many standard deviations of the noise begin alike."""
 _FEWEST_SAMPLES = 8
+_SAMPLES_APART = 2
+_SAME_INPUT = 0.01
+"""Inputs that differ by less than this part of their spread are one command, read at other times."""
 
 
 @dataclass(frozen=True)
@@ -83,8 +87,9 @@ def gather(dataset: Dataset, model: Model) -> Units:
     free = any(model.initial.get(state, "free") == "free" for state in model.states)
     units: list[Unit] = []
     for group, trials in enumerate(groups.values()):
-        if len(trials) > 1 and not free and _same_course(trials) and _same_beginning(trials):
-            units.append(_averaged(trials, group))
+        alike = None if free or len(trials) == 1 else _on_one_time_base(trials)
+        if alike is not None and _same_beginning(alike):
+            units.append(_averaged(alike, group))
         else:
             units.extend(Unit(trial, group, (trial.outputs,)) for trial in trials)
     means = replace(dataset, trials=tuple(unit.trial for unit in units))
@@ -117,6 +122,45 @@ def _check(trial: FitTrial, dataset: Dataset) -> None:
             f"the time of {trial.label} of {dataset.name} does not increase at sample {row}",
             hint="a clock went backwards or a sample is there twice: sort it out before asking for a diagnosis",
         )
+
+
+def _on_one_time_base(trials: Sequence[FitTrial]) -> list[FitTrial] | None:
+    """Return the trials at the times of the first; None if they did not take the same course.
+
+    Sensors sample when they please: repeats of one command differ by a part of a sample. Their outputs are carried over
+    by cubic splines, which change what is slow beside the sample rate by next to nothing.
+    """
+    if _same_course(trials):
+        return list(trials)
+    first, step_s = trials[0], _step_s(trials[0])
+    if any(abs(len(one.time_s) - len(first.time_s)) > _SAMPLES_APART for one in trials):
+        return None
+    if len(first.time_s) < _FEWEST_SAMPLES:
+        return None
+    spread = np.maximum(np.std(first.inputs, axis=0), 1e-12)
+    found = []
+    for one in trials:
+        ends = one.time_s[[0, -1]] - first.time_s[[0, -1]]
+        if np.any(np.abs(ends) > (_SAMPLES_APART + 1) * step_s):
+            return None
+        inputs = _carried(one.time_s, one.inputs, first.time_s, "linear")
+        if np.any(np.sqrt(np.mean(np.square(inputs - first.inputs), axis=0)) > _SAME_INPUT * spread):
+            return None
+        outputs = _carried(one.time_s, one.outputs, first.time_s, "cubic")
+        found.append(replace(one, time_s=first.time_s, inputs=first.inputs, outputs=outputs))
+    return found
+
+
+def _carried(
+    time_s: FloatArray, values: FloatArray, at_s: FloatArray, way: Literal["linear", "cubic"]
+) -> FloatArray:
+    """Return signals (n, k) at other times, held beyond their ends."""
+    if values.shape[1] == 0:
+        return np.empty((len(at_s), 0))
+    from scipy.interpolate import make_interp_spline
+
+    spline = make_interp_spline(time_s, values, k=1 if way == "linear" else 3)
+    return np.asarray(spline(np.clip(at_s, time_s[0], time_s[-1])))
 
 
 def _same_course(trials: Sequence[FitTrial]) -> bool:

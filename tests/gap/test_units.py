@@ -1,0 +1,44 @@
+"""Repeats that one simulation predicts are averaged; others stay apart."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from labrun.gap.units import gather
+
+from .benches import CONDITIONS, pendulum, recorded
+
+
+def shifted(trial, by_s):
+    """Return the same trial, sampled a little later."""
+    time_s = trial.time_s + by_s
+
+    def at(values):
+        return np.column_stack([np.interp(time_s, trial.time_s, column) for column in values.T])
+
+    return replace(trial, time_s=time_s, inputs=at(trial.inputs), outputs=at(trial.outputs))
+
+
+def test_repeats_of_one_command_are_one_unit():
+    units = gather(recorded(conditions=CONDITIONS[:2]), pendulum())
+    assert [unit.count for unit in units.units] == [3, 3]
+
+
+def test_repeats_sampled_at_other_instants_are_one_unit_and_their_mean_is_the_motion():
+    quiet = recorded(conditions=CONDITIONS[:1], noise=0.0)
+    first, *others = quiet.trials
+    apart = replace(
+        quiet, trials=(first, *(shifted(one, by) for one, by in zip(others, (0.003, 0.006), strict=True)))
+    )
+    (unit,) = gather(apart, pendulum()).units
+    assert unit.count == 3
+    amplitude = float(np.max(np.abs(first.outputs)))
+    # the trials themselves were interpolated linearly here; a sample apart they would differ by ten times as much
+    assert np.max(np.abs(unit.trial.outputs - first.outputs)[2:-2]) < 2e-3 * amplitude
+
+
+def test_trials_with_another_course_of_the_input_stay_apart():
+    dataset = recorded(conditions=CONDITIONS[:1])
+    first, second, third = dataset.trials
+    louder = replace(second, inputs=1.1 * second.inputs)
+    assert len(gather(replace(dataset, trials=(first, louder, third)), pendulum()).units) == 3
