@@ -1,5 +1,6 @@
 """A bench: equations twice (as text for the model file, as numpy here), parameters, sites and a programme of trials."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeVar
@@ -88,7 +89,7 @@ class Programme:
 
 
 @dataclass
-class Plant:
+class Plant(ABC):
     """One bench, drawn at random within what such a bench may be.
 
     Subclasses add `rates`, `read`, `at` and `programme`.
@@ -116,21 +117,21 @@ class Plant:
     output_effects: dict[str, tuple[str, ...]] = field(default_factory=dict)
     returns: bool = True
 
+    @abstractmethod
     def rates(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
         """Return the derivatives of the states (states, trials)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def read(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
         """Return the outputs (outputs, trials)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def at(self, site: str, x: FloatArray, u: FloatArray, p: Values) -> At:
         """Return where a site is."""
-        raise NotImplementedError
 
+    @abstractmethod
     def programme(self, rng: np.random.Generator, trials: int) -> Programme:
         """Return so many trials of different conditions."""
-        raise NotImplementedError
 
     def start(self, conditions: Sequence[Mapping[str, float | str]]) -> FloatArray:
         """Return the true initial states (states, trials); what the model file calls "first" or "free" included."""
