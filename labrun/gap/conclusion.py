@@ -9,6 +9,7 @@ from labrun.gap.causes import candidate_table, causes_of
 from labrun.gap.diagnosis import Diagnosis, MissingForce, Place, Shrinkage, Sizes
 from labrun.gap.estimates import floor_of, scatter, shrinkage
 from labrun.gap.excess import excess, mean_residuals
+from labrun.gap.guard import FULL_DRAWS
 from labrun.gap.pictures import difference_of, traces_of
 from labrun.gap.problem import named
 from labrun.gap.verdict import Findings, verdict
@@ -99,10 +100,7 @@ def conclude(
         missing=missing,
         traces=traces_of(search, with_causes=bool(causes)),
         parameter_units={one.name: one.unit for one in problem.model.parameters},
-        guard=(
-            f"{len(search.draws)} draws of noise from the trials' own deviations, the whole library tried on each "
-            "(linearised); an announced cause must explain more than the best did in 97 of 100"
-        ),
+        guard=_guard_words(search),
         seed=0,
         seconds=0.0,
     )
@@ -112,3 +110,12 @@ def _remaining(search: "Search") -> float:
     """Return the gap that the final model leaves, fitted to everything."""
     final = search.selection.final
     return excess(search.units, search.noise, mean_residuals(final.problem, final.z)).gap
+
+
+def _guard_words(search: "Search") -> str:
+    """Return what an announced cause had to beat."""
+    told = (
+        f"{len(search.draws)} draws of noise from the trials' own deviations, the whole library tried on each "
+        "(linearised); an announced cause must explain more than the best did in 97 of 100"
+    )
+    return f"{told}; {FULL_DRAWS} of them searched with all fits" if search.full_guard else told

@@ -54,6 +54,7 @@ class Search:
     held_out: Excess
     held_out_residual: list[FloatArray]
     selection: Selection
+    full_guard: bool
 
     @property
     def model(self) -> "Model":
@@ -124,6 +125,7 @@ def search_causes(
         reference,
         residual,
         selection,
+        full_guard,
     )
 
 
