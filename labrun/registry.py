@@ -11,6 +11,7 @@ from labrun.nearest import nearest
 
 GROUPS = (
     "labrun.devices",
+    "labrun.emulators",
     "labrun.gaits",
     "labrun.objectives",
     "labrun.controllers",

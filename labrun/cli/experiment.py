@@ -42,6 +42,7 @@ def check(
 def run(
     name: options.Name,
     dry_run: options.DryRun = False,
+    emulate: options.Emulate = False,
     overrides: options.Overrides = None,
     seed: options.Seed = None,
     limit: options.Limit = None,
@@ -54,12 +55,13 @@ def run(
 
     Example:  labrun run hinge --dry-run
     """
-    _execute(name, None, dry_run, overrides, seed, limit, results, as_json, hide, hide_seed)
+    _execute(name, None, dry_run, emulate, overrides, seed, limit, results, as_json, hide, hide_seed)
 
 
 def sweep(
     name: options.SweepName,
     dry_run: options.DryRun = False,
+    emulate: options.Emulate = False,
     overrides: options.Overrides = None,
     seed: options.Seed = None,
     limit: options.Limit = None,
@@ -72,12 +74,13 @@ def sweep(
 
     Example:  labrun sweep fin-params --dry-run
     """
-    _execute(name, "sweep", dry_run, overrides, seed, limit, results, as_json, hide, hide_seed)
+    _execute(name, "sweep", dry_run, emulate, overrides, seed, limit, results, as_json, hide, hide_seed)
 
 
 def track(
     name: options.TrackName,
     dry_run: options.DryRun = False,
+    emulate: options.Emulate = False,
     overrides: options.Overrides = None,
     seed: options.Seed = None,
     limit: options.Limit = None,
@@ -90,12 +93,13 @@ def track(
 
     Example:  labrun track force-control --dry-run
     """
-    _execute(name, "track", dry_run, overrides, seed, limit, results, as_json, hide, hide_seed)
+    _execute(name, "track", dry_run, emulate, overrides, seed, limit, results, as_json, hide, hide_seed)
 
 
 def cmaes(
     name: options.CmaesName,
     dry_run: options.DryRun = False,
+    emulate: options.Emulate = False,
     overrides: options.Overrides = None,
     seed: options.Seed = None,
     limit: options.Limit = None,
@@ -108,7 +112,7 @@ def cmaes(
 
     Example:  labrun cmaes turn-torque --dry-run
     """
-    _execute(name, "cmaes", dry_run, overrides, seed, limit, results, as_json, hide, hide_seed)
+    _execute(name, "cmaes", dry_run, emulate, overrides, seed, limit, results, as_json, hide, hide_seed)
 
 
 def resume(
@@ -148,6 +152,7 @@ def _execute(
     name: str,
     kind: str | None,
     dry_run: bool,
+    emulate: bool,
     overrides: list[str] | None,
     seed: int | None,
     limit: int | None,
@@ -159,20 +164,21 @@ def _execute(
     """Run an experiment of a kind (None: of any), and print its result."""
     with reported(as_json):
         result = _carried_out(
-            name, kind, dry_run, overrides or [], seed, limit, results, hide or (), hide_seed
+            name, kind, dry_run, emulate, overrides or [], seed, limit, results, hide or (), hide_seed
         )
         _print_result(result, as_json)
 
 
 def dry_run_of(name: str, seed: int | None, results: Path) -> Path:
     """Make a dry run of an experiment, and return its folder."""
-    return _carried_out(name, None, True, [], seed, None, results).run
+    return _carried_out(name, None, True, False, [], seed, None, results).run
 
 
 def _carried_out(
     name: str,
     kind: str | None,
     dry_run: bool,
+    emulate: bool,
     overrides: list[str],
     seed: int | None,
     limit: int | None,
@@ -180,15 +186,21 @@ def _carried_out(
     hide: Sequence[str] = (),
     hide_seed: int | None = None,
 ) -> "RunResult":
+    from labrun.errors import RequestError
     from labrun.report.figure import draw_run
     from labrun.search.execute import execute
     from labrun.spec.named import load_named
 
+    if dry_run and emulate:
+        raise RequestError(
+            "--dry-run and --emulate exclude each other",
+            hint="--dry-run: simulated devices in simulated time; --emulate: real drivers in real time",
+        )
     loaded = load_named(name, Path.cwd(), overrides, kind=kind)
     with _progress() as progress:
         return execute(
-            loaded, results=results, dry_run=dry_run, seed=seed, limit=limit, progress=progress, draw=draw_run,
-            hide=hide, hide_seed=hide_seed,
+            loaded, results=results, dry_run=dry_run, emulate=emulate, seed=seed, limit=limit, progress=progress,
+            draw=draw_run, hide=hide, hide_seed=hide_seed,
         )  # fmt: skip
 
 

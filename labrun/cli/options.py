@@ -41,6 +41,13 @@ Target = Annotated[
 DryRun = Annotated[
     bool, typer.Option("--dry-run", help="Simulated devices in simulated time; nothing moves.")
 ]
+Emulate = Annotated[
+    bool,
+    typer.Option(
+        "--emulate",
+        help="The real drivers in real time, against emulators of the devices; nothing real moves.",
+    ),
+]
 Overrides = Annotated[
     list[str] | None,
     typer.Option(

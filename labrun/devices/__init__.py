@@ -1,11 +1,16 @@
 """What a device is. A plugin needs this package and nothing deeper."""
 
+from labrun.devices.buffering import SampleBuffer
 from labrun.devices.clock import Clock
 from labrun.devices.limits import Excess, Limits
+from labrun.devices.listening import Listener
+from labrun.devices.pacing import CommandStream, Pacing
 from labrun.devices.plugin import DeviceContext, DevicePlugin, DeviceSettings, EmergencyStop, Port
 from labrun.devices.protocols import Actuator, Carriage, Device, Health, Identity, Sensor, Tracker
+from labrun.devices.remark import Remark
 from labrun.devices.samples import Channel, FloatArray, Samples
 from labrun.devices.scene import Scene
+from labrun.devices.serial_port import SerialPort
 from labrun.devices.trajectory import Trajectory
 from labrun.errors import DeviceError
 
@@ -14,6 +19,7 @@ __all__ = [
     "Carriage",
     "Channel",
     "Clock",
+    "CommandStream",
     "Device",
     "DeviceContext",
     "DeviceError",
@@ -25,10 +31,15 @@ __all__ = [
     "Health",
     "Identity",
     "Limits",
+    "Listener",
+    "Pacing",
     "Port",
+    "Remark",
+    "SampleBuffer",
     "Samples",
     "Scene",
     "Sensor",
+    "SerialPort",
     "Tracker",
     "Trajectory",
 ]

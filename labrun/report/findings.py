@@ -47,7 +47,7 @@ class Findings:
     ----------
     run, experiment, title, kind
         Which run, of what.
-    seed, dry_run
+    seed, dry_run, emulated
         As stored with it.
     finished
         Whether it came to its end.
@@ -85,6 +85,7 @@ class Findings:
     kind: str
     seed: int | None
     dry_run: bool | None
+    emulated: bool
     finished: bool
     trials: dict[str, dict[str, int]]
     spoiled: dict[str, int]
@@ -115,6 +116,7 @@ class Findings:
             "kind": self.kind,
             "seed": self.seed,
             "dry_run": self.dry_run,
+            "emulated": self.emulated,
             "finished": self.finished,
             "trials": self.trials,
             "rejected_and_failed": self.spoiled,
@@ -171,6 +173,7 @@ def findings(run: "Run") -> Findings | RecordingFindings:
         kind=experiment.kind,
         seed=run.provenance.get("seed"),
         dry_run=run.provenance.get("dry_run"),
+        emulated=bool(run.provenance.get("emulated")),
         finished=result is not None or any(event["event"] == "finished" for event in run.events),
         trials=trials,
         spoiled=dict(reasons.most_common()),

@@ -6,7 +6,9 @@ from typing import Any
 from labrun.report.html_elements import Content, Html, element, folded, section, table
 from labrun.report.report_source import ReportSource
 
-_TOLD_APART = frozenset({"experiment_text", "versions", "machine", "git", "devices", "command", "dry_run"})
+_TOLD_APART = frozenset(
+    {"experiment_text", "versions", "machine", "git", "devices", "command", "dry_run", "emulated"}
+)
 
 
 def provenance_section(source: ReportSource) -> Html:
@@ -28,7 +30,8 @@ def provenance_section(source: ReportSource) -> Html:
 def _rows(provenance: Mapping[str, Any]) -> list[list[Content]]:
     rows: list[list[Content]] = [["seed", str(provenance["seed"])]] if "seed" in provenance else []
     if "dry_run" in provenance:
-        rows.append(["bench", "simulated (dry run)" if provenance["dry_run"] else "hardware"])
+        emulated = "emulated (real drivers)" if provenance.get("emulated") else "hardware"
+        rows.append(["bench", "simulated (dry run)" if provenance["dry_run"] else emulated])
     for name, device in _table(provenance.get("devices")).items():
         rows.append([f"device {name}", _device(device)])
     git = provenance.get("git")

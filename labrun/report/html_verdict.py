@@ -90,6 +90,8 @@ def what_was_run(source: ReportSource) -> str:
         wall = source.wall_time_s
         took = f", in {duration_text(wall)} of computing" if wall is not None else ""
         text += f" It was a dry run: the bench is simulated{took}."
+    elif source.emulated:
+        text += " It was emulated: the real drivers, in front of a simulated bench."
     return text
 
 

@@ -75,6 +75,11 @@ class ReportSource:
         """Whether the bench was simulated."""
         return bool(self.run.provenance.get("dry_run"))
 
+    @property
+    def emulated(self) -> bool:
+        """Whether emulators stood behind the drivers."""
+        return bool(self.run.provenance.get("emulated"))
+
     @cached_property
     def accepted(self) -> list[TrialOutcome]:
         """Trials that count."""

@@ -28,7 +28,7 @@ def print_findings(found: "Findings", console: Console | None = None) -> None:
     console = console or Console()
     console.print(Text(found.title, style="bold"))
     state = "finished" if found.finished else f"not finished; labrun resume {found.run}"
-    dry = "dry run, " if found.dry_run else ""
+    dry = "dry run, " if found.dry_run else "emulated, " if found.emulated else ""
     console.print(
         Text(
             f"{found.experiment}, {found.kind}, {dry}{duration_text(found.bench_time_s)} of bench time, {state}"

@@ -31,9 +31,14 @@ def _is_driver(plugin: str) -> bool:
 
 
 def stand_in_name(plugin: str) -> str:
-    """Return the plugin that takes a plugin's place in a dry run."""
+    """Return the plugin that takes a plugin's place in a dry run.
+
+    A driver whose stand-in is called after it is not imported: a dry run needs nothing of it.
+    """
     if plugin.startswith(STAND_IN):
         return plugin
+    if is_installed(_GROUP, STAND_IN + plugin):
+        return STAND_IN + plugin
     if _is_driver(plugin):
         declared = getattr(load(_GROUP, plugin), "stand_in", None)
         if isinstance(declared, str):

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from labrun.runner.ports import missing_ports
 from labrun.runner.resolving import STAND_IN, ResolvedDevice, resolve
 from labrun.runner.safety import PATIENCE_S, stop_all
 from labrun.spec.experiment import Experiment
+
+if TYPE_CHECKING:
+    from labrun.runner.emulated.bench import EmulatedBench
 
 _SCENE_STREAM = 0x5CE
 _DEVICE_STREAM = 0xDEF
@@ -32,7 +35,11 @@ class Rig:
     limits
         Limits of each device.
     scene
-        The simulated bench; None on hardware.
+        The simulated bench, of a dry run or behind emulators; None on hardware.
+    dry_run
+        Whether time is simulated and every device a stand-in.
+    emulated
+        Whether emulators stand behind the drivers.
     """
 
     def __init__(
@@ -43,6 +50,7 @@ class Rig:
         seed: int,
         scene: Scene | None,
         dry_run: bool,
+        emulated: bool = False,
         watchdog_s: float = 2.0,
     ) -> None:
         if watchdog_s < PATIENCE_S:
@@ -54,6 +62,7 @@ class Rig:
         self.clock = clock
         self.scene = scene
         self.dry_run = dry_run
+        self.emulated = emulated
         self.watchdog: Watchdog | None = None
         self._watchdog_s = watchdog_s
         self._all_stopped = True
@@ -61,7 +70,9 @@ class Rig:
         self.limits: dict[str, Limits] = {}
         for number, item in enumerate(resolved):
             rng = np.random.default_rng(np.random.SeedSequence((seed, _DEVICE_STREAM, number)))
-            self.devices[item.name] = item.make(item.name, item.settings, DeviceContext(clock, rng, scene))
+            # A driver between the runner and an emulator knows nothing of the bench behind it.
+            seen = scene if dry_run or item.plugin.startswith(STAND_IN) else None
+            self.devices[item.name] = item.make(item.name, item.settings, DeviceContext(clock, rng, seen))
             self.limits[item.name] = item.settings.limits
         self.actuators = {name: d for name, d in self.devices.items() if isinstance(d, Actuator)}
         self.sensors = {name: d for name, d in self.devices.items() if isinstance(d, Sensor)}
@@ -69,7 +80,15 @@ class Rig:
         self.joints = _joints(self.actuators)
 
     @classmethod
-    def build(cls, experiment: Experiment, *, clock: Clock, seed: int, dry_run: bool) -> "Rig":
+    def build(
+        cls,
+        experiment: Experiment,
+        *,
+        clock: Clock,
+        seed: int,
+        dry_run: bool,
+        emulated: "EmulatedBench | None" = None,
+    ) -> "Rig":
         """Make the devices of an experiment; connects nothing.
 
         Parameters
@@ -82,6 +101,8 @@ class Rig:
             Of the scene's and the devices' generators.
         dry_run
             Stand-ins and the scene take the place of hardware.
+        emulated
+            Started emulators, which take the place of hardware behind the real drivers.
 
         Raises
         ------
@@ -90,7 +111,8 @@ class Rig:
         """
         resolved: list[ResolvedDevice] = []
         problems: list[LabrunError] = []
-        for name, table in experiment.rig.devices.items():
+        for name, written in experiment.rig.devices.items():
+            table = written if emulated is None else emulated.table(name)
             try:
                 resolved.append(resolve(name, table, dry_run=dry_run))
             except RequestError as error:
@@ -103,14 +125,20 @@ class Rig:
             raise problems[0]
         if problems:
             raise RequestError("\n".join(str(problem) for problem in problems))
-        simulated = dry_run or any(item.plugin.startswith(STAND_IN) for item in resolved)
-        scene = _make_scene(experiment, seed) if simulated and experiment.rig.scene is not None else None
+        scene: Scene | None = None
+        if emulated is not None:
+            scene = emulated.scene
+        elif experiment.rig.scene is not None and (
+            dry_run or any(item.plugin.startswith(STAND_IN) for item in resolved)
+        ):
+            scene = _make_scene(experiment, seed)
         return cls(
             resolved,
             clock=clock,
             seed=seed,
             scene=scene,
             dry_run=dry_run,
+            emulated=emulated is not None,
             watchdog_s=experiment.rig.watchdog_s,
         )
 
@@ -197,8 +225,13 @@ class Rig:
                 reseed(np.random.SeedSequence((seed, trial_index, number)))
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the memory of the scene, and of the devices that keep any, as JSON-ready values."""
+        """Return the memory of the scene, and of the devices that keep any, as JSON-ready values.
+
+        Nothing outside a dry run: a bench in real time cannot be put back to where it was.
+        """
         memory: dict[str, Any] = {}
+        if not self.dry_run:
+            return memory
         if self.scene is not None:
             memory["scene"] = self.scene.snapshot()
         devices = {name: d.snapshot() for name, d in self.devices.items() if hasattr(d, "snapshot")}

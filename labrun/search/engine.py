@@ -110,7 +110,8 @@ def connected(rig: "Rig") -> Iterator["Rig"]:
     from labrun.runner.ports import ports_of
     from labrun.store.rig_lock import lock_ports
 
-    settings = [] if rig.dry_run else [item.settings for item in rig.resolved]
+    # Emulators' ports are the run's own, and two such runs do not meet.
+    settings = [] if rig.dry_run or rig.emulated else [item.settings for item in rig.resolved]
     ports = [port for table in settings for port in ports_of(table)]
     with lock_ports(ports) if ports else nullcontext(), rig:
         yield rig

@@ -59,6 +59,7 @@ def execute(
     *,
     results: Path,
     dry_run: bool,
+    emulate: bool = False,
     seed: int | None = None,
     limit: int | None = None,
     progress: "Progress",
@@ -74,6 +75,8 @@ def execute(
         The run's folder is made below it, once all devices have answered.
     dry_run
         Simulated devices in simulated time.
+    emulate
+        The real drivers in real time, against emulators of their devices.
     seed
         Of all randomness; drawn if None, and stored with the run.
     limit
@@ -81,8 +84,8 @@ def execute(
     draw
         What draws the finished run; without it there is no picture.
     hide
-        Of a dry run: what its scene hides, see `labrun.runner.hiding.choose_hidden`; sealed with the run, and told
-        nowhere else. Empty hides nothing and seals nothing.
+        Of a dry or emulated run: what its scene hides, see `labrun.runner.hiding.choose_hidden`; sealed with the
+        run, and told nowhere else. Empty hides nothing and seals nothing.
     hide_seed
         Of what is drawn; drawn itself if None, and stored nowhere.
 
@@ -95,6 +98,7 @@ def execute(
     """
     from labrun.runner.clock import RealClock, SimulatedClock
     from labrun.runner.rig import Rig
+    from labrun.search.emulated import behind_the_drivers
     from labrun.store.folder import RunFolder
     from labrun.store.provenance import collect
     from labrun.store.seal import SEALED, redacted, write_seal
@@ -115,23 +119,31 @@ def execute(
     if hide:
         from labrun.search.hidden import sealed_choice
 
-        on_bench, seal = sealed_choice(loaded, hide, seed=hide_seed, dry_run=dry_run, again=again)
-    rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run)
-    _plan(loaded, seed, rig).require_feasible()
-    progress.phase("connecting")
-    with connected(rig):
-        origin = {
-            **collect(loaded.path.resolve().parent, seed=seed, devices=rig.identities()),
-            **source_of(loaded.path),
-            "dry_run": dry_run,
-        }
-        if seal is not None:
-            origin |= {SEALED: seal.sha256, "command": redacted(origin["command"])}
-        folder = RunFolder.create(results, loaded.name, loaded.resolved_toml, origin)
-        if seal is not None:
-            write_seal(folder.path, seal)
-            progress.note(f"sealed what this run hides: sha256 {seal.sha256[:16]}")
-        return carry_out(loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress, draw=draw)
+        on_bench, seal = sealed_choice(
+            loaded, hide, seed=hide_seed, simulated=dry_run or emulate, again=again
+        )
+    with behind_the_drivers(on_bench, loaded.path, seed=seed, emulate=emulate, progress=progress) as emulated:
+        rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run, emulated=emulated)
+        _plan(loaded, seed, rig).require_feasible()
+        progress.phase("connecting")
+        with connected(rig):
+            origin = {
+                **collect(loaded.path.resolve().parent, seed=seed, devices=rig.identities()),
+                **source_of(loaded.path),
+                "dry_run": dry_run,
+                "emulated": emulate,
+            }
+            if seal is not None:
+                origin |= {SEALED: seal.sha256, "command": redacted(origin["command"])}
+            folder = RunFolder.create(results, loaded.name, loaded.resolved_toml, origin)
+            if emulated is not None:
+                emulated.keep_logs(folder.path / "emulated")
+            if seal is not None:
+                write_seal(folder.path, seal)
+                progress.note(f"sealed what this run hides: sha256 {seal.sha256[:16]}")
+            return carry_out(
+                loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress, draw=draw
+            )
 
 
 def _plan(loaded: "LoadedExperiment", seed: int, rig: "Rig | None") -> "Plan":

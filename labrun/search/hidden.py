@@ -21,7 +21,7 @@ def sealed_choice(
     hide: Sequence[str],
     *,
     seed: int | None,
-    dry_run: bool,
+    simulated: bool,
     again: "Seal | None" = None,
 ) -> "tuple[Experiment, Seal]":
     """Return the experiment as its dry run carries it out, and the seal of what that hides.
@@ -36,14 +36,16 @@ def sealed_choice(
     Raises
     ------
     RequestError
-        The run is no dry run, or what is to be hidden does not exist or does not fit.
+        The bench of the run is not simulated, or what is to be hidden does not exist or does not fit.
     """
     from labrun.runner.concealment import concealed
     from labrun.runner.hiding import choose_hidden
     from labrun.store.seal import Seal
 
-    if not dry_run:
-        raise RequestError("--hide is for simulated benches: a real one hides enough", hint="add --dry-run")
+    if not simulated:
+        raise RequestError(
+            "--hide is for simulated benches: a real one hides enough", hint="add --dry-run, or --emulate"
+        )
     experiment = loaded.experiment
     if again is not None:
         return concealed(experiment, again.hidden()), Seal.of(again.hidden())

@@ -41,6 +41,7 @@ def resume(
     """
     from labrun.runner.clock import RealClock, SimulatedClock
     from labrun.runner.rig import Rig
+    from labrun.search.emulated import behind_the_drivers
     from labrun.spec.loading import loads_experiment
     from labrun.store.folder import RunFolder
     from labrun.store.locate import is_finished
@@ -70,10 +71,19 @@ def resume(
         on_bench = concealed(on_bench, read_seal(run, origin).hidden())
     seed, dry_run = int(origin["seed"]), bool(origin["dry_run"])
     clock = SimulatedClock() if dry_run else RealClock()
-    rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run)
-    with folder.lock(), connected(rig):
-        folder.journal.append("resumed", changed=changes)
-        return carry_out(loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress, draw=draw)
+    emulate = bool(origin.get("emulated", False))
+    with (
+        folder.lock(),
+        behind_the_drivers(on_bench, run, seed=seed, emulate=emulate, progress=progress) as emulated,
+    ):
+        rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run, emulated=emulated)
+        with connected(rig):
+            folder.journal.append("resumed", changed=changes)
+            if emulated is not None:
+                emulated.keep_logs(run / "emulated")
+            return carry_out(
+                loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress, draw=draw
+            )
 
 
 def source_of(experiment_file: Path) -> dict[str, Any]:

@@ -94,9 +94,17 @@ class SimulatedSensor(SimulatedDevice):
         if not len(arrivals):
             return self._nothing_heard(now)
         self._last_heard_s = sent_until
-        values = self._with_faults(self._measure(arrivals.taken_s))
-        saturated = self._clip(values)
+        values, saturated = self.measure(arrivals.taken_s)
         return self._samples(arrivals, values, saturated)
+
+    def measure(self, time_s: FloatArray) -> tuple[FloatArray, int]:
+        """Return what the sensor reads at these times, shape (n, channels), and how many samples stand at its end.
+
+        For an emulator, which has a wire of its own in place of this one's.
+        """
+        values = self._with_faults(self._measure(time_s))
+        saturated = self._clip(values)
+        return values, saturated
 
     def _measure(self, time_s: FloatArray) -> FloatArray:
         """Return the values, shape (n, channels), before the end of the range is applied."""

@@ -1,0 +1,154 @@
+"""One simulated bench for all emulators: a process of its own that moves it on, and what stands for it elsewhere.
+
+Started as ``python -m labrun.runner.emulated.scene_server`` with one line of JSON on its standard input; answers
+``ready``. It ends a little after its standard input does.
+"""
+
+import json
+import os
+import signal
+import sys
+import threading
+from collections.abc import Mapping, Sequence
+from multiprocessing.managers import BaseManager
+from typing import Any
+
+import numpy as np
+
+from labrun.devices import FloatArray, Scene, Trajectory
+from labrun.runner.clock import RealClock
+
+READY = "ready"
+LINGER_S = 3.0
+"""How long emulators outlive the runner: hardware does, and the watchdog has yet to stop it."""
+
+_EXPOSED = ("arrange", "drive", "tow", "observe", "truth", "facts")
+
+
+class SharedScene:
+    """A scene that several processes look at, one at a time."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._lock = threading.Lock()
+
+    def facts(self) -> tuple[dict[str, str], tuple[str, ...]]:
+        """Return signals with their units, and joints."""
+        return dict(self._scene.signals), tuple(self._scene.joints)
+
+    def arrange(self, condition: Mapping[str, float | str]) -> None:
+        """See `Scene.arrange`."""
+        with self._lock:
+            self._scene.arrange(condition)
+
+    def drive(self, joint: str, trajectory: Trajectory, start_s: float) -> None:
+        """See `Scene.drive`."""
+        with self._lock:
+            self._scene.drive(joint, trajectory, start_s)
+
+    def tow(self, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:
+        """See `Scene.tow`."""
+        with self._lock:
+            self._scene.tow(from_m, to_m, speed_m_s, start_s)
+
+    def observe(self, signals: Sequence[str], time_s: FloatArray) -> FloatArray:
+        """See `Scene.observe`."""
+        with self._lock:
+            return self._scene.observe(signals, time_s)
+
+    def truth(self) -> dict[str, Any]:
+        """See `Scene.truth`."""
+        with self._lock:
+            return self._scene.truth()
+
+
+class _Manager(BaseManager):
+    pass
+
+
+class RemoteScene:
+    """The scene of another process.
+
+    Parameters
+    ----------
+    address, key
+        Where it is served, and the secret that opens it.
+    """
+
+    def __init__(self, address: str, key: bytes) -> None:
+        manager = _client(address, key)
+        manager.connect()
+        self._shared: Any = manager.scene()  # type: ignore[attr-defined]
+        self.signals: Mapping[str, str]
+        self.joints: tuple[str, ...]
+        self.signals, self.joints = self._shared.facts()
+
+    def arrange(self, condition: Mapping[str, float | str]) -> None:
+        """See `Scene.arrange`."""
+        self._shared.arrange(dict(condition))
+
+    def drive(self, joint: str, trajectory: Trajectory, start_s: float) -> None:
+        """See `Scene.drive`."""
+        self._shared.drive(joint, trajectory, start_s)
+
+    def tow(self, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:
+        """See `Scene.tow`."""
+        self._shared.tow(from_m, to_m, speed_m_s, start_s)
+
+    def observe(self, signals: Sequence[str], time_s: FloatArray) -> FloatArray:
+        """See `Scene.observe`."""
+        return np.asarray(self._shared.observe(tuple(signals), np.asarray(time_s)))
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return nothing: a bench that runs in real time cannot be wound back."""
+        return {}
+
+    def restore(self, snapshot: Mapping[str, Any]) -> None:
+        """Take back nothing."""
+
+    def truth(self) -> dict[str, Any]:
+        """See `Scene.truth`."""
+        return dict(self._shared.truth())
+
+
+def _client(address: str, key: bytes) -> _Manager:
+    class Client(_Manager):
+        pass
+
+    Client.register("scene", exposed=_EXPOSED)
+    return Client(address=address, authkey=key)
+
+
+def _serve(scene: Scene, address: str, key: bytes) -> None:
+    class Server(_Manager):
+        pass
+
+    shared = SharedScene(scene)
+    Server.register("scene", callable=lambda: shared, exposed=_EXPOSED)
+    server = Server(address=address, authkey=key).get_server()
+    sys.stdout.write(READY + "\n")
+    sys.stdout.flush()
+    server.serve_forever()
+
+
+def _end_with_input() -> None:
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
+    RealClock().sleep(LINGER_S)
+    os._exit(0)
+
+
+def main() -> None:
+    """Serve a scene until the runner has ended."""
+    from labrun.registry import load
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    task = json.loads(sys.stdin.buffer.readline())
+    rng = np.random.default_rng(np.random.SeedSequence(task["seed"]))
+    scene: Scene = load("labrun.scenes", task["plugin"])(task["settings"], rng)
+    threading.Thread(target=_end_with_input, daemon=True).start()
+    _serve(scene, task["address"], bytes.fromhex(task["key"]))
+
+
+if __name__ == "__main__":
+    main()

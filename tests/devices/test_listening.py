@@ -1,0 +1,61 @@
+import threading
+
+import pytest
+
+from labrun.devices import DeviceError, Listener
+
+
+def test_a_listener_hears_until_it_is_stopped():
+    heard = threading.Event()
+    listener = Listener("ear", lambda: (heard.set(), None)[1])
+    listener.start()
+    assert heard.wait(5)
+    assert listener.running
+    listener.stop()
+    assert not listener.running
+    listener.check()
+
+
+def test_what_the_thread_met_is_raised_in_the_thread_that_asks():
+    def receive():
+        raise DeviceError("ear", "was unplugged")
+
+    listener = Listener("ear", receive)
+    listener.start()
+    listener._thread.join(5)
+    with pytest.raises(DeviceError, match="device ear: was unplugged"):
+        listener.check()
+
+
+def test_a_new_start_forgets_the_failure_before_it():
+    failing = [True]
+    heard = threading.Event()
+
+    def receive():
+        if failing[0]:
+            raise OSError("gone")
+        heard.set()
+
+    listener = Listener("ear", receive)
+    listener.start()
+    listener._thread.join(5)
+    failing[0] = False
+    listener.start()
+    assert heard.wait(5)
+    listener.check()
+    listener.stop()
+
+
+def test_what_breaks_because_the_port_was_closed_under_the_thread_is_no_failure():
+    closed = threading.Event()
+
+    def receive():
+        closed.wait(5)
+        raise OSError("bad file descriptor")
+
+    listener = Listener("ear", receive)
+    listener.start()
+    listener._ending.set()
+    closed.set()
+    listener.stop()
+    listener.check()

@@ -1,0 +1,87 @@
+"""A driver and its emulator, in two processes, with a real clock and a real pty or socket between them."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from labrun.devices import DeviceContext
+from labrun.runner.clock import RealClock
+from labrun.runner.emulated.bench import EmulatedBench
+from labrun.runner.resolving import resolve
+from labrun.spec.experiment import PluginTable
+
+POLL_S = 0.005
+
+
+@dataclass
+class EmulatedDevice:
+    """One driver, not yet open, and its emulator, which is."""
+
+    name: str
+    driver: Any
+    clock: RealClock
+    bench: EmulatedBench
+
+    def inject(self, fault: str, value: Any = True) -> None:
+        """Bring a fault about, and wait until the emulator knows of it."""
+        before = sum(line["event"] == "fault" for line in self.log())
+        self.bench.inject(self.name, fault, value)
+        self._until(lambda: sum(line["event"] == "fault" for line in self.log()) > before, 5.0)
+
+    def clear(self, fault: str) -> None:
+        """End a fault."""
+        self.inject(fault, None)
+
+    def log(self) -> list[dict[str, Any]]:
+        """Return what the emulator has witnessed."""
+        return self.bench.log(self.name)
+
+    def events(self, event: str) -> list[dict[str, Any]]:
+        """Return the emulator's lines of one kind."""
+        return [line for line in self.log() if line["event"] == event]
+
+    def wait_for(self, event: str, within_s: float = 5.0, after_s: float = 0.0) -> dict[str, Any]:
+        """Return the first line of this kind after a time; AssertionError if there is none in time."""
+        found = self._until(lambda: [x for x in self.events(event) if x["time_s"] >= after_s], within_s)
+        assert found, f"the emulator of {self.name} saw no {event!r} within {within_s} s: {self.log()[-20:]}"
+        line: dict[str, Any] = found[0]
+        return line
+
+    def wait_until(self, true: Any, within_s: float = 5.0) -> None:
+        """Wait until a condition holds; AssertionError if it does not in time."""
+        assert self._until(true, within_s), f"did not come true within {within_s} s"
+
+    def _until(self, look: Any, within_s: float) -> Any:
+        deadline_s = self.clock.now() + within_s
+        while not (found := look()) and self.clock.now() < deadline_s:
+            self.clock.sleep(POLL_S)
+        return found
+
+
+@contextmanager
+def emulated(
+    plugin: str,
+    settings: Mapping[str, Any] | None = None,
+    *,
+    name: str = "device",
+    scene: str | None = None,
+    scene_settings: Mapping[str, Any] | None = None,
+    faults: Mapping[str, Any] | None = None,
+    seed: int = 1,
+) -> Iterator[EmulatedDevice]:
+    """Start the emulator of a plugin, and make its driver; both are closed at the end."""
+    table = PluginTable.model_validate({"plugin": plugin, **(settings or {})})
+    bench_of = {"plugin": scene, **(scene_settings or {})}
+    scene_table = None if scene is None else PluginTable.model_validate(bench_of)
+    with EmulatedBench({name: table}, scene_table, seed=seed, faults={name: faults or {}}) as bench:
+        item = resolve(name, bench.table(name), dry_run=False)
+        clock = RealClock()
+        driver = item.make(name, item.settings, DeviceContext(clock, np.random.default_rng(seed)))
+        try:
+            yield EmulatedDevice(name, driver, clock, bench)
+        finally:
+            driver.safe_stop()
+            driver.close()
