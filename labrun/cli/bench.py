@@ -1,5 +1,8 @@
 """`labrun plugins`, `labrun doctor`."""
 
+from pathlib import Path
+from typing import Annotated
+
 import typer
 
 from labrun.cli import options
@@ -28,22 +31,41 @@ def plugins(as_json: options.Json = False) -> None:
         typer.echo(f"  {entry.name:<{width}}  {entry.origin}  {entry.target}{state}")
 
 
-def doctor(as_json: options.Json = False) -> None:
+def doctor(
+    experiment: Annotated[
+        str | None,
+        typer.Argument(
+            help="With --hardware: look at the devices of this experiment.",
+            autocompletion=options.complete_experiment,
+        ),
+    ] = None,
+    hardware: Annotated[
+        bool,
+        typer.Option("--hardware", help="Ask the devices themselves what and how they are; nothing moves."),
+    ] = False,
+    emulate: options.Emulate = False,
+    overrides: options.Overrides = None,
+    as_json: options.Json = False,
+) -> None:
     """Check machine and ports: latency, permissions, clock.
 
-    Example:  labrun doctor
+    Example:  labrun doctor --hardware fin-params
     """
     with reported(as_json):
-        from labrun.runner.doctor import examine
+        from labrun.search.examination import examine
 
-        findings = examine()
+        remarks = examine(experiment, Path.cwd(), overrides or (), hardware=hardware, emulate=emulate)
+        found = []
+        for remark in remarks:
+            found.append(remark)
+            if not as_json:
+                typer.echo(f"{remark.verdict:<8} {remark.subject}: {remark.message}")
+                if remark.advice:
+                    typer.echo(f"         -> {remark.advice}")
     if as_json:
-        print_json({"findings": [finding.to_json() for finding in findings]})
-        return
-    for finding in findings:
-        typer.echo(f"{finding.verdict:<8} {finding.subject}: {finding.message}")
-        if finding.advice:
-            typer.echo(f"         -> {finding.advice}")
+        print_json({"findings": [remark.to_json() for remark in found]})
+    if any(remark.verdict == "problem" for remark in found):
+        raise typer.Exit(1)
 
 
 def register(app: typer.Typer) -> None:

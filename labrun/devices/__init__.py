@@ -6,7 +6,16 @@ from labrun.devices.limits import Excess, Limits
 from labrun.devices.listening import Listener
 from labrun.devices.pacing import CommandStream, Pacing
 from labrun.devices.plugin import DeviceContext, DevicePlugin, DeviceSettings, EmergencyStop, Port
-from labrun.devices.protocols import Actuator, Carriage, Device, Health, Identity, Sensor, Tracker
+from labrun.devices.protocols import (
+    Actuator,
+    Carriage,
+    Device,
+    Health,
+    Identity,
+    Paced,
+    Sensor,
+    Tracker,
+)
 from labrun.devices.remark import Remark
 from labrun.devices.samples import Channel, FloatArray, Samples
 from labrun.devices.scene import Scene
@@ -32,6 +41,7 @@ __all__ = [
     "Identity",
     "Limits",
     "Listener",
+    "Paced",
     "Pacing",
     "Port",
     "Remark",

@@ -89,13 +89,21 @@ class CommandStream:
 
     @property
     def timing(self) -> Pacing:
-        """How evenly set-points went out since the last `follow`."""
+        """How evenly set-points have gone out since the last `take_timing`."""
         with self._lock:
             late, sent, missed = np.array(self._late), self._sent, self._missed
         if len(late) == 0:
             return Pacing(self._rate_hz, sent, missed)
         median_s, p99_s = np.percentile(late, (50, 99))
         return Pacing(self._rate_hz, sent, missed, float(median_s), float(p99_s), float(late.max()))
+
+    def take_timing(self) -> Pacing:
+        """Return how evenly set-points have gone out since the last time it was asked."""
+        timing = self.timing
+        with self._lock:
+            self._late.clear()
+            self._sent = self._missed = 0
+        return timing
 
     def start(self) -> None:
         """Begin the thread, with nothing to send; forgets an earlier failure."""
@@ -112,8 +120,6 @@ class CommandStream:
         with self._lock:
             self._motion = (trajectory, start_s)
             self._number += 1
-            self._late.clear()
-            self._sent = self._missed = 0
         self._changed.set()
 
     def halt(self) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
+from labrun.devices.pacing import Pacing
 from labrun.devices.samples import Channel, Samples
 from labrun.devices.trajectory import Trajectory
 
@@ -66,6 +67,15 @@ class Actuator(Device, Protocol):
 
     def follow(self, trajectory: Trajectory, start_s: float) -> None:
         """Start following (columns = `joints`) at the clock's `start_s`; returns at once, then holds the last point."""
+        ...
+
+
+@runtime_checkable
+class Paced(Actuator, Protocol):
+    """An actuator that sends its set-points one after another, and knows how evenly."""
+
+    def pacing(self) -> Pacing:
+        """Return how evenly set-points have gone out since the last time it was asked."""
         ...
 
 

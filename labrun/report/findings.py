@@ -85,7 +85,6 @@ class Findings:
     kind: str
     seed: int | None
     dry_run: bool | None
-    emulated: bool
     finished: bool
     trials: dict[str, dict[str, int]]
     spoiled: dict[str, int]
@@ -99,6 +98,7 @@ class Findings:
     streams_of: int
     faults: list[str]
     unsettled: int = 0
+    emulated: bool = False
     fits: tuple[StoredFit, ...] = ()
     loop: LoopHealth | None = None
     conditions: tuple[ConditionResult, ...] = ()

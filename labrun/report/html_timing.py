@@ -1,6 +1,7 @@
 """Where the bench's time went, and how well the sensors kept theirs."""
 
 from labrun.report.bench_time import STEPS, BenchTime
+from labrun.report.command_health import command_health
 from labrun.report.html_elements import Content, Html, element, joined, paragraph, section, share_bar, table
 from labrun.report.html_words import counted, share_text
 from labrun.report.loop_health import loop_words
@@ -13,7 +14,7 @@ def timing_section(source: ReportSource) -> Html | None:
     """Return bench time by step and the health of the streams; None before any trial."""
     if not source.run.outcomes:
         return None
-    return section("timing", "Timing", _bench(source), _loop(source), _streams(source))
+    return section("timing", "Timing", _bench(source), _loop(source), _commands(source), _streams(source))
 
 
 def _bench(source: ReportSource) -> Html | None:
@@ -76,6 +77,35 @@ def _loop(source: ReportSource) -> Html | None:
             element("h3", "Loop"),
             paragraph(f"The loop ran {words}.", class_=class_),
             paragraph(note, class_="note"),
+        ]
+    )
+
+
+def _commands(source: ReportSource) -> Html | None:
+    """Return how evenly set-points went out; None where no device tells."""
+    found = command_health(source.run.events)
+    if not found:
+        return None
+    rows: list[list[Content]] = [
+        [
+            item.device,
+            f"{item.rate_hz:.4g}",
+            str(item.sent),
+            f"{item.missed} ({share_text(item.missed, item.sent + item.missed)})" if item.missed else "0",
+            *(f"{1e3 * late_s:.2g}" for late_s in (item.late_median_s, item.late_p99_s, item.late_worst_s)),
+        ]
+        for item in found
+    ]
+    columns = ("device", "rate (Hz)", "sent", "skipped", "late, median (ms)", "99 % (ms)", "worst (ms)")
+    return joined(
+        [
+            element("h3", "Commands"),
+            table(columns, rows, words=(0,)),
+            paragraph(
+                "Late is the time from when a set-point was due to when its sending began: medians of the trials' "
+                "own figures, and the worst of all. A set-point whose successor is due already is skipped.",
+                class_="note",
+            ),
         ]
     )
 

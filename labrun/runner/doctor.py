@@ -5,10 +5,9 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
 
+from labrun.devices import Remark
 from labrun.registry import inspect_all
 
 _SLEEP_S = 0.002
@@ -18,21 +17,7 @@ _USB_SERIAL = Path("/sys/bus/usb-serial/devices")
 _GOOD_LATENCY_MS = 2
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing that was looked at, what was found, and what to do about it."""
-
-    verdict: Literal["ok", "warning", "problem"]
-    subject: str
-    message: str
-    advice: str = ""
-
-    def to_json(self) -> dict[str, str]:
-        """Return the fields by name."""
-        return asdict(self)
-
-
-def examine(results: Path = Path("results"), usb_serial: Path = _USB_SERIAL) -> list[Finding]:
+def examine(results: Path = Path("results"), usb_serial: Path = _USB_SERIAL) -> list[Remark]:
     """Look at everything a bench relies on; changes nothing but a temporary file.
 
     Parameters
@@ -45,7 +30,7 @@ def examine(results: Path = Path("results"), usb_serial: Path = _USB_SERIAL) -> 
     return [*_clock(), *_disk(results), *_ports(usb_serial), *_plugins()]
 
 
-def _clock() -> Iterator[Finding]:
+def _clock() -> Iterator[Remark]:
     resolution_s = time.get_clock_info("monotonic").resolution
     late = []
     for _ in range(_SLEEP_TRIES):
@@ -61,12 +46,12 @@ def _clock() -> Iterator[Finding]:
         advice = (
             "commands at 100 Hz will jitter: close other programs, or use a machine of its own for the bench"
         )
-        yield Finding("warning", "clock", message, advice)
+        yield Remark("warning", "clock", message, advice)
     else:
-        yield Finding("ok", "clock", message)
+        yield Remark("ok", "clock", message)
 
 
-def _disk(results: Path) -> Iterator[Finding]:
+def _disk(results: Path) -> Iterator[Remark]:
     folder = next(path for path in (results, *results.absolute().parents) if path.is_dir())
     free_gb = shutil.disk_usage(folder).free / 1e9
     try:
@@ -78,53 +63,54 @@ def _disk(results: Path) -> Iterator[Finding]:
                 os.fsync(file.fileno())
             sync_ms = 1e3 * (time.perf_counter() - start) / _SYNC_TRIES
     except OSError as error:
-        yield Finding(
+        yield Remark(
             "problem", "disk", f"{folder}: {error.strerror}", "runs cannot be written here; use --results"
         )
         return
     message = f"{folder}: {free_gb:.0f} GB free, a flush to disk takes {sync_ms:.1f} ms"
     if free_gb < 1:
-        yield Finding("problem", "disk", message, "free some space: a night of 7 kHz data needs about 12 GB")
+        yield Remark("problem", "disk", message, "free some space: a night of 7 kHz data needs about 12 GB")
     elif sync_ms > 20:
-        yield Finding(
+        yield Remark(
             "warning", "disk", message, "every trial waits for several flushes; a local SSD is quicker"
         )
     else:
-        yield Finding("ok", "disk", message)
+        yield Remark("ok", "disk", message)
 
 
-def _ports(usb_serial: Path) -> Iterator[Finding]:
+def _ports(usb_serial: Path) -> Iterator[Remark]:
     from serial.tools import list_ports
 
     ports = sorted(list_ports.comports(), key=lambda port: port.device)
     if not ports:
-        yield Finding("ok", "serial ports", "none; --dry-run needs none")
+        yield Remark("ok", "serial ports", "none; --dry-run needs none")
     for port in ports:
         if not os.access(port.device, os.R_OK | os.W_OK):
             advice = "sudo usermod -aG dialout $USER, then log in again"
-            yield Finding(
+            yield Remark(
                 "problem", port.device, f"{port.description}: no permission to read and write", advice
             )
             continue
-        yield _latency(port.device, port.description, usb_serial)
+        yield latency(port.device, port.description, usb_serial)
 
 
-def _latency(device: str, description: str, usb_serial: Path) -> Finding:
-    timer = usb_serial / Path(device).name / "latency_timer"
+def latency(device: str, description: str, usb_serial: Path = _USB_SERIAL) -> Remark:
+    """Return how long the adapter behind a serial port may hold back what it has received."""
+    timer = usb_serial / Path(device).resolve().name / "latency_timer"
     try:
         latency_ms = int(timer.read_text())
     except (OSError, ValueError):  # only FTDI adapters have one
-        return Finding("ok", device, description)
+        return Remark("ok", device, description)
     message = f"{description}: latency timer {latency_ms} ms"
     if latency_ms > _GOOD_LATENCY_MS:
         advice = f"echo 1 | sudo tee {timer} (a udev rule keeps it): at {latency_ms} ms a 100 Hz stream comes in lumps"
-        return Finding("warning", device, message, advice)
-    return Finding("ok", device, message)
+        return Remark("warning", device, message, advice)
+    return Remark("ok", device, message)
 
 
-def _plugins() -> Iterator[Finding]:
+def _plugins() -> Iterator[Remark]:
     states = inspect_all()
     broken = [state for state in states if state.cause]
     for state in broken:
-        yield Finding("problem", f"plugin {state.name}", state.cause, f"it comes from {state.origin}")
-    yield Finding("ok", "plugins", f"{len(states) - len(broken)} of {len(states)} import")
+        yield Remark("problem", f"plugin {state.name}", state.cause, f"it comes from {state.origin}")
+    yield Remark("ok", "plugins", f"{len(states) - len(broken)} of {len(states)} import")

@@ -6,7 +6,18 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from labrun.devices import Actuator, Carriage, Clock, Device, DeviceContext, Identity, Limits, Scene, Sensor
+from labrun.devices import (
+    Actuator,
+    Carriage,
+    Clock,
+    Device,
+    DeviceContext,
+    Identity,
+    Limits,
+    Paced,
+    Scene,
+    Sensor,
+)
 from labrun.errors import DeviceError, LabrunError, RequestError, SpecError
 from labrun.registry import load
 from labrun.runner.faults import blaming
@@ -29,7 +40,7 @@ class Rig:
     Attributes
     ----------
     devices
-        All of them by name, in the file's order; `actuators`, `sensors` and `carriages` are those with that capability.
+        All of them by name, in the file's order; `actuators`, `paced`, `sensors` and `carriages` are those with that capability.
     joints
         Which actuator moves a joint: joint -> device name.
     limits
@@ -77,6 +88,7 @@ class Rig:
         self.actuators = {name: d for name, d in self.devices.items() if isinstance(d, Actuator)}
         self.sensors = {name: d for name, d in self.devices.items() if isinstance(d, Sensor)}
         self.carriages = {name: d for name, d in self.devices.items() if isinstance(d, Carriage)}
+        self.paced = {name: d for name, d in self.devices.items() if isinstance(d, Paced)}
         self.joints = _joints(self.actuators)
 
     @classmethod
@@ -88,6 +100,7 @@ class Rig:
         seed: int,
         dry_run: bool,
         emulated: "EmulatedBench | None" = None,
+        require_ports: bool = True,
     ) -> "Rig":
         """Make the devices of an experiment; connects nothing.
 
@@ -103,6 +116,8 @@ class Rig:
             Stand-ins and the scene take the place of hardware.
         emulated
             Started emulators, which take the place of hardware behind the real drivers.
+        require_ports
+            Whether all ports have to be there; without, opening a device tells.
 
         Raises
         ------
@@ -117,7 +132,7 @@ class Rig:
                 resolved.append(resolve(name, table, dry_run=dry_run))
             except RequestError as error:
                 problems.append(error)
-        if not dry_run:
+        if require_ports and not dry_run:
             missing = missing_ports({item.name: item.settings for item in resolved})
             hint = "plug it in, or set its port; --dry-run works without it"
             problems += [RequestError(text, hint=hint) for text in missing]

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from labrun.errors import DeviceError, LabrunError
@@ -190,6 +190,8 @@ class TrialRunner:
             draft.know(started_s=start_s)
             draft.recorded = True
 
+        for device in self._rig.paced.values():
+            device.pacing()  # what moved it here does not count
         take = Take(self._bench, motion, request.condition, draft.outcome.tare, draft.recorder, begun)
         try:
             self._conduct(take)
@@ -198,6 +200,8 @@ class TrialRunner:
             sent = take.command()
             if sent is not None:
                 draft.motion = replace(motion, trajectory=sent)
+            for name, device in self._rig.paced.items():
+                self._journal("commands", index=request.index, device=name, **asdict(device.pacing()))
 
     def _come_to_safe_pose(self, index: int) -> None:
         if self._safe_pose:

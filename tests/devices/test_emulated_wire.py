@@ -27,7 +27,7 @@ def test_without_a_fault_every_message_arrives_as_it_was_and_in_order():
 
 
 def test_a_message_takes_as_long_as_its_bytes_at_this_baud_rate():
-    line, clock = wire(baud=19_200)
+    line, _clock = wire(baud=19_200)
     line.put(bytes(16), None)
     line.put(bytes(16), None)
     wire_s = 16 * 10 / 19_200
@@ -46,7 +46,7 @@ def test_silence_lets_nothing_through_until_it_ends():
 
 
 def test_a_late_message_arrives_later():
-    line, clock = wire({"late": 0.5})
+    line, _clock = wire({"late": 0.5})
     line.put(MESSAGES[0], None)
     assert line.due(100.49) == []
     assert len(line.due(100.51)) == 1

@@ -155,11 +155,9 @@ def test_a_driver_that_is_not_installed_is_named_with_its_port_and_the_way_round
     from labrun.runner.rig import Rig
 
     experiment = experiment_with(
-        rig__devices__tail={"plugin": "arduino-servo", "port": "/dev/ttyACM0"},
+        rig__devices__tail={"plugin": "servo", "port": "/dev/ttyACM0"},
     )
-    with pytest.raises(
-        RequestError, match="device tail at /dev/ttyACM0: no driver 'arduino-servo'"
-    ) as caught:
+    with pytest.raises(RequestError, match="device tail at /dev/ttyACM0: no driver 'servo'") as caught:
         Rig.build(experiment, clock=RealClock(), seed=1, dry_run=False)
     assert "--dry-run works without it" in str(caught.value)
 

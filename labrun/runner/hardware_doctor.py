@@ -1,0 +1,157 @@
+"""What `labrun doctor --hardware` looks at: the devices themselves, one after another. Nothing is moved."""
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from labrun.devices import Clock, Device, Identity, Remark, Samples, Sensor
+from labrun.errors import DeviceError, LabrunError, PluginError
+from labrun.registry import installed, load
+from labrun.runner.doctor import latency
+from labrun.runner.faults import blaming
+from labrun.runner.ports import existing_ports, port_of
+from labrun.runner.resolving import STAND_IN
+from labrun.runner.rig import Rig
+
+_LISTEN_S = 1.0
+_RATE_SLACK = 0.02
+_GROUP = "labrun.devices"
+
+
+def examine_rig(rig: Rig) -> Iterator[Remark]:
+    """Open each device of a rig in turn, ask it what it is and how it is, listen to it for a second, and close it.
+
+    One that fails does not keep the others from being looked at.
+
+    Parameters
+    ----------
+    rig
+        Built, not open.
+    """
+    ports = {item.name: port_of(item.settings) for item in rig.resolved}
+    for name, device in rig.devices.items():
+        port = ports[name]
+        if port is not None and Path(port).exists():
+            yield latency(port, f"port of {name}")
+        try:
+            yield from _examine_device(name, device, rig.clock)
+        except LabrunError as error:
+            yield _problem(name, error)
+        finally:
+            device.safe_stop()
+            device.close()
+
+
+def _examine_device(name: str, device: Device, clock: Clock) -> Iterator[Remark]:
+    with blaming(name):
+        device.open()
+        identity = device.identify()
+        yield Remark("ok", name, identity_text(identity))
+        health = device.health()
+        notes = "; ".join(health.notes)
+        if health.ok:
+            yield Remark("ok", name, "well" + (f": {notes}" if notes else ""))
+        else:
+            yield Remark(
+                "problem", name, f"says it is not well: {notes or 'no reason given'}", "see its README"
+            )
+        if isinstance(device, Sensor):
+            yield _rate(name, device, clock)
+        examine = getattr(device, "examine", None)
+        if examine is not None:
+            yield from examine()
+
+
+def _rate(name: str, sensor: Sensor, clock: Clock) -> Remark:
+    """Listen to a sensor for a second, and compare its rate with what it should be."""
+    sensor.start()
+    sensor.read()
+    blocks = []
+    until_s = clock.now() + _LISTEN_S
+    while clock.now() < until_s:
+        clock.sleep(clock.poll_s)
+        blocks.append(sensor.read())
+    sensor.stop()
+    samples = Samples.join(blocks, len(sensor.channels))
+    count = len(samples)
+    if count < 2:
+        advice = "check that it is set to stream, and to whom; its README says how"
+        return Remark("problem", name, f"{count} samples in {_LISTEN_S:g} s", advice)
+    rate_hz = (count - 1) / max(float(np.ptp(samples.host_time_s)), 1e-9)
+    message = (
+        f"{rate_hz:.4g} samples/s, {sensor.rate_hz:.4g} asked for; {samples.lost} lost in {_LISTEN_S:g} s"
+    )
+    if abs(rate_hz / sensor.rate_hz - 1.0) > _RATE_SLACK + 2.0 / count:
+        return Remark(
+            "warning", name, message, "set rate_hz to what it gives, or look for what slows it down"
+        )
+    if samples.lost:
+        return Remark(
+            "warning", name, message, "a busy network, a slow adapter, or a machine with too much to do"
+        )
+    return Remark("ok", name, message)
+
+
+def identity_text(identity: Identity) -> str:
+    """Return in one line what answered."""
+    parts = [identity.model]
+    if identity.serial:
+        parts.append(f"serial {identity.serial}")
+    if identity.firmware:
+        parts.append(f"firmware {identity.firmware}")
+    parts += [f"{key.replace('_', ' ')} {value}" for key, value in identity.details.items()]
+    return ", ".join(parts)
+
+
+def find_devices(ports: list[str] | None = None) -> Iterator[Remark]:
+    """Ask at every serial port of this machine which of the known devices answers.
+
+    Devices on a network are not looked for: an experiment file says where they are.
+
+    Parameters
+    ----------
+    ports
+        Instead of all ports of the machine.
+    """
+    probes = _probes()
+    for port in existing_ports() if ports is None else ports:
+        found = False
+        for plugin, probe in probes.items():
+            try:
+                identity = probe(port)
+            except (
+                DeviceError
+            ) as error:  # held by another program, no permission: no other plugin fares better
+                yield _problem(port, error)
+                found = True
+                break
+            if identity is not None:
+                yield Remark("ok", port, f"{plugin}: {identity_text(identity)}")
+                found = True
+                break
+        if not found:
+            yield Remark(
+                "warning",
+                port,
+                f"nothing answers as {', '.join(probes)}",
+                "check its power, its wiring and its baud rate; it may also be something else",
+            )
+
+
+def _probes() -> Mapping[str, Callable[[str], Identity | None]]:
+    found = {}
+    for entry in installed(_GROUP):
+        if entry.name.startswith(STAND_IN):
+            continue
+        try:
+            probe = getattr(load(_GROUP, entry.name), "probe", None)
+        except PluginError:  # told by the look at the plugins
+            continue
+        if probe is not None:
+            found[entry.name] = probe
+    return found
+
+
+def _problem(subject: str, error: LabrunError) -> Remark:
+    return Remark("problem", subject, str(error.args[0]), error.hint or "")

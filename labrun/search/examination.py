@@ -1,0 +1,82 @@
+"""What `labrun doctor` looks at: the machine, and with `--hardware` the devices themselves."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from labrun.devices import Remark
+from labrun.errors import RequestError
+
+
+def examine(
+    experiment: str | None,
+    workspace: Path,
+    overrides: Sequence[str] = (),
+    *,
+    hardware: bool = False,
+    emulate: bool = False,
+) -> Iterator[Remark]:
+    """Yield what is found, as it is found. Nothing is moved.
+
+    Parameters
+    ----------
+    experiment
+        Whose devices to look at; without one, whatever answers at the serial ports.
+    workspace, overrides
+        Where the experiment is looked for, and keys of its file to replace.
+    hardware
+        Look at devices at all.
+    emulate
+        Look at emulators of the experiment's devices.
+
+    Raises
+    ------
+    RequestError
+        An experiment that does not hold, or options that do not go together.
+    RigBusyError
+        A run holds the devices.
+    """
+    from labrun.runner.doctor import examine as examine_machine
+
+    if (experiment is not None or emulate) and not hardware:
+        raise RequestError(
+            "an experiment and --emulate are for looking at devices", hint="add --hardware: nothing is moved"
+        )
+    if emulate and experiment is None:
+        raise RequestError(
+            "--emulate needs an experiment, whose devices it emulates", hint="labrun list shows them"
+        )
+    if not hardware:
+        yield from examine_machine()
+    elif experiment is None:
+        from labrun.runner.hardware_doctor import find_devices
+
+        yield from find_devices()
+    else:
+        yield from _examine_devices(experiment, workspace, overrides, emulate)
+
+
+def _examine_devices(name: str, workspace: Path, overrides: Sequence[str], emulate: bool) -> Iterator[Remark]:
+    from labrun.runner.clock import RealClock
+    from labrun.runner.hardware_doctor import examine_rig
+    from labrun.runner.ports import ports_of
+    from labrun.runner.progress import SilentProgress
+    from labrun.runner.rig import Rig
+    from labrun.search.emulated import behind_the_drivers
+    from labrun.spec.named import load_named
+    from labrun.store.rig_lock import lock_ports
+
+    loaded = load_named(name, workspace, overrides)
+    with behind_the_drivers(
+        loaded.experiment, loaded.path, seed=0, emulate=emulate, progress=SilentProgress()
+    ) as emulated:
+        rig = Rig.build(
+            loaded.experiment,
+            clock=RealClock(),
+            seed=0,
+            dry_run=False,
+            emulated=emulated,
+            require_ports=False,
+        )
+        ports = [] if emulate else [port for item in rig.resolved for port in ports_of(item.settings)]
+        with lock_ports(ports):
+            yield from examine_rig(rig)
