@@ -1,12 +1,21 @@
-"""The host's clock, for a driver that is called without a run: to probe a port, or to stop an orphaned actuator."""
+"""The host's clock."""
 
 import time
 
 
 class HostClock:
-    """The host's monotonic clock; a `Clock`."""
+    """The host's monotonic clock; a `Clock`.
 
-    poll_s = 0.02
+    For whoever has no run to get one from: a driver that probes a port, or stops an actuator whose runner died.
+
+    Parameters
+    ----------
+    poll_s
+        How long the runner waits between two looks at its sensors, s.
+    """
+
+    def __init__(self, poll_s: float = 0.02) -> None:
+        self.poll_s = poll_s
 
     def now(self) -> float:
         """Return the monotonic time, s."""

@@ -101,6 +101,7 @@ class Bench:
     def move(self, goal_rad: Mapping[str, float], speed_rad_s: float) -> None:
         """Bring joints to a pose smoothly, within limits, and wait until they are there."""
         until_s = self.clock.now()
+        moved: list[str] = []
         for name, actuator in self.rig.actuators.items():
             wanted = {joint: goal_rad[joint] for joint in actuator.joints if joint in goal_rad}
             if not wanted:
@@ -123,7 +124,10 @@ class Bench:
             with blaming(name):
                 actuator.follow(_complete(move, actuator.joints, pose), start_s)
             until_s = max(until_s, start_s + move.duration_s)
+            moved.append(name)
         self.watch(until_s)
+        while not all(self._arrived(name) for name in moved):
+            self.watch(self.clock.now() + self.clock.poll_s)
 
     def follow(self, trajectory: Trajectory, start_s: float) -> None:
         """Send every actuator its part of a motion, after a last check against its limits."""
@@ -181,6 +185,14 @@ class Bench:
                 raise DeviceError(
                     name, f"says it is not well: {notes}", hint="see its manual for the state it reports"
                 )
+
+    def _arrived(self, name: str) -> bool:
+        """Tell whether a move has ended: when its time is over, unless the actuator (a person) says it itself."""
+        arrived = getattr(self.rig.actuators[name], "arrived", None)
+        if arrived is None:
+            return True
+        with blaming(name):
+            return bool(arrived())
 
     def _pose(self, name: str) -> Mapping[str, float]:
         """Return where an actuator's joints are, rad; DeviceError if it cannot say."""

@@ -1,28 +1,8 @@
 """The two clocks: the host's, and a simulated one that costs nothing to wait on."""
 
-import time
+from labrun.devices.host_clock import HostClock as RealClock
 
-
-class RealClock:
-    """The host's monotonic clock.
-
-    Parameters
-    ----------
-    poll_s
-        How long the runner waits between two looks at its sensors, s.
-    """
-
-    def __init__(self, poll_s: float = 0.02) -> None:
-        self.poll_s = poll_s
-
-    def now(self) -> float:
-        """Return the monotonic time, s."""
-        return time.monotonic()
-
-    def sleep(self, duration_s: float) -> None:
-        """Wait; zero or less returns at once."""
-        if duration_s > 0:
-            time.sleep(duration_s)
+__all__ = ["RealClock", "SimulatedClock"]
 
 
 class SimulatedClock:

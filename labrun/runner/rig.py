@@ -40,7 +40,8 @@ class Rig:
     Attributes
     ----------
     devices
-        All of them by name, in the file's order; `actuators`, `paced`, `sensors` and `carriages` are those with that capability.
+        All of them by name, in the file's order; `actuators`, `paced`, `sensors` and `carriages` are those with that
+        capability.
     joints
         Which actuator moves a joint: joint -> device name.
     limits

@@ -25,6 +25,10 @@ from labrun.spec.experiment import Experiment, RepeatRule
 from labrun.store.folder import RunFolder
 from labrun.store.trial import Role, TrialOutcome
 
+_COME_BACK_S = 10.0
+"""How long a device that failed may stay away before the run ends: a plug put back takes some seconds to be found."""
+_TRY_AGAIN_S = 0.5
+
 
 class Session:
     """Measures conditions on a rig, in an order and with a stop behaviour one can trust.
@@ -259,7 +263,22 @@ class Session:
             raise fault
         self._progress.note(f"{fault}")
         if fault.device in self._rig.devices:
-            self._rig.reopen(fault.device)
+            self._reopen(fault.device)
+
+    def _reopen(self, device: str) -> None:
+        """Connect a device anew; one that was pulled out gets a while to be put back."""
+        clock = self._bench.clock
+        deadline_s = clock.now() + _COME_BACK_S
+        while True:
+            try:
+                self._rig.reopen(device)
+            except DeviceError:
+                if clock.now() >= deadline_s:
+                    raise
+            else:
+                return
+            self._check_stop()
+            clock.sleep(_TRY_AGAIN_S)
 
     def _reject_outliers(self, measurement: Measurement) -> Measurement:
         objectives = self._experiment.objectives

@@ -15,6 +15,7 @@ from typing import Any, Self
 
 from labrun.errors import DeviceError, ExperimentError, LabrunError, PluginError, RequestError, SpecError
 from labrun.registry import is_installed
+from labrun.runner.clock import RealClock
 from labrun.runner.emulated.scene_server import READY, RemoteScene
 from labrun.runner.resolving import resolve, stand_in_name
 from labrun.spec.experiment import PluginTable
@@ -23,6 +24,7 @@ _GROUP = "labrun.emulators"
 _START_S = 60.0
 """Compiling a scene for the first time takes the longest part of it."""
 _END_S = 5.0
+_LOOK_S = 0.005
 _SCENE_STREAM = 0x5CE
 _EMULATOR_STREAM = 0xE31
 
@@ -140,8 +142,10 @@ class EmulatedBench:
         """Have the emulators' logs go on in a folder that stays: ``<device>.jsonl``."""
         folder.mkdir(parents=True, exist_ok=True)
         for name in self._processes:
-            self._logs[name] = folder.absolute() / f"{name}.jsonl"
-            self._order(name, {"log": str(self._logs[name])})
+            path = folder.absolute() / f"{name}.jsonl"
+            self._order(name, {"log": str(path)})
+            self._wait_for(path, name)
+            self._logs[name] = path
 
     def close(self) -> None:
         """End all processes; never raises."""
@@ -160,6 +164,14 @@ class EmulatedBench:
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = None
+
+    def _wait_for(self, path: Path, name: str) -> None:
+        clock = RealClock()
+        deadline_s = clock.now() + _END_S
+        while not path.exists():
+            if clock.now() > deadline_s:
+                raise ExperimentError(f"the emulator of {name} does not write {path}", hint="is it writable?")
+            clock.sleep(_LOOK_S)
 
     def _require_stand_in(self, name: str, table: PluginTable) -> None:
         try:

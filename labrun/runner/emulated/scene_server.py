@@ -4,6 +4,7 @@ Started as ``python -m labrun.runner.emulated.scene_server`` with one line of JS
 ``ready``. It ends a little after its standard input does.
 """
 
+import contextlib
 import json
 import os
 import signal
@@ -11,6 +12,7 @@ import sys
 import threading
 from collections.abc import Mapping, Sequence
 from multiprocessing.managers import BaseManager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -131,10 +133,14 @@ def _serve(scene: Scene, address: str, key: bytes) -> None:
     server.serve_forever()
 
 
-def _end_with_input() -> None:
+def _end_with_input(address: Path) -> None:
+    """End a little after the runner has, and leave nothing behind: who was killed cannot tidy up."""
     while os.read(sys.stdin.fileno(), 4096):
         pass
-    RealClock().sleep(LINGER_S)
+    RealClock().sleep(2 * LINGER_S)
+    address.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):
+        address.parent.rmdir()
     os._exit(0)
 
 
@@ -146,7 +152,7 @@ def main() -> None:
     task = json.loads(sys.stdin.buffer.readline())
     rng = np.random.default_rng(np.random.SeedSequence(task["seed"]))
     scene: Scene = load("labrun.scenes", task["plugin"])(task["settings"], rng)
-    threading.Thread(target=_end_with_input, daemon=True).start()
+    threading.Thread(target=_end_with_input, args=(Path(task["address"]),), daemon=True).start()
     _serve(scene, task["address"], bytes.fromhex(task["key"]))
 
 
