@@ -123,6 +123,8 @@ def _all(source: ReportSource) -> Html:
     view = source.view
     objectives = list(source.experiment.objectives)
     results = condition_results(view)
+    if not results:
+        return paragraph("Only reference trials so far: no condition has been measured yet.")
     decimals = {name: _decimals(results, name) for name in objectives}
     keys = varying(result.condition for result in results)
     rows: list[list[Content]] = []

@@ -1,0 +1,109 @@
+"""Shipped experiments on real drivers in real time: their data is that of the dry run, within noise."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labrun.store.opening import open_run
+
+RUNS = [
+    # experiment, its command, channel, and how far two runs of one seed may differ (root mean square): the noise of
+    # two sensors, which is sqrt(2) times that of one, and what the bench itself does not repeat
+    # 1.5 mrad a camera; and the release falls between two points of the bench's time grid of 5 ms, at some 2 rad/s
+    pytest.param("hinge", "run", "cameras.angle", 8e-3, 2, id="hinge"),
+    pytest.param("turn-torque", "cmaes", "wrench.torque_z", 6e-3, 6, id="turn-torque"),  # vortices
+    pytest.param("fin-params", "sweep", "wrench.torque_y", 12e-3, 5, id="fin-params"),  # 5 mN m a sensor, and vortices
+]
+
+
+def labrun(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "labrun", *arguments],
+        cwd=folder, capture_output=True, text=True, timeout=900, check=False, env=os.environ,
+    )  # fmt: skip
+
+
+def both(folder: Path, command: str, experiment: str, limit: int):
+    """Return the run in front of emulators and the dry run of the same seed."""
+    found = []
+    for mode in ("--emulate", "--dry-run"):
+        done = labrun(
+            folder, command, experiment, mode, "--limit", str(limit), "--seed", "3", "--results", mode[2:], "--json"
+        )
+        assert done.returncode == 0, done.stderr
+        found.append(open_run(folder / json.loads(done.stdout)["run"]))
+    return found
+
+
+def difference(emulated, simulated, index, channel):
+    """Return the root mean square difference of one trial's channel, and that channel's own spread."""
+    device, _, name = channel.partition(".")
+    curves = []
+    for run in (emulated, simulated):
+        stream = run.streams(index)[device]
+        tare = run.outcomes[index].tare.get(channel, 0.0)
+        curves.append((stream.time_s, stream.column(name) - tare))
+    (time_a, a), (time_b, b) = curves
+    time_s = np.linspace(max(time_a[0], time_b[0]), min(time_a[-1], time_b[-1]), 2000)
+    both_at = np.interp(time_s, time_a, a), np.interp(time_s, time_b, b)
+    return float(np.sqrt(np.mean((both_at[0] - both_at[1]) ** 2))), float(np.std(both_at[1]))
+
+
+def check_agreement(folder, experiment, command, channel, bound, limit):
+    emulated, simulated = both(folder, command, experiment, limit)
+    assert len(emulated.outcomes) == len(simulated.outcomes) == limit
+    for ours, theirs in zip(emulated.outcomes, simulated.outcomes, strict=True):
+        assert ours.condition == theirs.condition
+        assert ours.status == theirs.status == "done"
+        apart, spread = difference(emulated, simulated, ours.index, channel)
+        assert apart < bound, f"{ours.condition}: {apart} apart, and the channel itself varies by {spread}"
+    assert emulated.provenance["emulated"]
+    assert not simulated.provenance["emulated"]
+
+
+@pytest.mark.parametrize(("experiment", "command", "channel", "bound", "limit"), RUNS)
+def test_one_trial_in_front_of_emulators_agrees_with_the_dry_run_of_its_seed(
+    tmp_path, experiment, command, channel, bound, limit
+):
+    check_agreement(tmp_path, experiment, command, channel, bound, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("experiment", "command", "channel", "bound", "limit"), RUNS)
+def test_several_trials_in_front_of_emulators_agree_with_the_dry_run_of_their_seed(
+    tmp_path, experiment, command, channel, bound, limit
+):
+    check_agreement(tmp_path, experiment, command, channel, bound, limit)
+
+
+def test_a_run_says_that_emulators_stood_behind_its_drivers_and_how_evenly_commands_went_out(tmp_path):
+    done = labrun(tmp_path, "sweep", "fin-params", "--emulate", "--limit", "1", "--seed", "1", "--json")
+    assert done.returncode == 0, done.stderr
+    run = tmp_path / json.loads(done.stdout)["run"]
+    assert json.loads((run / "provenance.json").read_text())["devices"]["tail"]["firmware"].startswith("labservo")
+    assert "emulated" in labrun(tmp_path, "show", str(run)).stdout
+    report = labrun(tmp_path, "report", str(run))
+    assert report.returncode == 0, report.stderr
+    page = (run / "report.html").read_text()
+    assert "It was emulated: the real drivers" in page
+    assert "<h3>Commands</h3>" in page
+    assert {line["event"] for line in map(json.loads, (run / "emulated" / "tail.jsonl").open())} >= {"open", "command"}
+
+
+def test_emulation_and_dry_run_exclude_each_other(tmp_path):
+    done = labrun(tmp_path, "run", "hinge", "--emulate", "--dry-run")
+    assert done.returncode == 2
+    assert "--dry-run and --emulate exclude each other" in done.stderr
+
+
+def test_doctor_asks_every_emulated_device_of_an_experiment_and_moves_none(tmp_path):
+    done = labrun(tmp_path, "doctor", "--hardware", "fin-params", "--emulate")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "ok       tail: RC servos on Arduino" in done.stdout
+    assert "ok       wrench: Robotiq FT300" in done.stdout
+    assert "samples/s, 100 asked for" in done.stdout
