@@ -77,8 +77,9 @@ class PtyEndpoint:
         return self._wire.next_s()
 
     def close(self) -> None:
-        """Close it and take its link away."""
+        """Close it and take its link away; the log gets the number of messages sent."""
         self._unplug()
+        self._log.note("closed", path=str(self.path), sent=self._wire.arrived)
 
     def _plug(self) -> None:
         self._master, self._slave = pty.openpty()
@@ -116,7 +117,7 @@ class UdpEndpoint:
 
     def __init__(self, context: EmulatorContext, host: str = "127.0.0.1", port: int = 0) -> None:
         self._wire: FaultyWire[Address] = FaultyWire(context.clock, context.rng, context.faults)
-        self._faults = context.faults
+        self._log = context.log
         self._address = (host, port)
         self.socket: socket.socket | None = None
 
@@ -161,8 +162,9 @@ class UdpEndpoint:
         return self._wire.next_s()
 
     def close(self) -> None:
-        """Close it."""
+        """Close it; the log gets the number of datagrams sent."""
         if self.socket is not None:
+            self._log.note("closed", udp=self.socket.getsockname()[1], sent=self._wire.arrived)
             self.socket.close()
             self.socket = None
 
@@ -180,6 +182,7 @@ class TcpEndpoint:
 
     def __init__(self, context: EmulatorContext, host: str = "127.0.0.1", port: int = 0) -> None:
         self._wire: FaultyWire[int] = FaultyWire(context.clock, context.rng, context.faults)
+        self._log = context.log
         self._address = (host, port)
         self._server: socket.socket | None = None
         self._clients: dict[int, socket.socket] = {}
@@ -258,9 +261,10 @@ class TcpEndpoint:
         connection.close()
 
     def close(self) -> None:
-        """Close everything."""
+        """Close everything; the log gets the number of messages sent."""
         for client in self.clients:
             self.drop(client)
         if self._server is not None:
+            self._log.note("closed", tcp=self._server.getsockname()[1], sent=self._wire.arrived)
             self._server.close()
             self._server = None

@@ -31,12 +31,18 @@ class FaultyWire(Generic[Target]):
         Of the emulator.
     baud
         Bits a second of the wire, ten to a byte: a message arrives when its last byte has; None for no such delay.
+
+    Attributes
+    ----------
+    arrived
+        Messages that have come to the end of the wire so far.
     """
 
     clock: Clock
     rng: np.random.Generator
     faults: Faults
     baud: float | None = None
+    arrived: int = 0
     _under_way: deque[tuple[float, bytes, Target]] = field(default_factory=deque)
     _free_s: float = -math.inf
     _held: tuple[bytes, Target] | None = None
@@ -74,6 +80,7 @@ class FaultyWire(Generic[Target]):
         arrived = []
         while self._under_way and self._under_way[0][0] <= now_s:
             _, message, target = self._under_way.popleft()
+            self.arrived += 1
             arrived.append((message, target))
         return arrived
 

@@ -1,7 +1,7 @@
 """Least squares in the block structure of trials: Levenberg-Marquardt with every trial's own states eliminated."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ _FIRST_DAMPING = 1e-4
 _LEAST_DAMPING, _MOST_DAMPING = 1e-13, 1e12
 _ROUNDING = 1e-14
 """A predicted gain below this share of the misfit cannot be told from rounding."""
+_POOR = 0.75
+"""Derivatives that foretold a gain worse than by this factor are not carried on."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,9 @@ def minimise(
     evaluations: int = 60,
     stop: Callable[[FloatArray], bool] = lambda _: False,
     central: bool = True,
+    derivatives: Blocks | None = None,
+    secant: bool = False,
+    confirmed: bool = True,
 ) -> FloatArray:
     """Return the nearest minimum of the squared residuals and the prior.
 
@@ -110,6 +115,13 @@ def minimise(
         Asked with every accepted point; true ends the descent there.
     central
         Differences to both sides for the derivatives; see `Problem.blocks`.
+    derivatives
+        Derivatives at, or near, `z`, where they are known already.
+    secant
+        Whether derivatives are carried on from step to step by what each step showed, trial by trial (Broyden 1965),
+        and taken anew only where that fails: one simulation of everything for a step, not one per variable.
+    confirmed
+        Whether a descent ends only on derivatives that were taken where it ends.
     """
     size = problem.size
     if len(z) == 0:
@@ -123,29 +135,59 @@ def minimise(
     squares = _squares(problem, z, residual)
     damping, growth, count = _FIRST_DAMPING, 2.0, 1
     scale = np.zeros(len(z))
+    moving = high[:size] > low[:size]
+    blocks, fresh = derivatives, False
     while count < evaluations and not stop(z):
-        equations = NormalEquations.of(problem, z, problem.blocks(z, residual, central=central))
+        if blocks is None:
+            blocks, fresh = problem.blocks(z, residual, central=central, moving=moving), True
+        blocks = replace(blocks, residual=residual)
+        equations = NormalEquations.of(problem, z, blocks)
         scale = np.maximum(scale, equations.diagonal)
         scale = np.maximum(scale, 1e-20 * float(np.max(scale, initial=1e-280)))
-        before = squares
+        before, known = squares, fresh
         while count < evaluations:
             moved = _bounded(equations, z, damping * scale, low, high)
             predicted = equations.gain(moved - z)
             if predicted <= _ROUNDING * squares or damping > _MOST_DAMPING:
-                return z
+                if fresh or not confirmed:
+                    return z
+                blocks = None
+                break
             residual_there = problem.residuals(moved)
             there = _squares(problem, moved, residual_there)
             count += 1
             ratio = (squares - there) / predicted
             if there < squares:
-                z, residual, squares = moved, residual_there, there
+                carried = secant and ratio > _POOR
+                blocks = _carried_on(blocks, moved - z, residual_there, size) if carried else None
+                z, residual, squares, fresh = moved, residual_there, there, False
                 damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), _LEAST_DAMPING)
                 growth = 2.0
                 break
+            if not fresh:  # the derivatives may be to blame
+                blocks = None
+                break
             damping, growth = damping * growth, 2.0 * growth
         if before - squares < tolerance * before and predicted < tolerance * before:
-            break
+            if known or not confirmed:
+                break
+            blocks = None
     return z
+
+
+def _carried_on(blocks: Blocks, step: FloatArray, residual: list[FloatArray], size: int) -> Blocks:
+    """Return derivatives that would have foretold what a step led to, each trial's changed as little as possible."""
+    shared_step, own_steps = step[:size], step[size:].reshape(len(residual), -1)
+    shared, own = [], []
+    for mine, theirs, before, after, own_step in zip(
+        blocks.shared, blocks.own, blocks.residual, residual, own_steps, strict=True
+    ):
+        missed = after - before - mine @ shared_step - theirs @ own_step
+        length = float(shared_step @ shared_step + own_step @ own_step)
+        missed /= length if length > 0 else 1.0
+        shared.append(mine + np.outer(missed, shared_step))
+        own.append(theirs + np.outer(missed, own_step))
+    return Blocks(shared, own, residual)
 
 
 def _bounded(

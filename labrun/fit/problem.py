@@ -201,11 +201,17 @@ class Problem:
         return float(np.sqrt(sum(float(part @ part) for part in self.residuals(z)) / self.samples))
 
     def blocks(
-        self, z: FloatArray, residual: list[FloatArray] | None = None, *, central: bool = True
+        self,
+        z: FloatArray,
+        residual: list[FloatArray] | None = None,
+        *,
+        central: bool = True,
+        moving: NDArray[np.bool_] | None = None,
     ) -> Blocks:
         """Return residuals (or take them as known) and their derivatives by the scaled variables.
 
-        Differences to one side only cost half as much, and are good enough to find the way.
+        Differences to one side only cost half as much, and are good enough to find the way. Derivatives by shared
+        variables that are not `moving` (all are, if None) are left at zero.
         """
         residual = self.residuals(z) if residual is None else residual
         parameters = self.parameters(z)
@@ -214,6 +220,8 @@ class Problem:
             start = self.own(z, index)
             columns = [
                 self._by_parameter(parameters, index, start, variable, base, central)
+                if moving is None or moving[variable]
+                else np.zeros_like(base)
                 for variable in range(self.size)
             ]
             shared.append(np.column_stack(columns) if columns else np.empty((len(base), 0)))

@@ -24,10 +24,12 @@ class Absorption:
     ----------
     problem, z
         Where the derivatives are taken.
+    residual
+        Whitened, of every unit there.
     """
 
-    def __init__(self, problem: "GapProblem", z: FloatArray) -> None:
-        blocks = problem.blocks(z, problem.residuals(z))
+    def __init__(self, problem: "GapProblem", z: FloatArray, residual: list[FloatArray]) -> None:
+        blocks = problem.blocks(z, residual)
         self._own = [basis(own) for own in blocks.own]
         prior = -np.diag(problem.prior_weight * problem.scale / problem.pull_sigma)
         # what stands at a bound has given what it can

@@ -14,6 +14,7 @@ from labrun.gap.pictures import difference_of, traces_of
 from labrun.gap.problem import named
 from labrun.gap.verdict import Findings, verdict
 from labrun.gap.wording import limitations, sentence, what_next
+from labrun.gap.workers import Each, one_by_one
 
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset
@@ -21,7 +22,13 @@ if TYPE_CHECKING:
 
 
 def conclude(
-    search: "Search", dataset: "Dataset", rng: np.random.Generator, *, places: bool, note: Note
+    search: "Search",
+    dataset: "Dataset",
+    rng: np.random.Generator,
+    *,
+    places: bool,
+    note: Note,
+    each: Each = one_by_one,
 ) -> Diagnosis:
     """Put what was found into a diagnosis."""
     problem, noise, z = search.recalibration.problem, search.noise, search.recalibration.z
@@ -57,7 +64,7 @@ def conclude(
 
         note("looking where the gap is")
         difference = difference_of(search)
-        found = find_places(difference, rng, note=note)
+        found = find_places(difference, rng, note=note, each=each)
         if decided in ("not-in-library", "partly-explained"):
             missing = missing_forces(difference)
     rated = selection.rounds[0].rated

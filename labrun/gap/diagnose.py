@@ -97,5 +97,5 @@ def diagnose_dataset(
             each=each,
             note=note,
         )
-    found = conclude(search, dataset, rng, places=options.places, note=note)
+        found = conclude(search, dataset, rng, places=options.places, note=note, each=each)
     return replace(found, seed=options.seed, seconds=time.perf_counter() - began)

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from labrun.fit.notes import Note, silent
 from labrun.gap.candidates import Candidate, candidates, without
+from labrun.gap.diagnosis import Name
 from labrun.gap.excess import Excess, excess, mean_residuals
 from labrun.gap.guard import full_strictness, guard, noise_draws
 from labrun.gap.held_out import held_out_residuals
 from labrun.gap.noise import Noise, from_residual
 from labrun.gap.recalibration import Recalibrated, bound_remarks, in_noise, member_residuals, recalibrate
 from labrun.gap.scales import site_scales
-from labrun.gap.screening import Base, screen_all, survey
+from labrun.gap.screening import Base, ends_of, screen_all, survey
 from labrun.gap.selection import MOST_CAUSES, Selection, Selector, look
 from labrun.gap.units import Units, gather
 from labrun.gap.workers import Each, one_by_one
@@ -28,6 +29,10 @@ FloatArray = NDArray[np.float64]
 
 _WITHOUT_REPEATS = 2.5
 """Factor on the guard's threshold where noise was told from gap by a fit, not by repeats."""
+_BEST = 0.7
+"""Only candidates that gain this part of what the best one gains are rivals for being the best."""
+_PROMISE = 0.1
+"""Only candidates whose survey promises this part of what the best one's does are fitted to find it."""
 _WORTH = 0.98
 """A further candidate that lowers the squared residual by less than this is taken to fit noise."""
 
@@ -100,8 +105,9 @@ def search_causes(
     recalibration = recalibrate(model, units, rng, note)
     scales = site_scales(recalibration.problem, recalibration.z)
     every = candidates(recalibration.problem.model, scales, withhold)
+    known: dict[Name, FloatArray] = {}
     if recalibration.noise.basis == "residual":
-        recalibration = _without_repeats(recalibration, every, note, each)
+        recalibration, known = _without_repeats(recalibration, every, note, each)
     problem, noise, z = recalibration.problem, recalibration.noise, recalibration.z
     note(f"trying {len(every)} candidates")
     draws = noise_draws(problem, noise, rng)
@@ -113,8 +119,10 @@ def search_causes(
         note("running the whole search on noise alone, for the guard")
         linear = guard(base, each(lambda one: survey(base, one), every), draws)
         strictness *= full_strictness(base, every, noise, linear, rng, each=each)
-    first = look(base, every, noise, draws, reference, strictness, each)
-    selection = Selector(first, every, noise, draws, reference, residual, note, strictness, each).select()
+    first = look(base, every, noise, draws, reference, strictness, each, known)
+    selection = Selector(
+        first, every, noise, draws, reference, residual, note, strictness, each, known
+    ).select()
     return Search(
         units,
         recalibration,
@@ -131,20 +139,25 @@ def search_causes(
 
 def _without_repeats(
     recalibration: Recalibrated, every: list[Candidate], note: Note, each: Each
-) -> Recalibrated:
+) -> tuple[Recalibrated, dict[Name, FloatArray]]:
     """Take as noise what the best few candidates together leave: without repeats nothing else tells it from the gap.
 
-    Its colour is believed of that remainder only: where the model is wrong, the gap has a colour of its own.
+    Its colour is believed of that remainder only: where the model is wrong, the gap has a colour of its own. Returned
+    with the sizes at which fits of candidates beside the recalibrated model ended.
     """
     units = recalibration.problem.units
     note("no repeats: telling noise from gap by what the best candidates together leave")
     base = Base.of(recalibration.problem, recalibration.z)
+    first, known = dict[Name, FloatArray](), dict[Name, FloatArray]()
     for _ in range(MOST_CAUSES):
         rest = without(every, {one.name for one in base.added})
-        surveys = [survey(base, one) for one in rest]
-        best = min(screen_all(base, surveys, each=each), key=lambda one: one.squares)
+        surveys = each(lambda one, base=base: survey(base, one), rest)  # type: ignore[misc]
+        screened = screen_all(base, surveys, each=each, worth=_BEST, beside_best=_PROMISE, known=known)
+        known |= ends_of(screened)
+        first = first or dict(known)
+        best = min(screened, key=lambda one: one.squares)
         if best.squares > _WORTH * base.squares:
             break
         base = Base.of(best.problem, best.z, (*base.added, best.candidate))
     noise = from_residual(units, member_residuals(base.problem, base.z))
-    return in_noise(recalibration.problem, noise, recalibration.z)
+    return in_noise(recalibration.problem, noise, recalibration.z), first

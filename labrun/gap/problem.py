@@ -12,6 +12,7 @@ from labrun.errors import FitError
 from labrun.fit.pieces import prior_sigma
 from labrun.fit.problem import Problem
 from labrun.gap.noise import Noise
+from labrun.gap.recent import Recent
 from labrun.gap.units import Units
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ class GapProblem(Problem):
         self._prior_of_first: list[FloatArray] = []
         self._firsts: list[int] = []
         self._model_size = len(model.parameters)
+        self._recent = Recent()
         super().__init__(model, units.dataset)
         self._firsts = [
             state for state, name in enumerate(model.states) if model.initial.get(name) == "first"
@@ -179,17 +181,43 @@ class GapProblem(Problem):
         """Return the outputs (n, m) of one unit; None where they are not finite."""
         from labrun.models import simulate
 
-        data = self.dataset.trials[trial]
+        data, effects = self.dataset.trials[trial], self.attached(parameters)
+        start = self.initial_state(trial, own)
+        if any(one.effect.kind == "output" for one in effects):
+            return self._shown(parameters[: self._model_size], trial, start, effects)
         simulation = simulate(
             self.model,
             data.time_s,
             self._drives[trial],
             parameters=parameters[: self._model_size],
             condition=data.condition,
-            initial_state=self.initial_state(trial, own),
-            effects=self.attached(parameters),
+            initial_state=start,
+            effects=effects,
         )
         return simulation.outputs if simulation.finite else None
+
+    def _shown(
+        self, parameters: FloatArray, trial: int, start: FloatArray, effects: "tuple[AttachedEffect, ...]"
+    ) -> FloatArray | None:
+        """Return the outputs of one unit behind effects at outputs, which share what is before them."""
+        from labrun.models.simulation import filtered, simulate_unfiltered
+
+        drive = self._drives[trial]
+        inside = tuple(one for one in effects if one.effect.kind != "output")
+        same = tuple((id(one.effect), one.site, one.values) for one in inside)
+        before = self._recent.get(
+            (id(drive), parameters.tobytes(), start.tobytes(), same),
+            lambda: simulate_unfiltered(
+                self.model,
+                drive,
+                parameters=parameters,
+                condition=self.dataset.trials[trial].condition,
+                initial_state=start,
+                effects=inside,
+            ),
+        )
+        found = filtered(self.model, before, effects)
+        return found.outputs if found.finite else None
 
     def simulated(self, z: FloatArray) -> list[FloatArray]:
         """Return the outputs of every unit.

@@ -1,6 +1,6 @@
 """Fits of one problem with one candidate more: several starts, the most promising of them followed to their ends."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from labrun.fit.descent import minimise
 from labrun.gap.absorption import Absorption
 from labrun.gap.candidates import Candidate
+from labrun.gap.diagnosis import Name
 from labrun.gap.problem import own_states
 from labrun.gap.workers import Each, one_by_one
 
@@ -22,6 +23,8 @@ _IMITATED = 0.08
 """Part of a change, at a small size, below which it counts as imitated by parameters: it is not linear after all."""
 _FOLLOWED = 3
 """Starts that are followed: a delay, say, has a minimum of its own beside what damping imitates."""
+_BESIDE_KNOWN = 1
+"""Starts that are followed beside the sizes at which an earlier fit of the same candidate ended."""
 _ROUGH = 1e-2
 _FEW = 12
 _WORTH_A_FIT = 0.3
@@ -30,6 +33,8 @@ _BESIDE_BEST = 0.03
 """... and this part of what the best one promises ..."""
 _ALWAYS = 3
 """... and the best few in any case."""
+_WORTH_FOLLOWING = 0.1
+"""What is roughly fitted is followed to its end if it gains this part of what the best one gains."""
 _TOLERANCE = 1e-4
 _EVALUATIONS = 30
 
@@ -58,7 +63,9 @@ class Base:
     @classmethod
     def of(cls, problem: "GapProblem", z: FloatArray, added: tuple[Candidate, ...] = ()) -> "Base":
         """Take the state of a problem at `z`."""
-        return cls(problem, z, problem.residuals(z), problem.squares(z), Absorption(problem, z), added)
+        residual, prior = problem.residuals(z), problem.prior_residual(z)
+        squares = float(prior @ prior) + sum(float(part @ part) for part in residual)
+        return cls(problem, z, residual, squares, Absorption(problem, z, residual), added)
 
 
 @dataclass(frozen=True)
@@ -111,6 +118,12 @@ class Screened:
     survey: Survey = field(repr=False)
 
     @property
+    def sizes(self) -> FloatArray:
+        """The candidate's own variables."""
+        size = self.problem.size
+        return self.z[size - self.candidate.variables : size]
+
+    @property
     def visible(self) -> float:
         """Norm of the largest change it makes and recalibration cannot imitate, in units of the noise.
 
@@ -158,47 +171,96 @@ def survey(base: Base, candidate: Candidate) -> Survey:
     )
 
 
-def follow(base: Base, surveyed: Survey) -> Screened:
-    """Fit all variables from the most promising starts, roughly, and the best of these ends to its end."""
+def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Screened:
+    """Fit all variables from the most promising starts, roughly, and return the best of these ends.
+
+    Parameters
+    ----------
+    known
+        Sizes at which an earlier fit of this candidate ended, beside another base: a start like no other.
+    """
     problem = surveyed.problem
-    ends = [
-        minimise(problem, z, tolerance=_ROUGH, evaluations=_FEW, central=False)
-        for z in surveyed.starts[:_FOLLOWED]
-    ]
-    best = min(ends, key=problem.squares)
-    best = minimise(problem, best, tolerance=_TOLERANCE, evaluations=_EVALUATIONS, central=False)
-    squares = problem.squares(best)
-    gain = max(base.squares - squares, 0.0)
-    return Screened(surveyed.candidate, problem, best, squares, gain, surveyed)
+    starts = surveyed.starts[:_FOLLOWED]
+    if known is not None:
+        shared, own = base.z[: base.problem.size], own_states(base.problem, base.z)
+        starts = [np.concatenate([shared, known, own]), *starts[:_BESIDE_KNOWN]]
+    ends = [minimise(problem, z, tolerance=_ROUGH, evaluations=_FEW, central=False) for z in starts]
+    squares = [problem.squares(z) for z in ends]
+    best = int(np.argmin(squares))
+    return _screened(base, surveyed, ends[best], squares[best])
+
+
+def follow(base: Base, begun: Screened) -> Screened:
+    """Fit all variables to the end, from where a rough fit ended."""
+    problem = begun.problem
+    z = minimise(problem, begun.z, tolerance=_TOLERANCE, evaluations=_EVALUATIONS, central=False)
+    return _screened(base, begun.survey, z, problem.squares(z))
 
 
 def screen_all(
-    base: Base, surveys: Sequence[Survey], threshold: float = 0.0, each: Each = one_by_one
+    base: Base,
+    surveys: Sequence[Survey],
+    threshold: float = 0.0,
+    each: Each = one_by_one,
+    worth: float = _WORTH_FOLLOWING,
+    beside_best: float = _BESIDE_BEST,
+    known: Mapping[Name, FloatArray] | None = None,
 ) -> list[Screened]:
     """Fit every candidate whose survey promises something, in their order.
+
+    All of them roughly, and to their ends those that then are not far behind the best.
 
     Parameters
     ----------
     threshold
         What a gain must exceed to count.
+    worth
+        Which part of the best gain is not far behind.
+    beside_best
+        Which part of what the best survey promises is worth a fit.
+    known
+        Sizes at which earlier fits of candidates ended; see `rough`.
     """
+    known = known or {}
     best = max((one.potential for one in surveys), default=0.0)
-    needed = max(_WORTH_A_FIT * threshold, _BESIDE_BEST * best)
+    needed = max(_WORTH_A_FIT * threshold, beside_best * best)
     top = sorted((one.potential for one in surveys), reverse=True)[:_ALWAYS]
     needed = min(needed, top[-1]) if top else needed
 
-    def fitted(one: Survey) -> Screened:
+    def begin(one: Survey) -> Screened:
         if one.potential >= needed:
-            return follow(base, one)
+            return rough(base, one, known.get(one.candidate.name))
         left = base.squares - one.potential
         return Screened(one.candidate, one.problem, one.starts[0], left, one.potential, one)
 
-    return each(fitted, surveys)
+    begun = each(begin, surveys)
+    gains = sorted((one.gain for one in begun if one.survey.potential >= needed), reverse=True)
+    enough = min(worth * gains[0], gains[: _ALWAYS + 1][-1]) if gains else 0.0
+
+    def finish(one: Screened) -> Screened:
+        worthy = one.survey.potential >= needed and one.gain >= enough
+        return follow(base, one) if worthy else one
+
+    return each(finish, begun)
+
+
+def ends_of(screened: Sequence[Screened]) -> dict[Name, FloatArray]:
+    """Return the sizes at which fits of effects ended, for later fits to start from."""
+    return {
+        one.candidate.name: one.sizes
+        for one in screened
+        if one.candidate.variables and one.z is not one.survey.starts[0]
+    }
 
 
 def refit(problem: "GapProblem", z: FloatArray, *, tolerance: float = 1e-6) -> FloatArray:
     """Return the minimum that `z` leads to, followed closely."""
-    return minimise(problem, z, tolerance=tolerance, evaluations=60)
+    return minimise(problem, z, tolerance=tolerance, evaluations=80, secant=True)
+
+
+def _screened(base: Base, surveyed: Survey, z: FloatArray, squares: float) -> Screened:
+    gain = max(base.squares - squares, 0.0)
+    return Screened(surveyed.candidate, surveyed.problem, z, squares, gain, surveyed)
 
 
 def _released(base: Base, problem: "GapProblem") -> tuple[FloatArray, float]:

@@ -1,19 +1,20 @@
 """Which causes: the best candidate, whether more than one is at work, and what cannot be told from them."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from labrun.fit.notes import Note
 from labrun.gap.candidates import Candidate, without
+from labrun.gap.diagnosis import Name
 from labrun.gap.excess import Excess, excess
 from labrun.gap.guard import Guard, guard
 from labrun.gap.held_out import held_out_residuals
 from labrun.gap.problem import own_states
 from labrun.gap.rating import Rated, promising, rate, weights
-from labrun.gap.screening import Base, Screened, refit, screen_all, survey
+from labrun.gap.screening import Base, Screened, ends_of, refit, screen_all, survey
 from labrun.gap.workers import Each, one_by_one
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ _NOTICED = 0.04
 """The same of a cause that at least halves what is left."""
 _LEAST_SHARE = 0.3
 """Part of the excess that causes must remove on withheld conditions, however well they fit those they saw."""
-_TOGETHER = 0.9
+_TOGETHER = 0.85
 """The same where nothing does so alone: two that only fit together are often two that stand in for a third."""
 _SWEEPS = 3
 FORM_SLACK = 0.02
@@ -88,6 +89,7 @@ def look(
     reference: Excess,
     strictness: float = 1.0,
     each: Each = one_by_one,
+    known: "Mapping[Name, FloatArray] | None" = None,
 ) -> Round:
     """Try every candidate beside a base: fit, guard, and the best of them on withheld conditions.
 
@@ -95,10 +97,12 @@ def look(
     ----------
     strictness
         Factor on the guard's threshold.
+    known
+        Sizes at which earlier fits of candidates ended.
     """
     surveys = each(lambda one: survey(base, one), candidates)
     threshold = guard(base, surveys, draws).times(strictness)
-    screened = screen_all(base, surveys, threshold.threshold, each)
+    screened = screen_all(base, surveys, threshold.threshold, each, known=known)
     rated = each(
         lambda one: rate(base, one, threshold, noise, reference), promising(screened, threshold, _LOOKED_AT)
     )
@@ -124,6 +128,8 @@ class Selector:
     note: Note
     strictness: float = 1.0
     each: Each = one_by_one
+    known: "Mapping[Name, FloatArray]" = field(default_factory=dict)
+    _rounds: "dict[frozenset[Name], Round]" = field(default_factory=dict, repr=False)
 
     def select(self) -> Selection:
         """Choose the causes; each must beat the guard given the others, and remove a part of the gap of its own."""
@@ -160,7 +166,8 @@ class Selector:
                 break
             self.note(f"found {one.rated.candidate.name}; looking whether there is more")
             chosen.append(one)
-            rounds.append(self._look(one.base))
+            if len(chosen) < MOST_CAUSES:
+                rounds.append(self._look(one.base))
         return chosen, rounds
 
     def _exchanged(self, chosen: "list[_Chosen]") -> "tuple[list[_Chosen], list[Round]]":
@@ -171,8 +178,9 @@ class Selector:
                 break
             for _ in range(len(chosen)):
                 self.note(f"checking {chosen[0].rated.candidate.name} again beside the others")
-                base = self._without(chosen, 0)
-                again = self._look(base)
+                again = self._rounds.get(frozenset(one.rated.candidate.name for one in chosen[1:]))
+                again = again or self._look(self._without(chosen, 0))
+                base = again.base
                 residual = held_out_residuals(base.problem, base.z)
                 left = excess(base.problem.units, self.noise, residual)
                 one = self._choose(again, left, further=True)
@@ -194,8 +202,18 @@ class Selector:
         return _Chosen(best, rivals, weight, base, best.held_out, best.residual)
 
     def _look(self, base: Base) -> Round:
-        rest = without(self.candidates, {one.name for one in base.added})
-        return look(base, rest, self.noise, self.draws, self.reference, self.strictness, self.each)
+        """Look beside a base, once for each set of causes, in whichever order they were found."""
+        names = frozenset(one.name for one in base.added)
+        found = self._rounds.get(names)
+        if found is None:
+            rest = without(self.candidates, names)
+            known = {**self.known, **ends_of(self.first.screened)}
+            for earlier in self._rounds.values():
+                known |= ends_of(earlier.screened)
+            found = self._rounds[names] = look(
+                base, rest, self.noise, self.draws, self.reference, self.strictness, self.each, known
+            )
+        return found
 
     def _without(self, chosen: "list[_Chosen]", place: int) -> Base:
         """Return the last base without one of its causes, fitted again."""

@@ -45,14 +45,15 @@ class Whitener:
         The first samples, which have too short a past, are predicted from what there is (Levinson), so that nothing
         is lost or overweighted.
         """
-        from scipy.signal import lfilter
-
         white = np.empty_like(values)
         for column, predictor in enumerate(self.predictors):
             p = predictor.order
             signal = values[:, column]
+            if p == 0:
+                white[:, column] = signal / predictor.deviation[0]
+                continue
             numerator = np.concatenate([[1.0], -predictor.coefficients[p]])
-            white[:, column] = lfilter(numerator, [1.0], signal) / predictor.deviation[p]
+            white[:, column] = np.convolve(signal, numerator)[: len(signal)] / predictor.deviation[p]
             for k in range(min(p, len(signal))):
                 past = signal[:k][::-1]
                 white[k, column] = (signal[k] - predictor.coefficients[k] @ past) / predictor.deviation[k]

@@ -108,6 +108,48 @@ def simulate(
     return _run(model, driven, p, _checked_state(model, initial_state), effects)
 
 
+@dataclass(frozen=True)
+class Unfiltered:
+    """A simulation on every step of the integrator, as it is before any effect at an output.
+
+    Effects at outputs change nothing of what is behind them: one simulation serves all that are tried there.
+
+    Attributes
+    ----------
+    driven
+        The inputs it was made with.
+    outputs, states : (steps + 1, ...)
+    written
+        Rows that are finite.
+    """
+
+    driven: Drive
+    outputs: FloatArray
+    states: FloatArray
+    written: int
+
+
+def simulate_unfiltered(
+    model: Model,
+    driven: Drive,
+    *,
+    parameters: FloatArray | Mapping[str, float] | None = None,
+    condition: Condition | None = None,
+    initial_state: ArrayLike,
+    effects: "Sequence[AttachedEffect]" = (),
+) -> Unfiltered:
+    """Simulate one trial up to the effects at its outputs, which `filtered` adds; arguments as for `simulate`."""
+    p = model.vector(parameters, condition or {})
+    effects = (*model.effects, *effects)
+    return _integrated(model, driven, p, _checked_state(model, initial_state), effects, every=1)
+
+
+def filtered(model: Model, before: Unfiltered, effects: "Sequence[AttachedEffect]") -> Simulation:
+    """Return what `simulate` gives with these effects, from the simulation before those at the outputs."""
+    effects = (*model.effects, *effects)
+    return _filtered(model, before, effects, every=1)
+
+
 def prepare(model: Model, time_s: FloatArray, inputs: FloatArray, substeps: int) -> Drive:
     """Lay a trial's inputs on the integrator's steps once, to simulate it many times."""
     return drive(time_s, inputs, [one.between for one in model.inputs], substeps)
@@ -162,16 +204,31 @@ def _checked_state(model: Model, initial_state: ArrayLike) -> FloatArray:
 def _run(
     model: Model, driven: Drive, p: FloatArray, initial_state: FloatArray, effects: "Sequence[AttachedEffect]"
 ) -> Simulation:
+    effects = (*model.effects, *effects)
+    every = 1 if layout(model, effects).after else driven.substeps
+    return _filtered(
+        model, _integrated(model, driven, p, initial_state, effects, every=every), effects, every=every
+    )
+
+
+def _integrated(
+    model: Model,
+    driven: Drive,
+    p: FloatArray,
+    initial_state: FloatArray,
+    effects: "Sequence[AttachedEffect]",
+    *,
+    every: int,
+) -> Unfiltered:
     from labrun.models.integration import integrate
 
-    effects = (*model.effects, *effects)
     found = layout(model, effects)
     laws, own = found.forces, len(model.states)
     u, u_last, steps_s = driven.u, driven.u_last, driven.steps_s
-    shortest = float(steps_s.min()) if (found.before or found.after) and steps_s.size else 1.0
     if found.before:
         from labrun.models.filtering import filter_inputs
 
+        shortest = float(steps_s.min()) if steps_s.size else 1.0
         before = filters(model, effects, found.before, shortest / 2)
         # one more step, over which the last sample is held, tells what the filters make of the last sample
         u = np.concatenate([u, np.broadcast_to(u_last, (1, 3, u_last.size))])
@@ -181,7 +238,6 @@ def _run(
         )  # fmt: skip
         u, u_last = u[:-1], u[-1, 0].copy()
 
-    every = 1 if found.after else driven.substeps
     rows = steps_s.size // every + 1
     states = np.empty((rows, own + laws.states))
     outputs = np.empty((rows, len(model.outputs)))
@@ -192,18 +248,28 @@ def _run(
         found.derivative, found.output, laws.site_values, laws.coupled, laws.sites, laws.laws,
         law_values(found, effects), np.zeros(laws.scratch), state, states, outputs,
     )  # fmt: skip
-    finite = written == rows
-    if found.after and finite:
+    if written < rows:
+        states[written:], outputs[written:] = np.nan, np.nan
+    return Unfiltered(driven, outputs, states[:, :own] if laws.states else states, written)
+
+
+def _filtered(
+    model: Model, before: Unfiltered, effects: "Sequence[AttachedEffect]", *, every: int
+) -> Simulation:
+    driven, outputs, states = before.driven, before.outputs, before.states
+    chosen = layout(model, effects).after
+    finite = before.written == len(outputs)
+    if chosen and finite:
         from labrun.models.filtering import filter_outputs
 
-        after = filters(model, effects, found.after, shortest)
+        steps_s = driven.steps_s
+        after = filters(model, effects, chosen, float(steps_s.min()) if steps_s.size else 1.0)
+        outputs = outputs.copy()
         filter_outputs(
             outputs, np.empty((after.addresses.size, len(model.outputs))), steps_s,
             after.addresses, after.channels, after.offsets, after.values, after.memory_offsets, after.memory, False,
         )  # fmt: skip
         finite = bool(np.isfinite(outputs).all())
-    if not finite:
-        states[written:], outputs[written:] = np.nan, np.nan
     if every != driven.substeps:
         states, outputs = states[:: driven.substeps], outputs[:: driven.substeps]
-    return Simulation(outputs, states[:, :own] if laws.states else states, finite, driven.substeps)
+    return Simulation(outputs, states, finite, driven.substeps)

@@ -11,6 +11,7 @@ from labrun.gap.where.difference import Difference
 from labrun.gap.where.linearised import Linearised, linearised
 from labrun.gap.where.significance import redrawn
 from labrun.gap.where.wording import plain
+from labrun.gap.workers import Each, one_by_one
 
 FloatArray = NDArray[np.float64]
 
@@ -60,6 +61,7 @@ def equation_places(
     draws: int,
     quiet: bool,
     note: Callable[[str], None],
+    each: Each = one_by_one,
 ) -> list[Place]:
     """Return one place per state equation, and one per output, that a random disturbance may act on.
 
@@ -91,8 +93,11 @@ def equation_places(
     )
     rivals = _rivals(difference, system)
     gains, kept = [], []
+    everything = each(
+        lambda one: _fit(one, system, r, series), [one for _, several in rivals for one in several]
+    )
     for _, several in rivals:
-        fits = [_fit(one, system, r, series) for one in several]
+        fits, everything = everything[: len(several)], everything[len(several) :]
         best = max(range(len(fits)), key=lambda place: fits[place].gain[0])
         gains.append(np.max([fit.gain for fit in fits], axis=0))
         kept.append((several[best], fits[best].intensity))

@@ -14,6 +14,7 @@ from labrun.gap.where.phases import piece_cycles, quarter_parts, stroke_parts
 from labrun.gap.where.pooling import pieces
 from labrun.gap.where.regions import input_parts, reversal_parts, site_parts
 from labrun.gap.where.significance import CERTAIN, Finding, weigh
+from labrun.gap.workers import Each, one_by_one
 
 FloatArray = NDArray[np.float64]
 Note = Callable[[str], None]
@@ -25,6 +26,7 @@ def find_places(
     *,
     draws: int = 200,
     note: Note = lambda _: None,
+    each: Each = one_by_one,
 ) -> tuple[Place, ...]:
     """Divide the excess of the squared residual over the noise floor in every way that means something here.
 
@@ -42,6 +44,8 @@ def find_places(
         How often. The smallest p is 1 / (draws + 1).
     note
         Is told in sentences what there is to know about the shares and their p.
+    each
+        Runs what does not depend on one another; see `labrun.gap.workers`.
 
     Returns
     -------
@@ -63,7 +67,7 @@ def find_places(
 
     finding = weigh(difference, parts, densities, rng, draws)
     _say(difference, finding, note)
-    equations = _equations(difference, rng, draws, finding, note)
+    equations = _equations(difference, rng, draws, finding, note, each)
     return (*_placed(difference, parts, finding, equations),)
 
 
@@ -104,11 +108,16 @@ def _say(difference: Difference, finding: Finding, note: Note) -> None:
 
 
 def _equations(
-    difference: Difference, rng: np.random.Generator, draws: int, finding: Finding, note: Note
+    difference: Difference,
+    rng: np.random.Generator,
+    draws: int,
+    finding: Finding,
+    note: Note,
+    each: Each,
 ) -> list[Place]:
     from labrun.gap.where.equations import equation_places
 
-    return equation_places(difference, rng, draws=draws, quiet=finding.quiet, note=note)
+    return equation_places(difference, rng, draws=draws, quiet=finding.quiet, note=note, each=each)
 
 
 def _placed(
