@@ -52,6 +52,7 @@ def doctor(
     Example:  labrun doctor --hardware fin-params
     """
     with reported(as_json):
+        from labrun.report.remark_text import remark_text
         from labrun.search.examination import examine
 
         remarks = examine(experiment, Path.cwd(), overrides or (), hardware=hardware, emulate=emulate)
@@ -59,9 +60,7 @@ def doctor(
         for remark in remarks:
             found.append(remark)
             if not as_json:
-                typer.echo(f"{remark.verdict:<8} {remark.subject}: {remark.message}")
-                if remark.advice:
-                    typer.echo(f"         -> {remark.advice}")
+                typer.echo(remark_text(remark))
     if as_json:
         print_json({"findings": [remark.to_json() for remark in found]})
     if any(remark.verdict == "problem" for remark in found):

@@ -1,11 +1,12 @@
 """What `labrun doctor --hardware` looks at: the devices themselves, one after another. Nothing is moved."""
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from labrun.devices import Clock, Device, Identity, Remark, Samples, Sensor
+from labrun.devices import Clock, Device, Identity, Remark, Samples, Sensor, SerialPort
 from labrun.errors import DeviceError, LabrunError, PluginError
 from labrun.registry import installed, load
 from labrun.runner.doctor import latency
@@ -60,7 +61,7 @@ def _examine_device(name: str, device: Device, clock: Clock) -> Iterator[Remark]
             yield _rate(name, device, clock)
         examine = getattr(device, "examine", None)
         if examine is not None:
-            yield from examine()
+            yield from (_about(name, remark) for remark in examine())
 
 
 def _rate(name: str, sensor: Sensor, clock: Clock) -> Remark:
@@ -94,13 +95,12 @@ def _rate(name: str, sensor: Sensor, clock: Clock) -> Remark:
 
 
 def identity_text(identity: Identity) -> str:
-    """Return in one line what answered."""
+    """Return in a line what answered; its details are kept with each run."""
     parts = [identity.model]
     if identity.serial:
         parts.append(f"serial {identity.serial}")
     if identity.firmware:
         parts.append(f"firmware {identity.firmware}")
-    parts += [f"{key.replace('_', ' ')} {value}" for key, value in identity.details.items()]
     return ", ".join(parts)
 
 
@@ -116,27 +116,35 @@ def find_devices(ports: list[str] | None = None) -> Iterator[Remark]:
     """
     probes = _probes()
     for port in existing_ports() if ports is None else ports:
-        found = False
-        for plugin, probe in probes.items():
-            try:
-                identity = probe(port)
-            except (
-                DeviceError
-            ) as error:  # held by another program, no permission: no other plugin fares better
-                yield _problem(port, error)
-                found = True
-                break
-            if identity is not None:
-                yield Remark("ok", port, f"{plugin}: {identity_text(identity)}")
-                found = True
-                break
-        if not found:
-            yield Remark(
-                "warning",
-                port,
-                f"nothing answers as {', '.join(probes)}",
-                "check its power, its wiring and its baud rate; it may also be something else",
-            )
+        try:
+            _require_free(port)
+        except DeviceError as error:
+            yield _problem(port, error)
+        else:
+            yield _ask_at(port, probes)
+
+
+def _require_free(port: str) -> None:
+    """Raise DeviceError if the port is not there, may not be used, or is held by another program."""
+    line = SerialPort(port, port, 115_200)
+    line.open()
+    line.close()
+
+
+def _ask_at(port: str, probes: Mapping[str, Callable[[str], Identity | None]]) -> Remark:
+    for plugin, probe in probes.items():
+        try:
+            identity = probe(port)
+        except DeviceError as error:
+            return _problem(port, error)
+        if identity is not None:
+            return Remark("ok", port, f"{plugin}: {identity_text(identity)}")
+    return Remark(
+        "warning",
+        port,
+        f"nothing answers as {', '.join(probes)}",
+        "check its power, its wiring and its baud rate; it may also be something else",
+    )
 
 
 def _probes() -> Mapping[str, Callable[[str], Identity | None]]:
@@ -153,5 +161,13 @@ def _probes() -> Mapping[str, Callable[[str], Identity | None]]:
     return found
 
 
+def _about(name: str, remark: Remark) -> Remark:
+    """Return a remark whose subject names the device."""
+    if remark.subject.startswith(name):
+        return remark
+    return replace(remark, subject=f"{name}, {remark.subject}")
+
+
 def _problem(subject: str, error: LabrunError) -> Remark:
-    return Remark("problem", subject, str(error.args[0]), error.hint or "")
+    message = str(error.args[0]).removeprefix(f"device {subject}: ")
+    return Remark("problem", subject, message, error.hint or "")

@@ -7,6 +7,7 @@ from typing import Any
 
 from labrun.errors import DeviceError, LabrunError
 from labrun.runner.bench import Bench
+from labrun.runner.faults import blaming
 from labrun.runner.judging import Judging, ObjectiveError
 from labrun.runner.measurement import Condition
 from labrun.runner.motion import MotionMaker, TrialMotion
@@ -168,6 +169,11 @@ class TrialRunner:
         )
         if self._rig.scene is not None:
             self._rig.scene.arrange(request.condition)
+        for name, device in self._rig.devices.items():
+            arrange = getattr(device, "arrange", None)  # a person wants to know what to put in place
+            if arrange is not None:
+                with blaming(name):
+                    arrange(request.condition)
         self._bench.start_sensors()
         first = dict(zip(motion.trajectory.joints, motion.trajectory.angle_rad[0], strict=True))
         self._bench.move(first, self._speed_rad_s)

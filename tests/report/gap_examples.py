@@ -73,6 +73,8 @@ def missing_at_hinge(law=lambda angle, rate: -1.5e-4 * np.tanh(rate / 0.05), sha
         coordinate=tuple(rows[:, 0] for _, rows in units),
         rate=tuple(rows[:, 1] for _, rows in units),
         load=tuple(6.61e-3 * np.sin(rows[:, 0]) for _, rows in units),
+        coordinate_unit="rad",
+        load_unit="N m",
     )
 
 

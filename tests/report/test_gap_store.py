@@ -30,10 +30,13 @@ def test_a_run_keeps_its_diagnosis_in_its_own_folder(tmp_path):
     assert stored.to_json()["report"] == str(run / "gap" / "gap.html")
 
 
-def test_a_diagnosis_made_again_takes_the_place_of_the_earlier_one(tmp_path):
-    store(examples.explained(), tmp_path, tmp_path, page=False)
-    store(examples.no_gap(), tmp_path, tmp_path, page=False)
+def test_a_diagnosis_made_again_stands_first_and_the_earlier_ones_are_kept_in_order(tmp_path):
+    for made in (examples.explained(), examples.pair(), examples.no_gap()):
+        store(made, tmp_path, tmp_path, page=False)
     assert read_stored(tmp_path)["verdict"] == "no-gap"
+    kept = [json.loads((tmp_path / f"gap-{n}" / "diagnosis.json").read_text()) for n in (1, 2)]
+    assert [len(one["causes"]) for one in kept] == [1, 2]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["gap", "gap-1", "gap-2"]
 
 
 def test_a_recording_is_never_written_to(recording, tmp_path):

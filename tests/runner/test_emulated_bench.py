@@ -108,7 +108,10 @@ def test_a_log_goes_on_in_the_folder_of_the_run(tmp_path):
 
 
 def test_a_fault_for_a_device_that_is_not_there_is_refused():
-    with EmulatedBench({}, TANK, seed=3) as bench, pytest.raises(SpecError, match="no emulator of device 'tail'"):
+    with (
+        EmulatedBench({}, TANK, seed=3) as bench,
+        pytest.raises(SpecError, match="no emulator of device 'tail'"),
+    ):
         bench.inject("tail", "silence")
 
 

@@ -136,7 +136,9 @@ class EmulatedBench:
 
     def log(self, device: str) -> list[dict[str, Any]]:
         """Return what a device's emulator has witnessed so far."""
-        return [json.loads(line) for line in self._logs[device].read_text().splitlines()]
+        written = self._logs[device].read_text()
+        whole = written[: written.rfind("\n") + 1]  # the last line may be in the midst of being written
+        return [json.loads(line) for line in whole.splitlines()]
 
     def keep_logs(self, folder: Path) -> None:
         """Have the emulators' logs go on in a folder that stays: ``<device>.jsonl``."""
