@@ -7,6 +7,7 @@ import numpy as np
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, Trajectory
 from labrun.errors import LimitExceededError
+from labrun_plugins.operator.settings import OperatorSettings
 from labrun_plugins.simulated.device import SimulatedDevice
 from labrun_plugins.simulated.settings import SimulatedSettings
 
@@ -15,10 +16,8 @@ _HELD_S = 1e9
 """A body that is held stays held until something else is asked for."""
 
 
-class OperatorSettings(SimulatedSettings):
-    """`instruction`: what the person is told; {angle_deg} and {joint} are filled in."""
-
-    instruction: str = "Hold {joint} at {angle_deg} deg"
+class SimulatedOperatorSettings(OperatorSettings, SimulatedSettings):
+    """Keys of the operator, and of every simulated device."""
 
 
 class SimulatedOperator(SimulatedDevice):
@@ -29,10 +28,10 @@ class SimulatedOperator(SimulatedDevice):
     within about a quarter of a degree (standard deviation; chosen).
     """
 
-    Settings: ClassVar[type[DeviceSettings]] = OperatorSettings
+    Settings: ClassVar[type[DeviceSettings]] = SimulatedOperatorSettings
     model = "operator (simulated)"
 
-    def __init__(self, name: str, settings: OperatorSettings, context: DeviceContext) -> None:
+    def __init__(self, name: str, settings: SimulatedOperatorSettings, context: DeviceContext) -> None:
         super().__init__(name, settings, context)
         self.instruction = settings.instruction
         on_bench = () if context.scene is None else tuple(context.scene.joints)

@@ -3,49 +3,23 @@
 from typing import ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from labrun.devices import Channel, DeviceContext, DeviceSettings, FloatArray, Port
+from labrun.devices import DeviceContext, DeviceSettings, FloatArray
+from labrun_plugins.optitrack.angles import angle_about
+from labrun_plugins.optitrack.poses import channels_of
+from labrun_plugins.optitrack.settings import OptiTrackSettings
 from labrun_plugins.simulated.sensor import SimulatedSensor
 from labrun_plugins.simulated.settings import SimulatedSettings
 from labrun_plugins.simulated.stream import Timing
 
 _POSITION_SD_M = 1.0e-4
 _ORIENTATION_SD_RAD = 1.5e-3
-_POSE = (("x", "m"), ("y", "m"), ("z", "m"), ("qx", "1"), ("qy", "1"), ("qz", "1"), ("qw", "1"))
+_MARKER_RADIUS_M = 0.035
+_POSE_CHANNELS = 7
 
 
-class Angle(BaseModel):
-    """A joint angle taken from a body's orientation: its turn about `axis` (fixed in the room)."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    body: str
-    axis: tuple[float, float, float]
-
-    @model_validator(mode="after")
-    def _has_direction(self) -> "Angle":
-        if not any(self.axis):
-            raise ValueError("axis is a direction; [0, 0, 0] is none")
-        return self
-
-
-class OptiTrackSettings(SimulatedSettings):
-    """Keys of the motion capture: `host` is the Motive computer; `angles` come from the bodies' poses."""
-
-    host: Port
-    rate_hz: float = Field(default=360.0, gt=0, le=360.0)
-    bodies: tuple[str, ...] = Field(default=("arm",), min_length=1)
-    angles: dict[str, Angle] = Field(default_factory=dict)
-
-    @model_validator(mode="after")
-    def _angles_name_bodies(self) -> "OptiTrackSettings":
-        for name, angle in self.angles.items():
-            if angle.body not in self.bodies:
-                raise ValueError(
-                    f"angle {name} is of body {angle.body!r}, which is not among bodies {list(self.bodies)}"
-                )
-        return self
+class SimulatedOptiTrackSettings(OptiTrackSettings, SimulatedSettings):
+    """Keys of the motion capture, and of every simulated device."""
 
 
 class SimulatedOptiTrack(SimulatedSensor):
@@ -56,18 +30,18 @@ class SimulatedOptiTrack(SimulatedSensor):
     own time stamps; camera time is the device time.
     """
 
-    Settings: ClassVar[type[DeviceSettings]] = OptiTrackSettings
+    Settings: ClassVar[type[DeviceSettings]] = SimulatedOptiTrackSettings
     model = "OptiTrack Prime 17W, Motive (simulated)"
 
-    def __init__(self, name: str, settings: OptiTrackSettings, context: DeviceContext) -> None:
+    def __init__(self, name: str, settings: SimulatedOptiTrackSettings, context: DeviceContext) -> None:
         self.bodies = settings.bodies
-        poses = tuple(Channel(f"{body}_{part}", unit) for body in self.bodies for part, unit in _POSE)
-        self._pose_signals = tuple(channel.name for channel in poses)
+        channels = channels_of(settings.bodies, settings.angles, settings.markers)
+        self._pose_signals = tuple(c.name for c in channels[: _POSE_CHANNELS * len(self.bodies)])
+        self._markers = tuple(settings.markers.get(body, 0) for body in self.bodies)
         self._angles = [
             (self.bodies.index(angle.body), np.array(angle.axis) / np.linalg.norm(angle.axis))
             for angle in settings.angles.values()
         ]
-        channels = poses + tuple(Channel(angle, "rad") for angle in settings.angles)
         timing = Timing(
             latency_s=0.0055, jitter_s=0.0005, lost_share=5e-4,
             clock_offset_s=float(context.rng.uniform(10, 1000)), clock_drift=-1e-5,
@@ -95,8 +69,19 @@ class SimulatedOptiTrack(SimulatedSensor):
         poses[:, :, :3] += _POSITION_SD_M * self._rng.standard_normal((count, len(self.bodies), 3))
         half_turn = 0.5 * _ORIENTATION_SD_RAD * self._rng.standard_normal((count, len(self.bodies), 3))
         poses[:, :, 3:] = _turned(poses[:, :, 3:], half_turn)
-        angles = [_angle_about(poses[:, body, 3:], axis) for body, axis in self._angles]
-        return np.column_stack([poses.reshape(count, -1), *angles])
+        angles = [angle_about(poses[:, body, 3:], axis) for body, axis in self._angles]
+        places = [
+            poses[:, body, :3] + _turned_by(poses[:, body, 3:], offset)
+            for body, markers in enumerate(self._markers)
+            for offset in marker_places(markers)
+        ]
+        return np.column_stack([poses.reshape(count, -1), *angles, *places])
+
+
+def marker_places(count: int) -> FloatArray:
+    """Return where the markers of a body are, from its centre, shape (count, 3): on a circle, unevenly (chosen)."""
+    turn = 2 * np.pi * np.arange(count) ** 1.2 / max(count, 1) ** 1.2
+    return _MARKER_RADIUS_M * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(count)])
 
 
 def _turned(quaternion: FloatArray, half_turn: FloatArray) -> FloatArray:
@@ -112,7 +97,8 @@ def _turned(quaternion: FloatArray, half_turn: FloatArray) -> FloatArray:
     return np.asarray(turned / np.linalg.norm(turned, axis=-1, keepdims=True))
 
 
-def _angle_about(quaternion: FloatArray, axis: FloatArray) -> FloatArray:
-    """Return the turn about an axis (twist of the swing-twist decomposition), rad, within +-pi."""
-    angle = 2.0 * np.arctan2(quaternion[:, :3] @ axis, quaternion[:, 3])
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+def _turned_by(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return a vector turned by unit quaternions (x, y, z, w), shape (n, 3)."""
+    axis, scalar = quaternion[:, :3], quaternion[:, 3:]
+    across = 2.0 * np.cross(axis, vector)
+    return np.asarray(vector + scalar * across + np.cross(axis, across))

@@ -1,0 +1,1 @@
+"""OptiTrack motion capture (Motive) over NatNet."""
