@@ -8,6 +8,7 @@ from labrun.devices.pacing import CommandStream, Pacing
 from labrun.devices.plugin import DeviceContext, DevicePlugin, DeviceSettings, EmergencyStop, Port
 from labrun.devices.protocols import (
     Actuator,
+    Attended,
     Carriage,
     Device,
     Health,
@@ -25,6 +26,7 @@ from labrun.errors import DeviceError
 
 __all__ = [
     "Actuator",
+    "Attended",
     "Carriage",
     "Channel",
     "Clock",

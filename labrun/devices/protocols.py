@@ -80,6 +80,19 @@ class Paced(Actuator, Protocol):
 
 
 @runtime_checkable
+class Attended(Actuator, Protocol):
+    """An actuator that is a person: wants to be told what to put in place, and says when it is there."""
+
+    def arrange(self, condition: Mapping[str, float | str]) -> None:
+        """Say what the next trial's condition is; returns at once."""
+        ...
+
+    def arrived(self) -> bool:
+        """Tell whether the last move has been carried out; asked again and again while the bench is watched."""
+        ...
+
+
+@runtime_checkable
 class Sensor(Device, Protocol):
     """Streams samples."""
 

@@ -188,11 +188,11 @@ class Bench:
 
     def _arrived(self, name: str) -> bool:
         """Tell whether a move has ended: when its time is over, unless the actuator (a person) says it itself."""
-        arrived = getattr(self.rig.actuators[name], "arrived", None)
-        if arrived is None:
+        person = self.rig.attended.get(name)
+        if person is None:
             return True
         with blaming(name):
-            return bool(arrived())
+            return person.arrived()
 
     def _pose(self, name: str) -> Mapping[str, float]:
         """Return where an actuator's joints are, rad; DeviceError if it cannot say."""

@@ -169,11 +169,9 @@ class TrialRunner:
         )
         if self._rig.scene is not None:
             self._rig.scene.arrange(request.condition)
-        for name, device in self._rig.devices.items():
-            arrange = getattr(device, "arrange", None)  # a person wants to know what to put in place
-            if arrange is not None:
-                with blaming(name):
-                    arrange(request.condition)
+        for name, person in self._rig.attended.items():
+            with blaming(name):
+                person.arrange(request.condition)
         self._bench.start_sensors()
         first = dict(zip(motion.trajectory.joints, motion.trajectory.angle_rad[0], strict=True))
         self._bench.move(first, self._speed_rad_s)

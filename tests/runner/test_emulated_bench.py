@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labrun.devices import Trajectory
-from labrun.errors import ExperimentError, RequestError, SpecError
+from labrun.errors import ExperimentError, PluginError, SpecError
 from labrun.runner.clock import RealClock
 from labrun.runner.emulated.bench import EmulatedBench
 from labrun.spec.experiment import PluginTable
@@ -68,7 +68,7 @@ def test_a_device_without_an_emulator_is_left_to_its_stand_in():
 
 def test_a_device_that_has_neither_is_named():
     with (
-        pytest.raises(RequestError, match="unknown device plugin 'warp-drive'"),
+        pytest.raises(PluginError, match="unknown device plugin 'warp-drive'"),
         EmulatedBench({"tail": table("warp-drive")}, TANK, seed=3),
     ):
         pass

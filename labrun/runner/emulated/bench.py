@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from labrun.errors import DeviceError, ExperimentError, LabrunError, PluginError, RequestError, SpecError
+from labrun.errors import DeviceError, ExperimentError, LabrunError, SpecError
 from labrun.registry import is_installed
 from labrun.runner.clock import RealClock
 from labrun.runner.emulated.scene_server import READY, RemoteScene
@@ -95,15 +95,15 @@ class EmulatedBench:
 
         Raises
         ------
-        RequestError
-            A device's settings do not hold, or it has neither emulator nor stand-in.
+        PluginError, SpecError
+            A device has neither emulator nor stand-in, or its settings do not hold.
         ExperimentError
             A process did not start; its message says why.
         """
         tables = {name: table for name, table in self._devices.items() if has_emulator(table.plugin)}
         for name, table in self._devices.items():
             if name not in tables:
-                self._require_stand_in(name, table)
+                resolve(name, table, dry_run=True)  # has a stand-in, or says what is missing
         folder = self._folder = Path(tempfile.mkdtemp(prefix="labrun-"))
         served = None
         if self._scene_table is not None:
@@ -174,15 +174,6 @@ class EmulatedBench:
             if clock.now() > deadline_s:
                 raise ExperimentError(f"the emulator of {name} does not write {path}", hint="is it writable?")
             clock.sleep(_LOOK_S)
-
-    def _require_stand_in(self, name: str, table: PluginTable) -> None:
-        try:
-            resolve(name, table, dry_run=True)
-        except PluginError as error:
-            raise RequestError(
-                f"device {name}: {table.plugin!r} has neither an emulator nor a stand-in",
-                hint="a driver's emulator is an entry point of group labrun.emulators under the driver's name",
-            ) from error
 
     def _start_scene(self, served: Mapping[str, str]) -> "subprocess.Popen[bytes]":
         assert self._scene_table is not None  # noqa: S101  asked by the caller

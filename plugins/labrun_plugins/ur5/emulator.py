@@ -1,0 +1,266 @@
+"""A UR5 seen from its network ports."""
+
+import math
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from labrun.devices import DeviceError
+from labrun.devices.emulated_ports import TcpEndpoint
+from labrun.devices.emulation import EmulatorContext
+from labrun_plugins.simulated.ur5 import LOST_SHARE, SimulatedUr5Settings
+from labrun_plugins.ur5.emulated_arm import EmulatedArm
+from labrun_plugins.ur5.emulated_dashboard import BANNER, reply
+from labrun_plugins.ur5.emulated_rtde import Session, text_message
+from labrun_plugins.ur5.emulated_script import Program, ScriptError, ScriptReader, StopL, StopProgram
+
+_CB3 = (3, 15, 8, 106339)
+_E_SERIES = (5, 11, 1, 108318)
+_CLOCK_DRIFT = 5e-6
+_STATE_S = 0.1
+_BACKLOG_S = 1.0
+_STOP_BRAKE_M_S2 = 2.0
+_LONGEST_LINE = 4096
+
+
+class Ur5Emulator:
+    """RTDE (protocols 1 and 2), dashboard, and both script ports of one arm.
+
+    Faults besides those of the wire (silence, late, fragment, coalesce, duplicate, ...): ``e-series`` (an e-Series
+    controller: 500 Hz, remote control; from the start), ``protective-stop`` (stays until it is cleared and, 5 s after,
+    unlocked at the dashboard), ``emergency-stop``, ``safeguard-stop``, ``power-off``, ``speed-slider`` and
+    ``speed-scaling`` (0 ... 1), ``local-mode``, ``pendant-stop`` and ``pendant-pause`` (count), ``no-v2``,
+    ``not-found`` (names of variables), ``in-use``, ``skip`` (count of packages never sent), ``bad-size`` (count of
+    packages with an impossible size), ``restart`` (count: the controller's clock begins anew), ``reset`` (count: all
+    connections are reset).
+
+    Log: ``command`` (every move), ``stop`` (by ``stopl``, ``dashboard``, ``stop program`` or ``safety``), ``still``,
+    ``watchdog``, ``program error``, ``ignored`` (told something while under local control).
+
+    A loopback address other than 127.0.0.1 as the device's `host` is taken as it is, with the ports of the settings;
+    otherwise the ports are free ones of 127.0.0.1.
+
+    Parameters
+    ----------
+    name, settings, context
+        As of every emulator.
+    """
+
+    def __init__(self, name: str, settings: SimulatedUr5Settings, context: EmulatorContext) -> None:
+        self._name = name
+        self._settings = settings
+        self._context = context
+        self._faults = context.faults
+        self._log = context.log
+        self._arm = EmulatedArm(context, settings.origin_m, settings.direction, settings.orientation_rad)
+        self._version = _E_SERIES if context.faults.active("e-series") else _CB3
+        self._period_s = 0.002 if self._version[0] >= 5 else 0.008
+        self._offset_s = float(context.rng.uniform(10, 1000))
+        self._sessions: dict[int, Session] = {}
+        self._owned: dict[str, Session] = {}
+        self._lines: dict[int, bytes] = {}
+        self._readers: dict[tuple[str, int], ScriptReader] = {}
+        self._deaf: set[tuple[str, int]] = set()
+        self._next_s = 0.0
+        self._state_s = 0.0
+        self._cycles = 0
+        self._was_protective = False
+
+    def open(self) -> Mapping[str, Any]:
+        """Open the four services.
+
+        Raises
+        ------
+        DeviceError
+            This bench has no carriage.
+        """
+        scene, now_s = self._context.scene, self._context.clock.now()
+        if scene is not None:
+            if "position" not in scene.signals:
+                shown = ", ".join(sorted(scene.signals))
+                raise DeviceError(self._name, "this bench has no position", hint=f"it shows {shown}")
+            self._arm.place(float(scene.observe(("position",), np.array([now_s]))[0, 0]))
+        asked = self._settings.host
+        fixed = asked.startswith("127.") and asked != "127.0.0.1"
+        host = asked if fixed else "127.0.0.1"
+        settings = self._settings
+        ports = {
+            "rtde": settings.rtde_port,
+            "dashboard": settings.dashboard_port,
+            "script": settings.script_port,
+            "primary": settings.primary_port,
+        }
+        self._ends = {
+            service: TcpEndpoint(self._context, host, port if fixed else 0) for service, port in ports.items()
+        }
+        found = {f"{service}_port": end.open() for service, end in self._ends.items()}
+        self._next_s = self._state_s = now_s
+        return {"host": host, **found}
+
+    def files(self) -> Sequence[int]:
+        """Return what to wait on."""
+        return [fd for end in self._ends.values() for fd in end.fds]
+
+    def step(self, now_s: float) -> float:
+        """Take what arrived, move the arm on, send what is due."""
+        if self._faults.take("reset"):
+            self._reset()
+        if self._faults.take("restart"):
+            self._offset_s = -now_s
+        self._hear_rtde(now_s)
+        self._hear_dashboard(now_s)
+        for service in ("script", "primary"):
+            self._hear_scripts(service, now_s)
+        if now_s - self._next_s > _BACKLOG_S:
+            self._next_s = now_s  # this process was held up: those packages were never made
+        while self._next_s <= now_s:
+            self._cycle(self._next_s, now_s)
+            self._next_s += self._period_s
+        if now_s >= self._state_s:
+            self._state_s = now_s + _STATE_S
+            self._tell_state()
+        return min(self._next_s, *(end.flush(now_s) for end in self._ends.values()))
+
+    def close(self) -> None:
+        """Close all services."""
+        for end in self._ends.values():
+            end.close()
+
+    def _cycle(self, time_s: float, now_s: float) -> None:
+        self._arm.cycle(time_s, now_s)
+        self._cycles += 1
+        if self._faults.take("skip") or self._context.rng.random() < LOST_SHARE:
+            return
+        protective = self._arm.safety_mode == 3
+        values = None
+        for client, session in self._sessions.items():
+            if protective and not self._was_protective and session.protocol == 2:
+                self._ends["rtde"].send(client, text_message("Protective stop", "Safety", 2))
+            if not session.started or self._cycles % max(1, round(session.most_hz / session.rate_hz)):
+                continue
+            if values is None:
+                values = self._arm.values((time_s + self._offset_s) * (1 + _CLOCK_DRIFT))
+            package = session.data(values)
+            if self._faults.take("bad-size"):
+                package = struct.pack("!H", 1) + package[2:]
+            self._ends["rtde"].send(client, package)
+        self._was_protective = protective
+
+    def _hear_rtde(self, now_s: float) -> None:
+        end = self._ends["rtde"]
+
+        def write(name: str, value: Any) -> None:
+            self._arm.refresh(name, now_s)
+            if name == "speed_slider_fraction" and isinstance(value, float) and math.isfinite(value):
+                self._arm.set_slider(value)
+
+        for client in end.accept():
+            self._sessions[client] = Session(
+                self._faults, self._log, self._version, lambda: self._arm.values(0.0), self._owned, write
+            )
+        for client in set(self._sessions) - set(end.clients):  # dropped because it read nothing any more
+            self._sessions.pop(client).leave()
+        for client, data in end.receive():
+            session = self._sessions[client]
+            session.write = write  # of this moment
+            replies = session.feed(data) if data else None
+            if replies is None:
+                session.leave()
+                del self._sessions[client]
+                end.drop(client)
+                continue
+            for one in replies:
+                end.send(client, one)
+
+    def _hear_dashboard(self, now_s: float) -> None:
+        end = self._ends["dashboard"]
+        version = ".".join(str(part) for part in self._version)
+        for client in end.accept():
+            self._lines[client] = b""
+            end.send(client, BANNER.encode() + b"\n")
+        for client, data in end.receive():
+            if not data:
+                self._lines.pop(client, None)
+                continue
+            *lines, rest = (self._lines[client] + data).split(b"\n")
+            self._lines[client] = rest[-_LONGEST_LINE:]
+            for line in lines:
+                command = line.decode("utf-8", errors="replace").strip()
+                answer = reply(command, self._arm, self._faults, self._log, version, now_s)
+                end.send(client, answer.encode() + b"\n")
+
+    def _hear_scripts(self, service: str, now_s: float) -> None:
+        end = self._ends[service]
+        local = self._faults.active("local-mode")
+        for client in end.accept():
+            self._readers[service, client] = ScriptReader()
+            end.send(client, _version_message(self._version))
+        if local:  # connections from before the switch back stay deaf
+            self._deaf |= {(service, client) for client in end.clients}
+        for client, data in end.receive():
+            key = (service, client)
+            if not data:
+                self._readers.pop(key, None)
+                self._deaf.discard(key)
+                continue
+            if key in self._deaf:
+                self._log.note("ignored", what=data[:200].decode("utf-8", "replace"), why="local control")
+                continue
+            for heard in self._readers[key].feed(data):
+                self._obey(heard, service, now_s)
+
+    def _obey(self, heard: Program | ScriptError | StopProgram, service: str, now_s: float) -> None:
+        position_m = self._arm.position_m()
+        if isinstance(heard, StopProgram):
+            if service != "primary":
+                self._complain(1, 1, "syntax error")
+                return
+            self._log.note("stop", how="stop program", position_m=position_m)
+            self._arm.stop_program(_STOP_BRAKE_M_S2, now_s)
+        elif isinstance(heard, ScriptError):
+            self._complain(heard.line, heard.column, heard.text)
+        else:
+            if any(isinstance(one, StopL) for one in heard.statements):
+                self._log.note("stop", how="stopl", position_m=position_m)
+            wrong = self._arm.execute(heard, now_s)
+            if wrong:
+                self._complain(1, 1, wrong)
+
+    def _complain(self, line: int, column: int, text: str) -> None:
+        self._log.note("program error", line=line, column=column, text=text)
+        body = struct.pack("!ii", line, column) + text.encode()
+        self._tell("primary", _message(10, body))
+
+    def _tell(self, service: str, package: bytes) -> None:
+        for client in self._ends[service].clients:
+            self._ends[service].send(client, package)
+
+    def _tell_state(self) -> None:
+        """Send the state at 10 Hz: of its contents only the outermost frame, which is what clients skip by."""
+        for service in ("script", "primary"):
+            self._tell(service, struct.pack("!IB", 5, 16))
+
+    def _reset(self) -> None:
+        for end in self._ends.values():
+            for client in end.clients:
+                end.drop(client, reset=True)
+        for session in self._sessions.values():
+            session.leave()
+        self._sessions.clear()
+        self._lines.clear()
+        self._readers.clear()
+        self._deaf.clear()
+        self._log.note("reset")
+
+
+def _message(kind: int, body: bytes) -> bytes:
+    """Return a message of the primary port."""
+    return struct.pack("!IBQbB", 15 + len(body), 20, 0, -1, kind) + body
+
+
+def _version_message(version: tuple[int, int, int, int]) -> bytes:
+    name = b"URControl"
+    major, minor, bugfix, build = version
+    return _message(3, bytes([len(name)]) + name + struct.pack("!BBii", major, minor, bugfix, build))

@@ -1,0 +1,226 @@
+"""RTDE client: agrees with the controller on what to stream, and hears it."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from labrun.devices import Clock, DeviceError
+from labrun_plugins.ur5 import packages as wire
+from labrun_plugins.ur5.connection import REOPEN_HINT, Connection
+from labrun_plugins.ur5.packages import Package, PackageStream, Text
+from labrun_plugins.ur5.recipe import IN_USE, NOT_FOUND, Recipe
+from labrun_plugins.ur5.settings import Ur5Settings
+from labrun_plugins.ur5.state import OPTIONAL, REQUIRED
+
+CB3_HZ, E_SERIES_HZ = 125.0, 500.0
+_ANSWER_S = 2.0
+_CB3 = 3
+_TEXTS = 20
+
+
+class RtdeClient:
+    """One connection to the RTDE port.
+
+    Parameters
+    ----------
+    device, settings
+        Name and table in the experiment file.
+    clock
+        Host time.
+
+    Attributes
+    ----------
+    protocol
+        2, or 1 where the controller refuses that.
+    version
+        Of the controller: major, minor, bugfix, build.
+    rate_hz
+        Of the stream.
+    missing
+        Optional variables the controller does not have.
+    texts
+        The last messages of the controller.
+    """
+
+    def __init__(self, device: str, settings: Ur5Settings, clock: Clock) -> None:
+        self._device = device
+        self._settings = settings
+        self._clock = clock
+        self._connection = Connection(
+            device, "RTDE service", settings.host, settings.rtde_port, settings.interface
+        )
+        self._stream = PackageStream()
+        self._waiting: list[Package] = []
+        self._outputs = Recipe(None, (), ())
+        self._inputs: Recipe | None = None
+        self._beats = 0
+        self.register = f"input_int_register_{settings.watchdog_register}"
+        self.protocol = 2
+        self.version = (0, 0, 0, 0)
+        self.rate_hz = CB3_HZ
+        self.missing: tuple[str, ...] = ()
+        self.texts: list[Text] = []
+
+    def open(self) -> None:
+        """Connect, agree, and start the stream.
+
+        Raises
+        ------
+        DeviceError
+            Not reached, no or a wrong answer, a variable that the controller lacks, or a register that is taken.
+        """
+        self._connection.open()
+        self._stream = PackageStream()
+        self._waiting = []
+        self.texts = []
+        try:
+            self._agree()
+        except DeviceError:
+            self._connection.close()
+            raise
+
+    def receive(self) -> tuple[list[Mapping[str, Any]], float]:
+        """Return the data packages that have arrived, waiting briefly for the first, and the host's time of receipt.
+
+        Raises
+        ------
+        DeviceError
+            The connection is lost, or what arrives is no data of this stream.
+        """
+        data = self._connection.read() if not self._waiting else b""
+        host_s = self._clock.now()
+        found: list[Mapping[str, Any]] = []
+        for package in [*self._take_waiting(), *self._cut(data)]:
+            if package.kind == wire.DATA:
+                values = self._outputs.decode(package.payload)
+                if values is None:
+                    raise self._lost_its_way(
+                        f"a data package of {len(package.payload)} bytes where recipe {self._outputs.number} has "
+                        f"{self._outputs.size}"
+                    )
+                found.append(values)
+            elif package.kind == wire.TEXT:
+                self._note(package.payload)
+        return found, host_s
+
+    def beat(self) -> None:
+        """Refresh the watchdog's register; DeviceError if the connection is lost."""
+        if self._inputs is None:
+            return
+        self._beats = (self._beats + 1) % 1_000_000
+        self._connection.write(wire.encode(wire.DATA, self._inputs.encode({self.register: self._beats})))
+
+    def close(self) -> None:
+        """Disconnect; harmless when not connected."""
+        self._connection.close()
+        self._inputs = None
+
+    def _agree(self) -> None:
+        self.protocol = 2
+        if not wire.accepted(self._ask(wire.protocol_request(2), wire.VERSION_REQUEST)):
+            self.protocol = 1
+            if not wire.accepted(self._ask(wire.protocol_request(1), wire.VERSION_REQUEST)):
+                raise DeviceError(
+                    self._device, "refuses versions 2 and 1 of RTDE", hint="update the controller's PolyScope"
+                )
+        version = wire.controller_version(
+            self._ask(wire.encode(wire.CONTROLLER_VERSION), wire.CONTROLLER_VERSION)
+        )
+        if version is None:
+            raise self._lost_its_way("an answer without the controller's version")
+        self.version = version
+        most_hz = CB3_HZ if version[0] <= _CB3 else E_SERIES_HZ
+        self.rate_hz = most_hz
+        if self.protocol == 2 and self._settings.rate_hz is not None:
+            self.rate_hz = min(most_hz, self._settings.rate_hz)
+        self._agree_on_outputs()
+        self._agree_on_inputs()
+        if not wire.accepted(self._ask(wire.encode(wire.START), wire.START)):
+            raise DeviceError(self._device, "refuses to start its RTDE stream", hint="restart the controller")
+
+    def _agree_on_outputs(self) -> None:
+        names: tuple[str, ...] = REQUIRED + OPTIONAL
+        number, types = self._request_outputs(names)
+        lacking = [name for name, kind in zip(names, types, strict=False) if kind == NOT_FOUND]
+        needed = [name for name in lacking if name in REQUIRED]
+        if needed:
+            raise DeviceError(
+                self._device,
+                f"its controller ({self.version_text}) does not know {', '.join(needed)}",
+                hint="update PolyScope: 3.10 or newer on CB3, 5.4 or newer on e-Series",
+            )
+        if lacking:
+            names = tuple(name for name in names if name not in lacking)
+            number, types = self._request_outputs(names)
+        self.missing = tuple(lacking)
+        self._outputs = self._recipe(number if self.protocol == 2 else None, names, types)
+
+    def _request_outputs(self, names: tuple[str, ...]) -> tuple[int, tuple[str, ...]]:
+        rate = self.rate_hz if self.protocol == 2 else None
+        reply = self._ask(wire.outputs_request(names, rate), wire.OUTPUTS)
+        return wire.types_of(reply, with_recipe=self.protocol == 2)
+
+    def _agree_on_inputs(self) -> None:
+        names = (self.register,)
+        number, types = wire.types_of(self._ask(wire.inputs_request(names), wire.INPUTS), with_recipe=True)
+        if IN_USE in types:
+            raise DeviceError(
+                self._device,
+                f"another program owns {self.register}, which labrun's watchdog needs",
+                hint="end that program (another labrun, ur_rtde, a ROS driver, a fieldbus), or set watchdog_register "
+                "to another number from 24 to 47",
+            )
+        if NOT_FOUND in types:
+            raise DeviceError(
+                self._device,
+                f"its controller has no {self.register}",
+                hint="set watchdog_register to a number from 0 to 23, which older software has too",
+            )
+        self._inputs = self._recipe(number, names, types)
+
+    def _recipe(self, number: int | None, names: tuple[str, ...], types: tuple[str, ...]) -> Recipe:
+        if number == 0:
+            raise self._lost_its_way(f"a refusal of {', '.join(names)}: {', '.join(types)}")
+        try:
+            return Recipe(number, names, types)
+        except ValueError as error:
+            raise self._lost_its_way(str(error)) from None
+
+    def _ask(self, request: bytes, kind: int) -> bytes:
+        """Send a request, and return the payload of its reply; what else arrives meanwhile is kept or noted."""
+        self._connection.write(request)
+        deadline_s = self._clock.now() + _ANSWER_S
+        while self._clock.now() < deadline_s:
+            arrived = self._take_waiting() + self._cut(self._connection.read())
+            for number, package in enumerate(arrived):
+                if package.kind == kind:
+                    self._waiting = arrived[number + 1 :]
+                    return package.payload
+                if package.kind == wire.TEXT:
+                    self._note(package.payload)
+        raise DeviceError(
+            self._device,
+            f"does not answer at its RTDE service (request {chr(kind)!r}, {_ANSWER_S:g} s)",
+            hint="is this address a UR controller, and is it past booting? Look at the pendant",
+        )
+
+    def _cut(self, data: bytes) -> list[Package]:
+        arrived = self._stream.feed(data)
+        if self._stream.broken and not arrived:
+            raise self._lost_its_way(self._stream.broken)
+        return arrived
+
+    def _take_waiting(self) -> list[Package]:
+        waiting, self._waiting = self._waiting, []
+        return waiting
+
+    def _note(self, payload: bytes) -> None:
+        if self.protocol == 2 and (text := wire.text_of(payload)) is not None:
+            self.texts = [*self.texts[-_TEXTS:], text]
+
+    def _lost_its_way(self, what: str) -> DeviceError:
+        return DeviceError(self._device, f"its RTDE service sent {what}", hint=REOPEN_HINT)
+
+    @property
+    def version_text(self) -> str:
+        """Version of the controller, as on its pendant."""
+        return ".".join(str(part) for part in self.version)
