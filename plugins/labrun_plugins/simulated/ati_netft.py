@@ -1,28 +1,20 @@
 """Stand-in for an ATI Mini40 force/torque sensor on a Net F/T box."""
 
-from typing import ClassVar, Literal
+from typing import ClassVar
 
-from pydantic import Field
-
-from labrun.devices import DeviceContext, DeviceSettings, Port
+from labrun.devices import DeviceContext, DeviceSettings
+from labrun_plugins.ati_netft.settings import BOX_RATE_HZ, RANGES, AtiNetFtSettings
 from labrun_plugins.simulated.force_torque import SimulatedForceTorque, SixAxes
 from labrun_plugins.simulated.settings import SimulatedSettings
 from labrun_plugins.simulated.stream import Timing
 
-_BOX_RATE_HZ = 7000.0
-_RANGE = {"SI-20-1": (20.0, 60.0, 1.0), "SI-40-2": (40.0, 120.0, 2.0), "SI-80-4": (80.0, 240.0, 4.0)}
-"""Sensing range by calibration: force x and y (N), force z (N), torque (N m)."""
 _FORCE_STEPS = 4000.0
 _TORQUE_STEPS = 8000.0
 """Steps from zero to full scale: 1/200 N and 1/8000 N m for SI-20-1, as in the sensor's catalogue."""
 
 
-class AtiNetFtSettings(SimulatedSettings):
-    """Keys of the Net F/T box: `host` is its address; the box decimates from 7000 to `rate_hz` itself."""
-
-    host: Port
-    rate_hz: float = Field(default=500.0, gt=0, le=_BOX_RATE_HZ)
-    calibration: Literal["SI-20-1", "SI-40-2", "SI-80-4"] = "SI-20-1"
+class SimulatedAtiNetFtSettings(AtiNetFtSettings, SimulatedSettings):
+    """Keys of the Net F/T box, and what its stand-in may be told besides."""
 
 
 class SimulatedAtiNetFt(SimulatedForceTorque):
@@ -33,11 +25,11 @@ class SimulatedAtiNetFt(SimulatedForceTorque):
     alone).
     """
 
-    Settings: ClassVar[type[DeviceSettings]] = AtiNetFtSettings
+    Settings: ClassVar[type[DeviceSettings]] = SimulatedAtiNetFtSettings
     model = "ATI Mini40, Net F/T (simulated)"
 
-    def __init__(self, name: str, settings: AtiNetFtSettings, context: DeviceContext) -> None:
-        force, axial, torque = _RANGE[settings.calibration]
+    def __init__(self, name: str, settings: SimulatedAtiNetFtSettings, context: DeviceContext) -> None:
+        force, axial, torque = RANGES[settings.calibration]
         full_scale = (force, force, axial, torque, torque, torque)
         resolution = (
             force / _FORCE_STEPS, force / _FORCE_STEPS, 2 * force / _FORCE_STEPS,
@@ -56,6 +48,6 @@ class SimulatedAtiNetFt(SimulatedForceTorque):
         )  # fmt: skip
         super().__init__(
             name, settings, context,
-            axes=axes, rate_hz=_BOX_RATE_HZ / max(1, round(_BOX_RATE_HZ / settings.rate_hz)), timing=timing,
+            axes=axes, rate_hz=BOX_RATE_HZ / max(1, round(BOX_RATE_HZ / settings.rate_hz)), timing=timing,
             counts_frames=True, has_clock=True,
         )  # fmt: skip

@@ -1,0 +1,1 @@
+"""ATI force/torque sensors on a Net F/T box, over the network."""

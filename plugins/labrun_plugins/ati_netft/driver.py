@@ -1,0 +1,239 @@
+"""An ATI force/torque sensor on a Net F/T box: RDT over UDP.
+
+The default client is this package's own. The library pynetft (2.1.3 was looked at) streams 7000 samples a second
+without loss, stamps them by the monotonic clock, and is there as ``client = "pynetft"``. It is not the default because
+it throws away records that were overtaken on the way although they arrived, delivers nothing any more after the box
+has begun its numbering anew, cannot be bound to an interface, takes no buffered datagrams, and makes a Python object of
+every sample, which costs the interpreter several times as much as a block of them in one array.
+"""
+
+from contextlib import suppress
+from typing import ClassVar
+
+from labrun.devices import (
+    DeviceContext,
+    DeviceError,
+    DeviceSettings,
+    Health,
+    Identity,
+    Listener,
+    Remark,
+    SampleBuffer,
+    Samples,
+)  # fmt: skip
+from labrun_plugins.ati_netft import examination, network, status
+from labrun_plugins.ati_netft.box_info import BoxInfo, box_rate
+from labrun_plugins.ati_netft.reception import CHANNELS, Reception
+from labrun_plugins.ati_netft.settings import AtiNetFtSettings
+from labrun_plugins.ati_netft.single import ask_status
+from labrun_plugins.ati_netft.source import BoxSource, Source
+
+_NEAR_END = 0.9
+
+
+class AtiNetFt:
+    """Six axes, N and N m, at up to 7000 samples/s.
+
+    Units and counts per unit are read from the box at `open`. The device time is the box's own count of its samples,
+    divided by 7000 Hz. Nothing is zeroed here: the box's bias command is never sent (on a running stream it would spoil
+    the numbering, and the raw data with it); the runner's tare is stored beside the raw data.
+    """
+
+    Settings: ClassVar[type[DeviceSettings]] = AtiNetFtSettings
+
+    def __init__(self, name: str, settings: AtiNetFtSettings, context: DeviceContext) -> None:
+        self.name = name
+        self.channels = CHANNELS
+        self.rate_hz = box_rate(settings.rate_hz)
+        self.settings = settings
+        self.clock = context.clock
+        self.own = ""
+        self._info: BoxInfo | None = None
+        self._decimation = 1
+        self._buffer = SampleBuffer(len(CHANNELS))
+        self._source: Source | None = None
+        self._reception: Reception | None = None
+        self._listener: Listener | None = None
+
+    @property
+    def info(self) -> BoxInfo:
+        """What the box said about itself at `open`; DeviceError before."""
+        if self._info is None:
+            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
+        return self._info
+
+    @property
+    def reception(self) -> Reception | None:
+        """The stream that runs; None if none does."""
+        return self._reception
+
+    def open(self) -> None:
+        """Connect: read the box's units and rate, set the rate if the file says so, and ask for one sample.
+
+        Raises
+        ------
+        DeviceError
+            No way to it, no answer, an answer that makes no sense, a rate below the one wanted, or an error it reports.
+        """
+        self.close()
+        own = network.own_address(self.name, self.settings)
+        asking = network.set_rate if self.settings.set_rate else network.ask_info
+        info = asking(self.name, self.settings, own)
+        wanted_hz = box_rate(self.settings.rate_hz)
+        if info.rate_hz < 0.999 * wanted_hz:
+            raise DeviceError(
+                self.name,
+                f"the box sends {info.rate_hz:g} samples/s, and rate_hz = {self.settings.rate_hz:g} is wanted",
+                hint="set_rate = true has labrun set the box's rate; or give a lower rate_hz",
+            )
+        self._require_well(ask_status(self.name, self.settings, self.clock, own))
+        self._decimation = max(1, round(info.rate_hz / wanted_hz))
+        self.own, self._info = own, info
+        self.rate_hz = info.rate_hz / self._decimation
+
+    def identify(self) -> Identity:
+        """Return what it said at `open`, and how its samples are made into numbers."""
+        info = self.info
+        return Identity(
+            model=info.product,
+            serial=info.serial,
+            details={
+                "calibration": self.settings.calibration,
+                "counts_per_force_unit": f"{info.counts_per_force:g}",
+                "counts_per_torque_unit": f"{info.counts_per_torque:g}",
+                "force_unit": info.force_unit,
+                "torque_unit": info.torque_unit,
+                "box_rate_hz": f"{info.rate_hz:g}",
+                "rate_hz": f"{self.rate_hz:g}",
+                "decimation": f"one record in {self._decimation} is kept, all are checked"
+                if self._decimation > 1
+                else "none",
+                "mode": self.settings.mode,
+                "client": self.settings.client,
+                "own_address": self.own,
+                "run_status": info.run_status,
+                "software_bias": "not sent by labrun",
+            },
+        )
+
+    def health(self) -> Health:
+        """Report on the stream; if there is none, ask for one sample, to see that the box answers and is well.
+
+        Raises
+        ------
+        DeviceError
+            The stream is lost, or it does not answer.
+        """
+        if self._info is None:
+            return Health(ok=False, notes=("not connected",))
+        reception, source = self._reception, self._source
+        if reception is None or source is None:
+            word = ask_status(self.name, self.settings, self.clock, self.own)
+            self._require_well(word)
+            return Health(notes=(status.words(word),))
+        self._check()
+        counts = reception.sequencer.counts
+        notes = [
+            f"{counts.received} records at {reception.rate_hz():.5g} Hz, {counts.lost} lost "
+            f"({source.dropped()} of them in this computer), {counts.repeated} repeated, {counts.overtaken} overtaken, "
+            f"{source.malformed} malformed, {counts.restarts} restarts of the stream",
+            status.words(reception.last_status),
+        ]
+        if reception.saturated:
+            notes.append(f"{reception.saturated} records saturated")
+        if reception.conditions:
+            notes.append("a monitor condition tripped: clear it on the box's web page")
+        peak, reception.peak = reception.peak, reception.peak * 0.0
+        notes += [
+            f"{channel.name} has reached {100 * share:.0f} % of the range of {self.settings.calibration}"
+            for channel, share in zip(CHANNELS, peak, strict=True)
+            if share > _NEAR_END
+        ]
+        return Health(notes=tuple(notes))
+
+    def start(self) -> None:
+        """Begin to stream; samples from before are dropped.
+
+        Raises
+        ------
+        DeviceError
+            Not open, or the box cannot be reached.
+        """
+        info = self.info
+        self.stop()
+        self._buffer.clear()
+        source = self._new_source()
+        reception = Reception(
+            self.name, self.clock, self.settings, source, info, self._decimation, self._buffer
+        )
+        try:
+            source.start()
+        except BaseException:
+            source.close()
+            raise
+        self._source, self._reception = source, reception
+        self._listener = Listener(self.name, reception.receive)
+        self._listener.start()
+
+    def read(self) -> Samples:
+        """Return all samples since the last call; does not wait.
+
+        Raises
+        ------
+        DeviceError
+            Not started; or, once everything that came has been handed over, the stream is lost or the box not well.
+        """
+        if self._listener is None:
+            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
+        ended = not self._listener.running
+        block = self._buffer.take()
+        if ended and not len(block):
+            self._listener.check()
+        return block
+
+    def stop(self) -> None:
+        """End the stream; harmless if there is none."""
+        source, listener, reception = self._source, self._listener, self._reception
+        self._source = self._listener = self._reception = None
+        if source is None or listener is None or reception is None:
+            return
+        source.halt()
+        listener.stop()
+        with suppress(DeviceError):  # the stream is over: what its last records say no longer matters
+            reception.settle()
+        source.close()
+
+    def safe_stop(self) -> None:
+        """Ask for the end of the stream: nothing of a sensor moves. Any thread, any number of times; never raises."""
+        source, reception = self._source, self._reception
+        if source is not None and reception is not None:
+            reception.halted = True
+            source.halt()
+
+    def close(self) -> None:
+        """End the stream and disconnect; harmless when not connected."""
+        self.stop()
+        self._info = None
+
+    def examine(self) -> list[Remark]:
+        """Say what there is to say about the set-up; listens to the stream for a second if it is not running."""
+        return examination.examine(self)
+
+    def _check(self) -> None:
+        if self._listener is not None:
+            self._listener.check()
+
+    def _new_source(self) -> Source:
+        if self.settings.client == "pynetft":
+            from labrun_plugins.ati_netft.pynetft_source import PynetftSource
+
+            return PynetftSource(self.name, self.clock, self.settings, self.info)
+        return BoxSource(self.name, self.clock, self.settings, self.own)
+
+    def _require_well(self, word: int) -> None:
+        if status.is_serious_word(word):
+            raise DeviceError(
+                self.name,
+                f"reports an error: {status.words(word)}",
+                hint="see the status on its web page; switch it off and on if it stays, and check the sensor's cable",
+            )
