@@ -20,6 +20,7 @@ def test_list_shows_the_shipped_experiments_by_kind(tmp_path):
     found = json.loads(_labrun("list", "--json", cwd=tmp_path).stdout)["experiments"]
     kinds = {item["name"]: item["kind"] for item in found}
     assert kinds == {
+        "beam-bending": "run",
         "fin-modulation": "run",
         "fin-params": "sweep",
         "fin-step": "run",

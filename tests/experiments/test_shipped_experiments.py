@@ -30,6 +30,7 @@ NAMES = (
     "stabilise",
     "force-control",
     "tail-sweep",
+    "beam-bending",
 )
 
 
