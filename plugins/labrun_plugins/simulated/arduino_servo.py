@@ -1,18 +1,17 @@
 """Stand-in for RC servos on an Arduino."""
 
-from typing import ClassVar, Literal
+from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt
 
-from labrun.devices import DeviceContext, DeviceError, DeviceSettings, Port, Trajectory
+from labrun.devices import DeviceContext, DeviceError, DeviceSettings, Trajectory
+from labrun_plugins.arduino_servo.settings import ArduinoServoSettings, Joint
 from labrun_plugins.simulated.joints import SimulatedJoints, joints_or_own_name
 from labrun_plugins.simulated.settings import SimulatedSettings
 from labrun_plugins.simulated.shaft import Shaft
 
 _US_PER_DEG = 10.0
-_PULSE_US = (500.0, 2500.0)
-_NEUTRAL_US = 1500.0
 _SHAFT = Shaft(
     frame_s=0.02,
     step_rad=float(np.radians(1.0 / _US_PER_DEG)),
@@ -21,23 +20,11 @@ _SHAFT = Shaft(
     natural_hz=6.0,
     damping=0.8,
 )
+_SPEED_OVER_S = 1e-3
 
 
-class Joint(BaseModel):
-    """One servo: Arduino pin, sense of rotation, and the servo angle at which the joint stands at zero."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    pin: NonNegativeInt | None = None
-    sign: Literal[-1, 1] = 1
-    neutral_deg: float = Field(default=0.0, ge=-90.0, le=90.0)
-
-
-class ArduinoServoSettings(SimulatedSettings):
-    """Keys of the Arduino servo: `joints` may be left out when there is one servo."""
-
-    port: Port
-    joints: dict[str, Joint] | None = Field(default=None, min_length=1)
+class SimulatedArduinoServoSettings(ArduinoServoSettings, SimulatedSettings):
+    """Keys of the Arduino servo, and of every simulated device."""
 
 
 class SimulatedArduinoServo(SimulatedJoints):
@@ -48,25 +35,71 @@ class SimulatedArduinoServo(SimulatedJoints):
     loop of 6 Hz with damping ratio 0.8, as of a waterproof RC servo with a fin in water on its horn.
     """
 
-    Settings: ClassVar[type[DeviceSettings]] = ArduinoServoSettings
+    Settings: ClassVar[type[DeviceSettings]] = SimulatedArduinoServoSettings
     model = "RC servo on Arduino (simulated)"
 
-    def __init__(self, name: str, settings: ArduinoServoSettings, context: DeviceContext) -> None:
+    def __init__(self, name: str, settings: SimulatedArduinoServoSettings, context: DeviceContext) -> None:
         tables = settings.joints or dict.fromkeys(joints_or_own_name(name, context), Joint())
         super().__init__(
             name, settings, context, {joint: int(table.sign) for joint, table in tables.items()}, _SHAFT
         )
-        self._neutral_deg = {joint: table.neutral_deg for joint, table in tables.items()}
+        self._tables = dict(tables)
 
     def _check(self, trajectory: Trajectory) -> None:
         super()._check(trajectory)
         for joint in self.joints:
-            servo_deg = self._signs[joint] * np.degrees(trajectory.only((joint,)).angle_rad)
-            pulse_us = _NEUTRAL_US + _US_PER_DEG * (servo_deg + self._neutral_deg[joint])
-            if pulse_us.min() < _PULSE_US[0] or pulse_us.max() > _PULSE_US[1]:
+            table = self._tables[joint]
+            pulse_us = table.exact_pulse_us(np.degrees(trajectory.only((joint,)).angle_rad))
+            low_us, high_us = table.pulse_us
+            if pulse_us.min() < low_us or pulse_us.max() > high_us:
                 raise DeviceError(
                     self.name,
                     f"pulses of {pulse_us.min():.0f} to {pulse_us.max():.0f} us for {joint} leave "
-                    f"{_PULSE_US[0]:.0f} to {_PULSE_US[1]:.0f} us; nothing was sent",
+                    f"{low_us} to {high_us} us; nothing was sent",
                     hint="set limits.angle_deg, so that the plan is refused before anything moves",
                 )
+
+
+class PulsedShaft:
+    """One servo's shaft, told pulse by pulse: the same shaft as the stand-in's, for an emulator.
+
+    Parameters
+    ----------
+    joint
+        The bench's joint it turns.
+    """
+
+    def __init__(self, joint: str) -> None:
+        self.joint = joint
+        # The dead band is minded here, against the pulse that is being followed.
+        self._shaft = replace(_SHAFT, dead_band_rad=0.0)
+        self._goal_rad: float | None = None
+        self._start_s = 0.0
+        self._motion: Trajectory | None = None
+
+    def command(self, angle_rad: float, now_s: float) -> Trajectory | None:
+        """Take a new command; return the shaft's motion from now on, None if the command is within the dead band."""
+        if self._goal_rad is not None and abs(angle_rad - self._goal_rad) <= _SHAFT.dead_band_rad * (
+            1 + 1e-9
+        ):
+            return None
+        here, speed = self._state(now_s)
+        self._goal_rad = angle_rad
+        command = Trajectory((self.joint,), np.zeros(1), np.array([[angle_rad]]))
+        self._motion, self._start_s = self._shaft.motion(self.joint, command, here, speed), now_s
+        return self._motion
+
+    def hold(self, now_s: float) -> Trajectory:
+        """Stay where it is, as a servo without pulses does on a bench that does not push; return that motion."""
+        here, _ = self._state(now_s)
+        self._goal_rad = None
+        self._motion = Trajectory((self.joint,), np.zeros(1), np.array([[here]]))
+        self._start_s = now_s
+        return self._motion
+
+    def _state(self, now_s: float) -> tuple[float, float]:
+        """Return angle (rad) and speed (rad/s)."""
+        if self._motion is None:
+            return 0.0, 0.0
+        before, here = self._motion.at([now_s - self._start_s - _SPEED_OVER_S, now_s - self._start_s])[:, 0]
+        return float(here), float(here - before) / _SPEED_OVER_S

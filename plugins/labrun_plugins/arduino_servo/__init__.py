@@ -1,0 +1,1 @@
+"""RC servos on an Arduino that runs the firmware `labservo`."""

@@ -1,0 +1,133 @@
+"""RC servos on an Arduino: joints whose set-points go out at 50 Hz."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from labrun.devices import (
+    DeviceContext,
+    DeviceSettings,
+    FloatArray,
+    Health,
+    Identity,
+    Pacing,
+    Remark,
+    Trajectory,
+)
+from labrun_plugins.arduino_servo.examination import examine
+from labrun_plugins.arduino_servo.pulses import Pulses
+from labrun_plugins.arduino_servo.servo_board import ServoBoard
+from labrun_plugins.arduino_servo.settings import KIND, ArduinoServoSettings, Joint, channels_of
+from labrun_plugins.labline.handshake import probe, stop_from_scratch
+
+
+class ArduinoServo:
+    """RC servos behind the firmware `labservo`.
+
+    A servo does not say where it is: `pose` is where the pulses sent last ask it to be. A channel gives no pulses
+    before the first motion; with its first pulse a servo jumps to the beginning of that motion.
+
+    Parameters
+    ----------
+    name, settings, context
+        As for every device.
+    """
+
+    Settings: ClassVar[type[DeviceSettings]] = ArduinoServoSettings
+
+    def __init__(self, name: str, settings: ArduinoServoSettings, context: DeviceContext) -> None:
+        self._tables = dict(settings.joints or {name: Joint()})
+        self.name = name
+        self.joints = tuple(self._tables)
+        self._settings = settings
+        pulses = Pulses(name, self._tables, channels_of(self._tables, settings.pins), settings.limits)
+        self._pulses = pulses
+        self._board = ServoBoard(
+            name,
+            settings,
+            context.clock,
+            kind=KIND,
+            windows_us=pulses.by_channel(pulses.windows_us),
+            rest_us=pulses.by_channel(pulses.rest_us()),
+            pulses_of=lambda angle_rad: pulses.by_channel(pulses.of(angle_rad)),
+        )
+
+    def open(self) -> None:
+        """Connect; no servo gets a pulse yet.
+
+        Raises
+        ------
+        DeviceError
+            No port, no answer, other firmware, or fewer channels than joints need.
+        """
+        self._board.open()
+
+    def identify(self) -> Identity:
+        """Say what answered, and what stands between angle and pulse."""
+        hello = self._board.hello
+        details = {
+            "kind": hello.kind,
+            "channels": str(hello.channels),
+            "max_rate_hz": f"{hello.max_rate_hz:g}",
+            "watchdog_ms": str(self._settings.watchdog_ms),
+            "feedback": "none: angles are commanded ones",
+        }
+        for joint, table in self._tables.items():
+            low_us, high_us = self._pulses.windows_us[joint]
+            details[f"joint {joint}"] = (
+                f"pin {self._settings.pins[self._pulses.channels[joint]]}, "
+                f"pulse = 1500 us + {table.us_per_deg:g} us/deg * ({table.sign:+d} * angle + "
+                f"{table.neutral_deg:g} deg), {low_us} ... {high_us} us"
+            )
+        return Identity("RC servos on Arduino", firmware=f"{hello.kind} {hello.firmware}", details=details)
+
+    def health(self) -> Health:
+        """Ask the board for its state; notes lines that were damaged or stayed unanswered."""
+        return self._board.health()
+
+    def pose(self) -> Mapping[str, float]:
+        """Return the angles that the pulses sent last ask for, rad: an RC servo does not say where it is."""
+        return self._pulses.angles_rad(self._board.sent_us())
+
+    def follow(self, trajectory: Trajectory, start_s: float) -> None:
+        """Start following at the clock's `start_s`, then hold the last point.
+
+        Raises
+        ------
+        LimitExceededError
+            The trajectory leaves a limit: nothing of it is sent.
+        DeviceError
+            Wrong joints, no answer, or the watchdog expired.
+        """
+        token = self._board.motion_token()
+        self._pulses.check(trajectory)
+        self._board.follow(trajectory, start_s, token)
+
+    def pacing(self) -> Pacing:
+        """Return how evenly set-points went out since the last `follow`."""
+        return self._board.timing
+
+    def commanded_pulses(self) -> tuple[FloatArray, FloatArray]:
+        """Return what was sent since the last `follow`: host times (n,), s, and pulse widths (n, joints), us."""
+        return self._board.set_points()
+
+    def safe_stop(self) -> None:
+        """Have the board stop where it is, asking once more if it does not answer; no set-point follows."""
+        self._board.safe_stop()
+
+    def close(self) -> None:
+        """Stop, turn the watchdog off so that it has nothing to tell, and disconnect. The servos go on holding."""
+        self._board.close()
+
+    def examine(self) -> list[Remark]:
+        """Look at firmware, channels, rate and watchdog, for `labrun doctor --hardware`."""
+        return examine(self.name, self._board, self._settings)
+
+    @classmethod
+    def emergency_stop(cls, name: str, settings: Any) -> None:
+        """Connect from scratch and stop; raises DeviceError if the board does not answer."""
+        stop_from_scratch(name, settings.port)
+
+    @classmethod
+    def probe(cls, port: str) -> Identity | None:
+        """Tell whether a board with this firmware is at a port; takes up to 3.5 s, as boards restart when opened."""
+        return probe(port, KIND)

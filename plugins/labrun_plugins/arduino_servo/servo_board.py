@@ -1,0 +1,268 @@
+"""The driver's end of a board with `labservo`: set-points at a steady rate, the watchdog armed while anything moves."""
+
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from labrun.devices import Clock, CommandStream, DeviceError, FloatArray, Health, Pacing, Trajectory
+from labrun_plugins.arduino_servo.settings import BoardSettings
+from labrun_plugins.arduino_servo.status import Status
+from labrun_plugins.labline.refusal import StoppedError
+from labrun_plugins.labline.session import Hello, LineSession
+
+MOST_CHANNELS = 12
+"""So many set-points fit on a line."""
+LEAVE = -1
+"""In place of a pulse width: this channel stays as it is."""
+_REST_WATCHDOG_MS = 1000
+"""Watchdog while servos stand still: a computer that is busy storing a trial stops nothing by being late."""
+_SETTLED_S = 0.5
+"""So long after its last point a motion counts as ended."""
+_KEPT = 200_000
+"""Set-points remembered: an hour at 50 Hz."""
+
+
+class ServoBoard:
+    """One board, its servos, and the thread that sends their set-points.
+
+    Parameters
+    ----------
+    device
+        The device's name, for messages.
+    settings
+        Of the board.
+    clock
+        The run's clock.
+    kind
+        What its firmware must say it is.
+    windows_us
+        Channel -> least and greatest pulse width, us: the firmware is told, and refuses others by itself.
+    rest_us
+        Channel -> pulse width that is assumed before any was sent.
+    pulses_of
+        Returns the pulse width of each channel for one point of a trajectory; raises DeviceError for a point that must
+        not be sent.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        settings: BoardSettings,
+        clock: Clock,
+        *,
+        kind: str,
+        windows_us: Mapping[int, tuple[int, int]],
+        rest_us: Mapping[int, int],
+        pulses_of: Callable[[FloatArray], Mapping[int, int]],
+    ) -> None:
+        self.session = LineSession(device, settings.port, clock, boot_wait_s=settings.boot_wait_s)
+        self._device = device
+        self._settings = settings
+        self._clock = clock
+        self._kind = kind
+        self._windows_us = dict(windows_us)
+        self._rest_us = dict(rest_us)
+        self._pulses_of = pulses_of
+        self._stream = self._new_stream()
+        self._hello: Hello | None = None
+        self._attached = False
+        self._arming = threading.Lock()
+        self._token = 0
+        self._ends_s = 0.0
+        self._sent_us: Mapping[int, int] = self._rest_us
+        self._stopped = False
+        self._log: deque[tuple[float, tuple[int, ...]]] = deque(maxlen=_KEPT)
+
+    @property
+    def hello(self) -> Hello:
+        """What the board said first; DeviceError if it is not open."""
+        if self._hello is None:
+            raise DeviceError(self._device, "is not open", hint="open() comes before any other call")
+        return self._hello
+
+    @property
+    def channels_needed(self) -> int:
+        """How many channels the firmware must drive."""
+        return max(self._windows_us) + 1
+
+    @property
+    def timing(self) -> Pacing:
+        """How evenly set-points went out since the last `follow`."""
+        return self._stream.timing
+
+    def open(self) -> None:
+        """Connect; no servo gets a pulse yet.
+
+        Raises
+        ------
+        DeviceError
+            As of `LineSession.open`; too few channels; or a watchdog that cannot be armed.
+        """
+        self.close()
+        hello = self.session.open(self._kind)
+        if hello.channels < self.channels_needed:
+            self.session.close()
+            raise DeviceError(
+                self._device,
+                f"its firmware drives {hello.channels} channels, and {self.channels_needed} are needed",
+                hint="flash labservo with all pins in its table PINS, and give the same pins here",
+            )
+        if hello.channels > MOST_CHANNELS:
+            self.session.close()
+            raise DeviceError(
+                self._device,
+                f"its firmware says it drives {hello.channels} channels; {MOST_CHANNELS} fit on a line",
+                hint="flash labservo with fewer pins in its table PINS",
+            )
+        self._make_ready()
+        self._hello = hello
+        self._attached = self._stopped = False
+        self._sent_us = self._rest_us
+        self._stream = self._new_stream()
+        self._stream.start()
+
+    def health(self) -> Health:
+        """Ask the board for its state; notes lines that were damaged or stayed unanswered."""
+        if self._hello is None:
+            return Health(ok=False, notes=("not connected",))
+        self.check()
+        status = self._status()
+        notes = list(status.complaints)
+        if self.session.counts.rejected:
+            notes.append(f"{self.session.counts.rejected} damaged lines since it was opened")
+        if self.session.unanswered:
+            notes.append(f"{self.session.unanswered} set-points stayed unanswered since it was opened")
+        return Health(ok=not status.complaints, notes=tuple(notes))
+
+    def sent_us(self) -> Mapping[int, int]:
+        """Return the pulse width of each channel as it was sent last, us; after a stop, as the board has it."""
+        self.hello  # noqa: B018 -- raises if it is not open
+        self.check()
+        if (
+            self._stopped and self._attached
+        ):  # it stopped on its way to the last set-point: the board knows where
+            pulses_us = self._status().pulses_us
+            self._sent_us = {channel: pulses_us[channel] for channel in self._windows_us}
+            self._stopped = False
+        return self._sent_us
+
+    def motion_token(self) -> int:
+        """Return what `follow` is called with, taken at the beginning of a command; a later stop makes it void."""
+        return self.session.motion_token()
+
+    def follow(self, trajectory: Trajectory, start_s: float, token: int) -> None:
+        """Send a motion that was checked, from the clock's `start_s` on; then hold its last point.
+
+        Raises
+        ------
+        DeviceError
+            No answer, the watchdog expired, or the first point must not be sent.
+        """
+        self.hello  # noqa: B018 -- raises if it is not open
+        self.check()
+        try:
+            with self._arming:
+                self._ends_s = max(start_s, self._clock.now()) + trajectory.duration_s + _SETTLED_S
+                if self.session.watchdog_ms != self._settings.watchdog_ms:
+                    self.session.arm(self._settings.watchdog_ms)
+                if not self._attached:
+                    self._attach(trajectory.angle_rad[0], token)
+        except StoppedError:
+            return
+        self._token = token
+        self._stopped = False
+        self._log.clear()
+        self._stream.follow(trajectory, start_s)
+
+    def set_points(self) -> tuple[FloatArray, FloatArray]:
+        """Return what was sent since the last `follow`: host times (n,), s, and pulse widths (n, channels used), us."""
+        rows = list(self._log)
+        times = np.array([time_s for time_s, _ in rows])
+        return times, np.array([row for _, row in rows], dtype=float).reshape(
+            len(rows), len(self._windows_us)
+        )
+
+    def send(self, point: FloatArray) -> None:
+        """Send one point of a trajectory, if its pulses may be sent; called by the stream's thread."""
+        pulses_us = self._pulses_of(point)
+        if self.session.post("SV", *self._line(pulses_us), token=self._token):
+            self._sent_us = pulses_us
+            self._log.append((self._clock.now(), tuple(pulses_us.values())))
+
+    def safe_stop(self) -> None:
+        """Have the board stop where it is, asking once more if it does not answer; no set-point follows."""
+        if not self.session.is_open:
+            return
+        self.session.stop()
+        self._stream.halt()
+        self._stopped = True
+
+    def check(self) -> None:
+        """Raise what either thread met."""
+        self.session.check()
+        self._stream.check()
+
+    def close(self) -> None:
+        """Stop, turn the watchdog off so that it has nothing to tell, and disconnect. The servos go on holding."""
+        if self._hello is not None:
+            self._hello = None
+            self._stream.end()
+            self._part()
+        self.session.close()
+
+    def _make_ready(self) -> None:
+        """End what an earlier program may have left: a motion, or a watchdog that has expired."""
+        try:
+            self.session.stop()
+            self.session.arm(self._settings.watchdog_ms)
+            self.session.arm(0)
+        except DeviceError:
+            self.session.close()
+            raise
+
+    def _new_stream(self) -> CommandStream:
+        return CommandStream(
+            self._clock, self._settings.rate_hz, self.send,
+            idle=self._idle, idle_every_s=self._settings.watchdog_ms / 4000.0,
+        )  # fmt: skip
+
+    def _status(self) -> Status:
+        return Status.parse(self._device, self.session.request("ST"), self.hello.channels)
+
+    def _attach(self, first: FloatArray, token: int) -> None:
+        """Turn the pulses on, beginning with those of the first set-point."""
+        first_us = self._pulses_of(first)
+        # The pulses wait on the board until the channels are attached: no servo sees any other.
+        self.session.request("SV", *self._line(first_us), token=token)
+        for channel, window_us in self._windows_us.items():
+            self.session.request("ATT", channel, *window_us, token=token)
+        self._sent_us = first_us
+        self._attached = True
+
+    def _line(self, pulses_us: Mapping[int, int]) -> list[int]:
+        """Return the arguments of ``SV``: channels that are not used are left as they are."""
+        row = [LEAVE] * self.hello.channels
+        for channel, pulse_us in pulses_us.items():
+            row[channel] = pulse_us
+        return row
+
+    def _idle(self) -> None:
+        """Feed the watchdog, and give it more time once a motion has ended; called by the stream's thread."""
+        if not self.session.watchdog_ms:
+            return
+        self.session.feed()
+        rest_ms = max(_REST_WATCHDOG_MS, self._settings.watchdog_ms)
+        if self.session.watchdog_ms < rest_ms and self._clock.now() > self._ends_s:
+            with self._arming:
+                if self._clock.now() > self._ends_s:
+                    self.session.arm(rest_ms)
+
+    def _part(self) -> None:
+        try:
+            self.session.check()
+            if self.session.stop() and self.session.watchdog_ms:
+                self.session.arm(0)
+        except DeviceError:
+            return  # it is being closed because it does not answer

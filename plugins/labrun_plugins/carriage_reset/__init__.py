@@ -1,0 +1,1 @@
+"""A servo and pulley that pull a carriage back to its start between trials."""

@@ -1,0 +1,345 @@
+"""A conversation with one board: requests and their answers, set-points, events, watchdog, stop."""
+
+import os
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from labrun.devices import Clock, DeviceError, Listener, SerialPort
+from labrun_plugins.labline.answers import Answers, Awaited
+from labrun_plugins.labline.codec import UNSOLICITED, Line, LineParser, encode
+from labrun_plugins.labline.refusal import LineRefusedError, StoppedError
+
+BAUD = 115_200
+BOOT_WAIT_S = 3.0
+"""How long a board may take to come up after its port was opened: that resets most of them."""
+ANSWER_S = 0.1
+"""How long an answer may take; a request is then sent once more."""
+SILENT_S = 0.5
+"""Set-points and signs of life that stay unanswered for so long mean that the board is gone."""
+_STOP_LOCK_S = 0.03
+"""How long a stop waits for a line that is being written, before it writes anyway."""
+_FEEDS_PER_WATCHDOG = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """What a board says it is.
+
+    Attributes
+    ----------
+    kind, firmware
+        Such as ``labservo`` and ``1.0``.
+    channels
+        How many servos or axes it drives.
+    max_rate_hz
+        Set-points or samples it takes or gives a second.
+    """
+
+    kind: str
+    firmware: str
+    channels: int
+    max_rate_hz: float
+
+
+class LineSession:
+    """The host's end of a labline, with a thread that listens.
+
+    Any thread may call anything. Answers are told apart by their sequence number, so that a stop never waits for the
+    answer to something else.
+
+    Parameters
+    ----------
+    device
+        The device's name in the experiment file, for messages.
+    port
+        Serial port.
+    clock
+        The run's clock.
+    boot_wait_s
+        How long `open` waits for the board to come up; 0 for one that opening its port does not reset.
+    on_sample, on_event
+        Called by the listening thread with the fields behind ``S`` or ``EV`` and the host time of receipt, s. Events
+        BOOT (unexpected) and WDOG are made errors by the session itself; `on_event` gets every one all the same.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        port: str,
+        clock: Clock,
+        *,
+        boot_wait_s: float = BOOT_WAIT_S,
+        on_sample: Callable[[tuple[str, ...], float], None] | None = None,
+        on_event: Callable[[tuple[str, ...], float], None] | None = None,
+    ) -> None:
+        self.device = device
+        self.counts = LineParser()
+        self.watchdog_ms = 0
+        """What the board's watchdog is set to; 0 while it is off."""
+        self._clock = clock
+        self._boot_wait_s = boot_wait_s
+        self._on_sample = on_sample
+        self._on_event = on_event
+        self._port = SerialPort(device, port, BAUD)
+        self._listener = Listener(device, self._receive)
+        self._writing = threading.Lock()
+        self._answers = Answers(clock)
+        self._stops = 0
+        self._booted = threading.Event()
+        self._opening = False
+        self._failure: DeviceError | None = None
+        self._written_s = 0.0
+
+    @property
+    def unanswered(self) -> int:
+        """Set-points that never got their answer."""
+        return self._answers.unanswered
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is open."""
+        return self._port.is_open
+
+    def open(self, kind: str) -> Hello:
+        """Open the port, wait for the board to come up, and ask what it is.
+
+        Raises
+        ------
+        DeviceError
+            No port, no answer, or a board of another kind; the port is closed again.
+        """
+        self.close()
+        self.counts.reset()
+        self._failure, self.watchdog_ms = None, 0
+        self._answers.reset()
+        self._booted.clear()
+        self._opening = True
+        self._port.open()
+        self._listener.start()
+        try:
+            if self._boot_wait_s > 0:
+                self._booted.wait(self._boot_wait_s)
+            hello = self._hello()
+            if hello.kind != kind:
+                raise DeviceError(
+                    self.device,
+                    f"the board at {self._port.port} says it is a {hello.kind!r}, and a {kind!r} is wanted",
+                    hint="set the right port (labrun doctor --hardware tells who is where), or flash its firmware",
+                )
+        except BaseException:
+            self.close()
+            raise
+        finally:
+            self._opening = False
+        return hello
+
+    def request(self, word: str, *args: str | int, token: int | None = None) -> tuple[str, ...]:
+        """Send a request, once more after 100 ms without an answer; return the fields behind ``OK,<word>``.
+
+        Parameters
+        ----------
+        word, args
+            What the line says.
+        token
+            From `motion_token`, for a request that moves something: it is not sent, nor sent again, after a stop.
+
+        Raises
+        ------
+        LineRefusedError
+            The board answered ``ERR``.
+        StoppedError
+            A stop came first.
+        DeviceError
+            No answer, or the port is gone.
+        """
+        self.check()
+        awaited = self._answers.expect(word, posted=False)
+        message = encode(awaited.seq, word, *args)
+        try:
+            for _ in range(2):
+                if not self._write(message, token):
+                    raise StoppedError(self.device, f"{word} was not sent: it was told to stop")
+                if awaited.answered.wait(ANSWER_S):
+                    return self._result(awaited)
+                self.check()
+        finally:
+            self._answers.forget(awaited)
+        raise self._no_answer(word)
+
+    def post(self, word: str, *args: str | int, token: int | None = None) -> bool:
+        """Send a set-point or a sign of life without waiting; its answer is looked at when it comes.
+
+        It is not sent again: the next one says it all. An ``ERR``, or none of them answered for 0.5 s, is raised by
+        the next call of anything.
+
+        Returns
+        -------
+        bool
+            Whether it was sent: not if a stop came after `token` was taken.
+        """
+        self.check()
+        awaited = self._answers.expect(word, posted=True)
+        sent = self._write(encode(awaited.seq, word, *args), token)
+        if not sent:
+            self._answers.withdraw(awaited)
+        return sent
+
+    def motion_token(self) -> int:
+        """Return what a motion is sent with, taken at the very beginning of a command: a later stop makes it void."""
+        return self._stops
+
+    def stop(self) -> bool:
+        """Send ``STOP``, once more if it stays unanswered; return whether it was answered. Never raises.
+
+        From the moment of the call on nothing that moves is sent with an older token. Waits 30 ms at most for a line
+        that another thread is writing.
+        """
+        self._stops += 1
+        awaited = self._answers.expect("STOP", posted=False)
+        try:
+            message = encode(awaited.seq, "STOP")
+            for _ in range(2):
+                self._write_at_once(message)
+                if awaited.answered.wait(ANSWER_S):
+                    return awaited.fields[:1] == ("OK",)
+        except Exception:  # a stop must not raise; the board's own watchdog covers a line that is cut
+            return False
+        finally:
+            self._answers.forget(awaited)
+        return False
+
+    def arm(self, watchdog_ms: int) -> None:
+        """Set the board's watchdog: without a good line for so long it stops by itself; 0 turns it off.
+
+        Raises
+        ------
+        DeviceError
+            Refused (0 while something moves), or the board took another value.
+        """
+        answer = self.request("WD", watchdog_ms)
+        if answer != (str(watchdog_ms),):
+            raise DeviceError(
+                self.device,
+                f"was asked for a watchdog of {watchdog_ms} ms and answered {','.join(answer) or 'nothing'}",
+                hint="flash the firmware that stands in the plugin's folder",
+            )
+        self.watchdog_ms = watchdog_ms
+
+    def feed(self) -> None:
+        """Give the board a sign of life, if nothing was sent for a quarter of its watchdog's time."""
+        if self.watchdog_ms and self._clock.now() - self._written_s >= self.feed_every_s:
+            self.post("PING")
+
+    @property
+    def feed_every_s(self) -> float:
+        """How often `feed` has something to send, s."""
+        return max(self.watchdog_ms, 20) / 1000.0 / _FEEDS_PER_WATCHDOG
+
+    def check(self) -> None:
+        """Raise what the listening thread met: unplugged, watchdog expired, restarted, a set-point refused."""
+        if self._failure is not None:
+            raise self._failure
+        self._listener.check()
+
+    def fail(self, failure: DeviceError) -> None:
+        """Make this the error that every later call raises, until `open`; the first one counts."""
+        self._fail(failure)
+
+    def close(self) -> None:
+        """Close the port; harmless when it is closed. Leaves the board's watchdog as it is. Never raises."""
+        self._listener.stop()
+        self._port.close()
+
+    def _hello(self) -> Hello:
+        answer = self.request("HELLO")
+        try:
+            kind, firmware, channels, rate = answer
+            return Hello(kind, firmware, int(channels), float(rate))
+        except ValueError as error:
+            raise DeviceError(
+                self.device,
+                f"its HELLO says {','.join(answer)!r}, and kind, firmware, channels and rate were expected",
+                hint="flash the firmware that stands in the plugin's folder",
+            ) from error
+
+    def _receive(self) -> None:
+        data = self._port.read()
+        now_s = self._clock.now()
+        for line in self.counts.feed(data):
+            self._hear(line, now_s)
+        since_s = self._answers.waiting_since_s
+        if not data and since_s is not None and now_s - since_s > SILENT_S:
+            self._fail(self._no_answer("its set-points"))
+
+    def _hear(self, line: Line, now_s: float) -> None:
+        if line.seq != UNSOLICITED:
+            self._answer(line)
+        elif line.word == "S" and self._on_sample is not None:
+            self._on_sample(line.fields[1:], now_s)
+        elif line.word == "EV":
+            self._event(line.fields[1:], now_s)
+
+    def _event(self, fields: tuple[str, ...], now_s: float) -> None:
+        what = fields[0] if fields else ""
+        if what == "BOOT" and self._opening:
+            self._booted.set()
+        elif what == "BOOT":
+            self.watchdog_ms = 0
+            self._fail(
+                DeviceError(
+                    self.device,
+                    "the board restarted by itself; its outputs are off",
+                    hint="look at its supply (servos pull it down) and its cable, then labrun resume",
+                )
+            )
+        elif what == "WDOG" and self.watchdog_ms:  # one that was armed before `open` is no news
+            limit_ms, self.watchdog_ms = self.watchdog_ms, 0
+            self._fail(LineRefusedError(self.device, "the last commands", "WDOG", f"{limit_ms} ms"))
+        if self._on_event is not None:
+            self._on_event(fields, now_s)
+
+    def _answer(self, line: Line) -> None:
+        awaited = self._answers.take(line)
+        if awaited is not None and awaited.posted and line.word == "ERR":
+            self._fail(self._refusal(awaited))
+
+    def _result(self, awaited: Awaited) -> tuple[str, ...]:
+        if awaited.fields[0] == "ERR":
+            raise self._refusal(awaited)
+        return awaited.fields[2:]
+
+    def _refusal(self, awaited: Awaited) -> LineRefusedError:
+        code, *detail = awaited.fields[1:] or ("",)
+        return LineRefusedError(self.device, awaited.word, code, ",".join(detail))
+
+    def _write(self, message: bytes, token: int | None) -> bool:
+        """Write a line, unless a stop has made its token void; return whether it was written."""
+        with self._writing:
+            if token is not None and token != self._stops:
+                return False
+            self._port.write(message)
+            self._written_s = self._clock.now()
+            return True
+
+    def _write_at_once(self, message: bytes) -> None:
+        """Write a line, in the midst of another if that takes long: the board resumes at the last ``$``."""
+        if self._writing.acquire(timeout=_STOP_LOCK_S):
+            try:
+                self._port.write(message)
+            finally:
+                self._writing.release()
+        elif self._port.serial is not None:
+            os.write(self._port.serial.fileno(), message)
+
+    def _fail(self, failure: DeviceError) -> None:
+        if self._failure is None:
+            self._failure = failure
+
+    def _no_answer(self, word: str) -> DeviceError:
+        damaged = f", and {self.counts.rejected} damaged lines came" if self.counts.rejected else ""
+        return DeviceError(
+            self.device,
+            f"does not answer {word} at {self._port.port}{damaged}",
+            hint="check its cable and power, press the board's reset, then labrun resume",
+        )

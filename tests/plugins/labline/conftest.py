@@ -1,0 +1,1 @@
+"""Makes the golden lines importable."""
