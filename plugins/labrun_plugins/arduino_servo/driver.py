@@ -103,8 +103,8 @@ class ArduinoServo:
         self._board.follow(trajectory, start_s, token)
 
     def pacing(self) -> Pacing:
-        """Return how evenly set-points went out since the last `follow`."""
-        return self._board.timing
+        """Return how evenly set-points have gone out since the last time it was asked."""
+        return self._board.take_timing()
 
     def commanded_pulses(self) -> tuple[FloatArray, FloatArray]:
         """Return what was sent since the last `follow`: host times (n,), s, and pulse widths (n, joints), us."""

@@ -87,10 +87,9 @@ class ServoBoard:
         """How many channels the firmware must drive."""
         return max(self._windows_us) + 1
 
-    @property
-    def timing(self) -> Pacing:
-        """How evenly set-points went out since the last `follow`."""
-        return self._stream.timing
+    def take_timing(self) -> Pacing:
+        """Return how evenly set-points have gone out since the last time it was asked."""
+        return self._stream.take_timing()
 
     def open(self) -> None:
         """Connect; no servo gets a pulse yet.

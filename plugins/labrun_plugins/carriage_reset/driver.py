@@ -95,7 +95,7 @@ class CarriageReset:
 
     def pacing(self) -> Pacing:
         """Return how evenly set-points went out since the last `travel`."""
-        return self._board.timing
+        return self._board.take_timing()
 
     def safe_stop(self) -> None:
         """Have the board stop the winch where it is, asking once more if it does not answer; nothing follows."""

@@ -1,10 +1,9 @@
 """Stand-in for a Bosch BNO055, an inertial measurement unit that works out its own orientation."""
 
 import math
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
-from pydantic import Field
 
 from labrun.devices import (
     Channel,
@@ -13,8 +12,8 @@ from labrun.devices import (
     DeviceSettings,
     FloatArray,
     Health,
-    Port,
 )
+from labrun_plugins.bno055.settings import Bno055Settings
 from labrun_plugins.simulated.sensor import SimulatedSensor
 from labrun_plugins.simulated.settings import SimulatedSettings
 from labrun_plugins.simulated.stream import Timing
@@ -37,16 +36,8 @@ _CHANNELS = (
 )  # fmt: skip
 
 
-class Bno055Settings(SimulatedSettings):
-    """Keys of the IMU: serial `port`, the body it is `mounted_on`, `rate_hz`, and the `mode` of its fusion.
-
-    Mode "imu" goes without the magnetometer, as is wise near motors: its heading drifts. "ndof" takes it in.
-    """
-
-    port: Port
-    mounted_on: str = Field(min_length=1)
-    rate_hz: float = Field(default=100.0, gt=0, le=100.0)
-    mode: Literal["imu", "ndof"] = "imu"
+class SimulatedBno055Settings(Bno055Settings, SimulatedSettings):
+    """Keys of the IMU, and of every simulated device."""
 
 
 class SimulatedBno055(SimulatedSensor):
@@ -67,10 +58,10 @@ class SimulatedBno055(SimulatedSensor):
     In mode "imu" heading drifts by 1 deg/min.
     """
 
-    Settings: ClassVar[type[DeviceSettings]] = Bno055Settings
+    Settings: ClassVar[type[DeviceSettings]] = SimulatedBno055Settings
     model = "BNO055 (simulated)"
 
-    def __init__(self, name: str, settings: Bno055Settings, context: DeviceContext) -> None:
+    def __init__(self, name: str, settings: SimulatedBno055Settings, context: DeviceContext) -> None:
         self._mounted_on = settings.mounted_on
         self._mode = settings.mode
         self._felt = tuple(f"{settings.mounted_on}_{part}" for part in _FELT)

@@ -2,7 +2,8 @@
 
 from typing import ClassVar
 
-from labrun.devices import DeviceContext, DeviceSettings, Port
+from labrun.devices import DeviceContext, DeviceSettings
+from labrun_plugins.robotiq_ft300.settings import RobotiqFt300Settings
 from labrun_plugins.simulated.force_torque import SimulatedForceTorque, SixAxes
 from labrun_plugins.simulated.settings import SimulatedSettings
 from labrun_plugins.simulated.stream import Timing
@@ -15,16 +16,15 @@ _AXES = SixAxes(
     drift_share=0.01,
 )
 _TIMING = Timing(latency_s=0.0083, jitter_s=0.0007, lost_share=2e-4)
+_STREAM_HZ = 100.0
 
 
-class RobotiqFt300Settings(SimulatedSettings):
-    """Keys of the FT300: `port` is its serial port."""
-
-    port: Port
+class SimulatedRobotiqFt300Settings(RobotiqFt300Settings, SimulatedSettings):
+    """Keys of the FT300, and of every simulated device."""
 
 
 class SimulatedRobotiqFt300(SimulatedForceTorque):
-    """100 samples/s, +-300 N and +-30 N m in steps of 0.01 N and 0.001 N m.
+    """100 samples/s (`poll_hz` with ``stream = false``), +-300 N and +-30 N m in steps of 0.01 N and 0.001 N m.
 
     The stream has neither counter nor time stamp: a lost frame shows only as a gap, and the device time
     repeats the host time. A frame takes 8.3 ms on the wire (16 bytes at 19 200 baud), which is the latency.
@@ -32,11 +32,12 @@ class SimulatedRobotiqFt300(SimulatedForceTorque):
     chosen to be of the size users report, because the manual's figure is the step alone.
     """
 
-    Settings: ClassVar[type[DeviceSettings]] = RobotiqFt300Settings
+    Settings: ClassVar[type[DeviceSettings]] = SimulatedRobotiqFt300Settings
     model = "Robotiq FT300 (simulated)"
 
-    def __init__(self, name: str, settings: RobotiqFt300Settings, context: DeviceContext) -> None:
+    def __init__(self, name: str, settings: SimulatedRobotiqFt300Settings, context: DeviceContext) -> None:
+        rate_hz = _STREAM_HZ if settings.stream else settings.poll_hz
         super().__init__(
             name, settings, context,
-            axes=_AXES, rate_hz=100.0, timing=_TIMING, counts_frames=False, has_clock=False,
+            axes=_AXES, rate_hz=rate_hz, timing=_TIMING, counts_frames=False, has_clock=False,
         )  # fmt: skip
