@@ -89,7 +89,7 @@ class CommandStream:
 
     @property
     def timing(self) -> Pacing:
-        """How evenly set-points have gone out since the last `take_timing`."""
+        """How evenly set-points have gone out since the last `restart_timing`."""
         with self._lock:
             late, sent, missed = np.array(self._late), self._sent, self._missed
         if len(late) == 0:
@@ -97,13 +97,11 @@ class CommandStream:
         median_s, p99_s = np.percentile(late, (50, 99))
         return Pacing(self._rate_hz, sent, missed, float(median_s), float(p99_s), float(late.max()))
 
-    def take_timing(self) -> Pacing:
-        """Return how evenly set-points have gone out since the last time it was asked."""
-        timing = self.timing
+    def restart_timing(self) -> None:
+        """Forget how evenly set-points have gone out so far."""
         with self._lock:
             self._late.clear()
             self._sent = self._missed = 0
-        return timing
 
     def start(self) -> None:
         """Begin the thread, with nothing to send; forgets an earlier failure."""

@@ -74,8 +74,12 @@ class Actuator(Device, Protocol):
 class Paced(Actuator, Protocol):
     """An actuator that sends its set-points one after another, and knows how evenly."""
 
+    def restart_pacing(self) -> None:
+        """Forget how evenly set-points have gone out so far."""
+        ...
+
     def pacing(self) -> Pacing:
-        """Return how evenly set-points have gone out since the last time it was asked."""
+        """Return how evenly set-points have gone out since `restart_pacing`, or since it was opened."""
         ...
 
 

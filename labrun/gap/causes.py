@@ -66,8 +66,10 @@ def candidate_table(
         early = first.find(candidate) or screened
         seen = max(screened.visible**2, early.gain) > there.guard.threshold
         judged = _judged(name, chosen, rivals, seen=seen)
-        bounds = upper_bounds(screened, there.base, there.guard.dispersion) if judged == "ruled-out" else {}
-        units = {} if candidate.attached is None else effect_units(candidate.attached, search.model, dataset)
+        bounds: dict[str, Estimate] = {}
+        if judged == "ruled-out" and candidate.attached is not None:
+            units = effect_units(candidate.attached, search.model, dataset)
+            bounds = upper_bounds(screened, there.base, there.guard.dispersion, units)
         found.append(
             Candidate(
                 name,
@@ -75,7 +77,7 @@ def candidate_table(
                 rated[name].share if name in rated else None,
                 early.gain / first.guard.threshold,
                 chosen[name].values if name in chosen else {},
-                {key: Estimate(bound, -bound, bound, units.get(key, "1")) for key, bound in bounds.items()},
+                bounds,
                 chosen[name].indistinguishable_from if name in chosen else tuple(rivals.get(name, ())),
                 _remark(judged, decided),
             )

@@ -134,7 +134,8 @@ class Candidate:
     values
         As fitted (SI).
     upper_bound
-        Of a candidate that is ruled out: by parameter, the largest size the data leave room for (95 %).
+        Of a candidate that is ruled out: by parameter, the largest size the data leave room for (95 %), and between
+        which ends it then lies: from zero for what cannot be negative.
     same_as
         What it cannot be told from.
     """
@@ -172,6 +173,8 @@ class MissingForce:
         Per unit of data, arrays (n,); `load` is empty where the site declares none.
     labels
         Of the units.
+    coordinate_unit, load_unit
+        "" where the model and the recording do not tell them. The rate is in units of the coordinate per second.
     """
 
     site: str
@@ -183,6 +186,8 @@ class MissingForce:
     coordinate: tuple[FloatArray, ...]
     rate: tuple[FloatArray, ...]
     load: tuple[FloatArray, ...] = ()
+    coordinate_unit: str = ""
+    load_unit: str = ""
 
 
 @dataclass(frozen=True)

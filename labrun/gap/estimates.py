@@ -1,6 +1,6 @@
 """Intervals: how sizes of causes, and the share of the gap they remove, would scatter if the trials were run again."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -101,8 +101,13 @@ def effect_units(attached: "AttachedEffect", model: "Model", dataset: "Dataset")
     return {one.name: unit_of(one.quantity, coordinate, signal) for one in attached.effect.parameters}
 
 
-def upper_bounds(screened: "Screened", base: "Base", dispersion: float) -> dict[str, float]:
-    """Return the largest sizes that the data leave room for (95 %), in SI; of parameters that vanish at zero only."""
+def upper_bounds(
+    screened: "Screened", base: "Base", dispersion: float, units: "Mapping[str, str]"
+) -> dict[str, Estimate]:
+    """Return the largest sizes that the data leave room for (95 %), in SI; of parameters that vanish at zero only.
+
+    What cannot be negative, such as a friction, is bounded from zero up.
+    """
     candidate = screened.candidate
     if candidate.attached is None or candidate.scale is None:
         return {}
@@ -123,9 +128,10 @@ def upper_bounds(screened: "Screened", base: "Base", dispersion: float) -> dict[
         room = abs(float(screened.z[size + place])) + _NORMAL_95 * np.sqrt(dispersion) / float(
             np.median(per_unit)
         )
-        found[parameter.name] = min(
-            room, max(abs(parameter.lower), abs(parameter.upper))
-        ) * candidate.scale.of(parameter.quantity)
+        scale = candidate.scale.of(parameter.quantity)
+        bound = min(room, max(abs(parameter.lower), abs(parameter.upper))) * scale
+        low, high = max(-bound, min(parameter.lower, 0.0) * scale), min(bound, parameter.upper * scale)
+        found[parameter.name] = Estimate(bound, low, max(high, 0.0), units.get(parameter.name, "1"))
     return found
 
 

@@ -136,6 +136,8 @@ class Selector:
         chosen, rounds = self._forward()
         if len(chosen) > 1:
             chosen, rounds = self._exchanged(chosen)
+        if len(chosen) > 2:
+            chosen, rounds = self._fewer(chosen, rounds)
         # one of two causes alone may fail where it was not fitted; all that were chosen together must not
         alone = max((one.share for one in self.first.rated), default=0.0)
         needed = _LEAST_SHARE if alone >= _LEAST_SHARE else _TOGETHER
@@ -179,7 +181,7 @@ class Selector:
             for _ in range(len(chosen)):
                 self.note(f"checking {chosen[0].rated.candidate.name} again beside the others")
                 again = self._rounds.get(frozenset(one.rated.candidate.name for one in chosen[1:]))
-                again = again or self._look(self._without(chosen, 0))
+                again = again or self._look(self._kept(chosen, set(range(1, len(chosen)))))
                 base = again.base
                 residual = held_out_residuals(base.problem, base.z)
                 left = excess(base.problem.units, self.noise, residual)
@@ -192,6 +194,24 @@ class Selector:
             if {one.rated.candidate.name for one in chosen} == before:
                 break
         return chosen, [self.first, self._look(chosen[-1].base)]
+
+    def _fewer(self, chosen: "list[_Chosen]", rounds: list[Round]) -> "tuple[list[_Chosen], list[Round]]":
+        """Return two causes in place of three, if there are two that leave hardly more than the three do.
+
+        Whoever is found first beside nothing may stand in for another, and a third then mends what it cannot do.
+        """
+        enough = chosen[-1].held_out.total + _NOTICED * self.reference.total
+        pair: list[_Chosen] = []
+        for place, one in enumerate(chosen):
+            alone = self._rounds.get(frozenset([one.rated.candidate.name])) or self._look(
+                self._kept(chosen, {place})
+            )
+            residual = held_out_residuals(alone.base.problem, alone.base.z)
+            left = excess(alone.base.problem.units, self.noise, residual)
+            other = self._choose(alone, left, further=True)
+            if other is not None and other.held_out.total < enough:
+                pair, enough = [one, other], other.held_out.total
+        return self._exchanged(pair) if pair else (chosen, rounds)
 
     def _choose(self, current: Round, left: Excess, *, further: bool) -> "_Chosen | None":
         best = _best(current.rated, left, self.reference, further=further)
@@ -215,15 +235,16 @@ class Selector:
             )
         return found
 
-    def _without(self, chosen: "list[_Chosen]", place: int) -> Base:
-        """Return the last base without one of its causes, fitted again."""
+    def _kept(self, chosen: "list[_Chosen]", places: set[int]) -> Base:
+        """Return the last base with some of its causes only, fitted again."""
+        names = {chosen[place].rated.candidate.name for place in places}
         last = chosen[-1].base
         problem = self.first.base.problem
         at, kept, parts = problem.size, list[Candidate](), [last.z[: problem.size]]
         for candidate in last.added:
             variables = last.z[at : at + candidate.variables]
             at += candidate.variables
-            if candidate.name != chosen[place].rated.candidate.name:
+            if candidate.name in names:
                 problem = candidate.added_to(problem)
                 kept.append(candidate)
                 parts.append(variables)

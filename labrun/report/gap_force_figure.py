@@ -21,8 +21,6 @@ _BINS = 25
 _FEWEST_IN_BIN = 5
 _KEPT = (0.5, 99.5)
 """Percentiles between which the force is drawn: an estimate runs wild at the ends of a trial."""
-_COORDINATE_OF_FORCE = {"N m": "rad", "N": "m"}
-"""What a site moves in follows from what its force is measured in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,13 +47,13 @@ def force_png(missing: MissingForce) -> bytes | None:
 
 
 def _drawable(missing: MissingForce) -> list[_Against]:
-    coordinate = _COORDINATE_OF_FORCE.get(missing.unit, "")
+    coordinate = missing.coordinate_unit
     every = [
         _Against(_with_unit(f"position of {missing.site}", coordinate), missing.coordinate),
         _Against(
             _with_unit(f"speed of {missing.site}", f"{coordinate}/s" if coordinate else ""), missing.rate
         ),
-        _Against(f"load on {missing.site}", missing.load),
+        _Against(_with_unit(f"load on {missing.site}", missing.load_unit), missing.load),
         _Against("time (s)", missing.time_s),
     ]
     return [one for one in every if _matches(one.values, missing.force)]

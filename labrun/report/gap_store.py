@@ -71,8 +71,9 @@ def store(diagnosis: Diagnosis, target: Path, results: Path, *, page: bool = Tru
     diagnosis
         What was found.
     target
-        The run folder, run.h5 or recording folder it is of. A run keeps it in its own folder ``gap``, in place of an
-        earlier one; that of a recording goes to ``results/<recording>/gap-<time>``.
+        The run folder, run.h5 or recording folder it is of. A run keeps it in its own folder ``gap``, an earlier one in
+        ``gap-1``, ``gap-2`` and so on, the oldest first; that of a recording goes to
+        ``results/<recording>/gap-<time>``.
     results
         Folder of the runs.
 
@@ -85,6 +86,7 @@ def store(diagnosis: Diagnosis, target: Path, results: Path, *, page: bool = Tru
     numbers = folder / NUMBERS
     partial = numbers.with_name(f".{NUMBERS}.partial")
     try:
+        _put_aside(folder)
         folder.mkdir(parents=True, exist_ok=True)
         partial.write_text(json.dumps(_finite(diagnosis.to_json()), indent=2) + "\n", encoding="utf-8")
         partial.replace(numbers)
@@ -123,6 +125,16 @@ def _folder(target: Path, results: Path) -> Path:
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
         return results / target.resolve().name / f"gap-{stamp}-{secrets.token_hex(2)}"
     return (target.parent if target.is_file() else target) / FOLDER
+
+
+def _put_aside(folder: Path) -> None:
+    """Keep an earlier diagnosis under the next free number."""
+    if not (folder / NUMBERS).exists():
+        return
+    number = 1
+    while folder.with_name(f"{FOLDER}-{number}").exists():
+        number += 1
+    folder.rename(folder.with_name(f"{FOLDER}-{number}"))
 
 
 def _finite(value: Any) -> Any:

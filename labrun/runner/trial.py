@@ -195,7 +195,7 @@ class TrialRunner:
             draft.recorded = True
 
         for device in self._rig.paced.values():
-            device.pacing()  # what moved it here does not count
+            device.restart_pacing()  # what moved it here does not count
         take = Take(self._bench, motion, request.condition, draft.outcome.tare, draft.recorder, begun)
         try:
             self._conduct(take)

@@ -59,14 +59,15 @@ def test_a_stream_counts_what_it_sent_and_what_it_had_to_skip(stream, wire):
     assert 0 <= timing.late_median_s <= timing.late_p99_s <= timing.late_worst_s
 
 
-def test_timing_is_told_since_it_was_last_asked_however_many_motions_there_were(stream, wire):
+def test_timing_is_told_since_its_restart_however_many_motions_there_were(stream, wire):
     stream.follow(ramp(10.0), CLOCK.now())
     wait_until(lambda: len(wire.sent) > 3)
     stream.follow(ramp(0.05), CLOCK.now())
     wait_until(lambda: wire.sent[-1][1] == 1.0)
     CLOCK.sleep(0.03)
-    assert stream.take_timing().sent == len(wire.sent)
-    assert stream.take_timing().sent == 0
+    assert stream.timing.sent == len(wire.sent)
+    stream.restart_timing()
+    assert stream.timing.sent == 0
 
 
 def test_after_the_last_set_point_nothing_more_is_sent_but_the_watchdog_is_fed():

@@ -11,7 +11,7 @@ from labrun.gap.where.absorbed import Absorbed
 from labrun.gap.where.cycle import find_cycle
 from labrun.gap.where.difference import Difference
 from labrun.gap.where.profile import profile
-from labrun.gap.where.site_units import force_unit
+from labrun.gap.where.site_units import coordinate_unit, force_unit, load_unit
 from labrun.gap.where.smoothing import smooth
 from labrun.models import Simulation, Site, simulate
 
@@ -121,6 +121,8 @@ def _at(difference: Difference, site: Site, place: int) -> MissingForce | None:
         coordinate=tuple(one[:, 0] for one in motion),
         rate=tuple(one[:, 1] for one in motion),
         load=tuple(one[:, 2] for one in motion) if site.load else (),
+        coordinate_unit=coordinate_unit(difference.model, site, difference.output_units),
+        load_unit=load_unit(difference.model, site, difference.output_units),
     )
 
 

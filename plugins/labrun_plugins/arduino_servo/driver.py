@@ -102,9 +102,13 @@ class ArduinoServo:
         self._pulses.check(trajectory)
         self._board.follow(trajectory, start_s, token)
 
+    def restart_pacing(self) -> None:
+        """Forget how evenly set-points have gone out so far."""
+        self._board.restart_timing()
+
     def pacing(self) -> Pacing:
-        """Return how evenly set-points have gone out since the last time it was asked."""
-        return self._board.take_timing()
+        """Return how evenly set-points have gone out since `restart_pacing`, or since it was opened."""
+        return self._board.timing
 
     def commanded_pulses(self) -> tuple[FloatArray, FloatArray]:
         """Return what was sent since the last `follow`: host times (n,), s, and pulse widths (n, joints), us."""

@@ -87,9 +87,14 @@ class ServoBoard:
         """How many channels the firmware must drive."""
         return max(self._windows_us) + 1
 
-    def take_timing(self) -> Pacing:
-        """Return how evenly set-points have gone out since the last time it was asked."""
-        return self._stream.take_timing()
+    @property
+    def timing(self) -> Pacing:
+        """How evenly set-points have gone out since `restart_timing`."""
+        return self._stream.timing
+
+    def restart_timing(self) -> None:
+        """Forget how evenly set-points have gone out so far."""
+        self._stream.restart_timing()
 
     def open(self) -> None:
         """Connect; no servo gets a pulse yet.

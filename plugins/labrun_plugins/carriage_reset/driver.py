@@ -93,9 +93,13 @@ class CarriageReset:
         motion = line_motion(self._settings, self.position_m(), to_m, speed_m_s)
         self._board.follow(motion, self._clock.now(), token)
 
+    def restart_pacing(self) -> None:
+        """Forget how evenly set-points have gone out so far."""
+        self._board.restart_timing()
+
     def pacing(self) -> Pacing:
-        """Return how evenly set-points went out since the last `travel`."""
-        return self._board.take_timing()
+        """Return how evenly set-points have gone out since `restart_pacing`, or since it was opened."""
+        return self._board.timing
 
     def safe_stop(self) -> None:
         """Have the board stop the winch where it is, asking once more if it does not answer; nothing follows."""
