@@ -3,6 +3,9 @@
 import threading
 from collections.abc import Callable
 
+from labrun.devices.buffering import SampleBuffer
+from labrun.devices.samples import Samples
+
 
 class Listener:
     """Calls `receive` again and again in a thread of its own until it is stopped or `receive` fails.
@@ -50,6 +53,20 @@ class Listener:
         """Raise what `receive` raised."""
         if self._failure is not None:
             raise self._failure
+
+    def deliver(self, buffer: SampleBuffer) -> Samples:
+        """Return what has been heard; raise what `receive` raised only once all that came before it has been returned.
+
+        Parameters
+        ----------
+        buffer
+            Where `receive` puts its samples.
+        """
+        ended = not self.running
+        block = buffer.take()
+        if ended and not len(block):
+            self.check()
+        return block
 
     def _run(self, ending: threading.Event) -> None:
         try:

@@ -2,7 +2,7 @@ import threading
 
 import pytest
 
-from labrun.devices import DeviceError, Listener
+from labrun.devices import DeviceError, Listener, SampleBuffer
 
 
 def test_a_listener_hears_until_it_is_stopped():
@@ -59,3 +59,18 @@ def test_what_breaks_because_the_port_was_closed_under_the_thread_is_no_failure(
     closed.set()
     listener.stop()
     listener.check()
+
+
+def test_what_was_heard_before_a_failure_is_handed_over_before_the_failure_is_told():
+    buffer = SampleBuffer(1)
+
+    def receive():
+        buffer.put(1.0, 1.0, [5.0])
+        raise DeviceError("ear", "was unplugged")
+
+    listener = Listener("ear", receive)
+    listener.start()
+    listener._thread.join(5)
+    assert listener.deliver(buffer).values.tolist() == [[5.0]]
+    with pytest.raises(DeviceError, match="was unplugged"):
+        listener.deliver(buffer)

@@ -1,5 +1,7 @@
 """The descent finds what scipy's general solver finds, at a cost that grows with the number of trials only."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -74,3 +76,55 @@ def test_a_parameter_without_effect_stays_where_it_is() -> None:
     equations = NormalEquations.of(problem, z, problem.blocks(z))
     held = np.array([True, False])
     assert equations.step(1e-3 * equations.diagonal, held)[0] == 0.0
+
+
+class Counted(Problem):
+    """A problem that counts its simulations."""
+
+    simulations = 0
+
+    def simulate(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray | None:
+        type(self).simulations += 1
+        return super().simulate(parameters, trial, own)
+
+
+@pytest.mark.parametrize("tolerances", [{}, {"mass": 0.05}])
+def test_derivatives_carried_on_from_step_to_step_lead_to_the_same_end(
+    tolerances: dict[str, float | str],
+) -> None:
+    problem, z = begun(oscillator(**tolerances))
+    plain, carried = minimise(problem, z), minimise(problem, z, secant=True)
+    np.testing.assert_allclose(carried, plain, rtol=1e-6, atol=1e-8)
+
+
+def test_derivatives_known_from_nearby_save_most_of_the_simulations() -> None:
+    problem, z = begun(oscillator())
+    end = minimise(problem, z)
+    near = end * (1.0 + 0.01 * np.sign(end))
+    known = problem.blocks(end)
+    problem.__class__ = Counted
+    Counted.simulations = 0
+    plain = minimise(problem, near, tolerance=1e-4)
+    spent = Counted.simulations
+    Counted.simulations = 0
+    chord = minimise(problem, near, tolerance=1e-4, derivatives=known, secant=True, confirmed=False)
+    assert Counted.simulations < 0.4 * spent
+    squares = [np.sum(whole(problem, one) ** 2) for one in (plain, chord)]
+    assert squares[1] == pytest.approx(squares[0], rel=1e-3)
+
+
+def test_derivatives_that_mislead_are_taken_anew() -> None:
+    problem, z = begun(oscillator())
+    wrong = problem.blocks(z)
+    backwards = [-one for one in wrong.shared], [-one for one in wrong.own]
+    misled = minimise(problem, z, derivatives=replace(wrong, shared=backwards[0], own=backwards[1]))
+    np.testing.assert_allclose(misled, minimise(problem, z), rtol=1e-6, atol=1e-8)
+
+
+def test_variables_that_do_not_move_are_not_differentiated() -> None:
+    problem, z = begun(oscillator(), trials=2)
+    blocks = problem.blocks(z, moving=np.array([False, True]))
+    every = problem.blocks(z)
+    for shared, whole_block in zip(blocks.shared, every.shared, strict=True):
+        assert not shared[:, 0].any()
+        np.testing.assert_array_equal(shared[:, 1], whole_block[:, 1])

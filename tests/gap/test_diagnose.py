@@ -55,6 +55,21 @@ def test_what_parameters_imitate_is_not_visible(with_friction: Diagnosis) -> Non
     assert damping.verdict == "not-visible"  # the model's own damping is free
 
 
+def test_bounds_of_what_cannot_be_negative_begin_at_zero(with_friction: Diagnosis) -> None:
+    ruled_out = {one.name: one.upper_bound for one in with_friction.candidates if one.verdict == "ruled-out"}
+    ends = {
+        (name.effect, key): (one.low, one.high)
+        for name, bounds in ruled_out.items()
+        for key, one in bounds.items()
+    }
+    assert ends
+    for (effect, _), (low, high) in ends.items():
+        assert low <= 0.0 <= high
+        if effect in ("quadratic-drag", "presliding-friction", "hysteresis", "delay", "lag", "dead-band"):
+            assert low == 0.0
+    assert any(low < 0.0 for low, _ in ends.values())  # a force or an offset has two sides
+
+
 def test_the_answer_for_scripts_is_plain_json_without_nan(with_friction: Diagnosis) -> None:
     answer = json.loads(json.dumps(with_friction.to_json(), allow_nan=False))
     assert answer["causes"][0]["effect"] == "coulomb-friction"

@@ -149,11 +149,7 @@ class AtiDaq:
         """
         if self._listener is None:
             raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
-        ended = not self._listener.running
-        block = self._buffer.take()
-        if ended and not len(block):
-            self._listener.check()
-        return block
+        return self._listener.deliver(self._buffer)
 
     def stop(self) -> None:
         """End sampling; harmless if it does not."""

@@ -185,11 +185,7 @@ class AtiNetFt:
         """
         if self._listener is None:
             raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
-        ended = not self._listener.running
-        block = self._buffer.take()
-        if ended and not len(block):
-            self._listener.check()
-        return block
+        return self._listener.deliver(self._buffer)
 
     def stop(self) -> None:
         """End the stream; harmless if there is none."""

@@ -151,11 +151,7 @@ class Bno055:
         self._opened()
         if self._sampling is None:
             raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
-        failed = not self._hearing().running
-        block = self._buffer.take()
-        if failed and not len(block):
-            self._hearing().check()
-        return block
+        return self._hearing().deliver(self._buffer)
 
     def stop(self) -> None:
         """End the readings; harmless if there are none. The chip goes on by itself, and keeps its calibration."""

@@ -146,11 +146,7 @@ class RobotiqFt300:
         self._opened()
         if self._source is None:
             raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
-        failed = not self._hearing().running
-        block = self._buffer.take()
-        if failed and not len(block):
-            self._hearing().check()
-        return block
+        return self._hearing().deliver(self._buffer)
 
     def stop(self) -> None:
         """End the stream; harmless if there is none. DeviceError if the port is gone."""

@@ -39,7 +39,7 @@ def test_the_force_that_is_missing_is_the_hidden_one(effect, law):
     difference = made(np.random.default_rng(1), [effect], frequencies=(0.8, 1.3), sd=np.array([0.003, 0.02]))
     (found,) = missing_forces(difference)
     assert found.site == "hinge"
-    assert found.unit == "N m"
+    assert (found.unit, found.coordinate_unit, found.load_unit) == ("N m", "rad", "N m")
     assert found.share > 0.95
     assert correlation(found, law) > 0.8
     assert [len(one) for one in found.force] == [len(one) for one in found.time_s]
