@@ -144,10 +144,11 @@ def test_another_chip_answers(bench):
 
 
 def test_over_runs_are_hidden_by_asking_again(bench):
-    bench.inject("overrun", 0.33)
+    bench.inject("overrun", 0.15)  # six in a row, which it does not hide, come once in 90 000 requests
     driver = reading(bench, rate_hz=20)
     collect_some(bench, driver, 15)
-    assert {remark.subject: remark for remark in driver.examine()}["over-runs"].verdict == "warning"
+    counted = {remark.subject: remark for remark in driver.examine()}["over-runs"].message
+    assert int(counted.split()[0]) > 0
 
 
 def test_over_runs_without_end(bench):
