@@ -1,0 +1,1 @@
+"""Dynamixel servos of the X series, over Protocol 2.0."""

@@ -1,0 +1,359 @@
+"""One half-duplex bus of servos, shared by commands, which must not wait, and questions, which wait for answers."""
+
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from labrun.devices import Clock, DeviceError
+from labrun.devices.serial_port import SerialPort
+from labrun_plugins.dynamixel.codec import BROADCAST, Status, split_fast
+from labrun_plugins.dynamixel.complaints import Complaints
+from labrun_plugins.dynamixel.control_table import Block, Register, whole
+
+if TYPE_CHECKING:
+    from labrun_plugins.dynamixel.sdk import HardenedHandler, HardenedPort
+
+TRIES = 3
+_PATIENCE_S = 0.04
+"""An answer takes 1 ms at 1 Mbit/s, and 16 ms more behind an adapter whose latency timer nobody has set."""
+_READ_S = 0.002
+_COMMAND_WAIT_S = 0.008
+"""What is still on its way after so long is on its way inside this computer: the wire itself is free."""
+_QUIET_S = 0.02
+_FAST_TRIES = 3
+_URGENT_S = 0.1
+_PING_BYTES = 3
+
+
+class Bus:
+    """Talks to servos.
+
+    A question holds the bus until it is answered or given up. A command waits for that only as long as an answer can be
+    on the wire; a computer that is slow to hand over what has arrived does not hold it back any longer.
+
+    Parameters
+    ----------
+    device
+        The device's name, for messages.
+    port, baud
+        Serial port, and bits a second.
+    clock
+        Of the run.
+    names
+        Id -> joint, for messages.
+
+    Attributes
+    ----------
+    fast
+        Whether all servos know fast reads; turned off when they are not answered.
+    """
+
+    def __init__(self, device: str, port: str, baud: int, clock: Clock, names: Mapping[int, str]) -> None:
+        self.device = device
+        self.baud = baud
+        self.fast = False
+        self._clock = clock
+        self._complaints = Complaints(device, baud, names)
+        self._serial = SerialPort(device, port, baud, timeout_s=_READ_S)
+        self._lock = threading.Lock()
+        self._port: HardenedPort | None = None
+        self._handler: HardenedHandler | None = None
+        self._urgent: int | None = None
+        self._unsettled = False
+        self._fast_failures = 0
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is open."""
+        return self._serial.is_open and self._port is not None
+
+    @property
+    def sent_s(self) -> float:
+        """When the last packet left, by the clock."""
+        return self._parts()[0].sent_s
+
+    def take_gap_s(self) -> float:
+        """Return the longest time for which nothing was sent, since the last time this was asked."""
+        port, _ = self._parts()
+        gap_s = max(port.longest_gap_s, self._clock.now() - port.sent_s)
+        port.longest_gap_s = 0.0
+        return gap_s
+
+    def open(self) -> None:
+        """Open the port.
+
+        Raises
+        ------
+        DeviceError
+            The vendor's library is missing, or the port cannot be opened.
+        """
+        try:
+            from labrun_plugins.dynamixel.sdk import HardenedHandler, HardenedPort
+        except ImportError as error:
+            raise DeviceError(
+                self.device, f"needs dynamixel-sdk ({error})", hint="pip install 'labrun[dynamixel]'"
+            ) from error
+        self._serial.open()
+        self._port = HardenedPort(self._serial, self.baud, self._clock, _PATIENCE_S)
+        self._handler = HardenedHandler()
+        self._unsettled = False
+        self._fast_failures = 0
+
+    def close(self) -> None:
+        """Close the port; never raises."""
+        self._serial.close()
+        self._port = self._handler = None
+
+    def ping(self, identity: int) -> tuple[int, int] | None:
+        """Return model number and firmware of a servo; None if it does not answer."""
+        port, handler = self._parts()
+        for _ in range(TRIES):
+            with self._question():
+                packet = [0] * 10
+                packet[4:8] = [identity, 3, 0, 1]
+                handler.txPacket(port, packet)
+                port.setPacketTimeout(14)
+                status = self._settled(handler.answer(port, identity, _PING_BYTES))
+            if status is not None and len(status.data) == _PING_BYTES:
+                return int.from_bytes(status.data[:2], "little"), status.data[2]
+        return None
+
+    def scan(self, patience_s: float) -> dict[int, tuple[int, int]]:
+        """Ask everybody who is there; return id -> (model number, firmware)."""
+        port, handler = self._parts()
+        found: dict[int, tuple[int, int]] = {}
+        with self._question():
+            packet = [0] * 10
+            packet[4:8] = [BROADCAST, 3, 0, 1]
+            handler.txPacket(port, packet)
+            port.setPacketTimeoutMillis(1e3 * patience_s)
+            while (status := handler.status(port)) is not None:
+                if len(status.data) == _PING_BYTES:
+                    found[status.id] = int.from_bytes(status.data[:2], "little"), status.data[2]
+        return found
+
+    def read(self, identity: int, register: Register) -> int:
+        """Return a register's value.
+
+        Raises
+        ------
+        DeviceError
+            No answer, or a refusal.
+        """
+        return register.decode(self.read_bytes(identity, Block(register.address, register.size)))
+
+    def read_bytes(self, identity: int, block: Block) -> bytes:
+        """Return the bytes of a block of one servo; raises as `read`."""
+        return self._read_status(identity, block).data
+
+    def _read_status(self, identity: int, block: Block) -> Status:
+        port, handler = self._parts()
+        noise = handler.noise
+        for _ in range(TRIES):
+            with self._question():
+                handler.readTx(port, identity, block.address, block.size)
+                status = self._settled(handler.answer(port, identity, block.size))
+            if status is None:
+                continue
+            if len(status.data) == block.size:
+                return status
+            raise self._complaints.refused(status, f"a read of address {block.address}")
+        raise self.silent([identity], damaged=handler.noise > noise)
+
+    def write(self, identity: int, register: Register, value: int) -> None:
+        """Write a register.
+
+        Raises
+        ------
+        DeviceError
+            No answer, or a refusal.
+        """
+        port, handler = self._parts()
+        noise = handler.noise
+        for _ in range(TRIES):
+            with self._question():
+                data = list(register.encode(value))
+                handler.writeTxOnly(port, identity, register.address, register.size, data)
+                port.setPacketTimeout(11)
+                status = self._settled(handler.answer(port, identity, 0))
+            if status is None:
+                continue
+            if status.refusal:
+                raise self._complaints.refused(status, f"{register.name} = {value}")
+            return
+        raise self.silent([identity], damaged=handler.noise > noise)
+
+    def reboot(self, identity: int) -> None:
+        """Restart a servo, which clears what it has latched; it does not answer for a while."""
+        port, handler = self._parts()
+        with self._question():
+            packet = [0] * 10
+            packet[4:8] = [identity, 3, 0, 8]
+            handler.txPacket(port, packet)
+            port.setPacketTimeout(11)
+            self._settled(handler.answer(port, identity, 0))
+
+    def group_write(
+        self, register: Register, values: Mapping[int, int], *, wait_s: float | None = None
+    ) -> None:
+        """Write a register of several servos at once; nobody answers.
+
+        Parameters
+        ----------
+        register, values
+            What to write: id -> value.
+        wait_s
+            How long a question under way may hold this back at most; None for as long as its answer can be on the wire.
+
+        Raises
+        ------
+        DeviceError
+            The port is gone.
+        """
+        data = {identity: register.encode(value) for identity, value in values.items()}
+        self.group_write_bytes(whole(register), data, wait_s=wait_s)
+
+    def group_write_bytes(
+        self, block: Block, data: Mapping[int, bytes], *, wait_s: float | None = None
+    ) -> None:
+        """Write neighbouring registers of several servos at once; otherwise as `group_write`."""
+        port, handler = self._parts()
+        parameters: list[int] = []
+        for identity, own in data.items():
+            parameters += [identity, *own]
+        if wait_s is None:
+            wait_s = _COMMAND_WAIT_S + 10.0 * 30 * len(data) / self.baud
+        held = self._lock.acquire(timeout=wait_s)
+        try:
+            handler.syncWriteTxOnly(port, block.address, block.size, parameters, len(parameters))
+        finally:
+            if held:
+                self._lock.release()
+
+    def group_read(
+        self, ids: Sequence[int], block: Block, *, wait_s: float = -1.0, patience_s: float | None = None
+    ) -> dict[int, Status]:
+        """Read a block of several servos at once.
+
+        Parameters
+        ----------
+        ids, block
+            Whom to ask for what.
+        wait_s
+            How long to wait for another question's end; -1 for as long as it takes.
+        patience_s
+            How long to wait for the answers; None for as long as usual.
+
+        Returns
+        -------
+        dict
+            Id -> its answer, with its own error byte; those that did not answer in time, or refused, are missing.
+
+        Raises
+        ------
+        DeviceError
+            The port is gone.
+        """
+        port, handler = self._parts()
+        self._give_way()
+        if not self._lock.acquire(timeout=wait_s):
+            return {}
+        try:
+            self._begin()
+            fast = self.fast and len(ids) > 1
+            handler.syncReadTx(port, block.address, block.size, list(ids), len(ids), fast)
+            if patience_s is not None:
+                port.setPacketTimeoutMillis(1e3 * patience_s)
+            found = self._fast_answers(ids, block) if fast else self._answers(ids, block)
+            self._unsettled = len(found) < len(ids)
+            return {identity: status for identity, status in found.items() if not status.refusal}
+        finally:
+            self._lock.release()
+
+    def require(self, ids: Sequence[int], block: Block) -> dict[int, Status]:
+        """Read a block of several servos, all of them.
+
+        Raises
+        ------
+        DeviceError
+            One of them does not answer, or refuses.
+        """
+        found: dict[int, Status] = {}
+        for _ in range(TRIES):
+            found |= self.group_read([identity for identity in ids if identity not in found], block)
+            if len(found) == len(ids):
+                break
+        # One by one the others are heard: in a group a servo that is silent may keep those after it waiting.
+        return {i: found[i] if i in found else self._read_status(i, block) for i in ids}
+
+    def silent(self, ids: Sequence[int], *, damaged: bool = False) -> DeviceError:
+        """Return the error for servos that do not answer, or only with noise."""
+        strangers = self._handler.strangers if self._handler is not None else ()
+        return self._complaints.silent(ids, damaged=damaged, strangers=strangers)
+
+    def who(self, ids: Sequence[int]) -> str:
+        """Return the joints of these ids as a person calls them."""
+        return self._complaints.who(ids)
+
+    def _answers(self, ids: Sequence[int], block: Block) -> dict[int, Status]:
+        port, handler = self._parts()
+        found: dict[int, Status] = {}
+        while len(found) < len(ids) and (status := handler.status(port)) is not None:
+            if status.id not in ids:
+                handler.strangers.add(status.id)
+            elif len(status.data) == block.size or (not status.data and status.refusal):
+                found[status.id] = status
+        return found
+
+    def _fast_answers(self, ids: Sequence[int], block: Block) -> dict[int, Status]:
+        port, handler = self._parts()
+        while (status := handler.status(port)) is not None:
+            blocks = split_fast(status, ids, block.size)
+            if blocks is not None:
+                self._fast_failures = 0
+                return blocks
+        self._fast_failures += 1
+        self.fast = self._fast_failures < _FAST_TRIES
+        return {}
+
+    @contextmanager
+    def urgent(self) -> Iterator[None]:
+        """Ask the questions of all other threads to wait meanwhile: who only waits for a lock may never get it."""
+        self._urgent = threading.get_ident()
+        try:
+            yield
+        finally:
+            self._urgent = None
+
+    def _give_way(self) -> None:
+        until_s = self._clock.now() + _URGENT_S
+        while self._urgent not in (None, threading.get_ident()) and self._clock.now() < until_s:
+            self._clock.sleep(_URGENT_S / 50)
+
+    @contextmanager
+    def _question(self) -> Iterator[None]:
+        self._give_way()
+        with self._lock:
+            self._begin()
+            yield
+
+    def _begin(self) -> None:
+        """Drop what is left of earlier questions; after one that was given up, also what comes a little late."""
+        _, handler = self._parts()
+        if self._unsettled:
+            until_s = self._clock.now() + _QUIET_S
+            while self._serial.read() and self._clock.now() < until_s:
+                pass
+            self._unsettled = False
+        self._serial.discard_input()
+        handler.forget()
+
+    def _settled(self, status: Status | None) -> Status | None:
+        self._unsettled = status is None
+        return status
+
+    def _parts(self) -> "tuple[HardenedPort, HardenedHandler]":
+        if self._port is None or self._handler is None:
+            raise DeviceError(self.device, "is not open", hint="open() comes before any other call")
+        return self._port, self._handler

@@ -1,0 +1,146 @@
+"""What may be sent: a motion as a whole before it starts, and each of its set-points right before it leaves."""
+
+from collections import deque
+
+import numpy as np
+
+from labrun.devices import DeviceError, FloatArray, Trajectory
+from labrun.errors import LimitExceededError
+from labrun_plugins.dynamixel.control_table import COUNT_RAD, TURNS
+from labrun_plugins.dynamixel.scale import Scale
+from labrun_plugins.dynamixel.settings import DynamixelSettings
+
+OVERSHOOT_RAD = float(np.radians(3.0))
+"""A joint at rest may stand so far outside its limits: overshoot and play. From further out it is not moved."""
+_SPEED_SLACK = 1.02
+_WINDOW_S = 0.25
+_TOLERANCE = 1e-9
+
+
+class CommandCheck:
+    """Knows the limits of one bus.
+
+    Parameters
+    ----------
+    name
+        The device's name, for messages.
+    settings
+        Its limits, operating mode and rate.
+    scales
+        One for each joint, in the file's order.
+    """
+
+    def __init__(self, name: str, settings: DynamixelSettings, scales: tuple[Scale, ...]) -> None:
+        self._name = name
+        self._limits = settings.limits
+        self._period_s = 1.0 / settings.command_hz
+        self._most_turns = 0.5 if settings.operating_mode == "position" else float(TURNS)
+        self._scales = scales
+        self._bounds = None if self._limits.angle_deg is None else np.radians(self._limits.angle_deg)
+        self._sent: deque[tuple[float, FloatArray]] = deque()
+
+    def trajectory(self, trajectory: Trajectory, joints: tuple[str, ...]) -> Trajectory:
+        """Return the motion with its columns in the order of `joints`.
+
+        A motion that begins a little outside the angle limit, because the joint overshot, and leads back, begins at the
+        limit instead.
+
+        Raises
+        ------
+        LimitExceededError
+            It leaves a limit.
+        DeviceError
+            Other joints, or beyond the reach of the operating mode.
+        """
+        if set(trajectory.joints) != set(joints):
+            raise DeviceError(
+                self._name, f"got a motion of {', '.join(trajectory.joints)}, but drives {', '.join(joints)}"
+            )
+        motion = self._led_back(trajectory.only(joints))
+        for excess in self._limits.trajectory_excess(motion):
+            raise LimitExceededError(
+                self._name,
+                f"{excess} at {excess.time_s:.3g} s of the motion; nothing was sent",
+                hint="change the gait, or the device's limits in the experiment file",
+            )
+        for scale, angles in zip(self._scales, motion.angle_rad.T, strict=True):
+            if (
+                max(scale.turns(float(angles.min())), scale.turns(float(angles.max())))
+                > self._most_turns + 1e-9
+            ):
+                raise DeviceError(self._name, f"{self._reach()}; nothing was sent", hint=self._advice())
+        return motion
+
+    def set_point(self, angles_rad: FloatArray, now_s: float) -> FloatArray:
+        """Return a set-point that may be sent now.
+
+        Raises
+        ------
+        LimitExceededError
+            It leaves the angle limit, or the way from those before is too long for the time since.
+        """
+        if not np.isfinite(angles_rad).all():
+            raise LimitExceededError(
+                self._name, f"a set-point of {angles_rad} rad is not a number; it was not sent"
+            )
+        if self._bounds is not None:
+            low, high = self._bounds
+            slack = _TOLERANCE * max(abs(low), abs(high))
+            if (angles_rad < low - slack).any() or (angles_rad > high + slack).any():
+                raise self._beyond(
+                    f"set-point {np.degrees(angles_rad).round(2)} deg leaves {self._limits.angle_deg}"
+                )
+        if self._limits.speed_deg_s is not None:
+            self._check_speed(angles_rad, now_s, self._limits.speed_deg_s)
+        return angles_rad
+
+    def forget(self) -> None:
+        """Begin anew: the next set-point is the first."""
+        self._sent.clear()
+
+    def _check_speed(self, angles_rad: FloatArray, now_s: float, most_deg_s: float) -> None:
+        """Compare the way from each of the last set-points with the time since.
+
+        One that left late is followed by others that leave in time, so that a period more is granted each; over the
+        whole window that is little.
+        """
+        while self._sent and self._sent[0][0] < now_s - _WINDOW_S:
+            self._sent.popleft()
+        for sent_s, angles in self._sent:
+            passed_s = now_s - sent_s
+            most_rad = _SPEED_SLACK * np.radians(most_deg_s) * (passed_s + self._period_s) + COUNT_RAD
+            way = float(np.abs(angles_rad - angles).max())
+            if way > most_rad:
+                raise self._beyond(
+                    f"set-point {np.degrees(way):.2f} deg from the one {1e3 * passed_s:.0f} ms before exceeds "
+                    f"{most_deg_s:g} deg/s"
+                )
+        self._sent.append((now_s, np.array(angles_rad)))
+
+    def _led_back(self, motion: Trajectory) -> Trajectory:
+        if self._bounds is None:
+            return motion
+        low, high = self._bounds
+        angles = motion.angle_rad.copy()
+        for column in angles.T:
+            outside = np.maximum(column - high, low - column)
+            inside = np.flatnonzero(outside <= 0.0)
+            lead = int(inside[0]) if len(inside) else 0
+            way = outside[:lead]
+            if lead and way[0] <= OVERSHOOT_RAD and (np.diff(way) <= _TOLERANCE).all():
+                column[:lead] = np.clip(column[:lead], low, high)
+        return Trajectory(motion.joints, motion.time_s, angles, motion.period_s)
+
+    def _beyond(self, what: str) -> LimitExceededError:
+        return LimitExceededError(
+            self._name, f"{what}; it was not sent", hint="look at the bench before labrun resume"
+        )
+
+    def _reach(self) -> str:
+        if self._most_turns < 1.0:
+            return "position mode covers one turn (+-180 deg)"
+        return f"extended position mode covers {TURNS} turns either way"
+
+    def _advice(self) -> str:
+        advice = "set limits.angle_deg, so that the plan is refused before anything moves"
+        return advice if self._most_turns > 1.0 else f'{advice}; or operating_mode = "extended-position"'
