@@ -1,6 +1,7 @@
 """Stand-in for Dynamixel XM430 servos."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -24,6 +25,7 @@ _INERTIA_KG_M2 = 1e-3
 _FRICTION_N_M = 0.05
 TORQUE_N_M_A = 1.8
 _STEP_S = 0.005
+_SUBSTEP_S = 0.005
 _TIMING = Timing(latency_s=0.001, jitter_s=0.0005, clock_offset_s=12.0, clock_drift=2e-5)
 
 
@@ -44,8 +46,9 @@ def motor_current_a(speed_rad_s: FloatArray, acceleration_rad_s2: FloatArray) ->
 class SimulatedDynamixel(SimulatedJoints):
     """XM430-W210 in position mode: 4096 counts a turn both ways, 330 x 0.229 rev/min at most.
 
-    Counts and velocity limit are those of the control table. Chosen: 200 group writes per second, a closed loop of
-    15 Hz with damping ratio 0.8. With `feedback_hz` above zero it is a sensor as well.
+    Counts and velocity limit are those of the control table; commands come `command_hz` times a second, rounded to
+    whole steps of 5 ms. Chosen: a closed loop of 15 Hz with damping ratio 0.8. With `feedback_hz` above zero it is a
+    sensor as well.
     """
 
     Settings: ClassVar[type[DeviceSettings]] = SimulatedDynamixelSettings
@@ -59,7 +62,9 @@ class SimulatedDynamixel(SimulatedJoints):
 
     def __init__(self, name: str, settings: SimulatedDynamixelSettings, context: DeviceContext) -> None:
         signs = {joint: int(table.sign) for joint, table in settings.joints.items()}
-        super().__init__(name, settings, context, signs, SHAFT)
+        frames = max(1, round(1.0 / (settings.command_hz * _SUBSTEP_S)))
+        shaft = replace(SHAFT, frame_s=frames * _SUBSTEP_S)
+        super().__init__(name, settings, context, signs, shaft)
         self._turn_rad = np.pi if settings.operating_mode == "position" else 256 * 2 * np.pi
         self._neutral_rad = {j: np.radians(table.neutral_deg) for j, table in settings.joints.items()}
 
