@@ -205,8 +205,12 @@ class LinearStage:
         self._check()
         self._motion.follow(trajectory, start_s, token)
 
+    def restart_pacing(self) -> None:
+        """Forget how evenly set-points have gone out so far."""
+        self._motion.restart_timing()
+
     def pacing(self) -> Pacing:
-        """Return how evenly targets went out."""
+        """Return how evenly set-points have gone out since `restart_pacing`, or since it was opened."""
         return self._motion.timing
 
     def start(self) -> None:

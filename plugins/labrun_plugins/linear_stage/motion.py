@@ -64,8 +64,12 @@ class StageMotion:
 
     @property
     def timing(self) -> Pacing:
-        """How evenly targets went out."""
+        """How evenly set-points have gone out since `restart_timing`."""
         return self._stream.timing
+
+    def restart_timing(self) -> None:
+        """Forget how evenly set-points have gone out so far."""
+        self._stream.restart_timing()
 
     def reset(self) -> None:
         """End what went on before."""
