@@ -2,13 +2,14 @@
 
 from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import replace
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from labrun.models.simulation import Unfiltered
 
-_MOST_BYTES = 64_000_000
+_MOST_BYTES = 128_000_000
 
 
 class Recent:
@@ -20,13 +21,16 @@ class Recent:
         self._lock = Lock()
 
     def get(self, key: Any, make: "Callable[[], Unfiltered]") -> "Unfiltered":
-        """Return the simulation of that key; `make` simulates if it is not there."""
+        """Return the simulation of that key, without its states; `make` simulates if it is not there."""
         with self._lock:
             found = self._kept.get(key)
             if found is not None:
                 self._kept.move_to_end(key)
                 return found
         made = make()
+        made = replace(
+            made, states=made.states[:, :0].copy()
+        )  # nobody asks for them here, and they are large
         with self._lock:
             if key not in self._kept:
                 self._kept[key] = made

@@ -23,6 +23,8 @@ _IMITATED = 0.08
 """Part of a change, at a small size, below which it counts as imitated by parameters: it is not linear after all."""
 _FOLLOWED = 3
 """Starts that are followed: a delay, say, has a minimum of its own beside what damping imitates."""
+_ALIKE = 0.99
+"""Starts whose changes of the residuals have at least this cosine lead to one end."""
 _BESIDE_KNOWN = 1
 """Starts that are followed beside the sizes at which an earlier fit of the same candidate ended."""
 _ROUGH = 1e-2
@@ -90,6 +92,21 @@ class Survey:
     directions: FloatArray = field(repr=False)
     whole: FloatArray
     potential: float
+
+    def different(self, most: int) -> list[FloatArray]:
+        """Return the most promising starts that change the residuals in different ways.
+
+        Of an effect that is linear in its size, one start is as good as many.
+        """
+        norms = np.linalg.norm(self.directions, axis=0)
+        unit = self.directions / np.where(norms > 0, norms, 1.0)
+        chosen: list[int] = []
+        for place in range(len(self.starts)):
+            if len(chosen) == most:
+                break
+            if not np.any(np.abs(unit[:, chosen].T @ unit[:, place]) > _ALIKE):
+                chosen.append(place)
+        return [self.starts[place] for place in chosen]
 
     @property
     def lines(self) -> FloatArray:
@@ -180,10 +197,10 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
         Sizes at which an earlier fit of this candidate ended, beside another base: a start like no other.
     """
     problem = surveyed.problem
-    starts = surveyed.starts[:_FOLLOWED]
+    starts = surveyed.different(_FOLLOWED if known is None else _BESIDE_KNOWN)
     if known is not None:
         shared, own = base.z[: base.problem.size], own_states(base.problem, base.z)
-        starts = [np.concatenate([shared, known, own]), *starts[:_BESIDE_KNOWN]]
+        starts = [np.concatenate([shared, known, own]), *starts]
     ends = [minimise(problem, z, tolerance=_ROUGH, evaluations=_FEW, central=False) for z in starts]
     squares = [problem.squares(z) for z in ends]
     best = int(np.argmin(squares))

@@ -290,7 +290,8 @@ def _best(rated: Sequence[Rated], left: Excess, reference: Excess, *, further: b
         return None
     most = max(one.share for one in passing)
     # what fits the seen conditions well and fails on the unseen has learned the wrong thing
-    fair = [one for one in passing if one.share >= most - 0.1]
+    # ... but where all fail there alone, as each of two causes may, how badly they do says little
+    fair = [one for one in passing if one.share >= most - 0.1] if most >= _LEAST_SHARE else passing
     best = max(fair, key=lambda one: one.score)
     probable = weights(fair, FORM_SLACK)
     alike = [

@@ -18,7 +18,9 @@ FloatArray = NDArray[np.float64]
 _MOST_DRAWS = 60
 _FEWEST_DRAWS = 19
 _MOST_NUMBERS = 400_000
-"""Samples times redrawn noises that are filtered: more of them are told apart no better, and take long."""
+"""Samples times redrawn noises that are filtered: more of them are told apart no better, and take long ..."""
+_USUAL_STATES = 6
+"""... the longer, the more states a model has beyond these."""
 _SIZES = np.geomspace(1e-3, 1e13, 17)
 _BETWEEN = (10**-0.5, 10**0.5)
 """Variance that a disturbance gives the outputs, in units of one trial's noise: the grid of its likelihood, refined
@@ -86,7 +88,8 @@ def equation_places(
         return []
     r = _measurement_variance(difference)
     told = difference.noise.basis == "repeats"
-    number = min(draws, _MOST_DRAWS, max(_FEWEST_DRAWS, _MOST_NUMBERS // sum(lengths))) if told else 0
+    numbers = int(_MOST_NUMBERS * min(1.0, _USUAL_STATES / size))
+    number = min(draws, _MOST_DRAWS, max(_FEWEST_DRAWS, numbers // sum(lengths))) if told else 0
     drawn = [np.concatenate(one) for one in redrawn(difference, rng, number)]
     series = np.stack(
         [np.concatenate([one / difference.noise_sd for one in difference.residual]), *drawn], axis=2
