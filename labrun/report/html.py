@@ -9,6 +9,7 @@ from labrun.report.figure import draw_view
 from labrun.report.html_conditions import conditions_section
 from labrun.report.html_elements import Html, paragraph, picture, section
 from labrun.report.html_fits import fits_section
+from labrun.report.html_gap import gap_section
 from labrun.report.html_page import page
 from labrun.report.html_provenance import provenance_section
 from labrun.report.html_timing import timing_section
@@ -72,6 +73,7 @@ def report_html(source: ReportSource) -> str:
         ("timing", "timing", timing_section),
         ("rejected", "rejected trials", rejected_section),
         ("fits", "fits", fits_section),
+        ("gap", "gap", gap_section),
         ("provenance", "provenance", provenance_section),
     ]
     made = [(anchor, name, make(source)) for anchor, name, make in makers]
