@@ -29,6 +29,8 @@ from labrun.store.timing import stream_report
 from labrun.store.trial import Stream
 
 LOOK_S = 0.02
+_CB3_HZ = 125.0
+"""A controller of the CB3 series gives no more; faster ones are of the e-Series."""
 _LIMITS = {"angle_deg": [-60.0, 60.0], "speed_deg_s": 528.0}
 _FINS = ("right_1", "right_2", "left_1", "left_2")
 
@@ -72,7 +74,10 @@ def main() -> None:
             benches = []
             for scene, tables in rigs(given.arm_hz):
                 made = {name: PluginTable.model_validate(item) for name, item in tables.items()}
-                bench = stack.enter_context(EmulatedBench(made, PluginTable(plugin=scene), seed=1))
+                faults = {"arm": {"e-series": True}} if given.arm_hz > _CB3_HZ else None
+                bench = stack.enter_context(
+                    EmulatedBench(made, PluginTable(plugin=scene), seed=1, faults=faults)
+                )
                 bench.keep_logs(Path(logs))
                 benches.append(bench)
                 for name in made:

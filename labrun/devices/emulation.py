@@ -76,6 +76,11 @@ class EmulatorLog:
         self._file = None if path is None else os.open(path, _APPEND, 0o644)
         self.lines: list[dict[str, Any]] = []
 
+    @property
+    def path(self) -> Path | None:
+        """Where the lines go; None if to no file."""
+        return self._path
+
     def note(self, event: str, **fields: Any) -> None:
         """Write one event."""
         line = {"time_s": self._clock.now(), "event": event, **fields}

@@ -32,8 +32,11 @@ class Listener:
         return self._thread is not None and self._thread.is_alive()
 
     def start(self) -> None:
-        """Begin; forgets an earlier failure. Does nothing while it runs."""
-        if self.running:
+        """Begin; forgets an earlier failure. Does nothing while it runs.
+
+        A thread that was told to end and still hangs in `receive` is left to end by itself: another one takes over.
+        """
+        if self.running and not self._ending.is_set():
             return
         self._failure = None
         self._ending = threading.Event()

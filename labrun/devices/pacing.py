@@ -147,7 +147,8 @@ class CommandStream:
     def _run(self, ending: threading.Event) -> None:
         try:
             while not ending.is_set():
-                motion, number = self._motion, self._number
+                with self._lock:  # a motion and its number belong together
+                    motion, number = self._motion, self._number
                 if motion is None:
                     self._rest()
                 else:

@@ -63,7 +63,7 @@ class SerialPort:
             opened = serial.Serial(
                 self.port, self._baud, timeout=self._timeout_s, write_timeout=1.0, exclusive=True
             )
-        except (OSError, ValueError) as error:  # a SerialException is an OSError
+        except Exception as error:  # a SerialException is an OSError; termios.error and OverflowError are not
             raise self._not_opened(error) from error
         self.serial = opened
         # Some adapters know no such mode, nor does a pty; doctor tells about latency.
@@ -124,11 +124,12 @@ class SerialPort:
                 port.close()
 
     def _opened(self) -> "serial.Serial":
-        if self.serial is None:
+        port = self.serial  # once: another thread may close it in the midst of this
+        if port is None:
             raise DeviceError(
                 self.device, f"port {self.port} is not open", hint="open() comes before any other call"
             )
-        return self.serial
+        return port
 
     def _gone(self, error: Exception) -> DeviceError:
         return DeviceError(self.device, f"port {self.port} was unplugged or closed ({error})", hint=_REPLUG)

@@ -1,6 +1,7 @@
 """What `labrun doctor --hardware` looks at: the devices themselves, one after another. Nothing is moved."""
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,13 +41,14 @@ def examine_rig(rig: Rig) -> Iterator[Remark]:
         except LabrunError as error:
             yield _problem(name, error)
         finally:
-            device.safe_stop()
-            device.close()
+            with suppress(Exception):  # one that cannot be closed keeps no other from being looked at
+                device.safe_stop()
+                device.close()
 
 
 def _examine_device(name: str, device: Device, clock: Clock) -> Iterator[Remark]:
     with blaming(name):
-        device.open()
+        getattr(device, "open_at_rest", device.open)()  # nothing moves because somebody asks how it is
         identity = device.identify()
         yield Remark("ok", name, identity_text(identity))
         health = device.health()
@@ -115,13 +117,24 @@ def find_devices(ports: list[str] | None = None) -> Iterator[Remark]:
         Instead of all ports of the machine.
     """
     probes = _probes()
-    for port in existing_ports() if ports is None else ports:
+    asked = existing_ports() if ports is None else ports
+    if not asked:
+        yield Remark(
+            "warning",
+            "serial ports",
+            "this machine has none",
+            "plug a device in; for devices on a network name the experiment: labrun doctor --hardware EXPERIMENT",
+        )
+    for port in asked:
         try:
             _require_free(port)
         except DeviceError as error:
             yield _problem(port, error)
-        else:
-            yield _ask_at(port, probes)
+            continue
+        timer = latency(port, "its adapter")
+        if timer.verdict != "ok":
+            yield timer
+        yield from _ask_at(port, probes)
 
 
 def _require_free(port: str) -> None:
@@ -131,18 +144,24 @@ def _require_free(port: str) -> None:
     line.close()
 
 
-def _ask_at(port: str, probes: Mapping[str, Callable[[str], Identity | None]]) -> Remark:
+def _ask_at(port: str, probes: Mapping[str, Callable[[str], Identity | None]]) -> Iterator[Remark]:
+    """Ask for each kind in turn until one answers. One that cannot ask (no library) keeps no other from asking."""
+    silent = []
     for plugin, probe in probes.items():
         try:
-            identity = probe(port)
-        except DeviceError as error:
-            return _problem(port, error)
+            with blaming(port):
+                identity = probe(port)
+        except LabrunError as error:
+            yield replace(_problem(port, error), verdict="warning", subject=f"{port}, {plugin}")
+            continue
         if identity is not None:
-            return Remark("ok", port, f"{plugin}: {identity_text(identity)}")
-    return Remark(
+            yield Remark("ok", port, f"{plugin}: {identity_text(identity)}")
+            return
+        silent.append(plugin)
+    yield Remark(
         "warning",
         port,
-        f"nothing answers as {', '.join(probes)}",
+        f"nothing answers as {', '.join(silent)}",
         "check its power, its wiring and its baud rate; it may also be something else",
     )
 

@@ -179,7 +179,12 @@ class Rig:
             self.watchdog = start_watchdog(
                 self.resolved, set(self.actuators) | set(self.carriages), self._watchdog_s
             )
-        failures = self._each(self.devices, lambda device: device.open())
+        try:
+            failures = self._each(self.devices, lambda device: device.open())
+        except BaseException:  # Ctrl-C: nobody will come to close what is open
+            self.safe_stop()
+            self.close()
+            raise
         if not failures:
             return
         self.close()

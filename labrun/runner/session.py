@@ -28,6 +28,8 @@ from labrun.store.trial import Role, TrialOutcome
 _COME_BACK_S = 10.0
 """How long a device that failed may stay away before the run ends: a plug put back takes some seconds to be found."""
 _TRY_AGAIN_S = 0.5
+_MOST_FAILURES = 10
+"""So many failed trials in a row end a run that would skip or repeat each: a plan of a night is not worn out in minutes."""
 
 
 class Session:
@@ -91,6 +93,7 @@ class Session:
         self._previous: TrialOutcome | None = None
         self._expected: int | None = None
         self._warned = False
+        self._failures = 0
         self.index = 0
         """Index of the next trial."""
         self.new_trials = 0
@@ -215,6 +218,8 @@ class Session:
             self._warn_unsettled(outcome)
         if result.fault is not None:
             self._after_fault(result.fault)
+        else:
+            self._failures = 0
         return outcome
 
     def _warn_unsettled(self, outcome: TrialOutcome) -> None:
@@ -261,6 +266,13 @@ class Session:
     def _after_fault(self, fault: DeviceError) -> None:
         if isinstance(fault, LimitExceededError) or self._experiment.trial.on_fault == "stop":
             raise fault
+        self._failures += 1
+        if self._failures >= _MOST_FAILURES:
+            raise DeviceError(
+                fault.device,
+                f"{_MOST_FAILURES} trials failed one after the other; the last: {fault.args[0]}",
+                hint=fault.hint or "look at the bench, then labrun resume",
+            ) from fault
         self._progress.note(f"{fault}")
         if fault.device in self._rig.devices:
             self._reopen(fault.device)

@@ -61,6 +61,31 @@ def test_what_breaks_because_the_port_was_closed_under_the_thread_is_no_failure(
     listener.check()
 
 
+def test_a_thread_that_hangs_when_it_is_stopped_does_not_keep_the_next_one_from_hearing():
+    let_go, again = threading.Event(), threading.Event()
+    heard_by = []
+
+    def receive():
+        heard_by.append(threading.current_thread())
+        if len(heard_by) == 1:
+            let_go.wait(10)
+            raise OSError("too late to matter")
+        again.set()
+
+    listener = Listener("ear", receive)
+    listener.start()
+    while not heard_by:
+        pass
+    listener.stop(patience_s=0.01)
+    listener.start()
+    assert again.wait(5)
+    let_go.set()
+    heard_by[0].join(5)
+    assert listener.running
+    listener.check()
+    listener.stop()
+
+
 def test_what_was_heard_before_a_failure_is_handed_over_before_the_failure_is_told():
     buffer = SampleBuffer(1)
 

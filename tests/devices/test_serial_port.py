@@ -58,16 +58,35 @@ def test_what_a_program_before_left_in_the_input_is_gone_after_opening(far_end):
     first.open()
     far_end.send(b"old")
     far_end.flush(CLOCK.now() + 1)
-    CLOCK.sleep(0.05)
-    first.discard_input()
-    assert first.read() == b""
     first.close()
+    second = SerialPort("wrench", str(far_end.path), 19_200, timeout_s=0.1)
+    second.open()
+    assert second.read() == b""
+    far_end.send(b"new")
+    far_end.flush(CLOCK.now() + 1)
+    assert second.read() == b"new"
+    second.close()
 
 
 def test_a_port_that_is_not_there_is_named_with_the_next_thing_to_try(tmp_path):
     port = SerialPort("wrench", str(tmp_path / "ttyUSB9"), 19_200)
     with pytest.raises(DeviceError, match=r"device wrench: there is no port .*ttyUSB9\n  plug it in"):
         port.open()
+
+
+def test_a_file_that_is_no_serial_port_is_told_as_such(tmp_path):
+    (tmp_path / "notes.txt").write_text("not a port")
+    port = SerialPort("wrench", str(tmp_path / "notes.txt"), 19_200)
+    with pytest.raises(DeviceError, match=r"device wrench: .*notes\.txt cannot be opened: "):
+        port.open()
+    assert not port.is_open
+
+
+def test_a_baud_rate_that_cannot_be_is_told_as_such(far_end):
+    port = SerialPort("wrench", str(far_end.path), 2**40)
+    with pytest.raises(DeviceError, match=r"device wrench: .* cannot be opened: "):
+        port.open()
+    assert not port.is_open
 
 
 def test_a_port_that_another_program_holds_is_told_as_such(port, far_end):

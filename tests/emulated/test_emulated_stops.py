@@ -127,3 +127,34 @@ def test_a_fault_costs_its_trial_alone_if_the_file_says_skip(tmp_path):
         lab.watcher.when_recording(SOON_S, blink)
         measured = lab.session.measure(conditions, order="as-listed")
         assert [item.outcomes[0].status for item in measured] == ["failed", "done"]
+
+
+def test_saturation_rejects_a_trial_and_an_error_status_fails_one_and_both_are_measured_again(tmp_path):
+    box = {"plugin": "ati-netft", "host": "192.168.1.1", "rate_hz": 1000}
+    conditions = [{"a": 20}, {"a": 10}]
+    changes = {"trial__on_fault": "skip", "run__conditions": conditions, "trial__cycles": 2}
+    with emulated_lab(tmp_path, rig__devices__wrench=box, **changes) as lab:
+
+        def blink(fault):
+            lab.bench.inject("wrench", fault)
+            CLOCK.sleep(0.1)
+            lab.bench.clear("wrench", fault)
+
+        def first():
+            lab.watcher.when_recording(SOON_S, lambda: blink("error"))
+            blink("saturate")
+
+        lab.watcher.when_recording(SOON_S, first)
+        saturated, broken = lab.session.measure(conditions, order="as-listed")
+        assert [outcome.status for outcome in saturated.outcomes] == ["rejected", "done"]
+        assert "device wrench: " in saturated.outcomes[0].reason
+        assert "end of the measuring range" in saturated.outcomes[0].reason
+        assert [outcome.status for outcome in broken.outcomes] == ["failed", "done"]
+        assert "device wrench: reports an error: analogue board error" in broken.outcomes[0].reason
+        recorded = lab.folder.outcomes()
+        assert [recorded[index].status for index in sorted(recorded)] == [
+            "rejected",
+            "failed",
+            "done",
+            "done",
+        ]

@@ -73,6 +73,18 @@ def test_a_faulty_trial_is_left_out_where_the_file_says_so(lab):
     assert [len(m.accepted) for m in found] == [2, 2]
 
 
+def test_a_plan_is_not_worn_out_by_a_device_that_fails_in_every_trial(lab):
+    lab = lab(
+        trial__on_fault="skip",
+        trial__repeats={"min": 20, "max": 30},
+        rig__devices__cell__silent_trials=list(range(100)),
+        rig__devices__cell__silent_times=100,
+    )
+    with pytest.raises(DeviceError, match="device cell: 10 trials failed one after the other; the last: device cell"):
+        lab.session.measure(ONE)
+    assert [outcome.status for outcome in lab.session.outcomes] == ["failed"] * 10
+
+
 def test_a_stopped_run_goes_on_after_the_fault_with_the_faulty_trial_kept(lab):
     from labrun.store.folder import RunFolder
 

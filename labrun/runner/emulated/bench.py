@@ -108,7 +108,7 @@ class EmulatedBench:
         served = None
         if self._scene_table is not None:
             served = {"address": str(folder / "scene"), "key": secrets.token_hex(32)}
-            self._scene_process = self._start_scene(served)
+            self._start_scene(served)
         for number, (name, table) in enumerate(tables.items()):
             self._processes[name] = self._start_emulator(number, name, table, served)
         for name, process in self._processes.items():
@@ -151,7 +151,12 @@ class EmulatedBench:
 
     def close(self) -> None:
         """End all processes; never raises."""
-        for name in self._processes:
+        for name, process in self._processes.items():
+            if (
+                name not in self.settings
+            ):  # it is still starting: nobody has used it, and it hears no order yet
+                process.kill()
+                continue
             try:
                 self._order(name, {"quit": True})
             except LabrunError:
@@ -175,7 +180,7 @@ class EmulatedBench:
                 raise ExperimentError(f"the emulator of {name} does not write {path}", hint="is it writable?")
             clock.sleep(_LOOK_S)
 
-    def _start_scene(self, served: Mapping[str, str]) -> "subprocess.Popen[bytes]":
+    def _start_scene(self, served: Mapping[str, str]) -> None:
         assert self._scene_table is not None  # noqa: S101  asked by the caller
         task = {
             "plugin": self._scene_table.plugin,
@@ -183,10 +188,10 @@ class EmulatedBench:
             "seed": [self._seed, _SCENE_STREAM],
             **served,
         }
-        process = _started("labrun.runner.emulated.scene_server", task)
+        # Kept before it is waited for: whoever presses Ctrl-C meanwhile leaves no process behind.
+        process = self._scene_process = _started("labrun.runner.emulated.scene_server", task)
         if _answer(process, "the simulated bench").strip() != READY.encode():
             raise ExperimentError("the simulated bench did not start", hint="its own message stands above")
-        return process
 
     def _start_emulator(
         self, number: int, name: str, table: PluginTable, served: Mapping[str, str] | None

@@ -5,6 +5,7 @@ JSON, then orders, one line each: ``{"fault": name, "value": value}``, ``{"log":
 with one line: the settings by which a driver reaches it.
 """
 
+import contextlib
 import json
 import math
 import os
@@ -32,10 +33,19 @@ class _Orders:
     def __init__(self, pipe: int) -> None:
         self.pipe = pipe
         self._rest = b""
+        self._kept: list[dict[str, Any]] = []
         self.ended = False
+
+    @property
+    def waiting(self) -> bool:
+        """Whether orders came along with the first one."""
+        return bool(self._kept)
 
     def take(self) -> list[dict[str, Any]]:
         """Return the orders that have arrived; call it when the pipe is readable."""
+        if self._kept:
+            kept, self._kept = self._kept, []
+            return kept
         data = os.read(self.pipe, 65_536)
         if not data:
             self.ended = True
@@ -48,7 +58,8 @@ class _Orders:
         while True:
             orders = self.take()
             if orders:
-                return orders[0]
+                first, *self._kept = orders
+                return first
             if self.ended:
                 sys.exit(0)
 
@@ -82,7 +93,7 @@ def run(emulator: Emulator, context: EmulatorContext, orders: _Orders) -> None:
         wait_s = min(max(due_s - clock.now(), 0.0), _LONGEST_WAIT_S)
         files = [*emulator.files(), *(() if orders.ended else (orders.pipe,))]
         readable, _, _ = select.select(files, [], [], wait_s)
-        if orders.pipe not in readable:
+        if orders.pipe not in readable and not orders.waiting:
             continue
         for order in orders.take():
             if "quit" in order:
@@ -106,10 +117,10 @@ def main() -> int:
         emulator, context = make_emulator(task)
         reached_by = dict(emulator.open())
     except LabrunError as error:
-        print(json.dumps({"error": str(error)}), flush=True)
+        _answer({"error": str(error)})
         return 1
     context.log.note("open", **reached_by)
-    print(json.dumps({"settings": reached_by}), flush=True)
+    _answer({"settings": reached_by})
     try:
         run(emulator, context, orders)
     except Exception:
@@ -117,7 +128,27 @@ def main() -> int:
         raise
     finally:
         emulator.close()
+        if orders.ended:
+            _tidy_up(context)
     return 0
+
+
+def _answer(line: dict[str, Any]) -> None:
+    """Tell the runner; one that was killed meanwhile is noticed by its orders' end."""
+    with contextlib.suppress(BrokenPipeError):
+        os.write(sys.stdout.fileno(), json.dumps(line).encode() + b"\n")
+
+
+def _tidy_up(context: EmulatorContext) -> None:
+    """Take away what a runner that was killed can no longer: a log nobody asked to keep, and the bench's folder.
+
+    The folder goes with the last one that leaves something in it.
+    """
+    path = context.log.path
+    if path is not None and path.parent == context.folder:
+        path.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):
+        context.folder.rmdir()
 
 
 if __name__ == "__main__":

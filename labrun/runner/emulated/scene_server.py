@@ -128,8 +128,8 @@ def _serve(scene: Scene, address: str, key: bytes) -> None:
     shared = SharedScene(scene)
     Server.register("scene", callable=lambda: shared, exposed=_EXPOSED)
     server = Server(address=address, authkey=key).get_server()
-    sys.stdout.write(READY + "\n")
-    sys.stdout.flush()
+    with contextlib.suppress(BrokenPipeError):  # the runner was killed meanwhile: its input's end is minded
+        os.write(sys.stdout.fileno(), READY.encode() + b"\n")
     server.serve_forever()
 
 
@@ -149,10 +149,13 @@ def main() -> None:
     from labrun.registry import load
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    task = json.loads(sys.stdin.buffer.readline())
+    asked = sys.stdin.buffer.readline()
+    if not asked:  # the runner ended before it asked for anything
+        return
+    task = json.loads(asked)
+    threading.Thread(target=_end_with_input, args=(Path(task["address"]),), daemon=True).start()
     rng = np.random.default_rng(np.random.SeedSequence(task["seed"]))
     scene: Scene = load("labrun.scenes", task["plugin"])(task["settings"], rng)
-    threading.Thread(target=_end_with_input, args=(Path(task["address"]),), daemon=True).start()
     _serve(scene, task["address"], bytes.fromhex(task["key"]))
 
 

@@ -85,7 +85,11 @@ class Reception:
         """
         self._clock.sleep(_LOOK_EVERY_S)
         looked_s = self._clock.now()
-        records, host_s = self._source.take()
+        try:
+            records, host_s = self._source.take()
+        except DeviceError:
+            self.settle()  # what waited for missing records has arrived, whatever became of the box since
+            raise
         if not len(records):
             self._check_silence(looked_s)
             return

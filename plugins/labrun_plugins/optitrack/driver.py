@@ -135,13 +135,16 @@ class OptiTrack:
         Raises
         ------
         DeviceError
-            Not streaming, no frames, frames that are no measurement, a body that is not tracked.
+            Not streaming; or, once everything that came has been handed over: no frames, frames that are no
+            measurement, a body that is not tracked.
         """
         self._require_open()
         if self._stream is None:
             raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
-        self._listener.check()
-        return self._stream.take()
+        block = self._listener.deliver(self._stream.buffer)
+        if not len(block):
+            self._stream.check()
+        return block
 
     def stop(self) -> None:
         """End collecting; Motive goes on to stream."""

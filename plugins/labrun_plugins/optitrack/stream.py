@@ -1,6 +1,6 @@
 """The stream of one trial: frames put in order, made into samples, and told when they are no measurement."""
 
-from labrun.devices import Clock, DeviceError, SampleBuffer, Samples
+from labrun.devices import Clock, DeviceError, SampleBuffer
 from labrun_plugins.optitrack.frame import BITSTREAM_CHANGED, EDIT_MODE, MODELS_CHANGED, Frame
 from labrun_plugins.optitrack.messages import dotted
 from labrun_plugins.optitrack.order import Arrival, FrameOrder
@@ -41,6 +41,15 @@ class PoseStream:
         How long a body may be lost.
     clock
         The run's clock.
+
+    Attributes
+    ----------
+    buffer
+        Gets the samples.
+    order
+        Puts frames in order, and counts what was wrong with it.
+    unmeasured
+        Frames in which something was not measured.
     """
 
     def __init__(
@@ -58,7 +67,7 @@ class PoseStream:
         self._rate_hz = rate_hz
         self._lost_tracking_s = lost_tracking_s
         self._clock = clock
-        self._buffer = SampleBuffer(len(reader.channels))
+        self.buffer = SampleBuffer(len(reader.channels))
         self.order = FrameOrder(rate_hz)
         self.unmeasured = 0
         self._models_changed = False
@@ -87,20 +96,9 @@ class PoseStream:
             self._connected_s = now_s
             self._session.connect_again()
 
-    def take(self) -> Samples:
-        """Return the samples since the last time.
-
-        Raises
-        ------
-        DeviceError
-            What comes is no measurement any more, or nothing comes.
-        """
-        self._check(self._clock.now())
-        return self._buffer.take()
-
     def _hand_on(self, arrival: Arrival) -> None:
         if arrival.lost:
-            self._buffer.count_lost(arrival.lost)
+            self.buffer.count_lost(arrival.lost)
         params = arrival.frame.params
         changed = bool(params & MODELS_CHANGED)
         if changed and not self._models_changed:
@@ -108,7 +106,9 @@ class PoseStream:
         self._models_changed = changed
         fault = params & (EDIT_MODE | BITSTREAM_CHANGED)
         self._fault = self._fault or fault
-        if fault or self._session.in_doubt:
+        if (
+            self._fault or self._session.in_doubt
+        ):  # a fault ends the stream: what comes after it is no sample either
             self._not_measured()
             return
         sample = self._reader.sample(arrival.frame)
@@ -118,13 +118,15 @@ class PoseStream:
                 self._unseen = (sample, arrival.host_s if self._unseen is None else self._unseen[1])
             return
         self._unseen = None
-        self._buffer.put(arrival.exposed_s, arrival.host_s, sample)
+        self.buffer.put(arrival.exposed_s, arrival.host_s, sample)
 
     def _not_measured(self) -> None:
         self.unmeasured += 1
-        self._buffer.count_lost(1)
+        self.buffer.count_lost(1)
 
-    def _check(self, now_s: float) -> None:
+    def check(self) -> None:
+        """Raise DeviceError if what comes is no measurement any more, or nothing comes."""
+        now_s = self._clock.now()
         for bit, (message, hint) in _FAULT_WORDS.items():
             if self._fault & bit:
                 raise DeviceError(self._device, message, hint=hint)

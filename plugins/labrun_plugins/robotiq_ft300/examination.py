@@ -90,13 +90,19 @@ def of_nameplate(plate: Nameplate, jams: int) -> Iterator[Remark]:
 
 
 def probe(port: str) -> Identity | None:
-    """Ask what is at a port whether it is an FT300 with the settings of delivery; None if it is not."""
+    """Ask what is at a port whether it is an FT300 with the settings of delivery; None if it is not.
+
+    Raises
+    ------
+    DeviceError
+        pymodbus is not installed: nobody can be asked.
+    """
     clock = HostClock()
     settings = RobotiqFt300Settings(port=port)
-    line = SerialPort("probe", port, settings.baud)
+    line = SerialPort(port, port, settings.baud)
+    link = Link(port, line, clock, settings.slave_id, answer_s=0.12, tries=1)
     try:
         line.open()
-        link = Link("probe", line, clock, settings.slave_id, answer_s=0.12, tries=1)
         streaming = link.streams()
         if streaming is None:
             return None

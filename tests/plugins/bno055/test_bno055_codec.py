@@ -144,7 +144,10 @@ def test_golden_quaternion_and_angles_are_what_the_emulator_has_in_its_registers
 
 
 def test_the_driver_reads_golden_quaternion_and_angles_out_of_a_block():
-    data = bytes(6) + frame("A0 05 38 FF D0 02") + frame("41 2D 00 00 41 2D 00 00") + bytes(12)
+    turned = codec.answer_to_read(frame("BB 06 A0 05 38 FF D0 02"), 6)
+    lies = codec.answer_to_read(frame("BB 08 41 2D 00 00 41 2D 00 00"), 8)
+    assert turned.kind == lies.kind == "data"
+    data = bytes(6) + turned.data + lies.data + bytes(12)
     block = codec.block(data)
     np.testing.assert_allclose(block.quaternion, [0.7071, 0, 0.7071, 0], atol=2**-15)
     np.testing.assert_allclose(np.degrees(block.euler_rad), [90, -12.5, 45], atol=1e-9)

@@ -174,6 +174,29 @@ def test_fault_bits_of_a_frame_end_the_measurement(bench, fault, message):
     _works_again(bench)
 
 
+@pytest.mark.parametrize("fault", ["silence", "tracking-lost", "edit-mode"])
+def test_what_came_before_a_fault_is_handed_over_first(bench, fault):
+    collect(bench, at_least(1))
+    bench.clock.sleep(0.3)
+    bench.inject(fault)
+    # As long as nobody reads, nobody is told: the samples of before and the reason have to wait.
+    bench.clock.sleep(1.0)
+    assert len(bench.driver.read()) > 10
+    with pytest.raises(DeviceError, match="device cameras: "):
+        bench.driver.read()
+
+
+def test_a_fault_bit_that_passes_before_anybody_looks_is_told_all_the_same(bench):
+    collect(bench, at_least(1))
+    bench.inject("edit-mode")
+    bench.clock.sleep(0.2)
+    bench.clear("edit-mode")
+    bench.clock.sleep(0.2)  # frames are measurements again, but nobody knows what happened in between
+    with pytest.raises(DeviceError, match="edit mode"):
+        for _ in range(3):
+            bench.driver.read()
+
+
 def test_a_new_count_of_frames_goes_on_once_the_server_is_known_to_be_the_same(bench):
     bench.inject("restart", 1)
     samples = collect(bench, at_least(90))
