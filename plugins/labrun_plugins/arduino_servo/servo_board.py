@@ -199,8 +199,8 @@ class ServoBoard:
         """Have the board stop where it is, asking once more if it does not answer; no set-point follows."""
         if not self.session.is_open:
             return
+        self._stream.halt()  # first: while the stop's answer is awaited, a new motion may be asked for already
         self.session.stop()
-        self._stream.halt()
         self._stopped = True
 
     def check(self) -> None:

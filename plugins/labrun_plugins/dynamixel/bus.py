@@ -1,7 +1,7 @@
 """One half-duplex bus of servos, shared by commands, which must not wait, and questions, which wait for answers."""
 
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -195,7 +195,12 @@ class Bus:
             self._settled(handler.answer(port, identity, 0))
 
     def group_write(
-        self, register: Register, values: Mapping[int, int], *, wait_s: float | None = None
+        self,
+        register: Register,
+        values: Mapping[int, int],
+        *,
+        wait_s: float | None = None,
+        wanted: Callable[[], bool] = lambda: True,
     ) -> None:
         """Write a register of several servos at once; nobody answers.
 
@@ -205,6 +210,8 @@ class Bus:
             What to write: id -> value.
         wait_s
             How long a question under way may hold this back at most; None for as long as its answer can be on the wire.
+        wanted
+            Asked once the wait is over, right before the packet leaves: a stop may have come meanwhile.
 
         Raises
         ------
@@ -212,10 +219,15 @@ class Bus:
             The port is gone.
         """
         data = {identity: register.encode(value) for identity, value in values.items()}
-        self.group_write_bytes(whole(register), data, wait_s=wait_s)
+        self.group_write_bytes(whole(register), data, wait_s=wait_s, wanted=wanted)
 
     def group_write_bytes(
-        self, block: Block, data: Mapping[int, bytes], *, wait_s: float | None = None
+        self,
+        block: Block,
+        data: Mapping[int, bytes],
+        *,
+        wait_s: float | None = None,
+        wanted: Callable[[], bool] = lambda: True,
     ) -> None:
         """Write neighbouring registers of several servos at once; otherwise as `group_write`."""
         port, handler = self._parts()
@@ -226,7 +238,8 @@ class Bus:
             wait_s = _COMMAND_WAIT_S + 10.0 * 30 * len(data) / self.baud
         held = self._lock.acquire(timeout=wait_s)
         try:
-            handler.syncWriteTxOnly(port, block.address, block.size, parameters, len(parameters))
+            if wanted():
+                handler.syncWriteTxOnly(port, block.address, block.size, parameters, len(parameters))
         finally:
             if held:
                 self._lock.release()

@@ -139,7 +139,8 @@ class StatusParser:
             if len(self._buffer) < whole:
                 return found
             raw = bytes(self._buffer[:whole])
-            if crc16(raw[:-2]) != int.from_bytes(raw[-2:], "little"):
+            short = answer and length == _LEAST_LENGTH  # no room for an error byte: no servo says that
+            if short or crc16(raw[:-2]) != int.from_bytes(raw[-2:], "little"):
                 self.damaged += 1
                 del self._buffer[:1]
                 continue

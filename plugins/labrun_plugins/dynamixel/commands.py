@@ -12,6 +12,8 @@ from labrun_plugins.dynamixel.settings import DynamixelSettings
 
 OVERSHOOT_RAD = float(np.radians(3.0))
 """A joint at rest may stand so far outside its limits: overshoot and play. From further out it is not moved."""
+_JUMP_RAD = float(np.radians(10.0))
+"""A motion from rest may begin so far from where the joint is: more would be a jump at full speed."""
 _SPEED_SLACK = 1.02
 _WINDOW_S = 0.25
 _TOLERANCE = 1e-9
@@ -70,6 +72,24 @@ class CommandCheck:
             ):
                 raise DeviceError(self._name, f"{self._reach()}; nothing was sent", hint=self._advice())
         return motion
+
+    def beginning(self, joints: tuple[str, ...], first_rad: FloatArray, here_rad: FloatArray) -> None:
+        """Refuse a motion from rest that does not begin where the joints are.
+
+        Raises
+        ------
+        LimitExceededError
+            The first set-point would make one jump.
+        """
+        ways = np.abs(first_rad - here_rad)
+        worst = int(np.argmax(ways))
+        if not ways[worst] <= _JUMP_RAD:
+            raise LimitExceededError(
+                self._name,
+                f"a motion of {joints[worst]} begins at {np.degrees(first_rad[worst]):.1f} deg, and it stands at "
+                f"{np.degrees(here_rad[worst]):.1f} deg: it would jump; nothing was sent",
+                hint="look whether it was turned by hand, or carries more than it can hold; then labrun resume",
+            )
 
     def set_point(self, angles_rad: FloatArray, now_s: float) -> FloatArray:
         """Return a set-point that may be sent now.

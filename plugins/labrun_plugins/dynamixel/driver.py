@@ -4,6 +4,8 @@ import threading
 from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
+import numpy as np
+
 from labrun.devices import (
     DeviceContext,
     DeviceError,
@@ -37,6 +39,7 @@ from labrun_plugins.dynamixel.torque import (
     switch_on,
 )
 
+_NEVER = -1
 _IDLE_S = 0.03
 _QUIET_S = 0.015
 """A bus on which nothing was sent for so long gets a question, to keep the watchdogs quiet."""
@@ -77,8 +80,9 @@ class Dynamixel:
         self._stream = self._new_stream()
         self._gate = threading.Lock()
         """Held from the look at `_halted` to the last byte of a set-point: none follows a stop."""
-        self._halted = True
         self._stops = 0
+        self._granted = _NEVER
+        """What `_stops` was when the present motion was asked for: any stop since then has ended it."""
         self._energised = False
         self._measurement = Measurement(self._bus, self._ids, self._clock)
 
@@ -100,7 +104,7 @@ class Dynamixel:
             self._bus.close()
             raise
         self._measurement = Measurement(self._bus, self._ids, self._clock)
-        self._halted, self._energised = True, False
+        self._granted, self._energised = _NEVER, False
         self._stream = self._new_stream()
 
     def identify(self) -> Identity:
@@ -157,17 +161,22 @@ class Dynamixel:
         self._check_threads()
         stops = self._stops
         motion = self._check.trajectory(trajectory, self.joints)
-        if not self._energised:
-            self._energise()
+        if self._halted:
+            self._check_beginning(motion, start_s)
+        try:
+            if not self._energised:
+                self._energise()
+        except DeviceError:
+            if self._stops == stops:
+                raise
         with self._gate:
-            if self._stops != stops:
-                return  # stopped meanwhile, by another thread: the runner is about to notice
-            self._check.forget()
-            self._halted = False
-            self._stream.follow(motion, start_s)
-            if self._stops != stops:  # it did not wait for the gate: nothing has left yet, and nothing shall
-                self._halted = True
-                self._stream.halt()
+            if self._stops == stops:
+                self._check.forget()
+                self._granted = stops
+                self._stream.follow(motion, start_s)
+        if self._stops != stops:
+            # A stop by another thread came in between, and has the last word: the torque may have come after it.
+            self.safe_stop()
 
     def restart_pacing(self) -> None:
         """Forget how evenly set-points have gone out so far."""
@@ -180,7 +189,6 @@ class Dynamixel:
     def safe_stop(self) -> None:
         """Hold where the joints are, or switch the torque off, as `on_stop` says; never raises."""
         self._stops += 1
-        self._halted = True
         self._stream.halt()
         held = self._gate.acquire(timeout=STOP_WAIT_S)
         try:
@@ -193,7 +201,7 @@ class Dynamixel:
 
     def close(self) -> None:
         """Disconnect: with ``hold`` a joint keeps its place and its torque, else the torque goes off."""
-        self._halted = True
+        self._granted = _NEVER
         self._stream.end()
         try:
             if self._bus.is_open and self._energised:
@@ -221,6 +229,10 @@ class Dynamixel:
 
         return probe(port, HostClock())
 
+    @property
+    def _halted(self) -> bool:
+        return self._granted != self._stops
+
     def _new_stream(self) -> CommandStream:
         return CommandStream(
             self._clock,
@@ -230,6 +242,13 @@ class Dynamixel:
             idle_every_s=min(_IDLE_S, 1e-3 * self._settings.watchdog_ms / 3.0),
         )
 
+    def _check_beginning(self, motion: Trajectory, start_s: float) -> None:
+        """Refuse a motion that begins elsewhere than where the joints have come to rest."""
+        begun_s = min(max(self._clock.now() - start_s, 0.0), motion.duration_s)
+        counts = self._measurement.counts()
+        here_rad = np.array([self._scales[identity].angle_rad(counts[identity]) for identity in self._ids])
+        self._check.beginning(self.joints, motion.at(begun_s)[0], here_rad)
+
     def _send(self, angles_rad: FloatArray) -> None:
         """Send one set-point, unless it leaves a limit or a stop has come."""
         now = self._clock.now()
@@ -237,8 +256,7 @@ class Dynamixel:
         self._check_watchdogs()
         goals = {i: self._scales[i].count(float(angle)) for i, angle in zip(self._ids, angles, strict=True)}
         with self._gate:
-            if not self._halted:
-                self._bus.group_write(GOAL_POSITION, goals)
+            self._bus.group_write(GOAL_POSITION, goals, wanted=lambda: not self._halted)
 
     def _idle(self) -> None:
         """Keep the watchdogs quiet while nothing is commanded, with a look at where the joints are."""

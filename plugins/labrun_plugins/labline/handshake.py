@@ -13,6 +13,9 @@ _ANSWER_READS = 4
 _BOOT_READS = round(BOOT_WAIT_S / _READ_S)
 _DYING_S = 2.0
 """So long a program that was killed may take to let go of its port."""
+_REMEMBERED_S = 10.0
+_asked: dict[str, tuple[float, Line | None]] = {}
+"""Port -> when it was asked for a board last, and what it answered."""
 _STRANGE_BYTES = 256
 """So many bytes without a single line of this protocol are another kind of device."""
 
@@ -20,17 +23,20 @@ _STRANGE_BYTES = 256
 def probe(port: str, kind: str) -> Identity | None:
     """Return what the board at a port is, if it speaks labline and is of this kind; takes 3.5 s at most.
 
-    Something that talks all the time without a labline among it is left alone: nothing is sent to it.
+    Something that talks all the time without a labline among it is left alone: nothing is sent to it. What a port has
+    answered is remembered for a moment, so that a doctor who asks for each kind in turn resets a board once only.
     """
-    talk = _Talk("probe", port)
-    try:
-        talk.open()
-        strange = not talk.wait(_is_boot, _BOOT_READS) and talk.strange
-        answer = None if strange else talk.ask(1, "HELLO") or talk.ask(1, "HELLO")
-    except DeviceError:
-        return None
-    finally:
-        talk.close()
+    now_s = HostClock().now()
+    asked_s, answer = _asked.get(port, (-_REMEMBERED_S, None))
+    if now_s - asked_s >= _REMEMBERED_S:
+        talk = _Talk("probe", port)
+        try:
+            answer = talk.hello()
+        except DeviceError:
+            return None
+        finally:
+            talk.close()
+        _asked[port] = now_s, answer
     if answer is None or answer.fields[:3] != ("OK", "HELLO", kind) or len(answer.fields) != 6:
         return None
     _, _, _, firmware, channels, rate = answer.fields
@@ -93,6 +99,13 @@ class _Talk:
 
     def close(self) -> None:
         self._port.close()
+
+    def hello(self) -> Line | None:
+        """Open the port and ask who is there; None if nobody answers, or something else talks."""
+        self.open()
+        if not self.wait(_is_boot, _BOOT_READS) and self.strange:
+            return None
+        return self.ask(1, "HELLO") or self.ask(1, "HELLO")
 
     def ask(self, seq: int, word: str) -> Line | None:
         """Send a request; return its good answer, None without one."""

@@ -49,10 +49,11 @@ class Line:
         """Return the greatest magnitude of counts that is no more than a force (N) in either sense; 0 if there is none.
 
         The firmware compares the magnitude of raw counts, which knows no offset: this bound is `force_n` on the side of
-        the offset, and ``2 |offset|`` counts less on the other.
+        the offset, and ``2 |offset|`` counts less on the other. It stays below full scale: a clipped cell does not tell
+        how great the force is, so that a limit beyond its range stops where the range ends.
         """
         most = force_n / abs(self.slope_n_per_count) - abs(self.offset_counts)
-        return max(0, min(int(most), FULL_SCALE_COUNTS))
+        return max(0, min(int(most), FULL_SCALE_COUNTS - 1))
 
 
 def least_squares(

@@ -81,12 +81,24 @@ class LinearStage:
         DeviceError
             No port, no answer, a board of another kind, or a stage that does not find its end switch.
         """
+        self._open(home=self._settings.home_on_open)
+
+    def open_at_rest(self) -> None:
+        """Open it without homing it, for `labrun doctor`: who asks how a stage is does not expect it to move.
+
+        Raises
+        ------
+        DeviceError
+            As `open`.
+        """
+        self._open(home=False)
+
+    def _open(self, *, home: bool) -> None:
         settings = self._settings
         self._streaming = self._alarmed = False
         self._received.start()
-        self._received.mind_limits(
-            False
-        )  # what a limit did before is no news; `home` looks at the state itself
+        # What a limit did before is no news; `home` looks at the state itself.
+        self._received.mind_limits(False)
         self._motion.reset()
         self._hello = self._session.open(KIND)
         try:
@@ -96,7 +108,7 @@ class LinearStage:
             self._motion.start()
             self._session.arm(settings.watchdog_ms)
             state = self._state()
-            if settings.home_on_open and (Flags.HOMED not in state.flags or Flags.FORCE_LIMIT in state.flags):
+            if home and (Flags.HOMED not in state.flags or Flags.FORCE_LIMIT in state.flags):
                 self._motion.home(state)
         except BaseException:
             self.safe_stop()
@@ -154,7 +166,7 @@ class LinearStage:
             It does not answer, it restarted, its watchdog expired, or a limit stopped it.
         """
         self._check()
-        notes = complaints(self._state().flags)
+        notes = complaints(self._state().flags, homes=self._settings.home_on_open)
         return Health(ok=not notes, notes=notes)
 
     def examine(self) -> list[Remark]:

@@ -29,7 +29,7 @@ class Axis:
     true_mm
         Where it is, from the lower switch.
     stopped_by
-        Told "LOW", "HIGH" or "FORCE" when a limit stops it, after it has.
+        Told "LOW", "HIGH", "FORCE" or "CELL" (nobody feels the force) when a limit stops it, after it has.
     """
 
     stroke_mm: float
@@ -110,6 +110,12 @@ class Axis:
     def halt(self) -> None:
         """Stand still at once."""
         self.mode, self.speed_mm_s, self._wanted_mm_s = "still", 0.0, 0.0
+
+    def miss_cell(self, now_s: float) -> None:
+        """Stop at once, if there is a force limit: the amplifier gives nothing, so that nobody feels the force."""
+        if self.moving and self.most_counts < 0x7FFFFF:
+            self.halt()
+            self.stopped_by("CELL", now_s)
 
     def advance(self, now_s: float, counts: int) -> None:
         """Move on to a time, with the latest reading of the load cell in the interrupt."""

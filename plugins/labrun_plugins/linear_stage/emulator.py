@@ -16,6 +16,8 @@ from labrun_plugins.simulated.linear_stage import LoadCell, SimulatedLinearStage
 FIRMWARE = "1.0"
 _CONVERSION_S = 0.0125
 """An HX711 at 80 samples a second."""
+_PATIENCE = 3
+"""After so many conversions that did not come, the amplifier counts as gone."""
 _FASTEST_SAMPLES_HZ = 80.0
 _MOST = 0x7FFFFF
 _LEAST = -0x800000
@@ -52,6 +54,7 @@ class LinearStageEmulator(EmulatedBoard):
         """So many conversions make a sample; 0 while none are sent."""
         self._conversion = 0
         self._ready_s = 0.0
+        self._missed = 0
         self._micros_ahead = 0
         self._told: tuple[float, float] = (math.nan, math.nan)
         self._was_moving = False
@@ -112,6 +115,9 @@ class LinearStageEmulator(EmulatedBoard):
         due = streamed and self._conversion % self._every == 0
         if ready and (due or self._axis.moving or self._conversion % 8 == 0):
             self._counts = self._read(ready_s)
+        self._missed = 0 if ready else self._missed + 1
+        if self._missed > _PATIENCE:
+            self._axis.miss_cell(ready_s)
         if not due:
             return
         self._n = (self._n + 1) % 2**32

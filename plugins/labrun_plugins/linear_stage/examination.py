@@ -5,7 +5,7 @@ from typing import Protocol
 
 from labrun.devices import Clock, Remark, Samples
 from labrun_plugins.labline.session import Hello, LineSession
-from labrun_plugins.linear_stage.codec import StageState, is_saturated
+from labrun_plugins.linear_stage.codec import Flags, StageState, is_saturated
 from labrun_plugins.linear_stage.reception import complaints
 from labrun_plugins.linear_stage.settings import LinearStageSettings
 
@@ -46,7 +46,7 @@ def examine(
     found = [
         Remark("ok", "firmware", f"{hello.kind} {hello.firmware}, up to {hello.max_rate_hz:g} samples/s"),
         _watchdog(settings),
-        *_state(state),
+        *_state(state, settings),
         _calibration(settings),
     ]
     found += _stream(stage, settings, clock)
@@ -70,10 +70,13 @@ def _watchdog(settings: LinearStageSettings) -> Remark:
     return Remark("ok", "watchdog", message)
 
 
-def _state(state: StageState) -> list[Remark]:
-    notes = complaints(state.flags)
-    if not notes:
+def _state(state: StageState, settings: LinearStageSettings) -> list[Remark]:
+    notes = complaints(state.flags, homes=settings.home_on_open)
+    if not notes and Flags.HOMED in state.flags:
         return [Remark("ok", "state", f"homed, at {state.position_mm:.3f} mm, {state.counts} counts")]
+    if not notes:
+        homing = "not homed yet: a run begins by seeking the lower end switch, and nothing may be in its way"
+        return [Remark("ok", "state", f"{homing}; {state.counts} counts")]
     return [Remark("problem", "state", note, "see the README of the plugin linear-stage") for note in notes]
 
 

@@ -13,6 +13,7 @@ from labrun_plugins.linear_stage.settings import FASTEST_MM_S, LinearStageSettin
 HOMING_MM_S = 5.0
 """Of the firmware."""
 _AT_ZERO_MM = 0.01
+_SETTLING_S = 0.5
 _LOOK_S = 0.05
 _PATIENCE = 1.5
 _CATCH_UP = 1.05
@@ -132,6 +133,9 @@ class StageMotion:
         """Seek the end switch unless the stage knows where it is, and go to zero; wait for it."""
         token = self._session.motion_token()
         stroke_mm = self._settings.stroke_mm
+        if self._limits.force_n is not None:  # an amplifier that was just switched on takes half a second
+            complaint = "feels no force: its load cell's amplifier (HX711) gives nothing"
+            self._wait(_feels, _SETTLING_S, complaint, ends=Flags(0))
         if Flags.HOMED not in state.flags:
             self._session.request("HOME", token=token)
             whole_way_s = stroke_mm / HOMING_MM_S
@@ -155,7 +159,17 @@ class StageMotion:
     def _is_at_zero(self, state: StageState) -> bool:
         return abs(state.position_mm - self._settings.zero_mm) < _AT_ZERO_MM
 
-    def _wait(self, arrived: Callable[[StageState], bool], way_s: float, complaint: str) -> None:
+    def _wait(
+        self,
+        arrived: Callable[[StageState], bool],
+        way_s: float,
+        complaint: str,
+        *,
+        ends: Flags = Flags.FORCE_LIMIT | Flags.NOT_READY,
+    ) -> None:
+        """Look until it has arrived; a stage that stands still with one of the flags `ends` never will."""
+        if self._limits.force_n is None:  # then it goes on without its load cell
+            ends &= ~Flags.NOT_READY
         deadline_s = self._clock.now() + _PATIENCE * way_s + 3.0
         while True:
             self._session.check()
@@ -164,15 +178,24 @@ class StageMotion:
             still = Flags.MOVING not in state.flags
             if still and arrived(state):
                 return
-            if self._clock.now() > deadline_s or (still and Flags.FORCE_LIMIT in state.flags):
+            if self._clock.now() > deadline_s or (still and ends & state.flags):
                 self._session.stop()
-                force = ": the force limit stopped it" if Flags.FORCE_LIMIT in state.flags else ""
-                raise DeviceError(
-                    self._device,
-                    f"{complaint}{force}; it stands at {state.position_mm:.3f} mm by its own count",
-                    hint="look for an obstacle, a loose switch or a motor without supply; then labrun resume",
-                )
+                raise self._not_arrived(complaint, state)
             self._clock.sleep(_LOOK_S)
+
+    def _not_arrived(self, complaint: str, state: StageState) -> DeviceError:
+        if Flags.NOT_READY in state.flags:
+            hint = (
+                "check the supply and the wires DOUT and SCK of the load cell's amplifier; then labrun resume"
+            )
+        else:
+            hint = "look for an obstacle, a loose switch or a motor without supply; then labrun resume"
+        force = ": the force limit stopped it" if Flags.FORCE_LIMIT in state.flags else ""
+        return DeviceError(
+            self._device,
+            f"{complaint}{force}; it stands at {state.position_mm:.3f} mm by its own count",
+            hint=hint,
+        )
 
     def _send(self, angle_rad: FloatArray) -> None:
         """Send one target, by the stream's thread; the next is due a period later."""
@@ -225,3 +248,7 @@ class StageMotion:
                 hint="set home_on_open = true, with nothing in its way to the lower end switch",
             )
         return state
+
+
+def _feels(state: StageState) -> bool:
+    return Flags.NOT_READY not in state.flags

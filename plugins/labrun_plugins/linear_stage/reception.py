@@ -144,6 +144,12 @@ def limit_error(device: str, which: str, force_n: float | None) -> LimitExceeded
             f"the board stopped{felt}: the force limit it was given is exceeded",
             hint="look at the beam; relieve it (the stage only moves back), then labrun resume",
         )
+    if which == "CELL":
+        return LimitExceededError(
+            device,
+            "the board stopped: the amplifier of the load cell (HX711) gives nothing, so that nobody feels the force",
+            hint="check its supply and the wires DOUT and SCK, then labrun resume",
+        )
     return LimitExceededError(
         device,
         f"the board stopped at {_SWITCHES.get(which, 'a limit of its travel')}",
@@ -151,8 +157,16 @@ def limit_error(device: str, which: str, force_n: float | None) -> LimitExceeded
     )
 
 
-def complaints(flags: Flags) -> tuple[str, ...]:
-    """Return what is not well by the board's flags, in words."""
+def complaints(flags: Flags, *, homes: bool = False) -> tuple[str, ...]:
+    """Return what is not well by the board's flags, in words.
+
+    Parameters
+    ----------
+    flags
+        Of a sample or a state.
+    homes
+        Whether a run homes it anyway, so that a stage that is not homed is well.
+    """
     told = {
         Flags.FORCE_LIMIT: "the force limit has stopped it: relieve the beam",
         Flags.SATURATED: "the load cell is at the end of its range",
@@ -160,7 +174,7 @@ def complaints(flags: Flags) -> tuple[str, ...]:
         Flags.WATCHDOG: "its watchdog has stopped it: labrun resume arms it again",
     }
     found = [words for flag, words in told.items() if flag in flags]
-    if Flags.HOMED not in flags:
+    if Flags.HOMED not in flags and not homes:
         found.insert(
             0, "it is not homed: set home_on_open = true, or move it to its lower end switch by HOME"
         )

@@ -13,6 +13,9 @@ _LOCK_S = 0.03
 """A stop waits this long for another thread's question, and then goes out all the same."""
 _STOP_ANSWERS = ("stopped", "failed to execute: stop")
 _MOST = 4096
+_STRANGER_HINT = (
+    "is this the address of a UR controller (not PolyScope X), and is it past booting? Look at the pendant"
+)
 _HINT = "the arm may have been switched to local control, which closes this service; look at the pendant"
 
 
@@ -45,7 +48,7 @@ class Dashboard:
         self._stops = 0
         self._owes_reply = False
         try:
-            self._line("a connection")  # the greeting: a line in front of any answer
+            self._line("with its greeting", _STRANGER_HINT)  # a line in front of any answer
         except DeviceError:
             self._connection.close()
             raise
@@ -64,7 +67,7 @@ class Dashboard:
             self._connection.write(command.encode("ascii") + b"\n")
             while True:
                 self._owes_reply = True
-                reply = self._line(command)
+                reply = self._line(repr(command))
                 self._owes_reply = False
                 # The reply to a stop that another thread has sent in between belongs to nobody.
                 if self._stops > 0 and reply.lower().startswith(_STOP_ANSWERS):
@@ -88,7 +91,7 @@ class Dashboard:
     def hear_stop(self) -> bool:
         """Wait for the reply to a stop; tell whether there was one."""
         try:
-            return self._line("stop").lower().startswith(_STOP_ANSWERS[0])
+            return self._line("'stop'").lower().startswith(_STOP_ANSWERS[0])
         except DeviceError:
             return False
 
@@ -104,14 +107,14 @@ class Dashboard:
                 self._connection.write(b"quit\n")
         self._connection.close()
 
-    def _line(self, command: str) -> str:
+    def _line(self, what: str, hint: str = _HINT) -> str:
         deadline_s = self._clock.now() + _ANSWER_S
         while b"\n" not in self._rest:
             if self._clock.now() > deadline_s or len(self._rest) > _MOST:
                 raise DeviceError(
                     self._device,
-                    f"its dashboard server does not answer {command!r} within {_ANSWER_S:g} s",
-                    hint=_HINT,
+                    f"its dashboard server does not answer {what} within {_ANSWER_S:g} s",
+                    hint=hint,
                 )
             self._rest += self._connection.read()
         line, self._rest = self._rest.split(b"\n", 1)

@@ -190,6 +190,15 @@ def test_a_refusal_is_not_taken_for_data(length):
     assert (data, result, error) == ([], COMM_RX_CORRUPT, 7)
 
 
+def test_an_answer_without_room_for_its_error_byte_is_none_even_with_a_right_check_sum():
+    parser = StatusParser()
+    short = bytes.fromhex("FF FF FD 00 01 03 00 55")
+    assert parser.feed(short + crc16(short).to_bytes(2, "little")) == []
+    assert parser.damaged == 1
+    (found,) = parser.feed(bytes.fromhex("FF FF FD 00 01 04 00 55 00 A1 0C"))
+    assert (found.id, found.error, found.data) == (1, 0, b"")
+
+
 def test_an_alert_comes_with_its_data():
     port = MemoryPort([wire.status_packet(1, 0x80, b"\x20")])
     assert HardenedHandler().readTxRx(port, 1, 70, 1) == ([0x20], COMM_SUCCESS, 0x80)

@@ -1,14 +1,16 @@
 """The driver against its emulator, over a pty."""
 
 import threading
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from emulated import emulated
+from labrun_plugins.dynamixel.control_table import TORQUE_ENABLE
 from labrun_plugins.dynamixel.driver import Dynamixel
 from labrun_plugins.dynamixel.emergency import emergency_stop
 
-from labrun.devices import Actuator, DeviceError, Sensor, Trajectory
+from labrun.devices import Actuator, DeviceContext, DeviceError, Sensor, Trajectory
 from labrun.errors import LimitExceededError
 
 JOINTS = {"servo_1": {"id": 1}, "servo_2": {"id": 7, "sign": -1, "neutral_deg": 10}}
@@ -30,6 +32,28 @@ def bench(shared):
     yield shared
     shared.driver.safe_stop()
     shared.driver.close()
+
+
+@contextmanager
+def _with(shared, **keys):
+    """Give the same servos an open driver with other keys."""
+    usual = shared.driver
+    settings = Dynamixel.Settings.model_validate({**SETTINGS, **shared.bench.settings["servos"], **keys})
+    shared.driver = Dynamixel("servos", settings, DeviceContext(shared.clock, np.random.default_rng(1)))
+    try:
+        shared.driver.open()
+        yield shared
+    finally:
+        shared.driver.safe_stop()
+        shared.driver.close()
+        shared.driver = usual
+
+
+@pytest.fixture
+def limp(shared):
+    """A bench on which a stop takes the torque away."""
+    with _with(shared, on_stop="torque-off") as bench:
+        yield bench
 
 
 def _to(driver, angles_deg, duration_s=0.3):
@@ -118,7 +142,6 @@ def test_a_set_point_beyond_the_limits_is_never_sent_even_if_the_motion_changes_
     motion = Trajectory(driver.joints, np.linspace(0, 1, 101), np.zeros((101, 2)))
     checked = driver._check.trajectory(motion, driver.joints)
     checked.angle_rad[50:, 0] = np.radians(46.0)
-    driver._halted = False
     driver._stream.follow(checked, bench.clock.now())
     bench.wait_until(lambda: driver._stream._failure is not None)
     with pytest.raises(LimitExceededError, match="not sent"):
@@ -132,12 +155,25 @@ def test_a_set_point_too_far_from_the_last_one_is_never_sent(bench):
     begun_s = bench.clock.now()
     motion = Trajectory(driver.joints, np.linspace(0, 1, 101), np.zeros((101, 2)))
     motion.angle_rad[50:, 0] = np.radians(40.0)
-    driver._halted = False
     driver._stream.follow(motion, bench.clock.now())
     bench.wait_until(lambda: driver._stream._failure is not None)
     with pytest.raises(LimitExceededError, match="exceeds 400 deg/s"):
         driver.health()
     assert max(_goals(bench, "servo_1", begun_s)) == 2048
+
+
+def test_a_motion_from_rest_that_would_begin_with_a_jump_is_refused(bench):
+    driver = bench.driver
+    _go(bench, [20.0, 0.0])
+    driver.safe_stop()
+    begun_s = bench.clock.now()
+    away = Trajectory(driver.joints, np.array([0.0, 1.0]), np.radians([[-20.0, 0.0], [0.0, 0.0]]))
+    with pytest.raises(
+        LimitExceededError, match=r"servo_1 begins at -20\.0 deg, and it stands at (19\.9|20\.[01]) deg"
+    ):
+        driver.follow(away, bench.clock.now())
+    bench.clock.sleep(0.1)
+    assert not _goals(bench, "servo_1", begun_s)
 
 
 def test_a_stop_holds_the_joints_where_they_are_and_nothing_moves_afterwards(bench):
@@ -201,6 +237,24 @@ def test_a_stop_that_comes_in_the_midst_of_a_new_command_wins(bench):
     assert max(_goals(bench, "servo_1", begun_s), default=2048) < 2052
 
 
+def test_a_stop_that_comes_while_the_torque_is_switched_on_takes_it_away_again(limp, monkeypatch):
+    driver = limp.driver
+    ask = driver._bus.require
+
+    def interrupted(ids, block):
+        monkeypatch.setattr(driver._bus, "require", ask)
+        driver.safe_stop()
+        driver._bus.group_write(TORQUE_ENABLE, dict.fromkeys(ids, 1))  # as if the stop had come just before
+        return ask(ids, block)
+
+    monkeypatch.setattr(driver._bus, "require", interrupted)
+    begun_s = limp.clock.now()
+    driver.follow(_to(driver, [10.0, 0.0]), limp.clock.now())
+    torque = [x for x in limp.events("command") if x["address"] == TORQUE and x["time_s"] > begun_s]
+    assert {x["joint"]: x["value"] for x in torque} == {"servo_1": 0, "servo_2": 0}  # the last word of each
+    assert driver._stream.set_point() is None
+
+
 def test_joints_keep_their_place_when_the_device_is_closed_and_opened(bench):
     driver = bench.driver
     _go(bench, [25.0, 5.0])
@@ -250,10 +304,9 @@ def test_a_probe_finds_them_and_leaves_the_port_free(shared):
     shared.driver.close()
 
 
-def test_a_dead_runner_is_noticed_by_the_watchdog_of_the_servos():
-    with emulated("dynamixel", {**SETTINGS, "watchdog_ms": 200}, name="servos") as bench:
+def test_a_dead_runner_is_noticed_by_the_watchdog_of_the_servos(shared):
+    with _with(shared, watchdog_ms=200) as bench:
         driver = bench.driver
-        driver.open()
         driver.follow(_to(driver, [30.0, 0.0], 5.0), bench.clock.now())
         bench.clock.sleep(0.5)
         silent_s = bench.clock.now()
@@ -274,37 +327,33 @@ def test_a_dead_runner_is_noticed_by_the_watchdog_of_the_servos():
         driver.follow(_to(driver, [0.0, 0.0], 1.0), bench.clock.now())
 
 
-def test_with_torque_off_a_stop_takes_the_torque_and_the_next_motion_brings_it_back():
-    with emulated("dynamixel", {**SETTINGS, "on_stop": "torque-off"}, name="servos") as bench:
+def test_with_torque_off_a_stop_takes_the_torque_and_the_next_motion_brings_it_back(limp):
+    driver = limp.driver
+    _go(limp, [20.0, 0.0])
+    asked_s = limp.clock.now()
+    driver.safe_stop()
+    stop = limp.wait_for("stop", after_s=asked_s)
+    assert stop["how"] == "torque-off"
+    assert stop["time_s"] - asked_s < 0.1
+    _go(limp, [0.0, 0.0])
+    assert driver.health().ok
+    driver.close()
+    asked_s = limp.clock.now()
+    type(driver).emergency_stop("servos", driver._settings)
+    torque = [x["value"] for x in limp.events("command") if x["address"] == TORQUE and x["time_s"] > asked_s]
+    assert torque
+    assert not any(torque)
+
+
+def test_with_feedback_it_is_a_sensor_that_agrees_with_what_is_commanded(shared):
+    with _with(shared, feedback_hz=50) as bench:
         driver = bench.driver
-        driver.open()
-        _go(bench, [20.0, 0.0])
-        asked_s = bench.clock.now()
-        driver.safe_stop()
-        stop = bench.wait_for("stop", after_s=asked_s)
-        assert stop["how"] == "torque-off"
-        assert stop["time_s"] - asked_s < 0.1
         _go(bench, [0.0, 0.0])
-        assert driver.health().ok
-        driver.close()
-        asked_s = bench.clock.now()
-        type(driver).emergency_stop("servos", driver._settings)
-        torque = [
-            x["value"] for x in bench.events("command") if x["address"] == TORQUE and x["time_s"] > asked_s
-        ]
-        assert torque
-        assert not any(torque)
-
-
-def test_with_feedback_it_is_a_sensor_that_agrees_with_what_is_commanded():
-    settings = {**SETTINGS, "feedback_hz": 50}
-    with emulated("dynamixel", settings, name="servos", scene="spm-stabiliser") as bench:
-        driver = bench.driver
         assert isinstance(driver, Actuator)
         assert isinstance(driver, Sensor)
         assert [c.name for c in driver.channels][:3] == ["servo_1_angle", "servo_1_speed", "servo_1_current"]
-        driver.open()
         driver.start()
+        driver.restart_pacing()
         time_s = np.linspace(0, 1.2, 121)
         angle = np.radians(20) * np.sin(2 * np.pi * time_s)
         start_s = bench.clock.now() + 0.1

@@ -174,8 +174,13 @@ def test_a_silent_port_is_no_board(board):
     board.clear("silence")
 
 
-def test_a_probe_for_another_kind_finds_nothing(board):
+def test_a_probe_for_another_kind_finds_nothing_and_a_port_is_asked_once_for_all_kinds(board):
     assert probe(_port(board), "labstage") is None
+    board.inject("silence")  # nobody would answer now
+    found = probe(_port(board), "labservo")
+    board.clear("silence")
+    assert found is not None
+    assert found.model == "labservo"
 
 
 def test_a_stop_from_scratch_tries_again_and_tells_if_nobody_answers(board):

@@ -1,13 +1,13 @@
 """The shipped experiment on the beam bench: what comes out of its dry run, and of its model."""
 
+import contextlib
 import json
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from labrun.cli.app import app
 from labrun.models.loading import load_model
 from labrun.models.simulation import simulate
 from labrun.spec.loading import load_experiment
@@ -16,17 +16,15 @@ from labrun.store.opening import open_run
 
 
 def labrun(folder, *arguments):
-    return subprocess.run(
-        [sys.executable, "-m", "labrun", *arguments],
-        cwd=folder, capture_output=True, text=True, timeout=300, check=False, env=os.environ,
-    )  # fmt: skip
+    with contextlib.chdir(folder):
+        return CliRunner().invoke(app, arguments)
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("beam")
     done = labrun(folder, "run", "beam-bending", "--dry-run", "--seed", "5", "--json")
-    assert done.returncode == 0, done.stderr
+    assert done.exit_code == 0, done.output
     return folder, folder / json.loads(done.stdout)["run"]
 
 
@@ -42,7 +40,7 @@ def test_all_trials_are_accepted_and_go_as_far_as_they_were_sent(finished):
 
 def test_the_fit_finds_stiffness_and_limit_of_the_mounted_beam(finished):
     done = labrun(finished[0], "fit", "beam-bending", "--json")
-    assert done.returncode == 0, done.stderr
+    assert done.exit_code == 0, done.output
     found = {name: one["value"] for name, one in json.loads(done.stdout)["parameters"].items()}
     assert found["stiffness"] == pytest.approx(2.0, rel=0.05)
     assert found["limit"] == pytest.approx(0.1, rel=0.1)
@@ -65,7 +63,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_numbers(finished):
         "--json",
     )
     cut = folder / json.loads(done.stdout)["run"]
-    assert labrun(folder, "resume", str(cut)).returncode == 0
+    assert labrun(folder, "resume", str(cut)).exit_code == 0
     whole, parts = open_run(path), open_run(cut)
     assert [one.objectives for one in parts.outcomes] == [one.objectives for one in whole.outcomes]
 

@@ -9,12 +9,14 @@ from emulated import emulated
 from labrun_plugins.linear_stage.driver import LinearStage
 from labrun_plugins.simulated.linear_stage import SimulatedLinearStage
 from labrun_plugins.simulated.scenes.beam_bench import BeamBench
-from stage_bench import SETTINGS, bend, commands, stage_settings
+from stage_bench import SETTINGS, bend, commands
 
 from labrun.devices import Actuator, Carriage, DeviceContext, DeviceError, Sensor
 from labrun.errors import LimitExceededError
 from labrun.runner.clock import RealClock, SimulatedClock
 
+SHARED = {**SETTINGS, "watchdog_ms": 400}
+"""A patient watchdog: tests share their processors, and only the test of the watchdog is about it."""
 OUT_AND_BACK = bend([0.0, 0.05, -0.012, 0.0], [0.0, 1.0, 2.3, 2.6])
 _STOP_S = 0.1
 
@@ -37,10 +39,34 @@ def dry_run():
 @pytest.fixture(scope="module")
 def bench(dry_run):
     with emulated(
-        "linear-stage", SETTINGS, name="stage", scene="beam-bench", scene_settings={"noise": 0}
+        "linear-stage", SHARED, name="stage", scene="beam-bench", scene_settings={"noise": 0}
     ) as running:
         running.driver.open()
         yield running
+
+
+@pytest.fixture
+def closed(bench):
+    """The emulator, for a driver of the test's own; the shared one is open again for the next test."""
+    bench.driver.close()
+    yield bench
+    bench.driver.close()
+    bench.driver.open()
+
+
+def _settings(bench, **changes):
+    return LinearStage.Settings(**{**SHARED, **bench.bench.settings["stage"], **changes})
+
+
+def _another(bench, settings):
+    return LinearStage("stage", settings, DeviceContext(bench.clock, np.random.default_rng(0)))
+
+
+def _restart(bench):
+    """Have the board forget where it is."""
+    begun_s = bench.clock.now()
+    bench.inject("restart")
+    bench.wait_for("booted", after_s=begun_s)
 
 
 def _come_home(bench):
@@ -173,10 +199,11 @@ def test_the_equivalent_angle_is_displacement_over_lever(bench):
     _come_home(bench)
 
 
-def test_doctor_finds_nothing_to_mend(bench):
+def test_doctor_finds_nothing_to_mend_but_the_patient_watchdog(bench):
     remarks = bench.driver.examine()
     assert {one.subject for one in remarks} >= {"firmware", "watchdog", "state", "calibration", "load cell"}
-    assert [one for one in remarks if one.verdict != "ok" and one.subject != "calibration"] == []
+    assert {one.subject for one in remarks if one.verdict != "ok"} <= {"calibration", "watchdog"}
+    assert "watchdog_ms = 100" in next(one.advice for one in remarks if one.subject == "watchdog")
 
 
 def test_reading_before_start_is_refused(bench):
@@ -188,48 +215,57 @@ def test_no_watchdog_expires_while_all_is_well(bench):
     assert bench.events("watchdog") == []
 
 
-def test_a_runner_that_dies_in_motion_is_stopped_by_the_watchdog_and_stopped_again_from_scratch():
-    with emulated("linear-stage", SETTINGS, name="stage", scene="beam-bench") as bench:
-        assert LinearStage.probe(bench.bench.table("stage").settings["port"]).model == "labstage"
-        driver = bench.driver
-        driver.open()
-        driver.travel(0.018, 0.003)
-        bench.wait_until(lambda: driver.position_m() > 5e-4)
-        driver._motion.end()  # the process is gone: nobody feeds, nobody closes in order
-        driver._session._port.close()
-        died_s = bench.clock.now()
-        expired = bench.wait_for("watchdog", after_s=died_s - 0.2)
-        assert expired["silent_s"] < 0.1 + 0.1  # the emulator looks every few ms; its machine may be loaded
-        stop = bench.wait_for("stop", after_s=expired["time_s"] - 1e-3)
-        assert stop["how"] == "watchdog"
-        assert stop["moving"] is True
-        assert stop["position_mm"] < 2 + 18
-        settings = LinearStage.Settings(**{**SETTINGS, "port": bench.bench.table("stage").settings["port"]})
-        again_s = bench.clock.now()
-        LinearStage.emergency_stop("stage", settings)
-        assert bench.wait_for("stop", after_s=again_s)["how"] == "STOP"
+def test_a_runner_that_dies_in_motion_is_stopped_by_the_watchdog_and_stopped_again_from_scratch(closed):
+    bench, settings = closed, _settings(closed, watchdog_ms=200)
+    driver = _another(bench, settings)
+    driver.open()
+    driver.travel(0.018, 0.003)
+    bench.wait_until(lambda: driver.position_m() > 5e-4)
+    driver._motion.end()  # the process is gone: nobody feeds, nobody closes in order
+    driver._session._port.close()
+    died_s = bench.clock.now()
+    expired = bench.wait_for("watchdog", after_s=died_s - 0.3)
+    assert expired["silent_s"] < 0.2 + 0.2  # the emulator looks every few ms; its machine may be loaded
+    stop = bench.wait_for("stop", after_s=expired["time_s"] - 1e-3)
+    assert stop["how"] == "watchdog"
+    assert stop["moving"] is True
+    assert stop["position_mm"] < 2 + 18
+    again_s = bench.clock.now()
+    LinearStage.emergency_stop("stage", settings)
+    assert bench.wait_for("stop", after_s=again_s)["how"] == "STOP"
+    assert LinearStage.probe(settings.port).model == "labstage"
 
 
-def test_a_stage_that_is_not_homed_says_so_and_does_not_move():
-    with emulated(
-        "linear-stage", stage_settings(home_on_open=False, calibration=None, limits={}), name="stage",
-        scene="beam-bench",
-    ) as bench:  # fmt: skip
-        driver = bench.driver
-        driver.open()
-        assert [one.name for one in driver.channels] == ["displacement", "counts"]
-        assert not driver.health().ok
-        assert "not homed" in driver.health().notes[0]
-        for move in (
-            lambda: driver.travel(0.001, 0.001),
-            lambda: driver.follow(bend([0.0, 0.01], [0.0, 1.0]), bench.clock.now()),
-        ):
-            with pytest.raises(DeviceError, match=r"stage: is not homed(.|\n)*home_on_open"):
-                move()
-        assert commands(bench) == []
-        driver.home()
-        assert driver.health().ok
-        assert driver.position_m() == pytest.approx(0.0, abs=1e-5)
+def test_a_stage_that_is_not_homed_says_so_and_does_not_move(closed):
+    bench = closed
+    _restart(bench)
+    begun_s = bench.clock.now()
+    driver = _another(bench, _settings(bench, home_on_open=False, calibration=None, limits={}))
+    driver.open()
+    assert [one.name for one in driver.channels] == ["displacement", "counts"]
+    assert not driver.health().ok
+    assert "not homed" in driver.health().notes[0]
+    for move in (
+        lambda: driver.travel(0.001, 0.001),
+        lambda: driver.follow(bend([0.0, 0.01], [0.0, 1.0]), bench.clock.now()),
+    ):
+        with pytest.raises(DeviceError, match=r"stage: is not homed(.|\n)*home_on_open"):
+            move()
+    assert commands(bench, after_s=begun_s) == []
+    driver.home()
+    assert driver.health().ok
+    assert driver.position_m() == pytest.approx(0.0, abs=1e-5)
+    driver.close()
+
+
+def test_a_doctor_does_not_home_it(closed):
+    _restart(closed)
+    begun_s = closed.clock.now()
+    closed.driver.open_at_rest()
+    assert closed.driver.health().ok  # a run homes it
+    (state,) = [one for one in closed.driver.examine() if one.subject == "state"]
+    assert "a run begins by seeking the lower end switch" in state.message
+    assert commands(closed, after_s=begun_s) == []
 
 
 def test_a_port_that_is_not_there_is_told_with_what_to_do():

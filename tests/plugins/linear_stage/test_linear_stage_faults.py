@@ -198,6 +198,19 @@ def test_an_amplifier_that_gives_nothing_is_told_apart_from_a_dead_line(bench):
     comes_back(bench)
 
 
+def test_a_stage_that_loses_its_load_cell_on_the_way_is_stopped_by_its_board(bench):
+    bench.driver.travel(0.015, 0.003)
+    bench.wait_until(lambda: bench.driver.position_m() > 2e-4)
+    begun_s = bench.clock.now()
+    bench.inject("not-ready")
+    told(failure(bench), "HX711", "wires DOUT and SCK")
+    assert "CELL" in {line["how"] for line in bench.events("stop") if line["time_s"] > begun_s}
+    with pytest.raises(DeviceError, match="HX711"):
+        bench.driver.travel(0.0, 0.003)
+    bench.clear("not-ready")
+    comes_back(bench)
+
+
 def test_a_board_that_restarts_is_homed_anew(bench):
     bench.inject("restart")
     told(failure(bench), "restarted", "supply")

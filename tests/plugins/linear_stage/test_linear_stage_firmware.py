@@ -108,6 +108,28 @@ def test_an_amplifier_that_is_gone_is_flagged(board):
     assert Flags.NOT_READY not in samples(out)[0].flags
 
 
+@pytest.mark.parametrize(("most", "stops"), [(8388606, True), (8388607, False)])
+def test_without_its_amplifier_it_stops_if_it_has_a_force_to_mind(board, most, stops):
+    out = board(
+        *HOMED, say(4, "LIM", "0.000", "60.000", most), say(5, "VEL", "2.000"), "T 500", "D 0", "T 500",
+    )  # fmt: skip
+    begun, ended = (int(part.split()[0]) for part in out.rsplit("@", 2)[1:])
+    assert (("EV", "LIMIT", "CELL") in [line.fields for line in heard(out)]) is stops
+    assert (ended - begun < 0.06 * 2 * STEPS_PER_MM) is stops
+
+
+def test_a_clipped_amplifier_is_beyond_every_limit(board):
+    for counts in (8388607, -8388608):
+        moved = (
+            *HOMED,
+            say(4, "LIM", "0.000", "60.000", 8388606),
+            f"C {counts}",
+            "T 30",
+            say(5, "VEL", "2.000"),
+        )
+        assert ("EV", "LIMIT", "FORCE") in [line.fields for line in heard(board(*moved, "T 100"))]
+
+
 def test_a_force_limit_stops_first_reports_after_and_lets_back_only(board):
     out = board(
         *HOMED, say(4, "LIM", "0.000", "60.000", 700000), say(5, "STR", 80), "C 0", "K 500",

@@ -44,8 +44,8 @@ const uint16_t OUT_BYTES = 256;
 
 struct Text;  // ahead of the first function: the Arduino builder puts prototypes there
 enum Mode : uint8_t { STILL, TO, RUN, BRAKE, SEEK, BACK };
-enum Which : uint8_t { NONE, LOW_END, HIGH_END, FORCE };
-const char *const WHICH_NAMES[] = {"", "LOW", "HIGH", "FORCE"};
+enum Which : uint8_t { NONE, LOW_END, HIGH_END, FORCE, CELL };
+const char *const WHICH_NAMES[] = {"", "LOW", "HIGH", "FORCE", "CELL"};
 
 // ---- shared with the interrupts -----------------------------------------------------------------------------------
 volatile Mode mode = STILL;
@@ -316,6 +316,12 @@ void convert() {
   } else if (millis() - lastReady > 3000UL / SAMPLES_HZ) {
     lastReady = millis();
     notReady = true;
+    noInterrupts();
+    if (mode != STILL && mostCounts < MOST_COUNTS) {  // nobody feels the force that is to be limited
+      halt();
+      stoppedBy = CELL;
+    }
+    interrupts();
     if (everySample) sample(micros(), position);
   }
 }
