@@ -23,5 +23,7 @@ def _there(entries: list[Any], docs: Path) -> Iterator[Any]:
                 (docs / entry).parent.glob("*.md"), key=lambda page: (page.name != "index.md", page.name)
             )
             yield from (str(page.relative_to(docs)) for page in pages)
-        elif (docs / entry).is_file() or entry.startswith("devices/"):  # those are made by the hook devices.py
+        elif (docs / entry).is_file() or entry.startswith(
+            "devices/"
+        ):  # those are made by the hook devices.py
             yield entry

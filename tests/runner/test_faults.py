@@ -80,7 +80,9 @@ def test_a_plan_is_not_worn_out_by_a_device_that_fails_in_every_trial(lab):
         rig__devices__cell__silent_trials=list(range(100)),
         rig__devices__cell__silent_times=100,
     )
-    with pytest.raises(DeviceError, match="device cell: 10 trials failed one after the other; the last: device cell"):
+    with pytest.raises(
+        DeviceError, match="device cell: 10 trials failed one after the other; the last: device cell"
+    ):
         lab.session.measure(ONE)
     assert [outcome.status for outcome in lab.session.outcomes] == ["failed"] * 10
 
