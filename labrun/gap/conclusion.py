@@ -1,5 +1,6 @@
 """From what the search found to a diagnosis."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,19 +43,21 @@ def conclude(
     if selection.chosen:
         shrunk = shrinkage(search.units, noise, search.held_out_residual, selection.residual, rng)
     kinds = [one.candidate.name.kind for one in selection.chosen]
-    decided = verdict(
-        Findings(
-            sizes,
-            search.recalibrated.gap > floor,
-            _remaining(search) > floor,
-            noise.basis == "repeats",
-            kinds.count("effect"),
-            kinds.count("parameter"),
-            shrunk,
-        )
+    findings = Findings(
+        sizes,
+        search.recalibrated.gap > floor,
+        _remaining(search) > floor,
+        noise.basis == "repeats",
+        kinds.count("effect"),
+        kinds.count("parameter"),
+        shrunk,
     )
+    decided = verdict(findings)
     moved = scatter(selection.final, search.draws)
-    causes = causes_of(search, dataset, moved) if decided not in ("no-gap", "not-in-library") else ()
+    announced = decided not in ("no-gap", "not-in-library") and not findings.unproven
+    causes = causes_of(search, dataset, moved) if announced else ()
+    if findings.unproven:
+        sizes = replace(sizes, recalibrated=search.recalibrated.gap, after=search.recalibrated.gap)
     effects = selection.final.problem.attached(selection.final.problem.parameters(selection.final.z))
     found: tuple[Place, ...] = ()
     missing: tuple[MissingForce, ...] = ()
@@ -96,7 +99,7 @@ def conclude(
                 rejected=dataset.left_out,
             )
         ),
-        notes=(*dataset.notes, *problem.model.notes, *search.remarks),
+        notes=(*dataset.notes, *problem.model.notes, *search.remarks, *_unannounced(search, findings)),
         what_next=tuple(what_next(decided, causes, repeats=repeats)),
         channels=tuple((one.name, one.unit) for one in dataset.outputs),
         input_channels=tuple((one.name, one.unit) for one in dataset.inputs),
@@ -110,6 +113,18 @@ def conclude(
         guard=_guard_words(search),
         seed=0,
         seconds=0.0,
+    )
+
+
+def _unannounced(search: "Search", found: Findings) -> tuple[str, ...]:
+    """Return what is said of causes that are not announced."""
+    if not found.unproven or found.shrinkage is None:
+        return ()
+    names = " and ".join(str(one.candidate.name) for one in search.selection.chosen)
+    return (
+        f"{names} fits the recorded trials, but on withheld conditions it removes {100 * found.shrinkage.value:.0f} % "
+        f"[{100 * found.shrinkage.low:.0f}, {100 * found.shrinkage.high:.0f}] of the gap, which may be nothing: "
+        "it is not announced",
     )
 
 

@@ -42,9 +42,16 @@ class Findings:
     parameters: int
     shrinkage: Shrinkage | None
 
+    @property
+    def unproven(self) -> bool:
+        """Whether causes were found whose help on withheld conditions cannot be told from none at all."""
+        return self.effects > 0 and self.shrinkage is not None and self.shrinkage.low <= 0.0
+
 
 def verdict(found: Findings) -> Verdict:
     """Return the verdict."""
+    if found.unproven:
+        return "parameter" if _recalibration_helps(found.sizes) else "no-gap"
     if found.effects + found.parameters == 0 or found.shrinkage is None:
         plain = found.sizes.recalibrated >= max(_FAR_ABOVE * found.sizes.floor, 1.0)
         if found.significant and (plain or (found.told_by_repeats and found.sizes.recalibrated >= _SMALL)):

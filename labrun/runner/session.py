@@ -29,7 +29,7 @@ _COME_BACK_S = 10.0
 """How long a device that failed may stay away before the run ends: a plug put back takes some seconds to be found."""
 _TRY_AGAIN_S = 0.5
 _MOST_FAILURES = 10
-"""So many failed trials in a row end a run that skips or repeats each: the plan of a night is not worn out in minutes."""
+"""So many failed trials in a row end a run that skips or repeats each: a night is not worn out in minutes."""
 
 
 class Session:

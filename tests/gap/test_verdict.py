@@ -1,0 +1,49 @@
+"""From sizes and shares to a verdict."""
+
+import pytest
+
+from labrun.gap.diagnosis import Shrinkage, Sizes
+from labrun.gap.verdict import Findings, verdict
+
+
+def findings(*, sizes=(5.0, 4.0, 0.2, 0.3), share=(0.98, 0.9, 1.0), effects=1, parameters=0, remains=False, **more):
+    return Findings(
+        Sizes(*sizes),
+        more.get("significant", True),
+        remains,
+        more.get("repeated", True),
+        effects,
+        parameters,
+        None if share is None else Shrinkage(*share),
+    )
+
+
+def test_a_cause_that_leaves_nothing_explains_the_gap():
+    assert verdict(findings()) == "explained"
+
+
+def test_a_cause_that_leaves_much_explains_it_in_part():
+    found = findings(sizes=(5.0, 4.0, 0.4, 0.3), share=(0.8, 0.7, 1.0), remains=True)
+    assert verdict(found) == "partly-explained"
+
+
+def test_what_removes_too_little_to_be_the_cause_is_not_taken_for_one():
+    assert verdict(findings(share=(0.4, 0.2, 0.5), remains=True)) == "not-in-library"
+
+
+@pytest.mark.parametrize(("raw", "said"), [(34.0, "parameter"), (0.3, "no-gap")])
+def test_a_cause_whose_help_on_withheld_conditions_may_be_nothing_is_not_announced(raw, said):
+    found = findings(sizes=(raw, 0.27, 0.22, 0.13), share=(0.3, -0.4, 1.54), repeated=False)
+    assert found.unproven
+    assert verdict(found) == said
+
+
+def test_a_wrong_parameter_is_a_verdict_of_its_own():
+    assert verdict(findings(effects=0, parameters=1)) == "parameter"
+
+
+def test_a_gap_that_nothing_explains_is_not_in_the_library_only_where_it_is_told_from_noise():
+    unexplained = {"effects": 0, "share": None, "sizes": (5.0, 0.8, 0.8, 0.3)}
+    assert verdict(findings(**unexplained)) == "not-in-library"
+    assert verdict(findings(**unexplained, repeated=False)) == "parameter"
+    assert verdict(findings(**unexplained, significant=False)) == "parameter"
