@@ -67,15 +67,18 @@ def examine(name: str, table: Mapping[str, Any]) -> tuple[DeviceInfo, list[Probl
 
 
 def find_class(plugin: str, path: KeyPath) -> tuple[Any, Problem | None]:
-    """Return a device plugin's class, or that of its stand-in while the real driver is not there."""
+    """Return the class that knows all keys of a device: its stand-in's where there is one, else the driver's own.
+
+    A stand-in takes the driver's keys and some of its own, such as faults on request; whether the driver takes those of
+    the file is checked when it is made.
+    """
     stand_in = STAND_IN + plugin
-    try:
-        if ":" in plugin or registry.is_installed(GROUP, plugin):
-            return registry.load(GROUP, plugin), None
-    except PluginError as error:
-        if not registry.is_installed(GROUP, stand_in):
-            return None, Problem(path, _one_line(error), at_value=True)
     if not registry.is_installed(GROUP, stand_in):
+        if ":" in plugin or registry.is_installed(GROUP, plugin):
+            try:
+                return registry.load(GROUP, plugin), None
+            except PluginError as error:
+                return None, Problem(path, _one_line(error), at_value=True)
         known = sorted({known.removeprefix(STAND_IN) for known in registry.names(GROUP)})
         return None, Problem(
             path, f"unknown device plugin; {suggest(plugin, known, kind='installed')}", at_value=True
