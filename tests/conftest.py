@@ -17,6 +17,28 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 _BESIDE_THE_CHECKOUT = Path(__file__).parents[2] / "shared" / "data"
 
 
+_IN_REAL_TIME = (
+    "tests/emulated",
+    "tests/plugins",
+    "tests/runner/test_emulated_bench.py",
+    "tests/devices/test_pacing.py",
+)
+_ON_A_SIMULATED_CLOCK = "tests/plugins/simulated"
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Let tests that talk to another process in real time try again: a busy machine may stop either side for a while.
+
+    A rerun is told in the summary; a test that fails three times has failed.
+    """
+    if not config.pluginmanager.hasplugin("rerunfailures"):
+        return
+    for item in items:
+        place = Path(item.path).relative_to(config.rootpath).as_posix()
+        if place.startswith(_IN_REAL_TIME) and not place.startswith(_ON_A_SIMULATED_CLOCK):
+            item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=1))
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     """Take one worker more than there are cores: tests of drivers mostly wait for emulated devices in real time."""

@@ -26,7 +26,8 @@ def rejected_section(source: ReportSource) -> Html | None:
 def _reasons(source: ReportSource) -> Html:
     total = len(source.run.outcomes)
     if not source.spoiled:
-        return paragraph(f"None: all {counted(total, 'trial')} were accepted.")
+        whole = "the one trial was accepted" if total == 1 else f"all {total} trials were accepted"
+        return paragraph(f"None: {whole}.")
     counts = Counter((outcome.status, _kind_of(outcome)) for outcome in source.spoiled)
     rows: list[list[Content]] = [
         [status, reason, str(count), share_text(count, total)]
@@ -85,7 +86,8 @@ def _incidents(source: ReportSource) -> Html | None:
 
 def _told(event: Mapping[str, Any]) -> str:
     if event["event"] == "limit-reached":
-        return f"after {event.get('limit')} new trials, as asked"
+        limit = event.get("limit")
+        return "after one new trial, as asked" if limit == 1 else f"after {limit} new trials, as asked"
     if event["event"] == "resumed":
         changed = event.get("changed")
         return f"with a changed experiment file: {changed}" if changed else ""

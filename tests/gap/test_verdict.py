@@ -6,7 +6,9 @@ from labrun.gap.diagnosis import Shrinkage, Sizes
 from labrun.gap.verdict import Findings, verdict
 
 
-def findings(*, sizes=(5.0, 4.0, 0.2, 0.3), share=(0.98, 0.9, 1.0), effects=1, parameters=0, remains=False, **more):
+def findings(
+    *, sizes=(5.0, 4.0, 0.2, 0.3), share=(0.98, 0.9, 1.0), effects=1, parameters=0, remains=False, **more
+):
     return Findings(
         Sizes(*sizes),
         more.get("significant", True),
