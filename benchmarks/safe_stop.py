@@ -71,7 +71,8 @@ _RIGS: dict[str, dict[str, Any]] = {
         "device": {
             "plugin": "ur5", "host": "192.168.1.2", "limits": {"travel_m": [0.0, 0.7], "speed_m_s": 0.1},
         },
-        "gait": {"plugin": "hold", "joints": {}},
+        "beside": {"plugin": "dynamixel", "port": "/dev/ttyUSB1", "joints": {"tail": {"id": 5}}},
+        "gait": {"plugin": "hold", "joints": {"tail": {"angle_deg": 0}}},
         "trial": {
             "duration_s": 20,
             "carriage": {"device": "actuator", "from_m": 0.0, "to_m": 0.7, "speed_m_s": 0.03},
@@ -83,10 +84,11 @@ _RIGS: dict[str, dict[str, Any]] = {
 def experiment(actuator: str) -> dict[str, Any]:
     """Return an experiment that moves one actuator for long."""
     rig = _RIGS[actuator]
+    beside = {"still": rig["beside"]} if "beside" in rig else {}
     return {
         "title": f"Stopping {actuator}",
         "kind": "run",
-        "rig": {"scene": rig["scene"], "devices": {"actuator": rig["device"], "wrench": _WRENCH}},
+        "rig": {"scene": rig["scene"], "devices": {"actuator": rig["device"], "wrench": _WRENCH, **beside}},
         "gait": rig["gait"],
         "trial": rig["trial"],
         "run": {"conditions": [{"number": 1}]},
