@@ -152,9 +152,7 @@ class EmulatedBench:
     def close(self) -> None:
         """End all processes; never raises."""
         for name, process in self._processes.items():
-            if (
-                name not in self.settings
-            ):  # it is still starting: nobody has used it, and it hears no order yet
+            if name not in self.settings:  # still starting: nobody has used it, and it hears no order yet
                 process.kill()
                 continue
             try:
