@@ -90,7 +90,10 @@ def check_agreement(emulated, simulated, channel, bound, limit):
         assert ours.condition == theirs.condition
         assert ours.status == theirs.status == "done"
         apart, spread = difference(emulated, simulated, ours.index, channel)
-        assert apart < bound, f"{ours.condition}: {apart} apart, and the channel itself varies by {spread}"
+        # set-points leave a millisecond or two late, which tells where much torque changes quickly
+        assert apart < bound + 0.02 * spread, (
+            f"{ours.condition}: {apart} apart, and the channel itself varies by {spread}"
+        )
     assert emulated.provenance["emulated"]
     assert not simulated.provenance["emulated"]
 
