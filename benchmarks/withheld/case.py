@@ -11,7 +11,7 @@ from withheld.bench import Bench
 from withheld.forms import FORMS, OUTSIDE, OUTSIDE_SIGNALS
 from withheld.measures import measure
 from withheld.mechanism import Hidden, Mechanism
-from withheld.mixture import Chosen, aim_of, choose, kind_of, strength_class
+from withheld.mixture import Chosen, aim_of, choose, kind_of, stream_of, strength_class
 from withheld.noise import ChannelNoise, draw_noise, rescaled
 from withheld.plant import FloatArray, Plant, Programme
 from withheld.refit import Recalibration, size_of
@@ -50,10 +50,13 @@ def case_name(index: int) -> str:
     return f"case-{index + 1:04d}"
 
 
-def make_case(seed: int, index: int, folder: Path) -> str:
-    """Make a case, write it below `folder`, and return its name; the same for the same seed and index anywhere."""
-    rng = np.random.default_rng([seed, 10111, index])
-    kind = kind_of(seed, index)
+def make_case(seed: int, index: int, folder: Path, only: str | None = None) -> str:
+    """Make a case, write it below `folder`, and return its name; the same for the same seed and index anywhere.
+
+    Its kind comes from the mixture, unless `only` names one.
+    """
+    rng = np.random.default_rng([seed, 10111, index, *stream_of(only)])
+    kind = only or kind_of(seed, index)
     rejected: list[list[str]] = []
     for _ in range(_ATTEMPTS):
         chosen = choose(kind, rng)

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from withheld.case import make_case
+from withheld.mixture import DECK
 from withheld.seal import SEAL, seal, verify
 
 
@@ -19,6 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--cases", type=int, default=60, metavar="N", help="how many cases to make")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="below 1000: development")
     parser.add_argument("--first", type=int, default=1, metavar="K", help="number of the first case, from 1")
+    parser.add_argument("--only", choices=tuple(DECK), help="make cases of this kind alone, not the mixture")
     parser.add_argument("--out", type=Path, metavar="DIR", help="a folder that is new or empty")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes")
     parser.add_argument(
@@ -45,7 +47,7 @@ def _make(folder: Path, seed: int, indices: range, given: argparse.Namespace) ->
     shutil.rmtree(making, ignore_errors=True)
     making.mkdir(parents=True)
     try:
-        make = partial(make_case, seed, folder=making)
+        make = partial(make_case, seed, folder=making, only=given.only)
         if given.workers == 1:
             for index in indices:
                 _tell(make(index), indices)
@@ -60,7 +62,8 @@ def _make(folder: Path, seed: int, indices: range, given: argparse.Namespace) ->
     except BaseException:
         shutil.rmtree(making, ignore_errors=True)
         raise
-    told = f"{len(indices)} answers, seed {seed}; sha256 with salt, one by one in {folder / SEAL}"
+    kinds = f", {given.only} alone" if given.only else ""
+    told = f"{len(indices)} answers, seed {seed}{kinds}; sha256 with salt, one by one in {folder / SEAL}"
     print(f"seal {content['all']}  ({told})", flush=True)
     return 0
 

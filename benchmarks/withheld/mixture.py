@@ -32,6 +32,12 @@ def kind_of(seed: int, index: int) -> str:
     return deck[int(order[place])]
 
 
+def stream_of(only: str | None) -> tuple[int, ...]:
+    """Return what keeps cases of one kind alone apart from those that the mixture has under the same seed."""
+    # counted from one: a zero at the end of a seed would give the mixture's own numbers
+    return () if only is None else (1 + list(DECK).index(only),)
+
+
 def aim_of(kind: str, rng: np.random.Generator) -> float:
     """Return the gap to aim at after recalibration, in units of one trial's noise."""
     low, high = {"pair": (0.5, 30.0), "parameter": (1.0, 30.0)}.get(kind, (0.1, 30.0))

@@ -80,7 +80,7 @@ def diagnose(
 
     Example:  labrun gap diagnose recordings/ring-down --model pendulum.toml --save-model corrected.toml
     """
-    with reported(as_json):
+    with reported(as_json, "interrupted; no diagnosis was written"):
         from labrun.report.gap_request import diagnose_request
 
         with status() as note:
@@ -106,6 +106,8 @@ def diagnose(
             console = Console(highlight=False)
             for line in stored.to_text():
                 console.print(line, soft_wrap=True)
+        if stored.warning:
+            typer.echo(f"labrun: {stored.warning}", err=True)
     if open_page:
         typer.launch(str(stored.page))
 
@@ -130,7 +132,7 @@ def next_(
 
     Example:  labrun gap next hinge
     """
-    with reported(as_json):
+    with reported(as_json, "interrupted; no experiment was written"):
         from labrun.report.gap_request import next_request
 
         with status() as note:
@@ -153,6 +155,13 @@ def next_(
 def check(
     cases: Annotated[int, typer.Option(min=1, help="How many cases.")] = 60,
     seed: Annotated[int, typer.Option(min=0, help="Of the cases.")] = 0,
+    only: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND",
+            help="Cases of one kind, not the mixture: control, effect, pair, parameter or outside.",
+        ),
+    ] = None,
     workers: Workers = None,
     cluster: Annotated[
         str | None,
@@ -180,6 +189,7 @@ def check(
             result = check_cases(
                 cases=cases,
                 seed=seed,
+                only=only,
                 workers=workers,
                 cluster=cluster,
                 generator=generator,

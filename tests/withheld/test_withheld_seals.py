@@ -50,6 +50,28 @@ def test_same_seed_same_bytes_whatever_the_workers_and_the_first_case(
     assert again == {name: bytes_ for name, bytes_ in contents(folder).items() if "case-0001" not in name}
 
 
+def test_one_kind_alone_is_made_of_cases_that_the_mixture_of_the_same_seed_does_not_have(
+    made: Made, run_generator: Generate, tmp_path: Path
+) -> None:
+    kinds = {}
+    for only in ("control", "effect"):
+        folder = tmp_path / only
+        done = run_generator("--cases", "1", "--seed", "12", "--only", only, "--out", str(folder))
+        assert done.returncode == 0, done.stderr
+        assert f", {only} alone;" in done.stdout
+        kinds[only] = json.loads((folder / "sealed" / "case-0001.json").read_text())
+    assert [answer["kind"] for answer in kinds.values()] == ["control", "effect"]
+    mixed = json.loads((made[0] / "sealed" / "case-0001.json").read_text())
+    truths = [one["true_parameters"] for one in (mixed, *kinds.values())]
+    assert all(truths.count(one) == 1 for one in truths)
+
+
+def test_a_kind_that_the_mixture_does_not_have_is_refused(run_generator: Generate, tmp_path: Path) -> None:
+    done = run_generator("--cases", "1", "--only", "controls", "--out", str(tmp_path / "none"))
+    assert done.returncode == 2
+    assert "invalid choice: 'controls'" in done.stderr
+
+
 def test_a_seal_depends_on_the_answers_and_on_the_salt_only(made: Made, tmp_path: Path) -> None:
     folder = copy_of(made[0], tmp_path / "copy")
     salt = (folder / "sealed" / "salt.txt").read_text().strip()

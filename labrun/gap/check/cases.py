@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+KINDS = ("control", "effect", "pair", "parameter", "outside")
+"""What a case may be: nothing hidden, one effect, two, a parameter far off, or physics that is not in the library."""
 STRENGTHS = ("below 0.5", "0.5 to 1", "1 to 3", "3 and above")
 """Classes of the true gap after recalibration, in units of one trial's noise."""
 _BOUNDS = (0.5, 1.0, 3.0)
@@ -64,7 +66,7 @@ class Truth:
     Attributes
     ----------
     kind
-        "control", "effect", "pair", "parameter" or "outside".
+        One of `KINDS`.
     gap
         True systematic residual after recalibration, in units of one trial's noise.
     forms

@@ -7,7 +7,7 @@ from typing import Any
 
 from labrun.errors import LabrunError, RequestError
 from labrun.fit.notes import Note, silent
-from labrun.gap.check.cases import ANNOUNCING, Said, Shown, Truth
+from labrun.gap.check.cases import ANNOUNCING, KINDS, Said, Shown, Truth
 from labrun.gap.check.folder import CheckFolder
 from labrun.gap.check.generator import find_generator, make_cases
 from labrun.gap.check.jobs import diagnose_case, shrink_case
@@ -16,6 +16,7 @@ from labrun.gap.check.result import Checked
 from labrun.gap.check.scoring import score
 from labrun.gap.check.sealing import open_answers, seal_of
 from labrun.gap.check.workers import Pool, cores, pool, spread
+from labrun.nearest import nearest
 
 _STREAM = 30313
 """Keeps seeds of diagnoses apart from those of the cases."""
@@ -26,6 +27,7 @@ def check(
     cases: int = 60,
     seed: int = 0,
     first: int = 1,
+    only: str | None = None,
     workers: int | None = None,
     cluster: str | None = None,
     generator: Path | None = None,
@@ -45,6 +47,9 @@ def check(
         Of the cases; with a case's number also that of its diagnosis. Below 1000 it is one of development.
     first
         Number of the first case.
+    only
+        Kind of all cases ("control", "effect", "pair", "parameter" or "outside", an s behind it or not); the
+        generator's mixture of kinds if None. No job that diagnoses is told.
     workers
         Processes; one per core if None. Results do not depend on it.
     cluster
@@ -61,15 +66,16 @@ def check(
     Raises
     ------
     RequestError
-        No generator, no cluster, or a folder that holds something else.
+        No generator, no cluster, no such kind of case, or a folder that holds something else.
     LabrunError
         The generator failed, a worker died, the seal is broken, or Ctrl-C.
     """
     workers = workers or cores()
-    folder = CheckFolder(out or _default_folder(cases, seed, first))
+    only = only if only is None else kind_named(only)
+    folder = CheckFolder(out or _default_folder(cases, seed, first, only))
     try:
-        line = _prepared(folder, find_generator, generator, cases, seed, first, workers, note)
-        printed = folder.ask({"cases": cases, "seed": seed, "first": first})
+        line = _prepared(folder, generator, cases, seed, first, only, workers, note)
+        printed = folder.ask({"cases": cases, "seed": seed, "first": first, "only": only})
         (announce or _to_stderr)(line)
         with pool(workers, cluster) as there:
             said = _diagnosed(folder, seed, there, note)
@@ -82,7 +88,7 @@ def check(
         ) from None
     note("opening the seal")
     truths = [Truth.from_json(answer) for answer in open_answers(folder.path, printed)]
-    _same_seed(truths, seed, folder.path)
+    _as_asked(truths, seed, only, folder.path)
     judged = tuple(
         judge(
             truth,
@@ -92,9 +98,26 @@ def check(
         for truth in truths
     )
     programmes = tuple(sorted({str(one["programme"]) for one in said.values()}))
-    result = Checked(seed, printed, folder.path, programmes, judged, score(judged))
+    result = Checked(seed, only, printed, folder.path, programmes, judged, score(judged))
     folder.keep_scores(result.to_json(), result.to_markdown())
     return result
+
+
+def kind_named(only: str) -> str:
+    """Return the kind of case that a person means, in the singular.
+
+    Raises
+    ------
+    RequestError
+        There is no such kind.
+    """
+    if only.removesuffix("s") in KINDS:
+        return only.removesuffix("s")
+    meant = nearest(only, KINDS)
+    raise RequestError(
+        f"there is no kind of case {only!r}",
+        hint=(f"did you mean {meant}? " if meant else "") + f"there are {', '.join(KINDS)}",
+    )
 
 
 def case_seed(seed: int, case: str) -> int:
@@ -107,11 +130,11 @@ def case_seed(seed: int, case: str) -> int:
 
 def _prepared(
     folder: CheckFolder,
-    find: Callable[[Path | None, Path], Path],
     generator: Path | None,
     cases: int,
     seed: int,
     first: int,
+    only: str | None,
     workers: int,
     note: Note,
 ) -> str:
@@ -123,10 +146,12 @@ def _prepared(
             f"{folder.path} is there and holds something else than a check",
             hint="name a new folder with --out",
         )
-    found = find(generator, Path())
+    found = find_generator(generator, Path())
     note("making the cases")
     folder.path.parent.mkdir(parents=True, exist_ok=True)
-    return make_cases(found, folder.path, cases=cases, seed=seed, first=first, workers=workers, note=note)
+    return make_cases(
+        found, folder.path, cases=cases, seed=seed, first=first, only=only, workers=workers, note=note
+    )
 
 
 def _diagnosed(folder: CheckFolder, seed: int, there: Pool, note: Note) -> dict[str, dict[str, Any]]:
@@ -167,18 +192,25 @@ def _shown(
     return shown
 
 
-def _same_seed(truths: list[Truth], seed: int, folder: Path) -> None:
+def _as_asked(truths: list[Truth], seed: int, only: str | None, folder: Path) -> None:
+    """Refuse cases that were not made as asked: the folder may come from a call of the generator alone."""
+    kinds = sorted({truth.kind for truth in truths} - {only}) if only else []
+    if kinds:
+        raise RequestError(
+            f"the cases in {folder} are not of kind {only} only: some are of kind {', '.join(kinds)}",
+            hint="name a new folder with --out",
+        )
     other = sorted({truth.seed for truth in truths} - {seed})
     if other:
         raise RequestError(
             f"the cases in {folder} were made with seed {other[0]}, not {seed}",
-            hint=f"ask for --seed {other[0]}, or name a new folder with --out",
+            hint="name a new folder with --out",
         )
 
 
-def _default_folder(cases: int, seed: int, first: int) -> Path:
-    name = f"seed-{seed}-cases-{first}-to-{first + cases - 1}"
-    return Path("gap-check") / name
+def _default_folder(cases: int, seed: int, first: int, only: str | None) -> Path:
+    kinds = "" if only is None else f"only-{only}-"
+    return Path("gap-check") / f"seed-{seed}-{kinds}cases-{first}-to-{first + cases - 1}"
 
 
 def _to_stderr(line: str) -> None:

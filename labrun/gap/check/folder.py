@@ -28,7 +28,7 @@ class CheckFolder:
         """Whether the cases are there."""
         return (self.path / "seal.json").is_file()
 
-    def ask(self, asked: Mapping[str, int]) -> str:
+    def ask(self, asked: Mapping[str, Any]) -> str:
         """Write down what was asked for and the seal, or check that the same was asked before; return the seal.
 
         Raises
@@ -126,4 +126,5 @@ def _replace(path: Path, text: str) -> None:
 
 
 def _words(asked: Mapping[str, Any]) -> str:
-    return f"{asked['cases']} cases of seed {asked['seed']}, from case {asked['first']}"
+    kinds = f" (only {asked['only']})" if asked.get("only") else ""
+    return f"{asked['cases']} cases{kinds} of seed {asked['seed']}, from case {asked['first']}"

@@ -40,9 +40,22 @@ def find_generator(given: Path | None, start: Path) -> Path:
 
 
 def make_cases(
-    generator: Path, out: Path, *, cases: int, seed: int, first: int, workers: int, note: Note
+    generator: Path,
+    out: Path,
+    *,
+    cases: int,
+    seed: int,
+    first: int,
+    only: str | None,
+    workers: int,
+    note: Note,
 ) -> str:
     """Run the generator; return the line in which it tells the seal.
+
+    Parameters
+    ----------
+    only
+        Kind of all cases; its mixture of kinds if None.
 
     Raises
     ------
@@ -51,6 +64,7 @@ def make_cases(
     """
     command = [sys.executable, str(generator), "--cases", str(cases), "--seed", str(seed)]
     command += ["--first", str(first), "--workers", str(workers), "--out", str(out)]
+    command += [] if only is None else ["--only", only]
     told: list[str] = []
     with tempfile.TemporaryFile("w+", encoding="utf-8") as said:
         process = subprocess.Popen(

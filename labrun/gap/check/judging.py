@@ -12,8 +12,8 @@ Outcome = Literal[
 ]  # fmt: skip
 """What became of a case. Of one hidden cause: named (alone or in a set of two), named at the wrong site, in a set of
 three or more, only behind another cause, not among the causes, called unknown, or nothing was said. Of two: how many
-were named. Of none: quiet, or an effect was blamed. Outside of the library: recognised, a cause was blamed, or nothing
-was said."""
+were named. Of none: quiet, an effect was blamed, or something unknown was. Outside of the library: recognised, a cause
+was blamed, or nothing was said."""
 LARGEST_SET = 2
 GOOD: tuple[Outcome, ...] = ("named", "both-named", "quiet", "recognised")
 
@@ -42,8 +42,8 @@ class Judged:
 
     @property
     def good(self) -> bool:
-        """Whether it came out as one would wish."""
-        return self.outcome in GOOD
+        """Whether it came out as one would wish, with no effect announced beyond those that are there."""
+        return self.outcome in GOOD and not self.extra
 
 
 def judge(truth: Truth, said: Said, shown: Shown | None = None) -> Judged:
@@ -62,8 +62,7 @@ def judge(truth: Truth, said: Said, shown: Shown | None = None) -> Judged:
         return Judged(truth, said, shown, outcome, int(named), int(outcome == "named"), extra)
     if truth.kind == "outside":
         return Judged(truth, said, shown, _outside(said), 0, 0, 0)
-    alarm = said.verdict in ("explained", "partly-explained") and effects > 0
-    return Judged(truth, said, shown, "false-alarm" if alarm else "quiet", 0, 0, extra)
+    return Judged(truth, said, shown, _control(said, effects), 0, 0, extra)
 
 
 def right(cause: Cause, truth: Truth) -> bool:
@@ -86,6 +85,12 @@ def _single(true: Cause, said: Said) -> Outcome:
         return "named" if _holds(top, true, Cause.same) else "wrong-site"
     behind = any(_holds(one, true, Cause.alike) for one in said.announced[1:])
     return "not-first" if behind else "wrong-cause"
+
+
+def _control(said: Said, effects: int) -> Outcome:
+    if effects:
+        return "false-alarm"
+    return "said-unknown" if said.verdict == "not-in-library" else "quiet"
 
 
 def _outside(said: Said) -> Outcome:

@@ -17,6 +17,8 @@ class Checked:
 
     Attributes
     ----------
+    only
+        Kind of all cases; None where they are the generator's mixture.
     seal
         Hash over all answers that was printed before the first diagnosis; they were found to be the sealed ones.
     folder
@@ -28,6 +30,7 @@ class Checked:
     """
 
     seed: int
+    only: str | None
     seal: str
     folder: Path
     programmes: tuple[str, ...]
@@ -40,16 +43,22 @@ class Checked:
         return self.seed < FIRST_REPORTED_SEED
 
     @property
+    def mixed(self) -> bool:
+        """Whether there is more than one kind of case."""
+        return len(self.scores.kinds) > 1
+
+    @property
     def use(self) -> str:
         """What the seed says about the figures, in a sentence."""
         if self.development:
             return f"seed {self.seed} is one of development (below {FIRST_REPORTED_SEED}): not for reporting"
-        return f"seed {self.seed} is one for reporting: used once, and nothing tuned on it"
+        return f"seed {self.seed} is one for reporting: to be used once, with nothing tuned on it"
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap check --json`` prints."""
         return {
             "seed": self.seed,
+            "only": self.only,
             "development": self.development,
             "seal": self.seal,
             "seal_holds": True,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from labrun.gap.check.cases import STRENGTHS
+from labrun.gap.check.cases import KINDS, STRENGTHS
 from labrun.gap.check.judging import Judged, held
 from labrun.gap.check.shares import Reliability, Share, reliability
 
@@ -24,13 +24,15 @@ class ShrinkageScore:
     covered
         How many true shares lie in their 90 % interval.
     too_small
-        Cases left out because their fresh excess is lost in the noise; `failed` those that could not be computed.
+        Cases left out because their fresh excess is lost in the noise; `failed` those that could not be computed;
+        `unpredicted` those in which a cause was announced without saying how much it removes.
     """
 
     differences: Mapping[str, float]
     covered: Share
     too_small: int
     failed: int
+    unpredicted: int
 
     @property
     def median_difference(self) -> float | None:
@@ -44,6 +46,8 @@ class Scores:
 
     Attributes
     ----------
+    kinds : kind -> count
+        How many cases of each kind there are; kinds without any are left out.
     named : strength -> share
         Single hidden effects that were named, alone or in a set of at most two, the effect alone counting; `sites` the
         share of those at the right site.
@@ -59,18 +63,20 @@ class Scores:
     false_alarms
         Controls in which an effect was blamed, of those that were diagnosed; `control_claims` counts every verdict.
     recognised : strength -> share
-        Of those outside of the library: called so.
+        Of those outside of the library: called so. `recognised_from_half`: of those of at least half a unit.
     wrongly_unknown
         Of all others that were diagnosed: called outside of the library.
     extra
         Cases with more effects announced than there are.
     calibration
-        Confidence of every announced cause against whether it, or its first rival, was a true one, site included.
+        Confidence of every announced cause against whether it, or its first rival, was a true one, site included. Of
+        one kind of case alone it says nothing about the confidence, which is one over all kinds.
     errors
         Cases that were not diagnosed.
     """
 
     cases: int
+    kinds: Mapping[str, int]
     named: ByStrength
     sites: Share
     pairs: Mapping[str, Mapping[str, int]]
@@ -81,6 +87,7 @@ class Scores:
     false_alarms: Share
     control_claims: Mapping[str, int]
     recognised: ByStrength
+    recognised_from_half: Share
     wrongly_unknown: Share
     extra: Share
     calibration: Reliability
@@ -93,6 +100,7 @@ class Scores:
         difference = self.shrinkage
         return {
             "cases": self.cases,
+            "kinds": dict(self.kinds),
             "named": _shares(self.named),
             "site_right": self.sites.to_json(),
             "pairs": {
@@ -106,6 +114,7 @@ class Scores:
             "controls": dict(self.control_claims),
             "not_in_library": {
                 "recognised": _shares(self.recognised),
+                "recognised_from_0.5": self.recognised_from_half.to_json(),
                 "wrongly_claimed": self.wrongly_unknown.to_json(),
             },
             "more_effects_than_there_are": self.extra.to_json(),
@@ -116,6 +125,7 @@ class Scores:
                 "differences": dict(difference.differences),
                 "excess_too_small": difference.too_small,
                 "not_computed": difference.failed,
+                "not_predicted": difference.unpredicted,
             },
             "seconds": dict(self.seconds),
             "errors": list(self.errors),
@@ -124,15 +134,15 @@ class Scores:
 
 def score(judged: Sequence[Judged]) -> Scores:
     """Score cases that were judged one by one."""
-    singles = [one for one in judged if one.truth.kind == "effect"]
-    pairs = [one for one in judged if one.truth.kind == "pair"]
-    controls = [one for one in judged if one.truth.kind == "control"]
-    outside = [one for one in judged if one.truth.kind == "outside"]
+    of_kind = {kind: [one for one in judged if one.truth.kind == kind] for kind in KINDS}
+    singles, pairs, outside = of_kind["effect"], of_kind["pair"], of_kind["outside"]
+    controls, parameters = of_kind["control"], of_kind["parameter"]
     # a case that raised had no occasion for a false claim: it must not make them look rarer
     spoken = [one for one in judged if one.truth.kind != "outside" and not one.said.error]
     announced = [(named, one.truth) for one in judged for named in one.said.announced]
     return Scores(
         cases=len(judged),
+        kinds={kind: len(those) for kind, those in of_kind.items() if those},
         named=_by_strength(singles, lambda one: one.found == 1),
         sites=Share(sum(one.sites for one in singles), sum(one.found for one in singles)),
         pairs={
@@ -143,12 +153,15 @@ def score(judged: Sequence[Judged]) -> Scores:
             if any(one.truth.strength == strength for one in pairs)
         },
         pair_sites=Share(sum(one.sites for one in pairs), sum(one.found for one in pairs)),
-        parameters=Share.among(one.found == 1 for one in judged if one.truth.kind == "parameter"),
+        parameters=Share.among(one.found == 1 for one in parameters),
         set_sizes=dict(sorted(Counter(len(named.members) for named, _ in announced).items())),
         confusion=confusion(judged),
         false_alarms=Share.among(one.outcome == "false-alarm" for one in controls if not one.said.error),
         control_claims=dict(sorted(Counter(one.said.verdict for one in controls).items())),
         recognised=_by_strength(outside, lambda one: one.outcome == "recognised"),
+        recognised_from_half=Share.among(
+            one.outcome == "recognised" for one in outside if one.truth.strength != STRENGTHS[0]
+        ),
         wrongly_unknown=Share.among(one.said.verdict == "not-in-library" for one in spoken),
         extra=Share.among(one.extra > 0 for one in spoken),
         calibration=reliability([(named.confidence, held(named, truth)) for named, truth in announced]),
@@ -170,19 +183,21 @@ def shrinkage_score(judged: Sequence[Judged]) -> ShrinkageScore:
     """Compare predicted and true shrinkage of all cases in which a cause was announced."""
     differences: dict[str, float] = {}
     covered: list[bool] = []
-    too_small = failed = 0
+    too_small = failed = unpredicted = 0
     for one in judged:
         predicted, shown = one.said.shrinkage, one.shown
-        if not one.said.announced or predicted is None or shown is None:
+        if not one.said.announced:
             continue
-        if shown.value is None:
+        if predicted is None:
+            unpredicted += 1
+        elif shown is None or shown.value is None:
             failed += 1
         elif not shown.counted:
             too_small += 1
         else:
             differences[one.truth.case] = predicted.value - shown.value
             covered.append(predicted.low <= shown.value <= predicted.high)
-    return ShrinkageScore(differences, Share.among(covered), too_small, failed)
+    return ShrinkageScore(differences, Share.among(covered), too_small, failed, unpredicted)
 
 
 def _by_strength(judged: Sequence[Judged], hit: Callable[[Judged], bool]) -> dict[str, Share]:

@@ -4,6 +4,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 
 @dataclass(frozen=True, slots=True)
 class Share:
@@ -46,12 +48,23 @@ class Share:
 
 @dataclass(frozen=True, slots=True)
 class Bin:
-    """Causes whose stated confidence lies in one tenth: the mean of what was stated, and the share that was right."""
+    """Causes whose stated confidence lies in one tenth.
+
+    Attributes
+    ----------
+    stated
+        Mean of what was stated.
+    right
+        The share that was right.
+    by_chance
+        Mean of |stated - right| if each cause were right with the very probability that is stated.
+    """
 
     low: float
     high: float
     stated: float
     right: Share
+    by_chance: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,17 +76,24 @@ class Reliability:
     @property
     def error(self) -> float | None:
         """Expected calibration error: |stated - right|, weighed by how often (Naeini et al., AAAI 2015)."""
+        return self._weighed(abs(one.stated - one.right.hits / one.right.of) for one in self.bins)
+
+    @property
+    def error_by_chance(self) -> float | None:
+        """Mean of that error if every stated confidence were exactly true: few cases cannot show a smaller one."""
+        return self._weighed(one.by_chance for one in self.bins)
+
+    def _weighed(self, errors: Iterable[float]) -> float | None:
         total = sum(one.right.of for one in self.bins)
         if not total:
             return None
-        return (
-            sum(one.right.of * abs(one.stated - one.right.hits / one.right.of) for one in self.bins) / total
-        )
+        return sum(one.right.of * error for one, error in zip(self.bins, errors, strict=True)) / total
 
     def to_json(self) -> dict[str, Any]:
         """Return it JSON-ready."""
         return {
             "expected_calibration_error": self.error,
+            "by_chance": self.error_by_chance,
             "table": [
                 {"from": one.low, "to": one.high, "stated": one.stated, "right": one.right.to_json()}
                 for one in self.bins
@@ -101,8 +121,21 @@ def reliability(stated: Sequence[tuple[float, bool]], bins: int = 10) -> Reliabi
                 (place + 1) / bins,
                 sum(confidence for confidence, _ in members) / len(members),
                 Share.among(right for _, right in members),
+                _by_chance([confidence for confidence, _ in members]),
             )
             for place, members in enumerate(sorted_in)
             if members
         )
     )
+
+
+def _by_chance(confidences: Sequence[float]) -> float:
+    """Return the mean distance of the share of hits from the mean of their probabilities, exactly."""
+    chances = np.ones(
+        1
+    )  # of 0, 1, ... hits: one more factor for each cause (Poisson's binomial distribution)
+    for confidence in confidences:
+        chances = np.convolve(chances, (1.0 - confidence, confidence))
+    count = len(confidences)
+    distances = np.abs(np.arange(count + 1) / count - sum(confidences) / count)
+    return float(chances @ distances)

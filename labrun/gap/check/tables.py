@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from labrun.gap.check.judging import Judged
-from labrun.gap.check.text import screen, share_text
+from labrun.gap.check.judging import GOOD, Judged
+from labrun.gap.check.text import OF_ONE_KIND, screen, share_text
 
 if TYPE_CHECKING:
     from labrun.gap.check.result import Checked
@@ -56,7 +56,7 @@ def _row(one: Judged) -> tuple[str, ...]:
         true = f"({true})"
     return (
         truth.case.removeprefix("case-"),
-        one.outcome,
+        f"{one.outcome}, {one.extra} too many" if one.extra and one.outcome in GOOD else one.outcome,
         f"{hidden} ({truth.bench})",
         f"{truth.gap:.2g}",
         str(truth.repeats),
@@ -83,8 +83,9 @@ def _reliability(checked: "Checked") -> str:
     bins = checked.scores.calibration.bins
     if not bins:
         return "No cause was announced.\n"
+    alone = "" if checked.mixed else f"{OF_ONE_KIND[0].upper()}{OF_ONE_KIND[1:]}.\n\n"
     rows = ((f"{one.low:.1f} to {one.high:.1f}", f"{one.stated:.2f}", share_text(one.right)) for one in bins)
-    return _table(("stated confidence", "mean", "right, site included"), rows)
+    return alone + _table(("stated confidence", "mean", "right, site included"), rows)
 
 
 def _table(header: Sequence[str], rows: Iterator[tuple[str, ...]] | Sequence[tuple[str, ...]]) -> str:

@@ -3,18 +3,29 @@
 import multiprocessing
 import os
 import signal
+import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
 from contextlib import contextmanager
 from dataclasses import dataclass
+from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 from labrun.errors import LabrunError, RequestError
 
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _REACHING = "30s"
+_STOPPING_S = 5.0
 
 Key = TypeVar("Key")
 Result = TypeVar("Result")
@@ -85,17 +96,20 @@ def spread(
 @contextmanager
 def _processes(workers: int) -> Iterator[Pool]:
     others = {child.pid for child in multiprocessing.active_children()}
-    with _one_thread():
+    # a process that is stopped leaves its files behind: they lie in a folder of this one, which takes it away
+    with _one_thread(), TemporaryDirectory(prefix="labrun-check-", ignore_cleanup_errors=True) as scratch:
         # started anew: threads and locks of this process are not copied, and linear algebra starts with one thread
         context = multiprocessing.get_context("spawn")
-        executor = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin)
+        executor = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(scratch,))
         try:
             yield Pool(executor, 2 * workers)
         except BaseException:
             executor.shutdown(wait=False, cancel_futures=True)
-            for child in multiprocessing.active_children():
-                if child.pid not in others:
-                    child.terminate()
+            stopped = [child for child in multiprocessing.active_children() if child.pid not in others]
+            for child in stopped:
+                child.terminate()
+            for child in stopped:
+                child.join(_STOPPING_S)
             raise
         executor.shutdown()
 
@@ -103,7 +117,8 @@ def _processes(workers: int) -> Iterator[Pool]:
 @contextmanager
 def _dask(address: str) -> Iterator[Pool]:
     try:
-        from distributed import Client
+        from distributed import Client, KilledWorker
+        from distributed.comm import CommClosedError
     except ImportError as error:
         raise RequestError(
             "a cluster needs Dask, which is not installed", hint='pip install "labrun[cluster]"'
@@ -126,12 +141,19 @@ def _dask(address: str) -> Iterator[Pool]:
         executor = client.get_executor(pure=False, retries=0)
         try:
             yield Pool(executor, 2 * threads)
+        except (KilledWorker, CommClosedError, CancelledError) as error:
+            # a scheduler that goes away cancels everything, without a word
+            raise LabrunError(
+                f"the cluster at {address} gave up: {str(error).strip() or 'its scheduler is gone'}",
+                hint="the same command goes on where it was; workers that die may have run out of memory",
+            ) from error
         finally:
             executor.shutdown(wait=False)
 
 
-def _begin() -> None:
-    """Leave Ctrl-C to the process that asked, and warnings to the diagnosis's own words."""
+def _begin(scratch: str) -> None:
+    """Leave Ctrl-C to the process that asked, and warnings to the diagnosis's own words; files go into `scratch`."""
+    tempfile.tempdir = scratch
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("ignore")
 

@@ -2,8 +2,12 @@
 
 import json
 import multiprocessing
+import os
 import shutil
 import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +18,7 @@ from labrun.gap.check import Checked, check
 from labrun.gap.check.checking import case_seed
 from labrun.gap.check.folder import CheckFolder
 from labrun.gap.check.jobs import fingerprint
+from labrun.gap.check.workers import pool, spread
 
 GENERATOR = Path(__file__).resolve().parents[3] / "benchmarks" / "withheld"
 TWO_CASES: dict[str, Any] = {"cases": 2, "seed": 42, "first": 15}
@@ -34,6 +39,15 @@ def checked(tmp_path_factory: pytest.TempPathFactory, told: list[str]) -> Checke
         told.append("diagnosed already" if (out / "diagnoses").exists() else "nothing diagnosed yet")
 
     return check(**TWO_CASES, workers=2, generator=GENERATOR, out=out, announce=announce)
+
+
+@pytest.fixture
+def local_cluster() -> Iterator[Any]:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:
+        yield cluster
 
 
 def copy_of(checked: Checked, folder: Path, *parts: str) -> Path:
@@ -170,15 +184,47 @@ def test_the_seed_of_a_diagnosis_depends_on_the_case_and_the_seed_alone() -> Non
 
 
 @pytest.mark.slow
-def test_a_dask_cluster_finds_the_same_as_processes(checked: Checked, tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
-    ) as cluster:
-        address = cluster.scheduler_address
-        assert address.startswith("tcp://")
-        again = check(**TWO_CASES, cluster=address, out=copy_of(checked, tmp_path / "dask"), announce=silent)
+def test_a_dask_cluster_finds_the_same_as_processes(
+    checked: Checked, local_cluster: Any, tmp_path: Path
+) -> None:
+    address = local_cluster.scheduler_address
+    assert address.startswith("tcp://")
+    again = check(**TWO_CASES, cluster=address, out=copy_of(checked, tmp_path / "dask"), announce=silent)
     assert without_seconds(again.to_json()) == without_seconds(checked.to_json())
+
+
+@pytest.mark.slow
+def test_workers_of_a_cluster_that_die_are_an_error_that_says_so(local_cluster: Any) -> None:
+    jobs = iter([("case", os._exit, (1,))])
+    with (
+        pytest.raises(LabrunError, match=r"gave up: .* died"),
+        pool(1, local_cluster.scheduler_address) as there,
+    ):
+        list(spread(there, jobs))
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_goes_away_is_an_error_that_says_so(local_cluster: Any) -> None:
+    jobs: Iterator[tuple[str, Callable[..., Any], tuple[Any, ...]]]
+    jobs = iter([("one", abs, (1,)), ("two", time.sleep, (60.0,))])
+    with (
+        pytest.raises(LabrunError, match="gave up: its scheduler is gone"),
+        pool(1, local_cluster.scheduler_address) as there,
+    ):
+        for _ in spread(there, jobs):
+            local_cluster.close()
+
+
+def test_what_stopped_processes_leave_behind_is_taken_away(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with pytest.raises(KeyboardInterrupt), pool(1, None) as there:
+        for _, made in spread(there, iter([("folder", tempfile.mkdtemp, ())])):
+            assert Path(made).is_dir()
+            assert Path(made).parents[1] == tmp_path
+            raise KeyboardInterrupt
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_without_dask_a_cluster_is_refused_with_what_to_install(

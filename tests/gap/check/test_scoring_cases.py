@@ -99,10 +99,24 @@ def test_a_control_is_a_false_alarm_only_where_an_effect_is_blamed() -> None:
     assert outcome(true, said("no-gap")) == "quiet"
     assert outcome(true, said("parameter")) == "quiet"
     assert outcome(true, said("parameter", named(MASS))) == "quiet"
-    assert outcome(true, said("not-in-library", named(COULOMB))) == "quiet"
+    assert outcome(true, said("not-in-library", named(COULOMB))) == "said-unknown"
     assert outcome(true, said("explained", named(MASS))) == "quiet"
     assert outcome(true, said("explained", named(COULOMB))) == "false-alarm"
     assert outcome(true, said("partly-explained", named(MASS), named(COULOMB))) == "false-alarm"
+    assert outcome(true, said("parameter", named(MASS), named(COULOMB))) == "false-alarm"
+
+
+def test_a_control_that_is_called_unknown_went_wrong_but_is_no_false_alarm() -> None:
+    judged = judge(truth("control"), said("not-in-library"))
+    found = score([judged])
+    assert not judged.good
+    assert (found.false_alarms.hits, found.wrongly_unknown.hits) == (0, 1)
+
+
+def test_a_named_cause_with_another_beside_it_went_wrong() -> None:
+    assert judge(truth("effect", COULOMB), said("explained", named(COULOMB))).good
+    assert not judge(truth("effect", COULOMB), said("explained", named(COULOMB), named(LAG))).good
+    assert judge(truth("effect", COULOMB), said("explained", named(COULOMB), named(MASS))).good
 
 
 def test_what_is_outside_of_the_library_is_recognised_by_its_verdict_alone() -> None:
@@ -211,6 +225,7 @@ def test_shrinkage_is_compared_where_the_fresh_gap_is_large_enough() -> None:
             case("c", 0.8, Shown(0.99, True)),
             case("d", 0.8, Shown(-7.0, False)),
             case("e", 0.8, Shown(None, False, "FitError: blew up")),
+            judge(truth("effect", LAG), said("explained", named(LAG)), Shown(0.9, True)),
             judge(truth("effect", LAG), said("no-gap")),
         ]
     ).shrinkage
@@ -220,7 +235,8 @@ def test_shrinkage_is_compared_where_the_fresh_gap_is_large_enough() -> None:
         "c": -0.09,
     }
     assert abs((found.median_difference or 0.0) - 0.09) < 1e-12
-    assert (found.covered.hits, found.covered.of, found.too_small, found.failed) == (2, 3, 1, 1)
+    assert (found.covered.hits, found.covered.of) == (2, 3)
+    assert (found.too_small, found.failed, found.unpredicted) == (1, 1, 1)
 
 
 def test_scores_of_nothing_say_so() -> None:

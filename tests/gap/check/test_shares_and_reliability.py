@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -45,6 +46,24 @@ def test_every_confidence_falls_into_one_bin_and_the_error_is_a_share(
 def test_confidences_that_come_true_as_often_as_they_say_have_no_error() -> None:
     assert reliability([(0.75, True)] * 3 + [(0.75, False)]).error == pytest.approx(0.0)
     assert reliability([(1.0, False)] * 5).error == pytest.approx(1.0)
+
+
+def test_chance_alone_shows_the_error_that_simulated_hits_show() -> None:
+    confidences = [0.93, 0.97, 0.91, 0.95, 0.72, 0.78, 0.55]
+    hits = np.random.default_rng(5).random((4000, len(confidences))) < confidences
+    simulated = [
+        reliability([(confidence, bool(hit)) for confidence, hit in zip(confidences, row, strict=True)]).error
+        or 0.0
+        for row in hits
+    ]
+    told = reliability([(confidence, True) for confidence in confidences]).error_by_chance
+    assert told == pytest.approx(np.mean(simulated), abs=0.005)
+
+
+def test_certainties_leave_nothing_to_chance() -> None:
+    assert reliability([(1.0, False), (0.0, True)]).error_by_chance == 0.0
+    assert reliability([(0.5, True)]).error_by_chance == pytest.approx(0.5)
+    assert reliability([]).error_by_chance is None
 
 
 def test_a_confidence_beyond_one_is_refused() -> None:
