@@ -29,7 +29,8 @@ class EffectParameter:
     starts
         Values to start a fit from.
     held
-        Not estimated: stays at its first start (a regularisation speed).
+        Not estimated: stays at its first start (a regularisation speed). With further starts it is a shape, which is
+        estimated too where the effect explains much and its usual shape does not do.
     """
 
     name: str
@@ -39,6 +40,11 @@ class EffectParameter:
     upper: float
     starts: tuple[float, ...]
     held: bool = False
+
+    @property
+    def shape(self) -> bool:
+        """Whether it is held, but may be fitted after all."""
+        return self.held and len(self.starts) > 1
 
     def bounds(self, scale: Scale) -> tuple[float, float]:
         """Return the bounds at a site, SI."""
@@ -179,7 +185,9 @@ def signal_filter(step: Callable[..., Any]) -> NativeFunction:
 
     It is called for each piece of the signal in turn, in which the signal goes straight from ``before[0]`` to
     ``after[0]`` in `dt` seconds, and writes what it makes of both ends to ``out[0]`` and ``out[1]`` (two values, so
-    that jumps between pieces stay jumps). ``before[1]``, ``after[1]`` ... are the other signals of the same kind, in
+    that jumps between pieces stay jumps). A filter whose answer is not straight in between may write to ``out[2]`` by how
+    much its mean over the piece exceeds that of the straight line: of an input, the model then sees the right mean.
+    ``before[1]``, ``after[1]`` ... are the other signals of the same kind, in
     the order of the model. The first call has ``dt = 0``: the signal has always had this value; the memory then holds
     zeros but for ``memory[0]``, which is its length.
     """

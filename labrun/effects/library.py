@@ -1,6 +1,6 @@
 """The effects that are installed: entry points of group ``labrun.effects``."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 from labrun import registry
 from labrun.effects.effect import Effect
@@ -39,20 +39,26 @@ def load_effect(name: str, kind: SiteKind | None = None) -> Effect:
     raise ModelError(f"effect {name} is there for {kinds} sites: say which")
 
 
-def effects() -> tuple[Effect, ...]:
+def effects(without: Collection[str] = ()) -> tuple[Effect, ...]:
     """Return every effect that is installed, in the order of their names.
+
+    Parameters
+    ----------
+    without
+        Names of plugins that are not even imported: one that is broken does no harm then.
 
     Raises
     ------
     PluginError
         A plugin does not import, or is no effect.
     """
-    return tuple(_all())
+    return tuple(_all(without))
 
 
-def _all() -> Iterator[Effect]:
+def _all(without: Collection[str]) -> Iterator[Effect]:
     for name in registry.names(_GROUP):
-        yield from _of_plugin(name)
+        if name not in without:
+            yield from _of_plugin(name)
 
 
 def _of_plugin(name: str) -> tuple[Effect, ...]:

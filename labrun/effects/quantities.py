@@ -15,6 +15,7 @@ Quantity = Literal[
     "signal",
     "signal-rate",
     "time",
+    "time-per-coordinate",
     "ratio",
 ]
 
@@ -64,6 +65,7 @@ class Scale:
             "signal": self.signal,
             "signal-rate": self.signal / self.time_s,
             "time": self.time_s,
+            "time-per-coordinate": 1.0 / self.rate,
             "ratio": 1.0,
         }[quantity]
 
@@ -77,6 +79,7 @@ def unit_of(quantity: Quantity, coordinate_unit: str = "rad", signal_unit: str =
         "signal-rate": f"{signal_unit}/s",
         "coordinate": coordinate_unit,
         "rate": f"{coordinate_unit}/s",
+        "time-per-coordinate": f"s/{coordinate_unit}",
     }
     if quantity in simple:
         return simple[quantity]

@@ -29,9 +29,15 @@ def bias(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Po
 def saturation(
     before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer
 ) -> None:
-    """Write the signal, cut at plus and minus the level."""
-    out[0] = min(max(before[0], -values[0]), values[0])
-    out[1] = min(max(after[0], -values[0]), values[0])
+    """Write the signal, cut at plus and minus the level; the knee rounds the corner."""
+    level, reach = values[0], values[0] * values[1]
+    for end in range(2):
+        signal = before[0] if end == 0 else after[0]
+        beyond = abs(signal) - level
+        size = min(abs(signal), level)
+        if abs(beyond) < reach < math.inf:
+            size = abs(signal) - (beyond + reach) ** 2 / (4.0 * reach)
+        out[end] = math.copysign(size, signal)
 
 
 def rate_limit(
@@ -47,7 +53,12 @@ def rate_limit(
         memory[0] = after[0]
     elif dt > 0.0:
         step = values[0] * dt
+        ahead, slope = before[0] - memory[0], (after[0] - before[0]) / dt
         memory[0] += min(max(after[0] - memory[0], -step), step)
+        closing = abs(values[0] - math.copysign(slope, ahead * slope))
+        if memory[0] == after[0] and abs(ahead) < closing * dt:  # the signal is caught up with, and followed
+            caught = abs(ahead) / closing
+            out[2] = 0.5 * ahead * (1.0 - caught / dt)
     out[1] = memory[0]
 
 
@@ -87,7 +98,9 @@ def lag(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Poi
         memory[0] = after[0]
     elif dt > 0.0:
         behind = (after[0] - before[0]) / dt * constant
-        memory[0] = after[0] - behind + (memory[0] - before[0] + behind) * math.exp(-dt / constant)
+        vanishing, rest = memory[0] - before[0] + behind, math.exp(-dt / constant)
+        memory[0] = after[0] - behind + vanishing * rest
+        out[2] = vanishing * (constant / dt * (1.0 - rest) - 0.5 * (1.0 + rest))
     out[1] = memory[0]
 
 
@@ -119,15 +132,27 @@ def delay(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: P
     memory[place + 1] = memory[0] + dt
     memory[place + 2] = before[0]
     memory[place + 3] = after[0]
+    pieces, area, since, value = 0, 0.0, 0.0, 0.0
     for end in range(2):
         target = memory[0] + end * dt - shift
         place = _HEADER + _PIECE * (reading % slots)
         # at the begin of a piece what matters is the value after a jump, at its end the value before one
         while reading < newest and (memory[place + 1] < target or (end == 0 and memory[place + 1] == target)):
+            if end == 1:  # what is read lies in more than one piece
+                area += 0.5 * (value + memory[place + 3]) * (memory[place + 1] - since)
+                pieces += 1
+                since = memory[place + 1]
             reading += 1
             place = _HEADER + _PIECE * (reading % slots)
+            if end == 1:
+                value = memory[place + 2]
         fraction = (target - memory[place]) / (memory[place + 1] - memory[place])
         out[end] = (1.0 - fraction) * memory[place + 2] + fraction * memory[place + 3]
+        if end == 0:
+            since, value = target, out[0]
+        elif pieces > 0:
+            area += 0.5 * (value + out[1]) * (target - since)
+            out[2] = area / dt - 0.5 * (out[0] + out[1])
     memory[0] += dt
     memory[1] = newest + 1.0
     memory[2] = reading

@@ -18,7 +18,7 @@ EFFECT = Effect(
     id="viscous-damping",
     kind="joint",
     parameters=(
-        EffectParameter("coefficient", "damping", neutral=0.0, lower=-1.0, upper=2.0, starts=(0.05, 0.3)),
+        EffectParameter("coefficient", "damping", neutral=0.0, lower=-1.0, upper=10.0, starts=(0.05, 0.3)),
     ),
     function=force_law(law),
     form="F = -coefficient rate",

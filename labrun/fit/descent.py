@@ -56,23 +56,31 @@ class NormalEquations:
         own = np.diagonal(self.own, axis1=1, axis2=2)
         return np.concatenate([np.diag(self.shared), own.ravel()])
 
-    def step(self, damping: FloatArray, held: NDArray[np.bool_]) -> FloatArray:
-        """Return the step of ``(J'J + diag(damping)) step = -J'r``; `held` shared variables do not move.
+    def step(self, damping: FloatArray, room: tuple[FloatArray, FloatArray] | None = None) -> FloatArray:
+        """Return the step that lowers the linear model's sum of squares, plus ``step' diag(damping) step``, the most.
 
         The own variables are eliminated trial by trial (a Schur complement), so that the cost grows with the number of
         trials and not with its cube.
+
+        Parameters
+        ----------
+        room : (p,), (p,)
+            How far down and up the shared variables may move; as far as they like if None.
         """
         size = len(self.shared_pull)
         own = self.own + damping[size:].reshape(self.own_pull.shape)[:, :, None] * np.eye(self.own.shape[1])
-        moving = ~held
-        mixed = self.mixed[:, :, moving]
-        solved = np.linalg.solve(own, np.concatenate([mixed, self.own_pull[:, :, None]], axis=2))
-        across = np.swapaxes(mixed, 1, 2)
-        left = (self.shared + np.diag(damping[:size]))[np.ix_(moving, moving)]
-        reduced = (across @ solved).sum(axis=0)
+        solved = np.linalg.solve(own, np.concatenate([self.mixed, self.own_pull[:, :, None]], axis=2))
+        reduced = (np.swapaxes(self.mixed, 1, 2) @ solved).sum(axis=0)
+        left = self.shared + np.diag(damping[:size]) - reduced[:, :-1]
+        right = reduced[:, -1] - self.shared_pull
+        low, high = (np.full(size, -np.inf), np.full(size, np.inf)) if room is None else room
+        moving = high > low
+        left, right, low, high = left[np.ix_(moving, moving)], right[moving], low[moving], high[moving]
         step = np.zeros(size)
-        step[moving] = np.linalg.solve(left - reduced[:, :-1], reduced[:, -1] - self.shared_pull[moving])
-        return np.concatenate([step, (-solved[:, :, -1] - solved[:, :, :-1] @ step[moving]).ravel()])
+        step[moving] = np.linalg.solve(left, right)
+        if np.any((step[moving] < low) | (step[moving] > high)):
+            step[moving] = _within(left, right, low, high)
+        return np.concatenate([step, (-solved[:, :, -1] - solved[:, :, :-1] @ step).ravel()])
 
     def gain(self, step: FloatArray) -> float:
         """Return by how much the sum of squares would fall in the linear model."""
@@ -101,7 +109,7 @@ def minimise(
     """Return the nearest minimum of the squared residuals and the prior.
 
     Levenberg-Marquardt: damping in units of the largest curvature each variable has shown (More 1978), adapted to how
-    well the linear model predicted each gain (Nielsen 1999). A parameter at a bound that its step would cross is held.
+    well the linear model predicted each gain (Nielsen 1999). Each step is the best one within the bounds.
 
     Parameters
     ----------
@@ -146,7 +154,8 @@ def minimise(
         scale = np.maximum(scale, 1e-20 * float(np.max(scale, initial=1e-280)))
         before, known = squares, fresh
         while count < evaluations:
-            moved = _bounded(equations, z, damping * scale, low, high)
+            step = equations.step(damping * scale, (low[:size] - z[:size], high[:size] - z[:size]))
+            moved = np.clip(z + step, low, high)
             predicted = equations.gain(moved - z)
             if predicted <= _ROUNDING * squares or damping > _MOST_DAMPING:
                 if fresh or not confirmed:
@@ -190,18 +199,19 @@ def _carried_on(blocks: Blocks, step: FloatArray, residual: list[FloatArray], si
     return Blocks(shared, own, residual)
 
 
-def _bounded(
-    equations: NormalEquations, z: FloatArray, damping: FloatArray, low: FloatArray, high: FloatArray
-) -> FloatArray:
-    """Return the point a damped step leads to, holding what would leave its bounds from there."""
-    size = len(equations.shared_pull)
-    held = np.zeros(size, dtype=bool)
-    while True:
-        aim = z + equations.step(damping, held)
-        stuck = ((z <= low) & (aim < low)) | ((z >= high) & (aim > high))
-        if not np.any(stuck[:size] & ~held):
-            return np.clip(aim, low, high)
-        held |= stuck[:size]
+def _within(left: FloatArray, right: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return the minimum of ``step' left step / 2 - right' step`` within bounds.
+
+    Cutting the free step at the bounds will not do: where two parameters stand in for each other, what is left of a long
+    step leads uphill.
+    """
+    from scipy.optimize import lsq_linear
+
+    scale = 1.0 / np.sqrt(np.diag(left))
+    factor = np.linalg.cholesky(left * np.outer(scale, scale))
+    target = np.linalg.solve(factor, right * scale)
+    found = lsq_linear(factor.T, target, bounds=(low / scale, high / scale), method="bvls")
+    return np.asarray(np.clip(found.x * scale, low, high))
 
 
 def _squares(problem: Problem, z: FloatArray, residual: list[FloatArray]) -> float:

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from labrun.gap.confidence import confidence
 from labrun.gap.diagnosis import Candidate, CandidateVerdict, Cause, Estimate, Name, Verdict
 from labrun.gap.estimates import effect_units, parameter_value, upper_bounds, values_of
+from labrun.gap.identified import information
+from labrun.gap.problem import WITHIN
 
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset
@@ -56,6 +58,7 @@ def candidate_table(
     for cause in causes:
         for rival in cause.indistinguishable_from:
             rivals.setdefault(rival, []).append(cause.name)
+    told = _far_off(search)
     found = []
     for candidate in search.candidates:
         name = candidate.name
@@ -64,7 +67,8 @@ def candidate_table(
             continue
         there = last if last.find(candidate) else first
         early = first.find(candidate) or screened
-        seen = max(screened.visible**2, early.gain) > there.guard.threshold
+        visible = screened.visible**2 if name.kind == "effect" else told[name.effect]
+        seen = max(visible, early.gain) > there.guard.threshold
         judged = _judged(name, chosen, rivals, seen=seen)
         bounds: dict[str, Estimate] = {}
         if judged == "ruled-out" and candidate.attached is not None:
@@ -86,6 +90,19 @@ def candidate_table(
     return tuple(sorted(found, key=lambda one: (rank[one.verdict], -one.evidence)))
 
 
+def _far_off(search: "Search") -> dict[str, float]:
+    """Return by how much the sum of squares would grow were a parameter as far off as its statement allows."""
+    base = search.selection.rounds[0].base
+    problem = base.problem
+    known = information(problem, base.z, base.absorption.jacobian)
+    return {
+        name: float(max(one * (sigma / scale) ** 2 - 1.0, 0.0) * WITHIN**2)  # less what is known without data
+        for name, one, sigma, scale in zip(
+            problem.names, known, problem.prior_sigma, problem.scale, strict=False
+        )
+    }
+
+
 def _judged(
     name: Name, chosen: dict[Name, Cause], rivals: dict[Name, list[Name]], *, seen: bool
 ) -> CandidateVerdict:
@@ -98,7 +115,7 @@ def _judged(
 
 def _remark(judged: CandidateVerdict, decided: Verdict) -> str:
     if judged == "not-visible":
-        return "even a large one would hardly change these data beyond what parameters absorb"
+        return "what it changes at the sizes tried is nearly all imitated by parameters"
     if judged == "ruled-out" and decided == "not-in-library":
         return "does not explain enough of the gap on conditions it did not see"
     return ""

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.errors import FitError
-from labrun.fit.pieces import prior_sigma
+from labrun.fit.pieces import FIRST_SAMPLES, prior_sigma
 from labrun.fit.problem import Problem
 from labrun.gap.noise import Noise
 from labrun.gap.recent import Recent
+from labrun.gap.tally import Tally
 from labrun.gap.units import Units
+from labrun.gap.workers import stop_if_told
 
 if TYPE_CHECKING:
     from labrun.effects import AttachedEffect, Scale
@@ -32,7 +34,6 @@ _NUMERICAL = 0.03
 """Root mean square, in units of one trial's noise, that halving the integrator's steps may move an output by."""
 _MOST_SUBSTEPS = 64
 _LOOSE = 1e4
-_FIRST_SAMPLES = 3
 _HUGE = 1e3
 
 
@@ -48,6 +49,8 @@ class GapProblem(Problem):
         The data.
     released
         Names of parameters whose stated value and tolerance are not believed.
+    tally
+        Counts simulations without effects; shared by all problems that are made from this one.
     """
 
     def __init__(self, model: "Model", units: Units) -> None:
@@ -59,6 +62,7 @@ class GapProblem(Problem):
         self._firsts: list[int] = []
         self._model_size = len(model.parameters)
         self._recent = Recent()
+        self.tally = Tally()
         super().__init__(model, units.dataset)
         self._firsts = [
             state for state, name in enumerate(model.states) if model.initial.get(name) == "first"
@@ -124,6 +128,13 @@ class GapProblem(Problem):
             setattr(other, attribute, changed)
         return other
 
+    def finer(self, times: int) -> Self:
+        """Return the problem with so many times as many of the integrator's steps."""
+        other = copy(self)
+        other.substeps = times * self.substeps
+        other._drives = other._prepared()
+        return other
+
     def of_units(self, chosen: Sequence[int]) -> Self:
         """Return the problem of some of the units."""
         other = copy(self)
@@ -181,6 +192,7 @@ class GapProblem(Problem):
         """Return the outputs (n, m) of one unit; None where they are not finite."""
         from labrun.models import simulate
 
+        stop_if_told()
         data, effects = self.dataset.trials[trial], self.attached(parameters)
         start = self.initial_state(trial, own)
         if any(one.effect.kind == "output" for one in effects):
@@ -194,6 +206,8 @@ class GapProblem(Problem):
             initial_state=start,
             effects=effects,
         )
+        if not effects:
+            self.tally.count(finite=simulation.finite)
         return simulation.outputs if simulation.finite else None
 
     def _shown(
@@ -234,7 +248,8 @@ class GapProblem(Problem):
             if outputs is None:
                 raise FitError(
                     f"model {self.model.name} leaves the finite numbers in {trial.label}",
-                    hint="look at its parameters and initial states: labrun fit shows it beside the data",
+                    hint="check the units of its parameters and inputs, the sign of forces that should resist motion, "
+                    "and how its states begin",
                 )
             found.append(outputs)
         return found
@@ -258,6 +273,16 @@ class GapProblem(Problem):
         if self.noise is None:
             return weighted
         return self.noise.whitener.white(weighted) / self.noise.mean_sd(self.units.units[trial].count)
+
+    def finite_residuals(self, z: FloatArray) -> list[FloatArray] | None:
+        """Return the whitened residual of every unit; None where a simulation is not finite."""
+        parameters, found = self.parameters(z), []
+        for index in range(len(self.dataset.trials)):
+            residual = self.trial_residual(parameters, index, self.own(z, index))
+            if residual is None:
+                return None
+            found.append(residual)
+        return found
 
     def residuals(self, z: FloatArray) -> list[FloatArray]:
         """Return the whitened residual of every unit, huge where the simulation is not finite."""
@@ -350,7 +375,7 @@ class GapProblem(Problem):
             for state in self._firsts:
                 column = names.index(self.model.states[state])
                 sd = self.spread[column] * 0.01 if self.noise is None else 1.0 / self.weights[column]
-                moved = float(np.ptp(unit.trial.outputs[:_FIRST_SAMPLES, column]))
+                moved = float(np.ptp(unit.trial.outputs[:FIRST_SAMPLES, column]))
                 sigmas.append(np.hypot(sd / np.sqrt(unit.count), moved) + 1e-9 * self.spread[column])
             self._prior_of_first.append(np.array(sigmas))
 

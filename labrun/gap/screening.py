@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-_IMITATED = 0.08
+_IMITATED = 0.04
 """Part of a change, at a small size, below which it counts as imitated by parameters: it is not linear after all."""
 _FOLLOWED = 3
 """Starts that are followed: a delay, say, has a minimum of its own beside what damping imitates."""
@@ -77,7 +77,7 @@ class Survey:
     Attributes
     ----------
     starts : per direction, `z` of the candidate's problem
-        Most promising first.
+        Most promising first; none of a candidate that gives no finite numbers at any size.
     directions : (rows, d)
         Changes of the residuals that the candidate makes at these starts, less what recalibration imitates; columns.
     whole : (d,)
@@ -158,7 +158,8 @@ class Screened:
 def survey(base: Base, candidate: Candidate) -> Survey:
     """Look at what a candidate would change, at several sizes, and order its starts.
 
-    A start is judged by what it would leave once parameters and initial states have adapted (linearly).
+    A start is judged by what it would leave once parameters and initial states have adapted (linearly). One whose
+    simulation is not finite says nothing: it is left out, and the survey has no starts if all are.
     """
     problem = candidate.added_to(base.problem)
     shared, own = base.z[: base.problem.size], own_states(base.problem, base.z)
@@ -170,12 +171,15 @@ def survey(base: Base, candidate: Candidate) -> Survey:
             change, whole = _released(base, problem)
             rated.append((0.0, number, z, change, whole))
             continue
-        parts = [after - now for after, now in zip(problem.residuals(z), base.residual, strict=True)]
+        there = problem.finite_residuals(z)
+        if there is None:
+            continue
+        parts = [after - now for after, now in zip(there, base.residual, strict=True)]
         change = base.absorption.left(parts)
         whole = float(np.sqrt(sum(float(part @ part) for part in parts)))
         rated.append((float(np.sum((before + change) ** 2)), number, z, change, whole))
     rated.sort(key=lambda one: one[:2])
-    directions = np.column_stack([change for *_, change, _ in rated])
+    directions = np.column_stack([change for *_, change, _ in rated]) if rated else np.empty((len(before), 0))
     norms = np.linalg.norm(directions, axis=0)
     along = np.divide(directions.T @ before, norms, out=np.zeros_like(norms), where=norms > 0)
     return Survey(
@@ -225,7 +229,8 @@ def screen_all(
 ) -> list[Screened]:
     """Fit every candidate whose survey promises something, in their order.
 
-    All of them roughly, and to their ends those that then are not far behind the best.
+    All of them roughly, and to their ends those that then are not far behind the best. What gives no finite numbers is
+    not among them.
 
     Parameters
     ----------
@@ -239,6 +244,7 @@ def screen_all(
         Sizes at which earlier fits of candidates ended; see `rough`.
     """
     known = known or {}
+    surveys = [one for one in surveys if one.starts]
     best = max((one.potential for one in surveys), default=0.0)
     needed = max(_WORTH_A_FIT * threshold, beside_best * best)
     top = sorted((one.potential for one in surveys), reverse=True)[:_ALWAYS]

@@ -15,6 +15,7 @@ from labrun.gap.held_out import held_out_residuals
 from labrun.gap.problem import own_states
 from labrun.gap.rating import Rated, promising, rate, weights
 from labrun.gap.screening import Base, Screened, ends_of, refit, screen_all, survey
+from labrun.gap.shaping import shaped
 from labrun.gap.workers import Each, one_by_one
 
 if TYPE_CHECKING:
@@ -30,12 +31,15 @@ _ANOTHER = 0.08
 """Part of the recalibrated excess that a further cause must remove on withheld conditions."""
 _NOTICED = 0.04
 """The same of a cause that at least halves what is left."""
+_SMALL, _NEARLY_ALL, _PLAIN = 0.005, 0.85, 2.0
+"""The same of a cause beside a far larger one, that removes nearly all of what is plainly left, in units of the noise."""
 _LEAST_SHARE = 0.3
 """Part of the excess that causes must remove on withheld conditions, however well they fit those they saw."""
 _TOGETHER = 0.85
 """The same where nothing does so alone: two that only fit together are often two that stand in for a third."""
 _SWEEPS = 3
-FORM_SLACK = 0.02
+_FORM_SLACK = (0.004, 0.02)
+"""Part of a gain that the idealised form of a true effect may lack: as much as the best one's leaves, between these."""
 _SIMPLER = 0.02
 """A candidate with fewer variables is preferred if it removes no less than this part of the excess less."""
 _RIVAL = 0.05
@@ -104,7 +108,8 @@ def look(
     threshold = guard(base, surveys, draws).times(strictness)
     screened = screen_all(base, surveys, threshold.threshold, each, known=known)
     rated = each(
-        lambda one: rate(base, one, threshold, noise, reference), promising(screened, threshold, _LOOKED_AT)
+        lambda one: rate(base, shaped(base, one, threshold), threshold, noise, reference),
+        promising(screened, threshold, _LOOKED_AT),
     )
     return Round(base, screened, threshold, rated)
 
@@ -193,7 +198,18 @@ class Selector:
                 chosen = [*chosen[1:], one]
             if {one.rated.candidate.name for one in chosen} == before:
                 break
+        if len(chosen) == 1:
+            chosen = [self._alone(chosen[0])]
         return chosen, [self.first, self._look(chosen[-1].base)]
+
+    def _alone(self, one: "_Chosen") -> "_Chosen":
+        """Return a cause that is left alone with the rivals it has there, not those it had beside another."""
+        name = one.rated.candidate.name
+        rated = next((other for other in self.first.rated if other.candidate.name == name), None)
+        if rated is None:
+            return one
+        rivals, weight = _rivals(rated, self.first.rated)
+        return replace(one, rated=rated, rivals=rivals, weight=weight)
 
     def _fewer(self, chosen: "list[_Chosen]", rounds: list[Round]) -> "tuple[list[_Chosen], list[Round]]":
         """Return two causes in place of three, if there are two that leave hardly more than the three do.
@@ -285,6 +301,7 @@ def _best(rated: Sequence[Rated], left: Excess, reference: Excess, *, further: b
             for one, less in zip(passing, removed, strict=True)
             if less >= _ANOTHER * reference.total
             or (less >= _NOTICED * reference.total and less >= 0.5 * left.total)
+            or (less >= _SMALL * reference.total and less >= _NEARLY_ALL * left.total and left.gap >= _PLAIN)
         ]
     if not passing:
         return None
@@ -293,7 +310,7 @@ def _best(rated: Sequence[Rated], left: Excess, reference: Excess, *, further: b
     # ... but where all fail there alone, as each of two causes may, how badly they do says little
     fair = [one for one in passing if one.share >= most - 0.1] if most >= _LEAST_SHARE else passing
     best = max(fair, key=lambda one: one.score)
-    probable = weights(fair, FORM_SLACK)
+    probable = weights(fair, _slack(best))
     alike = [
         one
         for one, weight in zip(fair, probable, strict=True)
@@ -306,10 +323,30 @@ def _best(rated: Sequence[Rated], left: Excess, reference: Excess, *, further: b
 
 def _rivals(best: Rated, rated: Sequence[Rated]) -> tuple[tuple[tuple[Rated, float], ...], float]:
     """Return what cannot be told from the best, most probable first, and the best one's own weight."""
-    near = [one for one in rated if one.evidence > 0.5 and one.share >= best.share - _CLOSE]
+    near = [
+        one
+        for one in rated
+        if one.evidence > 0.5 and one.share >= best.share - _CLOSE and not _best_again(best, one)
+    ]
     if best not in near:
         near.append(best)
-    shares = weights(near, FORM_SLACK)
+    shares = weights(near, _slack(best))
     own = float(shares[near.index(best)])
     ordered = sorted(zip(near, shares, strict=True), key=lambda pair: -pair[1])
     return tuple((one, float(weight)) for one, weight in ordered if one is not best and weight >= _RIVAL), own
+
+
+def _best_again(best: Rated, one: Rated) -> bool:
+    """Tell whether this is the best again, a richer form at its site that earns nothing by what it has more."""
+    simple, rich = best.candidate, one.candidate
+    if simple.attached is None or rich.attached is None or simple.name.site != rich.name.site:
+        return False
+    return simple.name.effect in rich.attached.effect.contains and one.score <= best.score
+
+
+def _slack(best: Rated) -> float:
+    """Return how far forms are to be believed: where the best one's leaves nothing, what leaves something is not it."""
+    screened = best.screened
+    rows = sum(part.size for part in best.residual)
+    left = max(screened.squares - rows, 0.0) / screened.gain if screened.gain > 0 else 1.0
+    return float(np.clip(left, *_FORM_SLACK))

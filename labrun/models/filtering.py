@@ -36,8 +36,12 @@ def filter_inputs(
     memory: FloatArray,
     begun: bool,
 ) -> None:
-    """Send the inputs ``(steps, 3, inputs)`` through their filters, in place; each step is two straight pieces."""
-    before, after, out = np.empty(u.shape[2]), np.empty(u.shape[2]), np.empty(2)
+    """Send the inputs ``(steps, 3, inputs)`` through their filters, in place; each step is two straight pieces.
+
+    Where a filter's answer is not straight within a piece, the middle is moved so that the mean over the step is right
+    (by Simpson's rule, which is how the integrator weighs them): else a delay by a part of a step would be lost.
+    """
+    before, after, out = np.empty(u.shape[2]), np.empty(u.shape[2]), np.zeros(3)
     for e in range(addresses.size):
         c = channels[e]
         if not begun and steps_s.size > 0:
@@ -48,12 +52,18 @@ def filter_inputs(
             _gather(u[step, 0], c, before)
             _gather(u[step, 1], c, after)
             call_filter(addresses[e], before, after, half, values, offsets[e], memory, memory_offsets[e], out)
-            u[step, 0, c] = out[0]
-            middle = out[1]
+            begin, middle, bent = out[0], out[1], out[2]
+            out[2] = 0.0
             _gather(u[step, 2], c, before)
             call_filter(addresses[e], after, before, half, values, offsets[e], memory, memory_offsets[e], out)
+            u[step, 0, c] = begin
             u[step, 1, c] = 0.5 * (middle + out[0])
             u[step, 2, c] = out[1]
+            bent += out[2]
+            out[2] = 0.0
+            if bent != 0.0:
+                mean = 0.25 * (begin + middle + out[0] + out[1]) + 0.5 * bent
+                u[step, 1, c] = 0.25 * (6.0 * mean - begin - out[1])
 
 
 @kernel
@@ -73,7 +83,7 @@ def filter_outputs(
 
     `last` keeps, for each filter, the row before this block as that filter saw it: shape (filters, outputs).
     """
-    before, after, out = np.empty(y.shape[1]), np.empty(y.shape[1]), np.empty(2)
+    before, after, out = np.empty(y.shape[1]), np.empty(y.shape[1]), np.empty(3)
     for e in range(addresses.size):
         c = channels[e]
         if not begun:

@@ -34,7 +34,7 @@ rate = 0.0
 """
 MODEL = parse_model(JOINT, "joint.toml")
 FILES = (
-    "added_inertia", "added_mass", "asymmetric_stiffness", "backlash", "bias",
+    "added_inertia", "added_mass", "asymmetric_friction", "asymmetric_stiffness", "backlash", "bias",
     "constant_force", "coulomb_friction", "cross_talk", "cubic_stiffness", "dead_band",
     "delay", "drag_error", "drift", "end_stop", "gain_error",
     "hysteresis", "lag", "load_dependent_friction", "mean_current", "presliding_friction",

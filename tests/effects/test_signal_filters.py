@@ -34,6 +34,58 @@ def test_a_delayed_jump_stays_a_jump_to_within_half_a_step():
     assert late[TIME > 1.1 + 1e-9] == pytest.approx(1.0)
 
 
+SUMMED = parse_model(
+    'name = "sum"\nstates = ["x"]\ninputs = ["u"]\n[equations]\nx = "u"\n[outputs]\ny = "x"\n[initial]\nx = 0.0',
+    "sum.toml",
+)
+
+
+def _summed(effect, wave, substeps=1):
+    """Return what a held signal behind an effect adds up to: an integrator sees every part of every step."""
+    model = SUMMED.with_between({"u": "hold"})
+    return simulate(model, TIME, wave[:, None], effects=[effect], substeps=substeps).outputs[-1, 0]
+
+
+@given(delay=st.floats(0.0, 0.5), substeps=st.integers(1, 4))
+@settings(max_examples=25, deadline=None)
+def test_a_held_signal_may_be_late_by_a_part_of_a_step(delay, substeps):
+    held = np.where(TIME >= 1.0, 1.0, 0.0)
+    late = _summed(named("delay", "input", "u", delay=delay), held, substeps)
+    # exact with single steps; two that are taken as one weigh their middles by a fifteenth more
+    tolerance = 1e-9 if substeps == 1 else 0.02 / 30
+    assert late == pytest.approx(TIME[-1] - 1.0 - delay, abs=tolerance)
+
+
+@given(constant=st.floats(1e-4, 0.3))
+@settings(max_examples=25, deadline=None)
+def test_a_lag_shorter_than_a_step_is_not_lost(constant):
+    held = np.where(TIME >= 1.0, 1.0, 0.0)
+    lagging = _summed(named("lag", "input", "u", time_constant=constant), held)
+    rest = TIME[-1] - 1.0
+    assert lagging == pytest.approx(rest - constant * (1 - np.exp(-rest / constant)), abs=1e-9)
+
+
+@given(rate=st.floats(0.5, 500.0))
+@settings(max_examples=25, deadline=None)
+def test_a_limited_rate_within_a_step_is_not_lost(rate):
+    held = np.where(TIME >= 1.0, 1.0, 0.0)
+    limited = _summed(named("rate-limit", "input", "u", rate=rate), held)
+    assert limited == pytest.approx(TIME[-1] - 1.0 - 0.5 / rate, abs=1e-9)
+
+
+def test_a_knee_rounds_the_corner_of_a_saturation_and_nothing_else():
+    wave = np.column_stack([np.linspace(-2, 2, 201), TIME])
+    soft = _through(named("saturation", "input", "u", level=1.0, knee=0.3), wave=wave, substeps=1)
+    hard = np.clip(wave[:, 0], -1, 1)
+    corner = np.abs(np.abs(wave[:, 0]) - 1.0) < 0.3
+    assert soft[~corner] == pytest.approx(hard[~corner], abs=1e-12)
+    assert np.all(np.abs(soft[corner]) <= np.abs(hard[corner]))
+    assert np.max(np.abs(soft - hard)) == pytest.approx(0.3 / 4)  # where the corner was
+    slopes = np.diff(soft) / np.diff(wave[:, 0])
+    assert np.all(slopes >= 0)
+    assert np.max(np.abs(np.diff(slopes))) < 0.05  # no corner is left
+
+
 @pytest.mark.parametrize(("kind", "site"), [("input", "u"), ("output", "y")])
 def test_a_lag_follows_a_wave_as_a_first_order_filter_does(kind, site):
     tau, omega = 0.2, 5.0

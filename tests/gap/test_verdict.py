@@ -40,8 +40,31 @@ def test_a_cause_whose_help_on_withheld_conditions_may_be_nothing_is_not_announc
     assert verdict(found) == said
 
 
+def test_a_plain_gap_stays_one_where_nothing_that_was_found_is_announced():
+    found = findings(sizes=(17.0, 4.6, 3.0, 0.1), share=(0.32, -0.39, 0.55), remains=True)
+    assert found.unproven
+    assert verdict(found) == "not-in-library"
+
+
+def test_a_cause_that_few_conditions_show_is_announced_where_it_removes_nearly_all():
+    found = findings(share=(0.95, -0.04, 0.99))
+    assert not found.unproven
+    assert verdict(found) == "explained"
+
+
 def test_a_wrong_parameter_is_a_verdict_of_its_own():
     assert verdict(findings(effects=0, parameters=1)) == "parameter"
+
+
+def test_a_wrong_parameter_that_leaves_a_plain_gap_is_a_part_of_the_answer_only():
+    found = findings(sizes=(90.0, 56.0, 6.6, 0.14), share=(0.99, 0.9, 1.0), effects=0, parameters=1, remains=True)
+    assert verdict(found) == "partly-explained"
+
+
+def test_several_causes_together_must_remove_more_than_one_alone():
+    left = {"sizes": (40.0, 7.0, 1.9, 0.1), "share": (0.927, 0.87, 0.94), "remains": True}
+    assert verdict(findings(**left)) == "partly-explained" or verdict(findings(**left)) == "explained"
+    assert verdict(findings(**left, effects=2)) == "not-in-library"
 
 
 def test_a_gap_that_nothing_explains_is_not_in_the_library_only_where_it_is_told_from_noise():

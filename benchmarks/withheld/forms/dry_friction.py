@@ -107,10 +107,29 @@ def load_dependent(site: str, m: Measures, rng: np.random.Generator) -> Mechanis
     )  # fmt: skip
 
 
+def asymmetric(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
+    """Friction with a level for each direction: algebraic rounded sign, the level gliding from one to the other."""
+    edge = m.v * rng.uniform(0.008, 0.02)
+    one_sided = float(rng.uniform(0.3, 0.8) * rng.choice([-1, 1]))
+
+    def law(size: float, t: float, z: FloatArray, at: At) -> tuple[FloatArray, FloatArray]:
+        v = at.rate
+        # an arctangent has long tails: either level is reached later than the sign is
+        level = 1.0 + one_sided * 2.0 / np.pi * np.arctan(v / (0.5 * edge))
+        return -size * m.force * level * v / np.sqrt(v * v + edge * edge), no_states(v.size)
+
+    return Mechanism(
+        "asymmetric-friction", site, "joint", "algebraic rounded sign, level by an arctangent of the speed", law,
+        lambda s: {"torque": s * m.force, "asymmetry": one_sided, "edge_speed": edge},
+        start=0.1, most=1.2, fastest=lambda s: s * (1 + abs(one_sided)) * m.a / edge, rough=True,
+    )  # fmt: skip
+
+
 DRY_FRICTION = {
     "coulomb-friction": coulomb,
     "stribeck-friction": stribeck,
     "presliding-friction": presliding,
     "hysteresis": hysteresis,
     "load-dependent-friction": load_dependent,
+    "asymmetric-friction": asymmetric,
 }

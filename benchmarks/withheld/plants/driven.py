@@ -25,6 +25,7 @@ _JOINT = (
     "stribeck-friction",
     "presliding-friction",
     "cubic-stiffness",
+    "asymmetric-friction",
     "asymmetric-stiffness",
     "viscoelastic-creep",
     "hysteresis",

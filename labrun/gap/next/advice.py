@@ -10,7 +10,9 @@ if TYPE_CHECKING:
 _LATE = frozenset({"delay", "lag"})
 _OFFSET = frozenset({"constant-force", "rest-offset", "bias"})
 _DRY = frozenset({"coulomb-friction", "stribeck-friction", "presliding-friction"})
-_SIDED = frozenset({"asymmetric-stiffness", "constant-force"})
+_SIDED = frozenset({"asymmetric-friction", "asymmetric-stiffness", "constant-force"})
+_TILT = frozenset({"tilt", "tilt_rad", "tilt_deg"})
+"""What a model calls the parameter that says how its bench stands."""
 _MASS = frozenset({"added-inertia", "added-mass"})
 _FAST = frozenset({"viscous-damping", "quadratic-drag", "drag-error", "reynolds-dependent-drag"})
 _STIFF = frozenset({"cubic-stiffness", "asymmetric-stiffness", "end-stop", "backlash"})
@@ -65,8 +67,20 @@ _RULES = (
         "angle then, a sensor's bias stays; a second sensor tells the bias of the first.",
     ),
     _Rule(
+        frozenset({"asymmetric-friction"}),
+        frozenset({"coulomb-friction"}),
+        "The richer friction contains the simpler one, and at the sizes found they are the same: only the same course "
+        "with its sign turned round, often, could show a difference.",
+    ),
+    _Rule(
+        frozenset({"asymmetric-friction"}),
+        _DRY | _FAST | frozenset({"load-dependent-friction", "hysteresis"}),
+        "Drive it both ways alike, by the same course and that course with its sign turned round: what resists both "
+        "directions alike gives mirror images, friction with a level for each does not.",
+    ),
+    _Rule(
         _SIDED,
-        _DRY | _SIDED | _OFFSET,
+        _DRY | _SIDED | _OFFSET | _TILT,
         "Measure at two orientations of gravity: what comes from the bench's "
         "tilt changes sides, what belongs to the joint "
         "does not.",

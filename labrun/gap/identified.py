@@ -1,0 +1,48 @@
+"""What data know of a size: the information about one variable once all others have adapted."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.fit.descent import NormalEquations
+
+if TYPE_CHECKING:
+    from labrun.fit.problem import Blocks
+    from labrun.gap.problem import GapProblem
+
+FloatArray = NDArray[np.float64]
+
+_LEAST = 0.12
+"""Part of what is known of a size that a fit must have seen to say anything about it: of seven or eight conditions, one."""
+_RIDGE = 1e-12
+
+
+def information(problem: "GapProblem", z: FloatArray, blocks: "Blocks") -> FloatArray:
+    """Return the information about every shared variable, parameters and initial states adapting, shape (p,).
+
+    It is the inverse of the variance that the variable would have in units of white noise.
+    """
+    equations = NormalEquations.of(problem, z, blocks)
+    reduced = equations.shared
+    if equations.own.shape[1]:
+        own = equations.own + _RIDGE * np.eye(equations.own.shape[1])
+        reduced = reduced - np.einsum("tqp,tqr->pr", equations.mixed, np.linalg.solve(own, equations.mixed))
+    size = np.sqrt(np.maximum(np.diag(reduced), 1e-300))
+    correlation = reduced / np.outer(size, size) + _RIDGE * np.eye(len(size))
+    found: FloatArray = size**2 / np.maximum(np.diag(np.linalg.inv(correlation)), 1.0)
+    return found
+
+
+def unseen(problem: "GapProblem", whole: FloatArray, part: FloatArray) -> NDArray[np.bool_]:
+    """Tell which variables are sizes of effects that a part of the data knows next to nothing of, shape (p,).
+
+    Parameters
+    ----------
+    whole, part : (p,)
+        `information` of all data, and of the part.
+    """
+    effects = sum(not one.held for attached in problem.effects for one in attached.effect.parameters)
+    of_effects = np.arange(problem.size) >= problem.size - effects
+    found: NDArray[np.bool_] = of_effects & (part < _LEAST * whole)
+    return found
