@@ -50,7 +50,8 @@ def diagnose(
         list[str] | None,
         typer.Option(
             metavar="EFFECT",
-            help="Leave an effect out of the library, to see whether its absence is noticed; repeatable.",
+            help="Leave an effect out of the library, and those that contain it, to see whether its absence is "
+            "noticed; repeatable.",
             autocompletion=_effect_ids,
         ),
     ] = None,

@@ -67,7 +67,7 @@ Hide = Annotated[
         metavar="WHAT",
         help=(
             "Dry run: hide an effect in the bench and seal which: random, none, EFFECT@SITE[:name=value,...], "
-            "or same-as:RUN for the bench of an earlier run."
+            "PARAMETER=value, or same-as:RUN for the bench of an earlier run."
         ),
     ),
 ]

@@ -13,17 +13,24 @@ from labrun.errors import LabrunError, RequestError
 
 
 @contextmanager
-def reported(as_json: bool) -> Iterator[None]:
+def reported(
+    as_json: bool, interrupted: str = "interrupted by Ctrl-C before anything moved or was written"
+) -> Iterator[None]:
     """Turn an error labrun can explain into its message and its exit code.
 
     Ctrl-C while a run is under way comes as such an error, with what was saved; before that there is nothing to save.
+
+    Parameters
+    ----------
+    interrupted
+        What Ctrl-C means here.
     """
     try:
         yield
     except KeyboardInterrupt:
         if as_json:
-            print_json({"error": "interrupted by Ctrl-C", "hint": None})
-        typer.echo("labrun: interrupted by Ctrl-C before anything moved or was written", err=True)
+            print_json({"error": interrupted, "hint": None})
+        typer.echo(f"labrun: {interrupted}", err=True)
         raise typer.Exit(1) from None
     except LabrunError as error:
         if as_json:

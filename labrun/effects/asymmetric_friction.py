@@ -29,7 +29,13 @@ EFFECT = Effect(
         # beyond one, friction would push; with no torque nothing depends on it, so a fit begins on either side
         EffectParameter("asymmetry", "ratio", neutral=None, lower=-1.0, upper=1.0, starts=(0.4, -0.4)),
         EffectParameter(
-            "transition_speed", "rate", neutral=None, lower=1e-4, upper=0.1, starts=(0.01, 0.05), held=True
+            "transition_speed",
+            "rate",
+            neutral=None,
+            lower=3e-3,
+            upper=0.1,
+            starts=(0.01, 0.05, 0.004),
+            held=True,
         ),
     ),
     function=force_law(law),

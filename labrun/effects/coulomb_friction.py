@@ -23,7 +23,13 @@ EFFECT = Effect(
         EffectParameter("torque", "force", neutral=0.0, lower=0.0, upper=2.0, starts=(0.05, 0.3)),
         # the sign function, smoothed: below a hundredth of the peak speed friction fades linearly to zero
         EffectParameter(
-            "transition_speed", "rate", neutral=None, lower=1e-4, upper=0.1, starts=(0.01, 0.05), held=True
+            "transition_speed",
+            "rate",
+            neutral=None,
+            lower=3e-3,
+            upper=0.1,
+            starts=(0.01, 0.05, 0.004),
+            held=True,
         ),
     ),
     function=force_law(law),

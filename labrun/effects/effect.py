@@ -185,10 +185,10 @@ def signal_filter(step: Callable[..., Any]) -> NativeFunction:
 
     It is called for each piece of the signal in turn, in which the signal goes straight from ``before[0]`` to
     ``after[0]`` in `dt` seconds, and writes what it makes of both ends to ``out[0]`` and ``out[1]`` (two values, so
-    that jumps between pieces stay jumps). A filter whose answer is not straight in between may write to ``out[2]`` by how
-    much its mean over the piece exceeds that of the straight line: of an input, the model then sees the right mean.
-    ``before[1]``, ``after[1]`` ... are the other signals of the same kind, in
-    the order of the model. The first call has ``dt = 0``: the signal has always had this value; the memory then holds
+    that jumps between pieces stay jumps). A filter whose answer is not straight in between may write to ``out[2]`` by
+    how much its mean over the piece exceeds that of the straight line: of an input, the model then sees the right
+    mean. ``before[1]``, ``after[1]`` ... are the other signals of the same kind, in the order of the model. The first
+    call has ``dt = 0``: the signal has always had this value; the memory then holds
     zeros but for ``memory[0]``, which is its length.
     """
     return native("filter", step)

@@ -33,7 +33,13 @@ EFFECT = Effect(
         ),
         EffectParameter("stiffness", "stiffness", neutral=None, lower=0.5, upper=100.0, starts=(5.0,)),
         EffectParameter(
-            "damping_time", "time-per-coordinate", neutral=None, lower=0.0, upper=1.0, starts=(0.0,), held=True
+            "damping_time",
+            "time-per-coordinate",
+            neutral=None,
+            lower=0.0,
+            upper=1.0,
+            starts=(0.0,),
+            held=True,
         ),
     ),
     function=force_law(law),

@@ -22,7 +22,13 @@ EFFECT = Effect(
     parameters=(
         EffectParameter("coefficient", "ratio", neutral=0.0, lower=0.0, upper=1.0, starts=(0.02, 0.1)),
         EffectParameter(
-            "transition_speed", "rate", neutral=None, lower=1e-4, upper=0.1, starts=(0.01, 0.05), held=True
+            "transition_speed",
+            "rate",
+            neutral=None,
+            lower=3e-3,
+            upper=0.1,
+            starts=(0.01, 0.05, 0.004),
+            held=True,
         ),
     ),
     function=force_law(law),

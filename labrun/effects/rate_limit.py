@@ -9,7 +9,9 @@ EFFECT = Effect(
     id="rate-limit",
     kind="input",
     parameters=(
-        EffectParameter("rate", "signal-rate", neutral=math.inf, lower=0.05, upper=200.0, starts=(3.0, 1.0, 10.0, 30.0)),
+        EffectParameter(
+            "rate", "signal-rate", neutral=math.inf, lower=0.05, upper=200.0, starts=(3.0, 1.0, 10.0, 30.0)
+        ),
     ),
     function=signal_filter(rate_limit),
     form="y follows the signal, |dy/dt| at most rate",

@@ -26,7 +26,13 @@ EFFECT = Effect(
         EffectParameter("static_excess", "force", neutral=0.0, lower=0.0, upper=2.0, starts=(0.05, 0.3)),
         EffectParameter("stribeck_speed", "rate", neutral=None, lower=0.005, upper=0.5, starts=(0.1, 0.03)),
         EffectParameter(
-            "transition_speed", "rate", neutral=None, lower=1e-4, upper=0.1, starts=(0.01, 0.05), held=True
+            "transition_speed",
+            "rate",
+            neutral=None,
+            lower=3e-3,
+            upper=0.1,
+            starts=(0.01, 0.05, 0.004),
+            held=True,
         ),
     ),
     function=force_law(law),

@@ -63,6 +63,8 @@ class FitTrial:
         In the model's order.
     outputs : (n, m)
         In the model's order.
+    file
+        A table with one header line that it was read from; None if it came from elsewhere.
     """
 
     label: str
@@ -71,6 +73,7 @@ class FitTrial:
     time_s: FloatArray
     inputs: FloatArray
     outputs: FloatArray
+    file: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +152,7 @@ def from_recording(
                 trial.time_s,
                 np.ascontiguousarray(trial.inputs[:, inputs]),
                 np.ascontiguousarray(trial.outputs[:, outputs]),
+                trial.source_file,
             )
         )
     return Dataset(

@@ -202,8 +202,8 @@ def _carried_on(blocks: Blocks, step: FloatArray, residual: list[FloatArray], si
 def _within(left: FloatArray, right: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
     """Return the minimum of ``step' left step / 2 - right' step`` within bounds.
 
-    Cutting the free step at the bounds will not do: where two parameters stand in for each other, what is left of a long
-    step leads uphill.
+    Cutting the free step at the bounds will not do: where two parameters stand in for each other, what is left of a
+    long step leads uphill.
     """
     from scipy.optimize import lsq_linear
 

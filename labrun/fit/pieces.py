@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
+FIRST_SAMPLES = 3
+"""How many samples "first" averages: few, because the output may already move."""
 FEWEST_SAMPLES = 25
 """A beginning of a trial is at least this long, if the trial is."""
 

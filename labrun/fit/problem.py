@@ -8,7 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.fit.dataset import Dataset, FitTrial
-from labrun.fit.pieces import beginning, channel_spread, cut_drive, output_of_state, prior_sigma, slope
+from labrun.fit.pieces import (
+    FIRST_SAMPLES,
+    beginning,
+    channel_spread,
+    cut_drive,
+    output_of_state,
+    prior_sigma,
+    slope,
+)
 
 if TYPE_CHECKING:
     from labrun.effects import AttachedEffect
@@ -21,8 +29,6 @@ _STEP = 1e-4
 """Central differences, in units of each variable's scale: error about 1e-8, well below any residual."""
 _HUGE = 1e3
 """Residual, in units of a channel's own spread, of a simulation that left the finite numbers."""
-_FIRST_SAMPLES = 3
-"""How many samples "first" averages: few, because the output may already move."""
 _GUESS_SUBSTEPS = 4
 _GUESS_ROUNDS = 3
 _MOST_SUBSTEPS = 64
@@ -295,7 +301,7 @@ class Problem:
         return np.concatenate(guesses) if guesses else np.empty(0)
 
     def _first_values(self, trial: FitTrial) -> dict[str, float]:
-        means = np.mean(trial.outputs[:_FIRST_SAMPLES], axis=0)
+        means = np.mean(trial.outputs[:FIRST_SAMPLES], axis=0)
         return {output.name: float(mean) for output, mean in zip(self.model.outputs, means, strict=True)}
 
     def _state_scale(self) -> FloatArray:

@@ -61,17 +61,19 @@ def candidates(
     ----------
     scales : (kind, site) -> typical magnitudes there
     withhold
-        Ids of effects that the library is to be without, and without those that contain them.
+        Ids of effects that the library is to be without, and without those that contain them. A plugin of that name
+        is not imported.
 
     Raises
     ------
     RequestError
         An effect to withhold that does not exist.
     """
+    from labrun import registry
     from labrun.effects import effects
 
-    library = effects()
-    known = sorted({effect.id for effect in library})
+    library = effects(without=withhold)
+    known = sorted({*registry.names("labrun.effects"), *(effect.id for effect in library)})
     for name in withhold:
         if name not in known:
             near = nearest(name, known)

@@ -1,5 +1,6 @@
 """From what the search found to a diagnosis."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -18,20 +19,29 @@ from labrun.gap.wording import limitations, sentence, what_next
 from labrun.gap.workers import Each, one_by_one
 
 if TYPE_CHECKING:
-    from labrun.fit.dataset import Dataset
     from labrun.gap.engine import Search
 
 
 def conclude(
     search: "Search",
-    dataset: "Dataset",
     rng: np.random.Generator,
     *,
+    seed: int,
+    elapsed_s: Callable[[], float],
     places: bool,
     note: Note,
     each: Each = one_by_one,
 ) -> Diagnosis:
-    """Put what was found into a diagnosis."""
+    """Put what was found into a diagnosis.
+
+    Parameters
+    ----------
+    seed
+        What `rng` was made from.
+    elapsed_s
+        Tells how long the whole has taken so far.
+    """
+    dataset = search.dataset
     problem, noise, z = search.recalibration.problem, search.noise, search.recalibration.z
     selection = search.selection
     floor = floor_of(search.units, noise, rng)
@@ -79,7 +89,7 @@ def conclude(
         model=problem.model.name,
         source=str(dataset.source),
         verdict=decided,
-        sentence=sentence(decided, sizes, causes, shrunk, nearest),
+        sentence=sentence(decided, sizes, causes, shrunk, nearest, conditions=len(search.units.conditions)),
         gap=sizes,
         where=found,
         causes=causes,
@@ -90,16 +100,23 @@ def conclude(
         },
         corrected=last if causes else recalibrated,
         effects=effects if causes else (),
-        limitations=tuple(
-            limitations(
+        limitations=(
+            *limitations(
                 repeats=repeats,
                 conditions=len(search.units.conditions),
                 basis=noise.basis,
                 single_trial=len(dataset.trials) == 1,
                 rejected=dataset.left_out,
-            )
+            ),
+            *search.limitations,
         ),
-        notes=(*dataset.notes, *problem.model.notes, *search.remarks, *_unannounced(search, findings)),
+        notes=(
+            *dataset.notes,
+            *search.notes,
+            *problem.model.notes,
+            *search.remarks,
+            *_unannounced(search, findings),
+        ),
         what_next=tuple(what_next(decided, causes, repeats=repeats)),
         channels=tuple((one.name, one.unit) for one in dataset.outputs),
         input_channels=tuple((one.name, one.unit) for one in dataset.inputs),
@@ -111,8 +128,8 @@ def conclude(
         traces=traces_of(search, with_causes=bool(causes)),
         parameter_units={one.name: one.unit for one in problem.model.parameters},
         guard=_guard_words(search),
-        seed=0,
-        seconds=0.0,
+        seed=seed,
+        seconds=elapsed_s(),
     )
 
 

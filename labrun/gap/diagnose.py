@@ -76,16 +76,27 @@ def diagnose(
     began = time.perf_counter()
     note(f"reading {target}")
     question = load_question(target, model, more, signals or {}, workspace)
-    found = diagnose_dataset(question.dataset, question.model, options, note=note)
-    return replace(found, source=str(target), seconds=time.perf_counter() - began)
+    found = diagnose_dataset(question.dataset, question.model, options, note=note, began=began)
+    return replace(found, source=str(target))
 
 
 def diagnose_dataset(
-    dataset: "Dataset", model: "Model", options: Options | None = None, *, note: Note = silent
+    dataset: "Dataset",
+    model: "Model",
+    options: Options | None = None,
+    *,
+    note: Note = silent,
+    began: float | None = None,
 ) -> Diagnosis:
-    """Diagnose trials that are loaded already; see `diagnose`."""
+    """Diagnose trials that are loaded already; see `diagnose`.
+
+    Parameters
+    ----------
+    began
+        When the work began that the diagnosis tells the duration of, by `time.perf_counter`; now if None.
+    """
     options = options or Options()
-    began = time.perf_counter()
+    start = time.perf_counter() if began is None else began
     rng = np.random.default_rng(options.seed)
     with workers(options.workers) as each:
         search = search_causes(
@@ -97,5 +108,12 @@ def diagnose_dataset(
             each=each,
             note=note,
         )
-        found = conclude(search, dataset, rng, places=options.places, note=note, each=each)
-    return replace(found, seed=options.seed, seconds=time.perf_counter() - began)
+        return conclude(
+            search,
+            rng,
+            seed=options.seed,
+            elapsed_s=lambda: time.perf_counter() - start,
+            places=options.places,
+            note=note,
+            each=each,
+        )

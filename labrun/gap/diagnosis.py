@@ -23,8 +23,11 @@ _PROPER = ("coulomb", "stribeck", "reynolds")
 
 def effect_words(effect: str) -> str:
     """Return an effect's id as words, with the capitals of people's names."""
-    words = effect.split("-")
-    return " ".join(word.capitalize() if word in _PROPER else word for word in words)
+    words = [word.capitalize() if word in _PROPER else word for word in effect.split("-")]
+    if "dependent" in words[1:]:
+        place = words.index("dependent", 1)
+        words[place - 1 : place + 1] = [f"{words[place - 1]}-dependent"]
+    return " ".join(words)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +74,9 @@ class Place:
         cannot be told.
     text
         `at`, for people: "the recovery stroke".
+    part
+        What its share would be if there were nothing special about it: the part of the data that it makes up, or, of a
+        band of frequencies, of the signal's power, whichever is more. None where that means nothing.
     """
 
     by: By
@@ -78,6 +84,7 @@ class Place:
     share: float
     p: float | None
     text: str = ""
+    part: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +142,8 @@ class Candidate:
         As fitted (SI).
     upper_bound
         Of a candidate that is ruled out: by parameter, the largest size the data leave room for (95 %), and between
-        which ends it then lies: from zero for what cannot be negative.
+        which ends it then lies: from zero for what cannot be negative. Of a level that is out of reach without the
+        effect, such as that of a saturation: the least one, and the farthest that was looked for.
     same_as
         What it cannot be told from.
     """
@@ -227,7 +235,7 @@ class Diagnosis:
         What to do now, in sentences.
     noise : output -> standard deviation of one trial
     traces
-        A few units, those with the largest gap first.
+        The worst unit of each of a few conditions, those with the largest gap first.
     """
 
     name: str
@@ -273,7 +281,14 @@ class Diagnosis:
                 "floor": self.gap.floor,
             },
             "where": [
-                {"by": place.by, "at": place.at, "share": place.share, "p": place.p, "text": place.text}
+                {
+                    "by": place.by,
+                    "at": place.at,
+                    "share": place.share,
+                    "p": place.p,
+                    "text": place.text,
+                    "part": place.part,
+                }
                 for place in self.where
             ],
             "causes": [_cause(cause) for cause in self.causes],

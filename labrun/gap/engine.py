@@ -9,12 +9,21 @@ from numpy.typing import NDArray
 
 from labrun.fit.notes import Note, silent
 from labrun.gap.candidates import Candidate, candidates, without
+from labrun.gap.clocks import with_sound_clocks
 from labrun.gap.diagnosis import Name
 from labrun.gap.excess import Excess, excess, mean_residuals
 from labrun.gap.guard import full_strictness, guard, noise_draws
-from labrun.gap.held_out import held_out_residuals
+from labrun.gap.held_out import held_out_residuals, not_withheld
+from labrun.gap.informative import require_informative
 from labrun.gap.noise import Noise, from_residual
-from labrun.gap.recalibration import Recalibrated, bound_remarks, in_noise, member_residuals, recalibrate
+from labrun.gap.recalibration import (
+    Recalibrated,
+    bound_remarks,
+    in_noise,
+    member_residuals,
+    recalibrate,
+    unsearched,
+)
 from labrun.gap.scales import site_scales
 from labrun.gap.screening import Base, ends_of, screen_all, survey
 from labrun.gap.selection import MOST_CAUSES, Selection, Selector, look
@@ -43,6 +52,10 @@ class Search:
 
     Attributes
     ----------
+    dataset
+        The trials that were looked at.
+    limitations, notes
+        What to know about them, in sentences.
     draws
         Noise of the units' means, whitened, as the guard saw it.
     raw, recalibrated
@@ -50,6 +63,9 @@ class Search:
         see the condition, with its residuals.
     """
 
+    dataset: "Dataset"
+    limitations: tuple[str, ...]
+    notes: tuple[str, ...]
     units: Units
     recalibration: Recalibrated
     candidates: list[Candidate]
@@ -68,8 +84,15 @@ class Search:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What to know about the recalibration."""
-        return bound_remarks(self.recalibration.problem, self.recalibration.z)
+        """What to know about the recalibration and the causes, and which candidates were not tried."""
+        problem, final = self.recalibration.problem, self.selection.final
+        tried = {one.candidate.name for one in self.selection.rounds[0].screened}
+        left_out = [one.name for one in self.candidates if one.name not in tried]
+        return (
+            *bound_remarks(problem, self.recalibration.z),
+            *not_withheld(final.problem, final.z, final.absorption.jacobian),
+            *(f"effect {name} gives no finite numbers at any size: it was not tried" for name in left_out),
+        )
 
     @property
     def noise(self) -> Noise:
@@ -101,8 +124,11 @@ def search_causes(
     RecordingError, FitError, ModelError, RequestError
         Data or model that do not allow a diagnosis, with what to do.
     """
-    units = gather(dataset, model)
+    require_informative(dataset)
+    clocks = with_sound_clocks(dataset)
+    units = gather(clocks.dataset, model)
     recalibration = recalibrate(model, units, rng, note)
+    unfinished = unsearched(recalibration.problem, recalibration.z)
     scales = site_scales(recalibration.problem, recalibration.z)
     every = candidates(recalibration.problem.model, scales, withhold)
     known: dict[Name, FloatArray] = {}
@@ -124,6 +150,9 @@ def search_causes(
         first, every, noise, draws, reference, residual, note, strictness, each, known
     ).select()
     return Search(
+        clocks.dataset,
+        (*clocks.limitations, *unfinished, *_without(withhold)),
+        clocks.notes,
         units,
         recalibration,
         every,
@@ -135,6 +164,12 @@ def search_causes(
         selection,
         full_guard,
     )
+
+
+def _without(withhold: Collection[str]) -> tuple[str, ...]:
+    if not withhold:
+        return ()
+    return (f"The library was without {', '.join(sorted(withhold))}, as asked: such a cause is not found.",)
 
 
 def _without_repeats(
@@ -155,8 +190,8 @@ def _without_repeats(
         screened = screen_all(base, surveys, each=each, worth=_BEST, beside_best=_PROMISE, known=known)
         known |= ends_of(screened)
         first = first or dict(known)
-        best = min(screened, key=lambda one: one.squares)
-        if best.squares > _WORTH * base.squares:
+        best = min(screened, key=lambda one: one.squares, default=None)
+        if best is None or best.squares > _WORTH * base.squares:
             break
         base = Base.of(best.problem, best.z, (*base.added, best.candidate))
     noise = from_residual(units, member_residuals(base.problem, base.z))

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.effects.quantities import unit_of
+from labrun.gap.bounds import least_levels
 from labrun.gap.diagnosis import Estimate, Shrinkage
 from labrun.gap.excess import Excess, group_means
 
@@ -104,9 +105,10 @@ def effect_units(attached: "AttachedEffect", model: "Model", dataset: "Dataset")
 def upper_bounds(
     screened: "Screened", base: "Base", dispersion: float, units: "Mapping[str, str]"
 ) -> dict[str, Estimate]:
-    """Return the largest sizes that the data leave room for (95 %), in SI; of parameters that vanish at zero only.
+    """Return how large an effect can be in these data (95 %), in SI: the largest size of what vanishes at zero.
 
-    What cannot be negative, such as a friction, is bounded from zero up.
+    What cannot be negative, such as a friction, is bounded from zero up. What vanishes at infinity, such as the level
+    of a saturation, is bounded by the least level; see `labrun.gap.bounds`.
     """
     candidate = screened.candidate
     if candidate.attached is None or candidate.scale is None:
@@ -132,7 +134,7 @@ def upper_bounds(
         bound = min(room, max(abs(parameter.lower), abs(parameter.upper))) * scale
         low, high = max(-bound, min(parameter.lower, 0.0) * scale), min(bound, parameter.upper * scale)
         found[parameter.name] = Estimate(bound, low, max(high, 0.0), units.get(parameter.name, "1"))
-    return found
+    return found | least_levels(screened, base, dispersion, units)
 
 
 def shrinkage(

@@ -31,10 +31,10 @@ def folds(groups: int) -> list[list[int]]:
 def held_out_residuals(problem: "GapProblem", z: FloatArray) -> list[FloatArray]:
     """Return measured minus simulated of every unit, from fits that did not see its condition.
 
-    Only the unit's own initial states are fitted to it. The size of an effect that shows in the withheld condition alone
-    (a level that only the largest motion reaches) cannot be learned from the others: it stays what the fit of everything
-    made it, and everything else is fitted without that condition. With a single condition nothing can be left out: the
-    residual is then that of the fit itself.
+    Only the unit's own initial states are fitted to it. The size of an effect that shows in the withheld condition
+    alone (a level that only the largest motion reaches) cannot be learned from the others: it stays what the fit of
+    everything made it, and all else is fitted without that condition. With a single condition nothing can be left out:
+    the residual is then that of the fit itself.
     """
     groups = len(problem.units.conditions)
     if groups == 1:
@@ -51,6 +51,37 @@ def held_out_residuals(problem: "GapProblem", z: FloatArray) -> list[FloatArray]
         for index, one in zip(test, _tested(problem, z, shared, test, blocks), strict=True):
             residual[index] = one
     return [one for one in residual if one is not None]
+
+
+def not_withheld(problem: "GapProblem", z: FloatArray, blocks: Blocks) -> tuple[str, ...]:
+    """Return a sentence for every size of an effect that stayed as it was where a condition was withheld.
+
+    Parameters
+    ----------
+    blocks
+        Derivatives at `z`.
+    """
+    groups = len(problem.units.conditions)
+    if groups == 1 or not problem.effects:
+        return ()
+    known = information(problem, z, blocks)
+    everything = range(len(problem.units.units))
+    found = set()
+    for left_out in folds(groups):
+        train = [index for index in everything if problem.units.units[index].group not in left_out]
+        part = problem.of_units(train)
+        start = np.concatenate([z[: problem.size], _own(problem, z, train)])
+        stays = unseen(problem, known, information(part, start, _of(blocks, train)))
+        found |= {problem.names[variable] for variable in np.flatnonzero(stays)}
+    sentences = []
+    for name in sorted(found):
+        number, _, parameter = name.partition(".")
+        one = problem.effects[int(number)]
+        sentences.append(
+            f"{parameter} of {one.effect.id} at {one.site} shows in one condition only: where that was withheld, it "
+            "was not learned from the others"
+        )
+    return tuple(sentences)
 
 
 def _of_fit(problem: "GapProblem", z: FloatArray) -> list[FloatArray]:

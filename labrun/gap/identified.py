@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 _LEAST = 0.12
-"""Part of what is known of a size that a fit must have seen to say anything about it: of seven or eight conditions, one."""
+"""Part of what is known of a size that a fit must have seen to say anything about it: one of eight conditions."""
 _RIDGE = 1e-12
 
 

@@ -15,7 +15,7 @@ _SHOWN = 4
 
 
 def traces_of(search: "Search", *, with_causes: bool) -> tuple[Trace, ...]:
-    """Return measured and simulated courses of the units with the largest gaps, the largest first."""
+    """Return measured and simulated courses of the worst unit of each of the worst conditions, the worst first."""
     recalibration = search.recalibration
     problem, final = recalibration.problem, search.selection.final
     raw = problem.simulated(recalibration.raw)
@@ -25,7 +25,10 @@ def traces_of(search: "Search", *, with_causes: bool) -> tuple[Trace, ...]:
         float(np.mean(np.square((trial.outputs - one) / search.noise.sd)))
         for trial, one in zip(problem.dataset.trials, recalibrated, strict=True)
     ]
-    order = sorted(range(len(sizes)), key=lambda index: -sizes[index])[:_SHOWN]
+    worst: dict[int, int] = {}
+    for index in sorted(range(len(sizes)), key=lambda index: -sizes[index]):
+        worst.setdefault(problem.units.units[index].group, index)
+    order = list(worst.values())[:_SHOWN]
     return tuple(
         Trace(
             unit.trial.label,

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 _STARTS = 3
+_PROBED_UNITS = 3
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,35 @@ def member_residuals(problem: GapProblem, z: FloatArray) -> list[list[FloatArray
         [one - outputs for one in unit.members]
         for unit, outputs in zip(problem.units.units, problem.simulated(z), strict=True)
     ]
+
+
+def unsearched(problem: GapProblem, z: FloatArray) -> tuple[str, ...]:
+    """Return sentences on what is believed of the parameters and does not simulate.
+
+    Each parameter in turn is taken to both ends of what is believed of it, the others where they are; and what left the
+    finite numbers on the way of the fits was counted.
+    """
+    said, found = problem.tally.remarks, list[str]()
+    for variable, name in enumerate(problem.names[: problem.size]):
+        if not np.isfinite(problem.prior_sigma[variable]):
+            continue
+        for end in (problem.lower[variable], problem.upper[variable]):
+            if np.isfinite(end) and not _simulates(problem, z, variable, float(end)):
+                found.append(f"{name} = {end * problem.scale[variable]:.4g}")
+    if not found:
+        return said
+    return (
+        f"The model leaves the finite numbers with {' and with '.join(found)}, which what is stated allows: a part of "
+        "its range does not simulate, and was not searched.",
+        *said,
+    )
+
+
+def _simulates(problem: GapProblem, z: FloatArray, variable: int, value: float) -> bool:
+    changed = z.copy()
+    changed[variable] = value
+    parameters, units = problem.parameters(changed), range(min(_PROBED_UNITS, len(problem.dataset.trials)))
+    return all(problem.simulate(parameters, unit, problem.own(changed, unit)) is not None for unit in units)
 
 
 def bound_remarks(problem: GapProblem, z: FloatArray) -> tuple[str, ...]:

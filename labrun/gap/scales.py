@@ -82,8 +82,10 @@ def _joint_scale(problem: "GapProblem", z: FloatArray, place: int, period: float
     motion = [one[:, place] for one, _ in still]
     every = np.concatenate(motion)
     coordinate, rate = _peak(every[:, 0]), _peak(every[:, 1])
-    if rate <= 0 or coordinate <= 0:
+    if rate <= 0:
         return None
+    if coordinate <= 0:  # declared as constant: what it would be is how far the rate goes in a period
+        coordinate = rate * period / (2.0 * np.pi)
     times = [trial.time_s for trial in problem.dataset.trials]
     steps = [np.gradient(one[:, 1], time) for one, time in zip(motion, times, strict=True) if len(time) > 2]
     acceleration = _peak(np.concatenate(steps)) if steps else 0.0

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-_IMITATED = 0.04
+_IMITATED = 0.08
 """Part of a change, at a small size, below which it counts as imitated by parameters: it is not linear after all."""
 _FOLLOWED = 3
 """Starts that are followed: a delay, say, has a minimum of its own beside what damping imitates."""

@@ -14,7 +14,7 @@ __all__ = ["Hidden", "Revealed", "read_seal", "reveal", "seal"]
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """One effect that was hidden; its values are in the units of `units`."""
+    """One effect or parameter that was hidden; its values are in the units of `units`."""
 
     effect: str
     site: str
@@ -27,6 +27,8 @@ class Hidden:
             f"{name} = {value:.4g}{'' if self.units.get(name, '1') == '1' else ' ' + self.units[name]}"
             for name, value in self.values.items()
         )
+        if self.kind == "parameter":
+            return f"parameter {values}"
         return f"{self.effect} at {self.site}" + (f": {values}" if values else "")
 
 

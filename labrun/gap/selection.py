@@ -32,13 +32,13 @@ _ANOTHER = 0.08
 _NOTICED = 0.04
 """The same of a cause that at least halves what is left."""
 _SMALL, _NEARLY_ALL, _PLAIN = 0.005, 0.85, 2.0
-"""The same of a cause beside a far larger one, that removes nearly all of what is plainly left, in units of the noise."""
+"""The same of one beside a far larger one, if it removes nearly all of what is plainly left (in units of the noise)."""
 _LEAST_SHARE = 0.3
 """Part of the excess that causes must remove on withheld conditions, however well they fit those they saw."""
 _TOGETHER = 0.85
 """The same where nothing does so alone: two that only fit together are often two that stand in for a third."""
 _SWEEPS = 3
-_FORM_SLACK = (0.004, 0.02)
+_FORM_SLACK = (0.006, 0.02)
 """Part of a gain that the idealised form of a true effect may lack: as much as the best one's leaves, between these."""
 _SIMPLER = 0.02
 """A candidate with fewer variables is preferred if it removes no less than this part of the excess less."""

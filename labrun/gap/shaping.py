@@ -12,13 +12,17 @@ from labrun.gap.problem import own_states
 from labrun.gap.screening import Base, Screened
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from labrun.gap.guard import Guard
 
-_LEAVES = 0.02
+    FloatArray = NDArray[np.float64]
+
+_LEAVES = 0.004
 """Part of what a candidate explains that has to be left over (beyond noise) before its shape is looked at."""
 _PRICE = 10.0
 """By how much the sum of squares must fall for every shape that is fitted, in units of the noise's dispersion ..."""
-_EARNS = 0.01
+_EARNS = 0.002
 """... and by which part of what the candidate explains."""
 _ROUGH, _FEW = 1e-2, 12
 _TOLERANCE, _EVALUATIONS = 1e-4, 30
@@ -28,9 +32,10 @@ def shaped(base: Base, screened: Screened, guard: "Guard") -> Screened:
     """Return the candidate with its shape fitted, if that explains clearly more; else as it was."""
     rows = sum(len(part) for part in base.residual)
     left = screened.squares - rows
-    candidate = _with_shape(screened.candidate)
-    if candidate is None or screened.gain < guard.threshold or left < _LEAVES * screened.gain:
+    found = _with_shape(screened.candidate)
+    if found is None or screened.gain < guard.threshold or left < _LEAVES * screened.gain:
         return screened
+    candidate, choices = found
     problem = candidate.added_to(base.problem)
     size = base.problem.size
     shared, own = screened.z[:size], own_states(screened.problem, screened.z)
@@ -42,7 +47,7 @@ def shaped(base: Base, screened: Screened, guard: "Guard") -> Screened:
             evaluations=_FEW,
             central=False,
         )
-        for sizes in _starts(candidate, screened)
+        for sizes in _starts(choices, screened.sizes)
     ]
     best = min(ends, key=problem.squares)
     z = minimise(problem, best, tolerance=_TOLERANCE, evaluations=_EVALUATIONS, central=False)
@@ -54,29 +59,22 @@ def shaped(base: Base, screened: Screened, guard: "Guard") -> Screened:
     return Screened(candidate, problem, z, squares, max(base.squares - squares, 0.0), screened.survey)
 
 
-def _with_shape(candidate: Candidate) -> Candidate | None:
-    """Return the candidate with its shape among what is fitted; None where it has none."""
+def _with_shape(candidate: Candidate) -> "tuple[Candidate, list[tuple[float, ...]]] | None":
+    """Return the candidate with its shapes among what is fitted, and the starts of every variable; None if it has none.
+
+    The starts of what is fitted anyway are left open (empty).
+    """
     attached = candidate.attached
     if attached is None or not any(parameter.shape for parameter in attached.effect.parameters):
         return None
-    parameters = tuple(
-        replace(parameter, held=False) if parameter.shape else parameter
-        for parameter in attached.effect.parameters
-    )
-    return replace(
-        candidate, attached=replace(attached, effect=replace(attached.effect, parameters=parameters))
-    )
+    parameters = attached.effect.parameters
+    freed = tuple(replace(one, held=False) if one.shape else one for one in parameters)
+    choices = [one.starts[1:] if one.shape else () for one in parameters if one.shape or not one.held]
+    effect = replace(attached.effect, parameters=freed)
+    return replace(candidate, attached=replace(attached, effect=effect)), choices
 
 
-def _starts(candidate: Candidate, screened: Screened) -> list[list[float]]:
-    """Return the fitted sizes with every combination of the shapes' further starts."""
-    assert candidate.attached is not None
-    assert screened.candidate.attached is not None
-    before = [not one.held for one in screened.candidate.attached.effect.parameters]
-    fitted = iter(screened.sizes.tolist())
-    choices = [
-        (next(fitted),) if was else one.starts[1:]
-        for one, was in zip(candidate.attached.effect.parameters, before, strict=True)
-        if not one.held
-    ]
-    return [list(one) for one in product(*choices)]
+def _starts(choices: list[tuple[float, ...]], sizes: "FloatArray") -> list[tuple[float, ...]]:
+    """Return the fitted sizes with every combination of the shapes' starts."""
+    fitted = iter(sizes.tolist())
+    return list(product(*(choice or (next(fitted),) for choice in choices)))

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from labrun.errors import RecordingError
 from labrun.fit.dataset import Dataset, FitTrial
+from labrun.fit.pieces import FIRST_SAMPLES
 from labrun.models import Model
 from labrun.store.recording import condition_label
 
 FloatArray = NDArray[np.float64]
 
-_FIRST_SAMPLES = 3
 _ALIKE = 5.0
 """First samples of repeats that differ by less than this many standard deviations of the noise begin alike."""
 _FEWEST_SAMPLES = 8
@@ -84,11 +84,13 @@ def gather(dataset: Dataset, model: Model) -> Units:
     for trial in dataset.trials:
         _check(trial, dataset)
         groups.setdefault(_key(trial.condition), []).append(trial)
-    free = any(model.initial.get(state, "free") == "free" for state in model.states)
+    rules = {model.initial.get(state, "free") for state in model.states}
+    free, read = "free" in rules, "first" in rules
     units: list[Unit] = []
     for group, trials in enumerate(groups.values()):
         alike = None if free or len(trials) == 1 else _on_one_time_base(trials)
-        if alike is not None and _same_beginning(alike):
+        # where nothing is read from the first samples, one simulation predicts all, however each begins
+        if alike is not None and (not read or _same_beginning(alike)):
             units.append(_averaged(alike, group))
         else:
             units.extend(Unit(trial, group, (trial.outputs,)) for trial in trials)
@@ -184,7 +186,7 @@ def _same_beginning(trials: Sequence[FitTrial]) -> bool:
     if outputs.shape[1] < _FEWEST_SAMPLES:
         return True
     spread = np.sqrt(np.mean(np.var(outputs, axis=0, ddof=1), axis=0))
-    begin = np.mean(outputs[:, :_FIRST_SAMPLES], axis=1)
+    begin = np.mean(outputs[:, :FIRST_SAMPLES], axis=1)
     return bool(np.all(np.ptp(begin, axis=0) <= _ALIKE * spread + 1e-12))
 
 

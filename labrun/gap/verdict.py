@@ -11,7 +11,7 @@ _DOUBTFUL = ((1.0, 0.88), (0.5, 0.8))
 """The same where a plain remainder is left (in units of one trial's noise): more than what is in the library leaves."""
 _SEVERAL = 0.95
 """The same for several effects together, which can imitate more than one can."""
-_LARGE, _NEARLY_ALL = 3.0, 0.97
+_LARGE, _NEARLY_ALL = 3.0, 0.995
 """A remainder of several times one trial's noise is part of the answer, unless it is next to nothing of the gap."""
 _WHOLE = 0.85
 _SMALL = 0.3
@@ -64,7 +64,7 @@ def verdict(found: Findings) -> Verdict:
             return "not-in-library"
         return "parameter" if _recalibration_helps(found.sizes) else "no-gap"
     least = next((share for size, share in _DOUBTFUL if found.sizes.after >= size), _UNKNOWN)
-    if found.effects > 1 and found.sizes.after >= _DOUBTFUL[0][0]:
+    if found.effects > 1 and found.sizes.after >= max(_DOUBTFUL[1][0], _FAR_ABOVE * found.sizes.floor):
         least = _SEVERAL
     impostor = found.shrinkage.value < least and found.shrinkage.high < least + _ROOM
     if impostor and found.remains:

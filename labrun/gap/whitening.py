@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,14 @@ class Predictor:
         """How many last values it looks at."""
         return len(self.coefficients) - 1
 
+    @cached_property
+    def first(self) -> FloatArray:
+        """What makes the first p values white, each from those before it, (p, p)."""
+        matrix = np.eye(self.order)
+        for k in range(self.order):
+            matrix[k, :k] = -self.coefficients[k][::-1]
+        return matrix / self.deviation[: self.order, None]
+
 
 @dataclass(frozen=True)
 class Whitener:
@@ -54,9 +63,8 @@ class Whitener:
                 continue
             numerator = np.concatenate([[1.0], -predictor.coefficients[p]])
             white[:, column] = np.convolve(signal, numerator)[: len(signal)] / predictor.deviation[p]
-            for k in range(min(p, len(signal))):
-                past = signal[:k][::-1]
-                white[k, column] = (signal[k] - predictor.coefficients[k] @ past) / predictor.deviation[k]
+            first = min(p, len(signal))
+            white[:first, column] = predictor.first[:first, :first] @ signal[:first]
         return white
 
     def coloured(self, white: FloatArray) -> FloatArray:

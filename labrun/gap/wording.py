@@ -3,44 +3,62 @@
 from collections.abc import Sequence
 
 from labrun.gap.diagnosis import Cause, Name, Shrinkage, Sizes, Verdict
+from labrun.gap.numbers import significant
 
 
 def sentence(
-    verdict: Verdict, sizes: Sizes, causes: Sequence[Cause], shrinkage: Shrinkage | None, best: Name | None
+    verdict: Verdict,
+    sizes: Sizes,
+    causes: Sequence[Cause],
+    shrinkage: Shrinkage | None,
+    best: Name | None,
+    *,
+    conditions: int,
 ) -> str:
-    """Return the verdict as one sentence."""
+    """Return the verdict as one sentence.
+
+    Parameters
+    ----------
+    best
+        The candidate that removes most of the gap.
+    conditions
+        How many there are: of one, nothing could be withheld from the fit.
+    """
+    one_only = "on the data of the fit, as there is one condition only"
+    where = "on conditions the fit did not see" if conditions > 1 else one_only
+    raw, recalibrated = significant(sizes.raw), significant(sizes.recalibrated)
+    after, floor = significant(sizes.after), significant(sizes.floor)
     named = " and ".join(cause.name.words for cause in causes)
     if verdict == "no-gap":
         return (
-            f"No gap beyond noise: what model and measurement differ by ({sizes.recalibrated:.2g} times one trial's "
-            f"noise) is what noise leaves (up to {sizes.floor:.2g})."
+            f"No gap beyond noise: what model and measurement differ by ({recalibrated} times one trial's "
+            f"noise) is what noise leaves (up to {floor})."
         )
     if verdict == "parameter" and not causes:
         return (
-            f"Parameters explain it: recalibrated within what is known of them, the gap falls from {sizes.raw:.2g} to "
-            f"{sizes.recalibrated:.2g} times one trial's noise, and nothing is missing."
+            f"Parameters explain it: recalibrated within what is known of them, the gap falls from {raw} to "
+            f"{recalibrated} times one trial's noise, and nothing is missing."
         )
     removed = "" if shrinkage is None else f" {100 * shrinkage.value:.0f} %"
     verb = "explain" if len(causes) > 1 else "explains"
     if verdict == "parameter":
-        return (
-            f"A stated value is wrong: {named} {verb}{removed} of the gap on conditions the fit did not see."
-        )
+        return f"A stated value is wrong: {named} {verb}{removed} of the gap {where}."
     if verdict == "explained":
         return (
-            f"{_capital(named)} {verb}{removed} of the gap on conditions the fit did not see "
-            f"({sizes.recalibrated:.2g} to {sizes.after:.2g} times one trial's noise)."
+            f"{_capital(named)} {verb}{removed} of the gap {where} "
+            f"({recalibrated} to {after} times one trial's noise)."
         )
     if verdict == "partly-explained":
+        also = "" if conditions > 1 else f" {one_only}"
         return (
-            f"{_capital(named)} {verb}{removed} of the gap; {sizes.after:.2g} times one trial's noise remains that "
+            f"{_capital(named)} {verb}{removed} of the gap{also}; {after} times one trial's noise remains that "
             "nothing in the library accounts for."
         )
     nearest = (
         f"; the nearest, {best.words}, removes{removed or ' too little'} of it" if best is not None else ""
     )
     return (
-        f"The cause is not in the library: a gap of {sizes.recalibrated:.2g} times one trial's noise remains after "
+        f"The cause is not in the library: a gap of {recalibrated} times one trial's noise remains after "
         f"recalibration{nearest}."
     )
 

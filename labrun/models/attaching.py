@@ -8,7 +8,7 @@ from labrun.errors import ModelError, PluginError
 from labrun.models.expression import nearest
 from labrun.models.fields import Fields
 from labrun.models.model import Model, SiteKind
-from labrun.models.spans import KeyPath
+from labrun.toml_positions import KeyPath
 
 if TYPE_CHECKING:
     from labrun.effects.effect import AttachedEffect, Effect, EffectParameter

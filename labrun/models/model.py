@@ -74,7 +74,8 @@ class Site:
     load
         Expression of the load the joint carries; "" where a model gives none.
     stiffness
-        Name of the parameter that is the site's own spring; "" where there is none.
+        Name of the parameter that is the site's own spring, or an expression where a condition exchanges it; "" where
+        there is none.
     """
 
     name: str

@@ -6,7 +6,7 @@ from labrun.models.expression import Expression, ExpressionError, nearest
 from labrun.models.fields import Fields
 from labrun.models.model import Input, Parameter, Site
 from labrun.models.rewriting import CONSTANTS
-from labrun.models.spans import KeyPath
+from labrun.toml_positions import KeyPath
 
 
 def places_of(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from labrun.errors import ModelError
 from labrun.models.expression import ExpressionError, nearest
-from labrun.models.spans import KeyPath, spans
+from labrun.toml_positions import KeyPath, locate
 
 Key = str | KeyPath
 """Names joined by dots, or a path where a name itself has dots or a table is one of an array."""
@@ -35,7 +35,8 @@ class ModelText:
 
     def line_of(self, key: Key) -> int | None:
         """Return the line (from 1) of a key, or of the nearest table around it that is there."""
-        return spans(self.text).line(_path(key))
+        position = locate(self.text).nearest(_path(key))
+        return None if position is None else position.line
 
     def unknown_key(self, prefix: Key, key: str, known: tuple[str, ...]) -> ModelError:
         """Return the error for a key that a table does not have."""

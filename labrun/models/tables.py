@@ -135,7 +135,8 @@ def read_sites(fields: Fields, known: Mapping[str, str]) -> tuple[Site, ...]:
                 raise fields.text.error(key, f"a {kind} site needs a {needed}", f'{needed} = "angle"')
         texts = {one: fields.string(f"{key}.{one}", entry.get(one, "")) for one in SITE_QUANTITIES}
         stiffness = texts["stiffness"]
-        if stiffness and not known.get(stiffness, "").startswith("p["):
+        # a name alone is meant to be a parameter; what else there may be in an expression is looked at where it is read
+        if stiffness.isidentifier() and not known.get(stiffness, "").startswith("p["):
             parameters = [one for one, place in known.items() if place.startswith("p[")]
             raise fields.text.error(
                 f"{key}.stiffness", f"there is no parameter {stiffness!r}", nearest(stiffness, parameters)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from labrun import registry
 from labrun.errors import ModelError
-from labrun.models.spans import KeyPath, spans
+from labrun.toml_positions import KeyPath, locate
 
 if TYPE_CHECKING:
     from labrun.effects.effect import AttachedEffect, Effect
@@ -21,7 +21,7 @@ def quoted(text: str) -> str:
 
 def replaced(text: str, values: Mapping[KeyPath, str]) -> str:
     """Put other values where those of the text stand."""
-    found = spans(text).values
+    found = locate(text).spans
     encoded = text.encode()
     places = {found[path]: value for path, value in values.items()}
     for (begin, end), value in sorted(places.items(), reverse=True):
@@ -31,7 +31,7 @@ def replaced(text: str, values: Mapping[KeyPath, str]) -> str:
 
 def with_parameters(text: str, values: Mapping[str, float]) -> str:
     """Replace parameter values of a model with equations, however it writes them."""
-    found = spans(text).values
+    found = locate(text).spans
     paths: dict[KeyPath, str] = {}
     for name, value in values.items():
         path = ("parameters", name)
@@ -41,21 +41,22 @@ def with_parameters(text: str, values: Mapping[str, float]) -> str:
 
 def with_values(text: str, values: Mapping[str, float]) -> str:
     """Replace the values of a model with a base, and add those that are not there yet."""
-    there = {("values", name) for name in values} & spans(text).values.keys()
+    there = {("values", name) for name in values} & locate(text).spans.keys()
     text = replaced(text, {path: repr(values[str(path[-1])]) for path in there})
     new = {name: repr(value) for name, value in values.items() if ("values", name) not in there}
     if not new:
         return text
-    found = spans(text)
+    found = locate(text)
     rows = text.splitlines()
-    place = found.lines.get(("values",))
-    if ("values",) in found.values:  # values = { ... }
+    head = found.keys.get(("values",))
+    place = None if head is None else head.line
+    if ("values",) in found.spans:  # values = { ... }
         inner = [f"{name} = {value}" for name, value in new.items()]
-        names = [path for path in found.values if path[:1] == ("values",) and len(path) == 2]
+        names = [path for path in found.spans if path[:1] == ("values",) and len(path) == 2]
         if not names:
             return replaced(text, {("values",): f"{{ {', '.join(inner)} }}"})
-        last = max(names, key=lambda path: found.values[path])
-        return _behind(text, found.values[last][1], f", {', '.join(inner)}")
+        last = max(names, key=lambda path: found.spans[path])
+        return _behind(text, found.spans[last][1], f", {', '.join(inner)}")
     if place is None:  # before the first table, behind the keys that stand alone
         place = next((index for index, row in enumerate(rows) if row.lstrip().startswith("[")), len(rows))
         lines = ["", "[values]", *(f"{name} = {value}" for name, value in new.items())]
@@ -68,7 +69,7 @@ def with_values(text: str, values: Mapping[str, float]) -> str:
 
 def with_effects(text: str, effects: "Sequence[AttachedEffect]") -> str:
     """Add effects behind those the text has."""
-    found = spans(text).values
+    found = locate(text).spans
     if ("effects",) not in found:
         return "\n".join([text.rstrip() + "\n", *(f"[[effects]]\n{_rows(one)}" for one in effects)])
     if not effects:

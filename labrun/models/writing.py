@@ -25,6 +25,7 @@ def corrected_model_text(
     remarks: str | Sequence[str] = (),
     *,
     folder: Path | None = None,
+    heading: str = "Corrected by labrun",
 ) -> str:
     """Return a TOML file of a model with other parameter values, and with these effects behind those it carries.
 
@@ -45,6 +46,8 @@ def corrected_model_text(
         Sentences for the comment on top: where the numbers come from.
     folder
         Where the text will be saved, so that it can refer to a file from there; None refers by the absolute path.
+    heading
+        How the comment on top begins, before "from" and the name of the file that was changed.
 
     Raises
     ------
@@ -70,7 +73,7 @@ def corrected_model_text(
         _refuse_strangers(model, text, changed)
         body = with_parameters(text, changed)
     origin = path.name if path is not None else given if not text else model.source or model.name
-    top = _comment(model, origin, changed, remarks)
+    top = _comment(model, f"{heading} from {origin}", changed, remarks)
     return top + with_effects(body, effects)
 
 
@@ -106,9 +109,9 @@ def _changed(model: Model, values: Mapping[str, float]) -> dict[str, float]:
     return changed
 
 
-def _comment(model: Model, origin: str, changed: Mapping[str, float], remarks: str | Sequence[str]) -> str:
+def _comment(model: Model, heading: str, changed: Mapping[str, float], remarks: str | Sequence[str]) -> str:
     sentences = [remarks] if isinstance(remarks, str) else list(remarks)
-    lines = [f"Corrected by labrun from {origin}", *sentences]
+    lines = [heading, *sentences]
     parameters = {one.name: one for one in model.parameters}
     for name, value in changed.items():
         unit = "" if parameters[name].unit == "1" else f" {parameters[name].unit}"

@@ -9,8 +9,8 @@ from labrun.report.gap_words import (
     listed,
     name_words,
     number,
-    percent,
     ranked,
+    removes_words,
     value_words,
 )
 from labrun.report.html_elements import (
@@ -95,7 +95,7 @@ def _verdict(one: Candidate) -> Content:
 def _removes(one: Candidate) -> Content:
     if one.held_out_share is None:
         return joined(["\u2013 ", share_bar(0.0)])
-    return joined([f"{percent(min(one.held_out_share, 1.0))} ", share_bar(one.held_out_share)])
+    return joined([f"{removes_words(one.held_out_share)} ", share_bar(max(one.held_out_share, 0.0))])
 
 
 def _size(one: Candidate) -> Content:

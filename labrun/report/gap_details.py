@@ -67,11 +67,13 @@ def _moved(stated: float, tolerance: float | str, found: float) -> tuple[str, bo
     factor = found / stated
     if factor == 1:
         return "not at all", False
-    text = f"{factor:.3g} times the stated" if factor > 2 or factor < 0.5 else f"{100 * (factor - 1):+.2g} %"
+    text = (
+        f"{number(factor)} times the stated" if factor > 2 or factor < 0.5 else f"{100 * (factor - 1):+.2g} %"
+    )
     if isinstance(tolerance, str) or tolerance == 0:
         return text, False
     steps = abs(factor - 1) / tolerance
-    return f"{text}, {steps:.2g} of its tolerances", steps >= _FAR
+    return f"{text}, {number(steps, 2)} of its tolerances", steps >= _FAR
 
 
 def data_section(diagnosis: Diagnosis) -> Html:

@@ -11,6 +11,8 @@ _MOST_BARS = 6
 _STANDS_OUT = 1.5
 """A part whose share is so many times the mean of its kind is worth a sentence."""
 _MOST = 0.5
+_TELLS = 1.2
+"""A share that is less than so many times what the part makes up of the data says nothing about where the gap is."""
 _PREPOSITIONS: dict[By, str] = {
     "channel": "in",
     "condition": "at",
@@ -94,13 +96,22 @@ def hot_spots(where: Sequence[Place], most: int = 3) -> list[HotSpot]:
     for panel in panels(where):
         whole = [place for place in where if place.by == panel.by and _CUT_TWICE not in place.at]
         first = next((place for place in whole if math.isfinite(place.share)), None)
-        if first is None or (first.p is not None and first.p >= SIGNIFICANT):
+        if first is None or not beyond_chance(first) or not _tells(first):
             continue
         mean = sum(place.share for place in whole) / len(whole)
         if len(whole) > 1 and not first.share >= _STANDS_OUT * mean:
             continue
         found.append(_spot(first))
     return [*_narrow(where), *found][:most]
+
+
+def beyond_chance(place: Place) -> bool:
+    """Tell whether noise alone hardly gives a part as much; True where that cannot be told."""
+    return place.p is None or place.p <= SIGNIFICANT
+
+
+def _tells(place: Place) -> bool:
+    return place.part is None or place.share >= _TELLS * place.part
 
 
 def _spot(place: Place) -> HotSpot:
@@ -113,7 +124,7 @@ def _narrow(where: Sequence[Place]) -> list[HotSpot]:
     held = [
         place
         for place in where
-        if _CUT_TWICE in place.at and place.share >= _MOST and (place.p is None or place.p < SIGNIFICANT)
+        if _CUT_TWICE in place.at and place.share >= _MOST and beyond_chance(place) and _tells(place)
     ]
     first = max(held, key=lambda place: place.share, default=None)
     return [] if first is None else [_spot(first)]

@@ -86,15 +86,17 @@ def compare(run: Path) -> Compared:
 def score(stored: Mapping[str, Any], hidden: "Sequence[Hidden]") -> Score:
     """Return how a diagnosis agrees with what was hidden, by effect and site.
 
-    A parameter among the causes is neither right nor wrong beside an effect: what a model states may be off as well.
+    A parameter among the causes is neither right nor wrong beside an effect: what a model states may be off as well. It
+    counts where it was hidden itself, or where what was hidden is stated as its rival.
     """
     truth = {(one.effect, one.site) for one in hidden}
     named, sets = [], []
     for cause in stored.get("causes", []):
-        if cause["kind"] != "effect":
-            continue
-        named.append((cause["effect"], cause["site"]))
-        sets.append({named[-1], *((one["effect"], one["site"]) for one in cause["indistinguishable_from"])})
+        name = (cause["effect"], cause["site"])
+        together = {name, *((one["effect"], one["site"]) for one in cause["indistinguishable_from"])}
+        if cause["kind"] == "effect" or together & truth:
+            named.append(name)
+            sets.append(together)
     if not named:
         return "missed" if truth else "right"
     if not truth:

@@ -1,12 +1,12 @@
 """The body of a diagnosis: where the gap is, which candidates there are, how far it closes, and what to do next."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-from labrun.gap.diagnosis import Diagnosis, MissingForce
+from labrun.gap.diagnosis import Diagnosis, MissingForce, Trace
 from labrun.report.gap_force_figure import force_png
 from labrun.report.gap_how_far_figure import how_far_svg
 from labrun.report.gap_places import hot_spots, place_words
-from labrun.report.gap_traces_figure import traces_svg
+from labrun.report.gap_traces_figure import shown_traces, traces_svg, worst_outputs
 from labrun.report.gap_where_figure import where_svg
 from labrun.report.gap_words import (
     never_seen,
@@ -70,16 +70,20 @@ def _shares(diagnosis: Diagnosis) -> Html | None:
         "svg+xml",
         alt="Shares of the excess over the noise; the table below has all of them",
         caption="Each panel divides the same excess over the noise in another way; parts of a panel may overlap. Dark: "
-        "noise alone would give the part as much with a probability p below 0.05, corrected for all the places looked "
-        "at. Grey: may be chance. Light blue: could not be tested.",
+        "noise alone would give the part as much with a probability p of at most 0.05, corrected for all the places "
+        "looked at. Grey: may be chance. Light blue: could not be tested.",
     )
 
 
 def _traces(diagnosis: Diagnosis) -> Html | None:
+    traces = shown_traces(diagnosis)
+    if not traces:
+        return None
     causes = ", and with the causes added" if diagnosis.causes else ""
-    courses = any(len(trace.time_s) > 1 for trace in diagnosis.traces)
+    courses = any(len(trace.time_s) > 1 for trace in traces)
     rest = (
-        " Differences are measured - simulated; grey, two standard deviations of one trial."
+        " Above, measured over simulated, where it is many cycles in the few that are worst; below, measured - "
+        "simulated over the whole trial, with dashed lines about these; grey, two standard deviations of one trial."
         if courses
         else ""
     )
@@ -87,9 +91,21 @@ def _traces(diagnosis: Diagnosis) -> Html | None:
         lambda: traces_svg(diagnosis),
         "svg+xml",
         alt="Measured and simulated outputs where they differ most",
-        caption=f"Where they differ most: measured, and simulated with the model as stated, with its parameters "
-        f"recalibrated{causes}.{rest}",
+        caption=f"Where they differ most{_chosen(diagnosis, traces)}: measured, and simulated with the model as "
+        f"stated, with its parameters recalibrated{causes}.{rest}",
     )
+
+
+def _chosen(diagnosis: Diagnosis, traces: Sequence[Trace]) -> str:
+    """Return which conditions and outputs are shown, where it is not all of them."""
+    conditions = len({repr(sorted(trace.condition.items())) for trace in traces})
+    outputs = len(worst_outputs(diagnosis, traces))
+    told = []
+    if conditions < diagnosis.conditions:
+        told.append(f"{conditions} of {diagnosis.conditions} conditions")
+    if outputs < len(diagnosis.channels):
+        told.append(f"{outputs} of {len(diagnosis.channels)} outputs")
+    return f" ({' and '.join(told)})" if told else ""
 
 
 def _forces(diagnosis: Diagnosis) -> list[MissingForce]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from labrun.errors import RequestError, StoreError
 from labrun.gap.diagnosis import Diagnosis
+from labrun.gap.saving import recalibrated_only
 from labrun.report.gap_figure import FIGURE, draw_gap
 from labrun.report.gap_page import write_gap_page
 from labrun.report.gap_text import gap_lines
@@ -42,6 +43,16 @@ class StoredDiagnosis:
     page: Path | None = None
     figure: Path | None = None
     model: Path | None = None
+
+    @property
+    def warning(self) -> str:
+        """What to know before using the saved model; "" where there is nothing, or no model was saved."""
+        if self.model is None or not recalibrated_only(self.diagnosis):
+            return ""
+        return (
+            f"{self.model} is recalibrated only: the cause is not in the library, and its parameters imitate what is "
+            "missing on these data; do not rely on it elsewhere"
+        )
 
     def to_text(self, width: int | None = None) -> "list[Text]":
         """Return the lines of `gap_lines`, and what to open; the terminal's width if none is given."""

@@ -17,6 +17,7 @@ from labrun.report.gap_words import (
     p_words,
     percent,
     ranked,
+    removes_words,
     times_noise,
     took_words,
     value_words,
@@ -118,7 +119,8 @@ def _which(diagnosis: Diagnosis, room: int, most: int) -> list[str]:
 def _rival(one: Candidate, room: int) -> str:
     text = f"{name_words(one.name)}: {VERDICTS[one.verdict]}"
     if one.held_out_share is not None:
-        text += f", removes {percent(min(one.held_out_share, 1.0))}"
+        removes = removes_words(one.held_out_share)
+        text += f", removes {removes}" if removes[0].isdigit() or removes[0] == "<" else f", {removes}"
     bounds = bound_words(one.upper_bound) if one.verdict == "ruled-out" else []
     return _first_that_fits([f"{text}; {bounds[0]}", text] if bounds else [text], room)
 

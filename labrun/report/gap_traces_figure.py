@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from labrun.gap.diagnosis import Diagnosis, Trace
 from labrun.report.gap_canvas import plain_figure
 from labrun.report.gap_how_far_figure import AFTER, RECALIBRATED, STATED
+from labrun.report.gap_window import telling_window
 from labrun.report.gap_words import listed, name_words
 from labrun.report.html_words import spaced
 from labrun.report.style import FAINT, INK, zero_line
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-_MOST_UNITS = 3
+_MOST_UNITS = 4
 _MOST_OUTPUTS = 3
 _MOST_SAMPLES = 700
 _LINE_SAMPLES = 3
@@ -30,12 +31,19 @@ _NARROW = 30
 
 def traces_svg(diagnosis: Diagnosis) -> bytes | None:
     """Return the picture of measured and simulated outputs; None where there are none."""
-    traces = [trace for trace in diagnosis.traces if trace.measured.size]
+    traces = shown_traces(diagnosis)
     if not traces:
         return None
+    points = all(len(trace.time_s) < _LINE_SAMPLES for trace in traces)
+    return _points_svg(diagnosis, traces) if points else _courses_svg(diagnosis, traces)
+
+
+def shown_traces(diagnosis: Diagnosis) -> list[Trace]:
+    """Return the traces that are drawn."""
+    traces = [trace for trace in diagnosis.traces if trace.measured.size]
     if all(len(trace.time_s) < _LINE_SAMPLES for trace in traces):
-        return _points_svg(diagnosis, sorted(traces, key=_order))
-    return _courses_svg(diagnosis, _various([one for one in traces if len(one.time_s) >= _LINE_SAMPLES]))
+        return sorted(traces, key=_order)
+    return _various([one for one in traces if len(one.time_s) >= _LINE_SAMPLES])
 
 
 def _various(traces: Sequence[Trace]) -> list[Trace]:
@@ -55,22 +63,21 @@ def _order(trace: Trace) -> tuple[tuple[float, str], ...]:
 
 
 def _courses_svg(diagnosis: Diagnosis, traces: Sequence[Trace]) -> bytes:
-    outputs = _worst_outputs(diagnosis, traces)
-    rows = 2 * len(outputs)
-    with plain_figure(9.4, 0.75 + 2.45 * len(outputs)) as figure:
+    outputs = worst_outputs(diagnosis, traces)
+    with plain_figure(9.4, 0.75 + 2.6 * len(outputs)) as figure:
         grid = figure.subplots(
-            rows,
+            2 * len(outputs),
             len(traces),
             squeeze=False,
-            sharex="col",
             sharey="row",
-            height_ratios=[1.6, 1.0] * len(outputs),
+            height_ratios=[1.5, 1.0] * len(outputs),
         )
         for column, trace in enumerate(traces):
+            shown = _window(diagnosis, trace, outputs)
             for number, output in enumerate(outputs):
                 above, below = grid[2 * number][column], grid[2 * number + 1][column]
-                _draw_course(above, diagnosis, trace, output)
-                _draw_rest(below, diagnosis, trace, output)
+                _draw_course(above, diagnosis, trace, output, shown)
+                _draw_rest(below, diagnosis, trace, output, shown)
                 if column == 0:
                     name, unit = diagnosis.channels[output]
                     above.set_ylabel(_label(name, unit))
@@ -82,24 +89,35 @@ def _courses_svg(diagnosis: Diagnosis, traces: Sequence[Trace]) -> bytes:
         return as_svg(figure)
 
 
-def _draw_course(axes: "Axes", diagnosis: Diagnosis, trace: Trace, output: int) -> None:
-    kept = _thinned(len(trace.time_s))
+def _window(diagnosis: Diagnosis, trace: Trace, outputs: Sequence[int]) -> slice:
+    """Return the samples to be shown large: by the output that is farthest off."""
+    rest = (trace.measured - trace.recalibrated) / _sd(diagnosis, trace.measured.shape[1])
+    worst = max(outputs, key=lambda output: float(np.mean(np.square(rest[:, output]))))
+    return telling_window(trace.time_s, trace.recalibrated[:, worst], rest[:, worst])
+
+
+def _sd(diagnosis: Diagnosis, outputs: int) -> FloatArray:
+    return np.array([diagnosis.noise.get(name) or 1.0 for name, _ in diagnosis.channels[:outputs]])
+
+
+def _draw_course(axes: "Axes", diagnosis: Diagnosis, trace: Trace, output: int, shown: slice) -> None:
+    kept = _thinned(shown)
     time_s = trace.time_s[kept]
     lines: list[tuple[str, FloatArray, dict[str, Any]]] = [
-        ("model as stated", trace.raw, {"color": STATED, "linewidth": 1.0, "linestyle": (0, (1, 1.2))}),
-        ("measured", trace.measured, {"color": INK, "linewidth": 2.2, "alpha": 0.35}),
-        ("recalibrated", trace.recalibrated, {"color": RECALIBRATED, "linewidth": 1.2}),
+        ("model as stated", trace.raw, {"color": STATED, "linewidth": 1.2, "linestyle": (0, (1, 1.2))}),
+        ("recalibrated", trace.recalibrated, {"color": RECALIBRATED, "linewidth": 2.4, "alpha": 0.8}),
     ]
     if diagnosis.causes:
-        style = {"color": AFTER, "linewidth": 1.2, "linestyle": (0, (5, 1.5))}
-        lines.append((_with(diagnosis), trace.after, style))
+        lines.append((_with(diagnosis), trace.after, {"color": AFTER, "linewidth": 2.4, "alpha": 0.8}))
+    # thin and on top: where a model is right, it shows as a rim of its colour
+    lines.append(("measured", trace.measured, {"color": INK, "linewidth": 0.8}))
     for label, values, look in lines:
         axes.plot(time_s, values[kept, output], label=label, **look)
     axes.margins(x=0.0)
 
 
-def _draw_rest(axes: "Axes", diagnosis: Diagnosis, trace: Trace, output: int) -> None:
-    kept = _thinned(len(trace.time_s))
+def _draw_rest(axes: "Axes", diagnosis: Diagnosis, trace: Trace, output: int, shown: slice) -> None:
+    kept = _thinned(slice(0, len(trace.time_s)))
     time_s, measured = trace.time_s[kept], trace.measured[kept, output]
     sd = diagnosis.noise.get(diagnosis.channels[output][0])
     if sd is not None:
@@ -110,12 +128,15 @@ def _draw_rest(axes: "Axes", diagnosis: Diagnosis, trace: Trace, output: int) ->
     if diagnosis.causes:
         axes.plot(time_s, measured - trace.after[kept, output], color=AFTER, linewidth=1.0)
     zero_line(axes)
+    if shown.stop - shown.start < len(trace.time_s):
+        for edge in (shown.start, shown.stop - 1):
+            axes.axvline(float(trace.time_s[edge]), color=INK, linewidth=0.7, linestyle=(0, (3, 2)))
     axes.margins(x=0.0)
 
 
 def _points_svg(diagnosis: Diagnosis, traces: Sequence[Trace]) -> bytes:
     """Draw readings without a course in time, beside each other."""
-    outputs = _worst_outputs(diagnosis, traces)
+    outputs = worst_outputs(diagnosis, traces)
     places = np.arange(len(traces), dtype=float)
     with plain_figure(9.4, 1.1 + 2.0 * len(outputs)) as figure:
         grid = figure.subplots(len(outputs), 1, squeeze=False, sharex=True)
@@ -153,16 +174,15 @@ def _points_svg(diagnosis: Diagnosis, traces: Sequence[Trace]) -> bytes:
         return as_svg(figure)
 
 
-def _worst_outputs(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[int]:
-    """Return the outputs that are farthest off after recalibration, in the model's order."""
-    names = [name for name, _ in diagnosis.channels]
+def worst_outputs(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[int]:
+    """Return the outputs that are farthest off after recalibration, in units of noise, in the model's order."""
+    known = min(len(diagnosis.channels), *(one.measured.shape[1] for one in traces))
+    sd = _sd(diagnosis, known)
 
     def off(output: int) -> float:
         rest = np.concatenate([one.measured[:, output] - one.recalibrated[:, output] for one in traces])
-        sd = diagnosis.noise.get(names[output]) or 1.0
-        return float(np.sqrt(np.mean(np.square(rest)))) / sd
+        return float(np.sqrt(np.mean(np.square(rest)))) / float(sd[output])
 
-    known = min(len(names), *(one.measured.shape[1] for one in traces))
     return sorted(sorted(range(known), key=off, reverse=True)[:_MOST_OUTPUTS])
 
 
@@ -189,5 +209,5 @@ def _label(name: str, unit: str) -> str:
     return shown if unit in ("1", "") else f"{shown} ({unit})"
 
 
-def _thinned(samples: int) -> slice:
-    return slice(None, None, max(1, samples // _MOST_SAMPLES))
+def _thinned(shown: slice) -> slice:
+    return slice(shown.start, shown.stop, max(1, (shown.stop - shown.start) // _MOST_SAMPLES))

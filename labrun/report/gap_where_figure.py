@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from labrun.gap.diagnosis import By, Diagnosis, Place
 from labrun.report.gap_canvas import plain_figure
-from labrun.report.gap_places import Panel, panels, place_words
-from labrun.report.gap_words import SIGNIFICANT, p_words, percent
+from labrun.report.gap_places import Panel, beyond_chance, panels, place_words
+from labrun.report.gap_words import p_words, percent
 from labrun.report.style import COLOURS
 from labrun.report.svg import as_svg
 
@@ -99,7 +99,7 @@ def _draw(axes: "Axes", panel: Panel, slots: int) -> None:
 def _colour(place: Place) -> str:
     if place.p is None:
         return NOT_TESTED
-    return BEYOND_CHANCE if place.p < SIGNIFICANT else MAYBE_CHANCE
+    return BEYOND_CHANCE if beyond_chance(place) else MAYBE_CHANCE
 
 
 def _note(place: Place) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from labrun.fit.estimate import Estimate as FitEstimate
 from labrun.fit.estimate import rounded
 from labrun.gap.diagnosis import Candidate, CandidateVerdict, Cause, Diagnosis, Estimate, Name
+from labrun.gap.numbers import significant
 from labrun.report.html_words import spaced
 from labrun.report.words import duration_text
 
@@ -25,6 +26,7 @@ HEADLINES = {
 }
 _TAKE_PREFIX = ("N", "m", "s", "rad", "V", "A", "W", "Pa")
 _SMALL = 2e-3
+_WORSE = 0.005
 _RANK: Mapping[CandidateVerdict, int] = {"cause": 0, "indistinguishable": 1, "ruled-out": 2, "not-visible": 3}
 
 
@@ -44,7 +46,7 @@ def number(value: float, digits: int = 3) -> str:
         return "not known"
     if math.isinf(value):
         return "no limit" if value > 0 else "no lower limit"
-    return f"{value:.{digits}g}"
+    return significant(value, digits)
 
 
 def times_noise(value: float) -> str:
@@ -66,6 +68,11 @@ def percent(share: float, digits: int = 0) -> str:
         return f"{math.floor(1000 * share) / 10:g}\u00a0%"
     text = f"{100 * share:.{digits}f}" if abs(share) < 1e4 else f"{100 * share:.2g}"
     return f"{'0' if text == '-0' else text}\u00a0%"
+
+
+def removes_words(share: float) -> str:
+    """Return how much of the excess a candidate removes, ``97 %``; of one that adds to it, that it does."""
+    return "makes it worse" if share <= -_WORSE else percent(max(min(share, 1.0), 0.0))
 
 
 def p_words(p: float | None) -> str:
@@ -111,11 +118,16 @@ def value_words(values: Mapping[str, Estimate]) -> list[str]:
 
 
 def bound_words(bounds: Mapping[str, Estimate]) -> list[str]:
-    """Return ``torque at most 0.0012 N m`` of every bound; one with different ends to either side says both."""
+    """Return ``torque at most 0.0012 N m`` of every bound; one with different ends to either side says both.
+
+    A least level, whose value is its near end, says ``level at least 0.8 N m``.
+    """
     found = []
     for name, whole in bounds.items():
         bound, unit = _with_prefix(whole)
-        if bound.low < 0 < bound.high != -bound.low:
+        if bound.value == bound.low < bound.high:
+            found.append(f"{spaced(name)} at least {number(bound.low, 2)}{unit}")
+        elif bound.low < 0 < bound.high != -bound.low:
             found.append(f"{spaced(name)} between {number(bound.low, 2)} and {number(bound.high, 2)}{unit}")
         elif math.isfinite(bound.high):
             found.append(f"{spaced(name)} at most {number(max(bound.value, bound.high), 2)}{unit}")

@@ -9,6 +9,8 @@ from labrun.spec.experiment import SceneTable
 if TYPE_CHECKING:
     from labrun.spec.experiment import Experiment
 
+PARAMETER = "parameter"
+"""Kind of what is hidden that is no effect: a parameter's true value."""
 _KEYS = ("effect", "site", "kind", "values")
 
 
@@ -24,7 +26,7 @@ def concealed(
     Parameters
     ----------
     hidden
-        Effects, see `labrun.runner.hiding.choose_hidden`.
+        Effects and true values of parameters, see `labrun.runner.hiding.choose_hidden`.
     noise
         Instead of the scene's own factor.
     parameters
@@ -40,7 +42,7 @@ def concealed(
         raise RequestError("there is no simulated bench to hide an effect in", hint="name one in rig.scene")
     settings: dict[str, Any] = {
         **scene.settings,
-        "hide": [{key: one[key] for key in _KEYS} for one in hidden],
+        "hide": [{key: one[key] for key in _KEYS} for one in hidden if one["kind"] != PARAMETER],
         "as_modelled": True,
     }
     if noise is not None:
@@ -50,5 +52,10 @@ def concealed(
         settings["parameters"] = {
             **own, **{name: (1 + own.get(name, 0.0)) * (1 + error) - 1 for name, error in parameters.items()}
         }  # fmt: skip
+    true = {
+        name: value for one in hidden if one["kind"] == PARAMETER for name, value in one["values"].items()
+    }
+    if true:
+        settings["true_parameters"] = {**settings.get("true_parameters", {}), **true}
     table = SceneTable.model_validate({"plugin": scene.plugin, **settings})
     return experiment.model_copy(update={"rig": experiment.rig.model_copy(update={"scene": table})})

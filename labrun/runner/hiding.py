@@ -9,6 +9,7 @@ import numpy as np
 
 from labrun.errors import RequestError
 from labrun.nearest import nearest
+from labrun.runner.concealment import PARAMETER
 from labrun.runner.rehearsal import HidingScene, Rehearsal, hiding_scene
 
 if TYPE_CHECKING:
@@ -46,7 +47,8 @@ def choose_hidden(
     Parameters
     ----------
     wanted
-        ``"random"``, ``"none"``, or ``"EFFECT@SITE"`` and ``"EFFECT@SITE:name=value,..."`` as often as wanted.
+        ``"random"``, ``"none"``, or ``"EFFECT@SITE"``, ``"EFFECT@SITE:name=value,..."`` and ``"PARAMETER=value"``, what
+        a parameter of the bench really is, as often as wanted.
     experiment
         Its scene must be able to hide effects.
     model
@@ -79,7 +81,10 @@ def choose_hidden(
             )
         rng = np.random.default_rng(secrets.randbits(128) if seed is None else seed)
         return [_with_units(one, units) for one in _drawn(experiment, scene, model, conditions, rng)]
-    return [_with_units(_parsed(text, scene), units) for text in wanted]
+    return [
+        _with_units(_parsed(text, scene), units) if "@" in text else _parameter(text, scene, model)
+        for text in wanted
+    ]
 
 
 def _drawn(
@@ -202,7 +207,7 @@ def _parsed(text: str, scene: HidingScene) -> dict[str, Any]:
     site_name, _, given = rest.partition(":")
     if not (name and at and site_name):
         raise RequestError(
-            f"--hide {text}: expected random, none, or EFFECT@SITE",
+            f"--hide {text}: expected random, none, EFFECT@SITE, or PARAMETER=value",
             hint='for example --hide coulomb-friction@hinge, or --hide "delay@tail:delay=0.05"',
         )
     sites = [site for site in scene.places if site.name == site_name]
@@ -227,6 +232,29 @@ def _parsed(text: str, scene: HidingScene) -> dict[str, Any]:
         else:
             return _entry(effect, site_name, dict(attached.named_values))
     raise RequestError(f"--hide {text}: " + "; ".join(dict.fromkeys(refusals)))
+
+
+def _parameter(text: str, scene: HidingScene, model: "Model | None") -> dict[str, Any]:
+    """Return what ``PARAMETER=value`` asks for."""
+    name, equals, _ = text.partition("=")
+    name = name.strip()
+    if not equals:
+        raise RequestError(
+            f"--hide {text}: expected random, none, EFFECT@SITE, or PARAMETER=value",
+            hint='for example --hide coulomb-friction@hinge, or --hide "delay@tail:delay=0.05"',
+        )
+    known = [*scene.truth().get("parameters", {})]
+    if name not in known:
+        near = nearest(name, known)
+        raise RequestError(
+            f"--hide {text}: this scene has no parameter {name!r}",
+            hint=f"did you mean {near!r}?" if near else f"it has {', '.join(known) or 'none'}",
+        )
+    units = {} if model is None else {one.name: one.unit for one in model.parameters}
+    return {
+        "effect": name, "site": name, "kind": PARAMETER, "values": _values(text, text),
+        "units": {name: units.get(name, "1")},
+    }  # fmt: skip
 
 
 def _values(text: str, given: str) -> dict[str, float]:

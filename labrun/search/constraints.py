@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from labrun.errors import SpecError
 from labrun.spec.expression import ExpressionError, evaluate
-from labrun.spec.positions import KeyPath
 from labrun.spec.problem import dotted
+from labrun.toml_positions import KeyPath
 
 FloatArray = NDArray[np.float64]
 

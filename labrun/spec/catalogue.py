@@ -8,9 +8,9 @@ from labrun import registry
 from labrun.devices import DeviceContext, Limits
 from labrun.errors import PluginError
 from labrun.spec.names import suggest
-from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem
 from labrun.spec.validation import mend, validate
+from labrun.toml_positions import KeyPath
 
 GROUP = "labrun.devices"
 STAND_IN = "simulated-"

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Mapping
 from labrun.nearest import nearest
 from labrun.spec.catalogue import DeviceInfo
 from labrun.spec.names import suggest
-from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem
+from labrun.toml_positions import KeyPath
 
 
 def check_channel(channel: object, path: KeyPath, devices: Mapping[str, DeviceInfo]) -> Iterator[Problem]:

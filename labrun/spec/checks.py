@@ -17,11 +17,11 @@ from labrun.spec.fit_checks import check_fit, check_gap
 from labrun.spec.let import order
 from labrun.spec.names import suggest
 from labrun.spec.plugin_checks import check_plugins, gait_names
-from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem
 from labrun.spec.raw_tables import condition_names, driven_names, listed_conditions, table
 from labrun.spec.track_checks import check_track
 from labrun.spec.unit_checks import check_units
+from labrun.toml_positions import KeyPath
 
 
 def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Problem]:

@@ -7,10 +7,10 @@ from typing import Any
 from labrun.errors import SpecError
 from labrun.spec.names import suggest
 from labrun.spec.plugin_checks import load_plugin
-from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem
 from labrun.spec.raw_tables import table
 from labrun.spec.workspace import find_model_file
+from labrun.toml_positions import KeyPath
 
 
 def embed_files(data: dict[str, Any], experiment: Path | None) -> list[Problem]:

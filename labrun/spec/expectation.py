@@ -4,8 +4,8 @@ from pydantic_core import ErrorDetails
 
 from labrun.nearest import nearest
 from labrun.spec.names import unit_of
-from labrun.spec.positions import KeyPath
 from labrun.spec.problem import shown
+from labrun.toml_positions import KeyPath
 
 _EXPECTED = {
     "int_type": "a whole number",

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 from labrun.spec.expression import ExpressionError, names_in
 from labrun.spec.names import suggest
-from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem
+from labrun.toml_positions import KeyPath
 
 
 def check_expression(expression: object, path: KeyPath, known: list[str]) -> Iterator[Problem]:

@@ -7,10 +7,10 @@ from typing import Any
 from labrun import registry
 from labrun.spec.names import suggest
 from labrun.spec.plugin_checks import check_settings, load_plugin
-from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem
 from labrun.spec.raw_tables import table
 from labrun.spec.workspace import find_model_file, shipped_experiments
+from labrun.toml_positions import KeyPath
 
 _GROUP = "labrun.models"
 _METHODS = "labrun.fits"

@@ -13,9 +13,9 @@ from labrun.spec.checks import cross_check
 from labrun.spec.embedding import embed_files
 from labrun.spec.experiment import Experiment
 from labrun.spec.overrides import apply_overrides
-from labrun.spec.positions import KeyPath, Positions, locate
 from labrun.spec.problem import LocatedProblem, Problem, SpecFileError, dotted
 from labrun.spec.validation import validate
+from labrun.toml_positions import KeyPath, Positions, locate
 
 
 @dataclass(frozen=True, slots=True)

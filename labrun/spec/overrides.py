@@ -7,8 +7,8 @@ from typing import Any
 
 from labrun.errors import SpecError
 from labrun.spec.names import suggest
-from labrun.spec.positions import KeyPath
 from labrun.spec.problem import dotted
+from labrun.toml_positions import KeyPath
 
 _BARE_WORD = re.compile(r"[^\"'\[\]{}=]+")
 

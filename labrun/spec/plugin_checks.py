@@ -11,11 +11,11 @@ from labrun.spec.catalogue import DeviceInfo
 from labrun.spec.channels import check_channel
 from labrun.spec.experiment import GaitTable, ObjectiveTable
 from labrun.spec.names import suggest
-from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem
 from labrun.spec.raw_tables import table
 from labrun.spec.track_tables import LOOP_DEVICE, loop_channels
 from labrun.spec.validation import validate
+from labrun.toml_positions import KeyPath
 
 
 def load_plugin(group: str, plugin: object, path: KeyPath) -> tuple[Any, list[Problem]]:

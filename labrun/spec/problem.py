@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from labrun.errors import SpecError
-from labrun.spec.positions import KeyPath
+from labrun.toml_positions import KeyPath
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,12 +13,12 @@ from labrun.spec.expression import ExpressionError, names_in
 from labrun.spec.expression_checks import check_expression
 from labrun.spec.names import suggest
 from labrun.spec.plugin_checks import load_plugin
-from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem
 from labrun.spec.raw_tables import listed_conditions, table
 from labrun.spec.setting_expressions import is_expression
 from labrun.spec.track_tables import LOOP_DEVICE
 from labrun.spec.validation import validate
+from labrun.toml_positions import KeyPath
 
 _GAITS = "labrun.gaits"
 

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from labrun.spec.names import KNOWN_UNITS, suggest, unit_of
-from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem, dotted
 from labrun.spec.raw_tables import table
+from labrun.toml_positions import KeyPath
 
 
 def check_units(data: Mapping[str, Any], names: list[str]) -> Iterator[Problem]:

@@ -12,8 +12,8 @@ from pydantic_core import ErrorDetails
 from labrun.nearest import nearest
 from labrun.spec.expectation import expectation
 from labrun.spec.names import UNITS, convert, same_quantity, split_unit, suggest, unit_of
-from labrun.spec.positions import KeyPath
 from labrun.spec.problem import Problem
+from labrun.toml_positions import KeyPath
 
 _ROUNDS = 6
 """A table's own rules are read only once its keys hold: so what does not hold is left out, and it is read again."""

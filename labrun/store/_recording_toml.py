@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from labrun.nearest import nearest
-from labrun.spec.positions import KeyPath, locate
+from labrun.toml_positions import KeyPath, locate
 
 Kind = Literal["input", "output"]
 Between = Literal["linear", "hold", "band-limited"]

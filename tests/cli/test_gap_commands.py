@@ -55,3 +55,15 @@ def test_completion_offers_effects():
     from labrun.cli.gap import _effect_ids
 
     assert _effect_ids("coul") == ["coulomb-friction"]
+
+
+@pytest.mark.parametrize(("command", "lost"), [("diagnose", "diagnosis"), ("next", "experiment")])
+def test_ctrl_c_says_that_nothing_was_written(command, lost, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(f"labrun.report.gap_request.{command}_request", interrupted)
+    done = typed(command, "hinge", "--json")
+    assert done.exit_code == 1
+    assert json.loads(done.stdout)["error"] == f"interrupted; no {lost} was written"
+    assert "moved" not in done.stderr

@@ -21,6 +21,8 @@ def test_list_shows_the_shipped_experiments_by_kind(tmp_path):
     kinds = {item["name"]: item["kind"] for item in found}
     assert kinds == {
         "beam-bending": "run",
+        "driven-joint": "run",
+        "driven-joint-bushing": "run",
         "fin-modulation": "run",
         "fin-params": "sweep",
         "fin-step": "run",

@@ -15,11 +15,15 @@ from labrun.spec.named import load_named
 SMALLER = {
     "hinge": ("run.conditions=[{release=20},{release=45}]", "trial.repeats=4"),
     "fin-step": ("trial.repeats=4", "trial.duration_s=16"),
+    "driven-joint": ("trial.repeats=4",),
+    "driven-joint-bushing": ("trial.repeats=4",),
     "tail-sweep": ("sweep.axes={alpha=[20,50],f=[0.6,1.4]}", "leaders={count=1,repeats=2}"),
 }
 STRONG = {
     "hinge": "coulomb-friction@hinge:torque=4e-4",
     "fin-step": "cross-talk@torque_x:share=-0.3",
+    "driven-joint": "coulomb-friction@hinge:torque=5e-3",
+    "driven-joint-bushing": "tilt=0.05",
     "tail-sweep": "lag@torque_z:time_constant=0.05",
 }
 AGREES = 0.45

@@ -31,6 +31,8 @@ NAMES = (
     "force-control",
     "tail-sweep",
     "beam-bending",
+    "driven-joint",
+    "driven-joint-bushing",
 )
 
 

@@ -12,6 +12,8 @@ from labrun.gap.diagnosis import Diagnosis
 from .benches import CONDITIONS, TRUE, dry_friction, pendulum, recorded
 
 QUICK = Options(places=False)
+LEVELS = ("end-stop", "saturation", "rate-limit")
+"""Effects that vanish at infinity."""
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +63,7 @@ def test_bounds_of_what_cannot_be_negative_begin_at_zero(with_friction: Diagnosi
         (name.effect, key): (one.low, one.high)
         for name, bounds in ruled_out.items()
         for key, one in bounds.items()
+        if name.effect not in LEVELS
     }
     assert ends
     for (effect, _), (low, high) in ends.items():
@@ -68,6 +71,43 @@ def test_bounds_of_what_cannot_be_negative_begin_at_zero(with_friction: Diagnosi
         if effect in ("quadratic-drag", "presliding-friction", "hysteresis", "delay", "lag", "dead-band"):
             assert low == 0.0
     assert any(low < 0.0 for low, _ in ends.values())  # a force or an offset has two sides
+
+
+def test_levels_that_are_ruled_out_are_bounded_from_below_near_the_peak_of_the_signal(
+    with_friction: Diagnosis,
+) -> None:
+    bounds = {one.name: one.upper_bound for one in with_friction.candidates if one.verdict == "ruled-out"}
+    found = {
+        (str(name), key): one
+        for name, of_one in bounds.items()
+        for key, one in of_one.items()
+        if name.effect in LEVELS
+    }
+    torque = max(amplitude for amplitude, _ in CONDITIONS)
+    steepest = max(2 * np.pi * frequency * amplitude for amplitude, frequency in CONDITIONS)
+    angle = max(float(np.max(np.abs(one.outputs))) for one in recorded(dry_friction(0.006)).trials)
+    for key, peak in {
+        ("saturation at torque", "level"): torque,
+        ("rate-limit at torque", "rate"): steepest,
+        ("saturation at angle", "level"): angle,
+        ("end-stop at hinge", "upper"): angle,
+    }.items():
+        one = found[key]
+        assert 0.85 * peak < one.value <= 1.05 * peak
+        assert one.low == one.value < one.high
+    lower = found["end-stop at hinge", "lower"]
+    assert lower.low < lower.high == lower.value < -0.85 * angle
+
+
+def test_a_signal_cut_below_the_bound_of_its_level_would_have_been_found() -> None:
+    whole = diagnose_dataset(recorded(), pendulum(), QUICK)
+    saturation = next(one for one in whole.candidates if str(one.name) == "saturation at angle")
+    assert saturation.verdict == "ruled-out"
+    level = 0.97 * saturation.upper_bound["level"].value
+    cut = recorded(seen=lambda angle: np.clip(angle, -level, level))
+    (cause,) = diagnose_dataset(cut, pendulum(), QUICK).causes
+    assert str(cause.name) == "saturation at angle"
+    assert cause.values["level"].value == pytest.approx(level, rel=0.02)
 
 
 def test_the_answer_for_scripts_is_plain_json_without_nan(with_friction: Diagnosis) -> None:

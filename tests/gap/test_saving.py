@@ -1,11 +1,14 @@
 """The corrected model is a model: a second diagnosis finds nothing left, and a dry run swings like the bench."""
 
+from dataclasses import replace
+
 import pytest
 
 from labrun.errors import RequestError
 from labrun.gap.diagnose import Options, diagnose
 from labrun.gap.saving import save_model
 from labrun.models import load_model
+from labrun.report.gap_store import StoredDiagnosis
 from labrun.runner.progress import SilentProgress
 from labrun.search.execute import execute
 from labrun.spec.named import load_named
@@ -73,3 +76,22 @@ def test_a_file_that_is_there_is_not_overwritten(bench):
     _, _, diagnosis, model = bench
     with pytest.raises(RequestError, match="there already"):
         save_model(diagnosis, "hinge-pendulum", model)
+
+
+def test_parameters_that_only_imitate_what_is_missing_are_not_called_a_correction(bench, tmp_path):
+    _, _, diagnosis, _ = bench
+    unknown = replace(diagnosis, verdict="not-in-library", causes=(), effects=())
+    save_model(unknown, "hinge-pendulum", tmp_path / "saved.toml")
+    text = (tmp_path / "saved.toml").read_text()
+    assert text.startswith("# Recalibrated only: the cause is not in the library.")
+    assert "orrected by a diagnosis" not in text
+    assert "do not rely on them elsewhere" in text
+    assert load_model(tmp_path / "saved.toml").effects == ()
+
+
+def test_a_model_saved_without_a_cause_comes_with_a_warning(bench, tmp_path):
+    _, _, diagnosis, model = bench
+    stored = StoredDiagnosis(replace(diagnosis, verdict="not-in-library"), tmp_path / "d.json", model=model)
+    assert "recalibrated only: the cause is not in the library" in stored.warning
+    assert StoredDiagnosis(diagnosis, tmp_path / "d.json", model=model).warning == ""
+    assert replace(stored, model=None).warning == ""

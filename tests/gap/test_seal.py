@@ -110,6 +110,19 @@ def test_reveal_tells_what_was_hidden_and_that_nobody_had_looked(copy_of):
     assert "never before" in found.to_text()
 
 
+def test_a_parameter_can_be_hidden_and_nothing_readable_tells_of_it(tmp_path):
+    run = dry_run(tmp_path, ["stiffness=0.0173205"])
+    assert b"0.01732" not in everything_readable(run)
+    found = reveal(run)
+    (one,) = found.hidden
+    assert (one.kind, one.effect, one.values) == ("parameter", "stiffness", {"stiffness": 0.0173205})
+    assert "hidden    parameter stiffness = 0.01732 N m/rad" in found.to_text()
+    plain = dry_run(tmp_path / "plain", ["none"])
+    bent, straight = (_angles(open_run(one))[0] for one in (run, plain))
+    count = min(len(bent), len(straight))
+    assert np.abs(bent[:count] - straight[:count]).max() > 0.05
+
+
 def test_a_second_look_tells_of_the_first(copy_of):
     reveal(copy_of)
     again = reveal(copy_of)
@@ -279,6 +292,9 @@ def test_a_hidden_effect_is_one_of_the_library_at_a_site_of_the_model(tmp_path):
         (["coulomb-friction@angle"], "sits at joint sites"),
         (["delay@hinge"], "not at a joint site"),
         (["random", "none"], "stands alone"),
+        (["stifness=0.02"], "did you mean 'stiffness'"),
+        (["stiffness=soft"], "not name=number"),
+        (["stiffness=0.02", "none"], "stands alone"),
     ],
 )
 def test_what_cannot_be_hidden_is_refused_before_anything_runs(tmp_path, hide, said):

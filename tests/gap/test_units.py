@@ -42,3 +42,12 @@ def test_trials_with_another_course_of_the_input_stay_apart():
     first, second, third = dataset.trials
     louder = replace(second, inputs=1.1 * second.inputs)
     assert len(gather(replace(dataset, trials=(first, louder, third)), pendulum()).units) == 3
+
+
+def test_repeats_that_seem_to_begin_elsewhere_are_one_unit_where_the_model_says_how_all_begin():
+    dataset = recorded(conditions=CONDITIONS[:1])
+    first, *others = dataset.trials
+    jolted = first.outputs.copy()
+    jolted[:3] += 1.0
+    (unit,) = gather(replace(dataset, trials=(replace(first, outputs=jolted), *others)), pendulum()).units
+    assert unit.count == 3

@@ -57,7 +57,9 @@ def test_a_wrong_parameter_is_a_verdict_of_its_own():
 
 
 def test_a_wrong_parameter_that_leaves_a_plain_gap_is_a_part_of_the_answer_only():
-    found = findings(sizes=(90.0, 56.0, 6.6, 0.14), share=(0.99, 0.9, 1.0), effects=0, parameters=1, remains=True)
+    found = findings(
+        sizes=(90.0, 56.0, 6.6, 0.14), share=(0.99, 0.9, 1.0), effects=0, parameters=1, remains=True
+    )
     assert verdict(found) == "partly-explained"
 
 

@@ -1,8 +1,10 @@
+import numpy as np
 import pytest
 from equations import FOLLOWER, OSCILLATOR, PENDULUM
 
+from labrun.effects import load_effect
 from labrun.errors import ModelError
-from labrun.models import Site, load_model, parse_model
+from labrun.models import Site, load_model, parse_model, simulate
 
 
 def test_everything_a_file_says_is_in_the_model():
@@ -18,6 +20,19 @@ def test_everything_a_file_says_is_in_the_model():
     assert [(one.name, one.kind) for one in model.places][1:] == [
         ("torque", "input"), ("angle", "output"), ("torque", "output"), ("spring", "output"),
     ]  # fmt: skip
+
+
+def test_a_spring_that_a_condition_exchanges_is_an_expression():
+    text = OSCILLATOR.replace('stiffness = "stiffness"', 'stiffness = "stiffness*strip_mm/25"')
+    model = parse_model(text, "oscillator.toml")
+    assert model.conditions == ("strip_mm",)
+    offset = load_effect("rest-offset").attach("hinge", offset=0.1)
+    time_s, still = np.linspace(0.0, 1.0, 11), np.zeros((11, 1))
+    narrow, wide = (
+        simulate(model, time_s, still, condition={"strip_mm": width}, effects=[offset], initial_state=[0, 0])
+        for width in (12.5, 25.0)
+    )
+    assert narrow.outputs[1, 0] == pytest.approx(0.5 * wide.outputs[1, 0], rel=1e-2)
 
 
 def test_names_that_are_nothing_else_are_conditions():

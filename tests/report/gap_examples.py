@@ -126,7 +126,7 @@ OTHERS = (
     Candidate(
         Name("end-stop", "hinge"), "not-visible", None, 0.0, remark="the motion never comes near a stop"
     ),
-    ruled_out("saturation", "angle", 0.0, 0.02, level=Estimate(0.9, 0.88, float("inf"), "rad")),
+    ruled_out("saturation", "angle", 0.0, 0.02, level=Estimate(0.88, 0.88, 1.3, "rad")),
     ruled_out("lag", "angle", 0.03, 0.1, time=bound(0.0008, "s")),
     ruled_out("delay", "angle", 0.03, 0.1, time=bound(0.0007, "s")),
     ruled_out("bias", "angle", 0.01, 0.1, bias=Estimate(0.0, -0.0004, 0.0005, "rad")),

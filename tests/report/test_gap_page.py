@@ -74,6 +74,12 @@ def test_of_what_is_ruled_out_the_room_that_is_left_is_told(pages):
     assert "level at least 0.88 rad" in words
 
 
+def test_how_many_conditions_are_drawn_is_told_and_what_makes_it_worse(pages):
+    words = words_of(pages["explained"])
+    assert "Where they differ most (3 of 5 conditions)" in words
+    assert "makes it worse" in words
+
+
 def test_one_condition_claims_no_check_on_unseen_data(pages):
     words = words_of(pages["single-condition"])
     assert "never saw" not in words

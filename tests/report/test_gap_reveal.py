@@ -18,6 +18,14 @@ TRUTH = {
     "units": {"torque": "N m"},
 }
 
+INERTIA = {
+    "effect": "inertia",
+    "site": "inertia",
+    "kind": "parameter",
+    "values": {"inertia": 5.1e-5},
+    "units": {"inertia": "kg m^2"},
+}
+
 
 def run_hiding(folder, *hidden, says):
     folder.mkdir()
@@ -34,6 +42,9 @@ def run_hiding(folder, *hidden, says):
         ([TRUTH], examples.no_gap, "missed"),
         ([TRUTH], examples.parameter, "missed"),
         ([TRUTH], examples.not_in_library, "missed"),
+        ([INERTIA], examples.parameter, "right"),
+        ([INERTIA], examples.explained, "wrong"),
+        ([INERTIA], examples.no_gap, "missed"),
         ([], examples.explained, "false alarm"),
         ([], examples.no_gap, "right"),
         ([], examples.parameter, "right"),

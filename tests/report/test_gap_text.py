@@ -55,6 +55,21 @@ def test_a_part_that_holds_more_than_all_since_others_are_below_the_noise_holds_
     assert "where    100 %  at frequencies of 2 to 4 Hz (p = 0.005)" in lines
 
 
+def test_where_the_signal_is_says_nothing_about_the_gap():
+    diagnosis = examples.explained()
+    swing = replace(diagnosis.where[0], part=0.95)
+    text = "\n".join(lines_of(replace(diagnosis, where=(swing, *diagnosis.where[1:])), 120))
+    assert "where    44 %  at release 10 (p = 0.005)" in text
+    assert "2 to 4 Hz" not in text
+
+
+def test_a_part_is_told_where_its_p_is_the_least_that_few_draws_allow():
+    diagnosis = examples.explained()
+    first = replace(diagnosis.where[0], p=0.05)
+    text = "\n".join(lines_of(replace(diagnosis, where=(first, *diagnosis.where[1:])), 120))
+    assert "91 %  at frequencies of 2 to 4 Hz (p = 0.05)" in text
+
+
 def test_without_a_gap_no_place_is_blamed():
     assert not any(line.startswith("where") for line in lines_of(examples.no_gap(), 120))
 

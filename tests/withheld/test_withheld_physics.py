@@ -99,7 +99,9 @@ def test_a_stage_under_a_constant_force_reaches_its_terminal_speed() -> None:
     assert np.max(np.abs(speed - expected)) < 1e-8
 
 
-@pytest.mark.parametrize("effect", ["coulomb-friction", "end-stop", "added-inertia", "viscoelastic-creep"])
+@pytest.mark.parametrize(
+    "effect", ["coulomb-friction", "asymmetric-friction", "end-stop", "added-inertia", "viscoelastic-creep"]
+)
 def test_what_is_hidden_is_integrated_as_scipy_does_with_tighter_tolerance(effect: str) -> None:
     plant = drawn(
         HingeDrive, lambda one: one.inputs[0].between == "hold" and one.parameters[0].tolerance == 0.0

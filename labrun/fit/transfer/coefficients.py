@@ -145,7 +145,7 @@ class _Reader:
         return str(table[key])
 
     def _wrong(self, key: str, message: str, hint: str | None = None) -> RequestError:
-        from labrun.spec.positions import locate
+        from labrun.toml_positions import locate
 
         at = locate(self._text).of_key((*self._path, key))
         return RequestError(f"{self._name}:{at.line}:{at.column}: {key} {message}", hint=hint)

@@ -155,7 +155,7 @@ def _for_recording(
     notes = [
         "The recording does not say what its rig allows: every input stays within the range it was recorded in; "
         "check speeds and resets yourself. The time is that of recording alone.",
-        *_by_hand(bench.set_by_hand, found.trials),
+        *_by_hand(bench.set_by_hand, found.trials, question.dataset),
     ]
     time_s = sum(trial.cost_s for trial in found.trials)
     file = None
@@ -189,7 +189,7 @@ def _for_run(
     bench = RunBench.of(run, dataset, question.model, signals, REPEATS)
     note("looking what the rig allows")
     found = design(search, dataset, bench.pool(rng), note)
-    notes = _by_hand(bench.set_by_hand, found.trials)
+    notes = _by_hand(bench.set_by_hand, found.trials, dataset)
     if bench.stands_in:
         names = ", ".join(bench.stands_in)
         notes.append(f"The commanded motion was taken for what {names} will measure.")
@@ -242,9 +242,15 @@ def _remarks(found: Design, time_s: float) -> list[str]:
     return [*lines, *(f"  {line}" for line in told(_outlook(found)))]
 
 
-def _by_hand(names: Sequence[str], trials: Sequence[PlannedTrial]) -> list[str]:
-    used = [name for name in names if len({trial.condition.get(name) for trial in trials}) > 0 and trials]
-    return [f"Somebody at the bench sets {name}: no motion does." for name in used]
+def _by_hand(names: Sequence[str], trials: Sequence[PlannedTrial], dataset: "Dataset") -> list[str]:
+    """Return a sentence on what changes that no motion changes."""
+    every = [*(one.condition for one in dataset.trials), *(one.condition for one in trials)]
+    changed = [name for name in names if trials and len({one.get(name) for one in every}) > 1]
+    if not changed:
+        return []
+    *most, last = sorted(changed)
+    listed = f"{', '.join(most)} and {last}" if most else last
+    return [f"Somebody at the bench sets {listed}, which takes its own time: no motion does."]
 
 
 def _model_name(model: str | Path, file: Path) -> str:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-_MOST = 4
+_MOST = 6
 NOTHING = "recalibration only"
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from labrun.errors import LabrunError, RequestError
 from labrun.fit.run_dataset import COMMAND
 from labrun.gap.next.trials import PlannedTrial
-from labrun.gap.next.values import beyond, by_hand, reach
+from labrun.gap.next.values import beyond, by_hand, reach, rounded
 from labrun.spec.expression import evaluate, names_in
 from labrun.spec.loading import loads_experiment, resolved
 from labrun.store.recording import condition_label
@@ -28,6 +28,11 @@ Condition = Mapping[str, float | str]
 
 _MOST = 60
 _BASES = 4
+_GENTLY = 0.25
+_BY_HAND_S = 60.0
+"""What a change by hand counts for when trials are chosen (chosen; the rig time that is told is without it)."""
+_UNSIGNED = ("Hz", "s")
+"""Units of what is never below zero: a sine of negative frequency is one that begins the other way, and reads oddly."""
 _FROM_ZERO_DEG = (5.0, -5.0, 15.0, -15.0)
 _FREED = {"frequency_hz": "Hz", "amplitude_deg": "deg", "offset_deg": "deg"}
 """Keys of a sine that an experiment may hold constant, and that the next one may vary."""
@@ -133,7 +138,7 @@ class RunBench:
                     condition,
                     time_s,
                     inputs,
-                    self.time_s(plan),
+                    self.time_s(plan) + plan.trials * _BY_HAND_S * self._changes(condition),
                     reach=self._reach(condition),
                 )
             )
@@ -176,7 +181,7 @@ class RunBench:
         options: dict[str, list[float]] = {}
         for name in (*by_motion, *self.set_by_hand):
             values = sorted({float(one[name]) for one in self.measured})
-            for base in bases:
+            for base in (*bases, *_gentler(bases, by_motion, name)):
                 if name in by_motion:
 
                     def allowed(value: float, name: str = name, base: Condition = base) -> bool:
@@ -194,6 +199,14 @@ class RunBench:
         fresh = [one for one in every if one not in self.measured and self._allowed(planner, one)]
         return fresh[:_MOST]
 
+    def _changes(self, condition: Condition) -> int:
+        """Return how many numbers somebody has to set otherwise than in any trial so far."""
+        return sum(
+            condition[name] not in [one[name] for one in self.measured if name in one]
+            for name in self.set_by_hand
+            if name in condition
+        )
+
     def _reach(self, condition: Condition) -> float:
         """Return how far the numbers of a condition go beyond the measured ones."""
         found = 1.0
@@ -205,6 +218,10 @@ class RunBench:
         return found
 
     def _allowed(self, planner: Any, condition: Condition) -> bool:
+        units = self.tree.get("units", {})
+        if any(units.get(name) in _UNSIGNED and not isinstance(one, str) and one < 0
+               for name, one in condition.items()):  # fmt: skip
+            return False
         try:
             return self._wanted(condition) and not planner.excess_of(condition)
         except LabrunError:  # no motion comes of it
@@ -284,6 +301,19 @@ def _distinct(conditions: Sequence[Condition]) -> list[dict[str, float | str]]:
         if dict(one) not in found:
             found.append(dict(one))
     return found
+
+
+def _gentler(
+    bases: Sequence[dict[str, float | str]], by_motion: Sequence[str], name: str
+) -> list[dict[str, float | str]]:
+    """Return a base with less of another number: how far one may go depends on that, as speed does on amplitude."""
+    if name not in by_motion:
+        return []
+    return [
+        {**bases[-1], other: rounded(_GENTLY * float(bases[-1][other]))}
+        for other in by_motion
+        if other != name and bases[-1][other]
+    ]
 
 
 def _spread(items: list[dict[str, float | str]], most: int) -> list[dict[str, float | str]]:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from labrun.fit.descent import minimise
 from labrun.gap.absorption import basis
 from labrun.gap.next.trials import PlannedTrial, beginnings, joined, units_of
-from labrun.gap.selection import FORM_SLACK
 
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset
@@ -22,6 +21,8 @@ _CLEAR = 3.0
 """Log likelihood between two explanations at which the weaker one's weight falls below a twentieth."""
 _EACH_VARIABLE = 3.0
 """What a further variable must earn, as in the rating of candidates."""
+_FORM_SLACK = (0.006, 0.02)
+"""Part of a gain that the idealised form of a true effect may lack, as a diagnosis has it."""
 _TOLERANCE = 1e-5
 _EVALUATIONS = 40
 
@@ -41,12 +42,15 @@ class Evidence:
     price
         Log likelihood that the truth has to earn first, for having more variables than its rival; negative if it has
         fewer.
+    slack
+        Part of the gain that the truth's idealised form may lack, see `slack`.
     """
 
     squares: float
     gain: float
     dispersion: float
     price: float
+    slack: float = _FORM_SLACK[1]
 
     @property
     def log_likelihood(self) -> float:
@@ -64,8 +68,16 @@ class Evidence:
 
         Forms of effects are idealised: the more an effect shows, the larger the difference that counts.
         """
-        softness = max(1.0, FORM_SLACK * 0.5 * self.gain / self.dispersion / 3.0)
+        softness = max(1.0, self.slack * 0.5 * self.gain / self.dispersion / 3.0)
         return (self.log_likelihood - self.price) / (_CLEAR * softness)
+
+
+def slack(truth: "Rival", null: "Rival") -> float:
+    """Return how far the form of an explanation is to be believed: as much as it leaves of what it is to explain."""
+    gain = null.squares - truth.squares
+    rows = sum(part.size for part in truth.problem.residuals(truth.z))
+    left = max(truth.squares - rows, 0.0) / gain if gain > 0 else 1.0
+    return float(np.clip(left, *_FORM_SLACK))
 
 
 def price(truth: "Rival", other: "Rival") -> float:
@@ -101,6 +113,7 @@ class Separation:
         self.predicted: dict[int, list[FloatArray]] = {
             id(one): [found for k in usable if (found := outputs[id(one)][k]) is not None] for one in everyone
         }
+        self._slack = {id(one): slack(one, rivals.null) for one in everyone}
         self._information = {id(one): information(one) for one in everyone}
         self._slopes: dict[int, tuple[list[FloatArray], list[FloatArray]]] = {}
         self._units = {
@@ -128,7 +141,9 @@ class Separation:
             more = self._squares(truth, null, chosen) if shows else 0.0
             gain = max(null.squares - truth.squares, 0.0) + more if shows else 0.0
             squares = self._squares(truth, other, chosen)
-            found.append(Evidence(squares, gain, self.rivals.dispersion, price(truth, other)))
+            found.append(
+                Evidence(squares, gain, self.rivals.dispersion, price(truth, other), self._slack[id(truth)])
+            )
         return found
 
     def doubt(self, index: int) -> float:
@@ -195,16 +210,14 @@ def rehearse(
 ) -> list[Evidence]:
     """Return what old and new trials together would say, pair by pair, with every rival really fitted to the other."""
     found = []
+    gains = {id(rivals.null): 0.0}
     for truth, other in rivals.pairs:
-        squares = fitted_squares(truth, other, dataset, trials, repeats)
-        gain = 0.0
-        if truth is not rivals.null:
-            gain = (
-                squares
-                if other is rivals.null
-                else fitted_squares(truth, rivals.null, dataset, trials, repeats)
-            )
-        found.append(Evidence(squares, gain, rivals.dispersion, price(truth, other)))
+        if id(truth) not in gains:
+            gains[id(truth)] = fitted_squares(truth, rivals.null, dataset, trials, repeats)
+        null = other is rivals.null
+        squares = gains[id(truth)] if null else fitted_squares(truth, other, dataset, trials, repeats)
+        believed = slack(truth, rivals.null)
+        found.append(Evidence(squares, gains[id(truth)], rivals.dispersion, price(truth, other), believed))
     return found
 
 

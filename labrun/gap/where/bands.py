@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.gap.numbers import significant
 from labrun.gap.where.cycle import Cycle
 from labrun.gap.where.parts import Layout, Part
 from labrun.gap.where.pooling import Piece
@@ -148,8 +149,8 @@ def _mask(spectra: Spectra, piece: Piece, begin: float, end: float) -> NDArray[n
 
 
 def _hz(value: float) -> str:
-    return f"{value:.2g} Hz"
+    return f"{significant(value)} Hz"
 
 
 def _span(low: float, high: float) -> str:
-    return f"{low:.2g} to {high:.2g} Hz"
+    return f"{significant(low)} to {significant(high)} Hz"

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from labrun.gap.diagnosis import Place
 from labrun.gap.where.difference import Difference
+from labrun.gap.where.kinematics import defined
 from labrun.gap.where.linearised import Linearised, linearised
 from labrun.gap.where.significance import redrawn
 from labrun.gap.where.wording import plain
@@ -67,6 +68,8 @@ def equation_places(
 ) -> list[Place]:
     """Return one place per state equation, and one per output, that a random disturbance may act on.
 
+    An equation that only says which state is the rate of which lacks nothing, and is left out.
+
     The model is linearised along its recalibrated trajectories, and the residual filtered by a Kalman filter with
     white noise of unknown intensity on one equation at a time; the likelihood says where it is needed (Kristensen,
     Madsen and Jorgensen, Automatica 40 (2004) 225, the idea of CTSM). An error of the output itself, autocorrelated,
@@ -96,8 +99,9 @@ def equation_places(
     )
     rivals = _rivals(difference, system)
     gains, kept = [], []
+    none = _undisturbed(rivals[0][1][0], system, r, series)
     everything = each(
-        lambda one: _fit(one, system, r, series), [one for _, several in rivals for one in several]
+        lambda one: _fit(one, system, r, series, none), [one for _, several in rivals for one in several]
     )
     for _, several in rivals:
         fits, everything = everything[: len(several)], everything[len(several) :]
@@ -140,7 +144,10 @@ def _rivals(difference: Difference, system: Linearised) -> list[tuple[str, list[
     model, size = difference.model, len(difference.model.states)
     still = np.diag(np.square(system.begin_sd))
     found = []
+    by_definition = defined(difference)
     for state, name in enumerate(model.states):
+        if state in by_definition:
+            continue
         ends = [np.broadcast_to(np.eye(size)[state], system.c.shape[::2]), system.half[:, :, state]]
         ends.append(system.whole[:, :, state])
         products = [one[:, :, None] * one[:, None, :] for one in ends]
@@ -176,36 +183,47 @@ def _output_error(system: Linearised, column: int, name: str, correlation_s: flo
     )
 
 
-def _fit(one: _Disturbed, system: Linearised, r: FloatArray, series: FloatArray) -> _Fit:
-    from labrun.gap.where.kalman import disturbed, spread_of
+def _undisturbed(one: _Disturbed, system: Linearised, r: FloatArray, series: FloatArray) -> FloatArray:
+    """Return the log-likelihood of each series without any disturbance, whichever it would be."""
+    return _filtered(one, 0.0, system, r, series)[0]
+
+
+def _filtered(
+    one: _Disturbed, intensity: float, system: Linearised, r: FloatArray, series: FloatArray
+) -> tuple[FloatArray, float]:
+    """Return the log-likelihood of each series, and the most that any series whatever could have."""
+    from labrun.gap.where.kalman import disturbed
+
+    gains = np.empty((*r.shape, one.c.shape[2]))
+    variances, innovations, likelihood = np.empty(r.shape), np.empty(series.shape), np.empty(series.shape[2])
+    disturbed(
+        one.phi, one.q, system.begin, one.c, r, one.start, one.still, intensity, series,
+        gains, variances, innovations, likelihood,
+    )  # fmt: skip
+    return likelihood, -0.5 * float(np.sum(np.log(variances)))
+
+
+def _fit(one: _Disturbed, system: Linearised, r: FloatArray, series: FloatArray, none: FloatArray) -> _Fit:
+    from labrun.gap.where.kalman import spread_of
 
     variance = np.empty(len(r))
     spread_of(one.phi, one.q, system.begin, one.c, one.start, variance)
     finite = variance[np.isfinite(variance)]
     size = float(np.median(finite)) if finite.size else 0.0
-    many = series.shape[2]
-    best, intensity = np.zeros(many), 0.0
+    best, intensity = np.zeros(series.shape[2]), 0.0
     if size <= 0.0:
         return _Fit(best, intensity)
-    gains = np.empty((*r.shape, one.c.shape[2]))
-    variances, innovations = np.empty(r.shape), np.empty(series.shape)
-    none = np.empty(many)
-    disturbed(
-        one.phi, one.q, system.begin, one.c, r, one.start, one.still, 0.0, series,
-        gains, variances, innovations, none,
-    )  # fmt: skip
     top = 0.0
     for round_ in (_SIZES / size, None):
         # the second round lies around the best of the first
         for wanted in round_ if round_ is not None else [top * factor for factor in _BETWEEN if top > 0]:
-            likelihood = np.empty(many)
-            disturbed(
-                one.phi, one.q, system.begin, one.c, r, one.start, one.still, wanted, series,
-                gains, variances, innovations, likelihood,
-            )  # fmt: skip
+            likelihood, most = _filtered(one, float(wanted), system, r, series)
             gain = np.where(np.isfinite(likelihood), likelihood - none, -np.inf)
             intensity = float(wanted) if gain[0] > best[0] else intensity
             best = np.maximum(best, gain)
+            # a larger disturbance makes every variance larger, and what any series could reach smaller
+            if np.all(most <= none + best):
+                break
         top = intensity
     return _Fit(best, intensity)
 

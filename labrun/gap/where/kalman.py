@@ -8,6 +8,22 @@ from labrun.models.model import FloatArray
 
 
 @kernel
+def _entries(several: FloatArray, counts: IntArray, places: IntArray) -> None:
+    """Write where the rows of matrices (n, i, k) are not zero in any of them: `counts` (i,), `places` (i, k).
+
+    Equations of motion read few states each, and most of the work is done on zeros otherwise.
+    """
+    for i in range(several.shape[1]):
+        counts[i] = 0
+        for k in range(several.shape[2]):
+            for row in range(several.shape[0]):
+                if several[row, i, k] != 0.0:
+                    places[i, counts[i]] = k
+                    counts[i] += 1
+                    break
+
+
+@kernel
 def disturbed(  # noqa: PLR0912 - a recursion over small matrices, written out
     phi: FloatArray,
     q: FloatArray,
@@ -46,6 +62,10 @@ def disturbed(  # noqa: PLR0912 - a recursion over small matrices, written out
     cov, product = np.zeros((size, size)), np.zeros((size, size))
     state, moved = np.zeros((size, many)), np.zeros((size, many))
     z = np.empty(size)
+    moves, moved_by = np.empty(size, dtype=np.int64), np.empty((size, size), dtype=np.int64)
+    shows, shown_by = np.empty(channels, dtype=np.int64), np.empty((channels, size), dtype=np.int64)
+    _entries(phi, moves, moved_by)
+    _entries(c, shows, shown_by)
     for b in range(many):
         likelihood[b] = 0.0
     for row in range(count):
@@ -58,52 +78,60 @@ def disturbed(  # noqa: PLR0912 - a recursion over small matrices, written out
         else:
             for i in range(size):
                 for j in range(size):
-                    value = 0.0
-                    for k in range(size):
-                        value += phi[row - 1, i, k] * cov[k, j]
-                    product[i, j] = value
+                    product[i, j] = 0.0
+                for place in range(moves[i]):
+                    k = moved_by[i, place]
+                    factor = phi[row - 1, i, k]
+                    for j in range(size):
+                        product[i, j] += factor * cov[k, j]
             for i in range(size):
                 for j in range(i + 1):
                     value = intensity * q[row - 1, i, j]
-                    for k in range(size):
+                    for place in range(moves[j]):
+                        k = moved_by[j, place]
                         value += product[i, k] * phi[row - 1, j, k]
                     cov[i, j] = value
                     cov[j, i] = value
             for i in range(size):
                 for b in range(many):
                     moved[i, b] = 0.0
-                for k in range(size):
+                for place in range(moves[i]):
+                    k = moved_by[i, place]
                     factor = phi[row - 1, i, k]
                     for b in range(many):
                         moved[i, b] += factor * state[k, b]
-            for i in range(size):
-                for b in range(many):
-                    state[i, b] = moved[i, b]
+            state, moved = moved, state
         for j in range(channels):
-            variance = r[row, j]
             for i in range(size):
-                value = 0.0
-                for k in range(size):
-                    value += cov[i, k] * c[row, j, k]
-                z[i] = value
-            for k in range(size):
-                variance += c[row, j, k] * z[k]
-            variances[row, j] = variance
+                z[i] = 0.0
+            for place in range(shows[j]):
+                k = shown_by[j, place]
+                factor = c[row, j, k]
+                for i in range(size):
+                    z[i] += factor * cov[k, i]
+            variance = r[row, j]
             for b in range(many):
                 innovations[row, j, b] = series[row, j, b]
-            for k in range(size):
-                gains[row, j, k] = z[k] / variance
+            for place in range(shows[j]):
+                k = shown_by[j, place]
+                factor = c[row, j, k]
+                variance += factor * z[k]
                 for b in range(many):
-                    innovations[row, j, b] -= c[row, j, k] * state[k, b]
+                    innovations[row, j, b] -= factor * state[k, b]
+            variances[row, j] = variance
             logarithm = np.log(variance)
             for b in range(many):
                 v = innovations[row, j, b]
                 likelihood[b] -= 0.5 * (logarithm + v * v / variance)
             for i in range(size):
+                gain = z[i] / variance
+                gains[row, j, i] = gain
+                if gain == 0.0:
+                    continue
                 for b in range(many):
-                    state[i, b] += gains[row, j, i] * innovations[row, j, b]
+                    state[i, b] += gain * innovations[row, j, b]
                 for k in range(size):
-                    cov[i, k] -= z[i] * z[k] / variance
+                    cov[i, k] -= gain * z[k]
 
 
 @kernel

@@ -20,7 +20,6 @@ from labrun.models.mjcf.states import States, read_states
 from labrun.models.model import Input, Output, Parameter, Site
 from labrun.models.names import conditions_of, only_in_loads, places_of, refuse_unused
 from labrun.models.problems import Key
-from labrun.models.spans import KeyPath
 from labrun.models.tables import (
     read_initial,
     read_inputs,
@@ -28,6 +27,7 @@ from labrun.models.tables import (
     read_parameters,
     read_site_quantities,
 )
+from labrun.toml_positions import KeyPath
 
 if TYPE_CHECKING:
     import mujoco

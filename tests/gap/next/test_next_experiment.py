@@ -108,7 +108,7 @@ speed = 0.0
 PAIRS = {
     "delay or lag": (
         Bench(
-            DRIVEN, ("lag", "input", "torque", {"time_constant": 0.06}),
+            DRIVEN, ("lag", "input", "torque", {"time_constant": 0.04}),
             tuple(({"f": f}, sine(5.0, f)) for f in (0.3, 0.5)), noise=0.02,
         ),
         "lag at torque", {"delay at torque", "delay at angle"},

@@ -10,11 +10,18 @@ from labrun import registry
 
 BENCHES = {
     "hinge-bench": "hinge",
+    "driven-joint": "angle",
     "caudal-tank": "torque_y",
     "fire-tank": "torque_z",
     "spm-stabiliser": "theta_1",
 }
-DRIVEN = {"hinge-bench": "hinge", "caudal-tank": "tail", "fire-tank": "tail", "spm-stabiliser": "servo_1"}
+DRIVEN = {
+    "hinge-bench": "hinge",
+    "driven-joint": "base",
+    "caudal-tank": "tail",
+    "fire-tank": "tail",
+    "spm-stabiliser": "servo_1",
+}
 
 
 def bench(name, hide=(), *, as_modelled=True, **more):

@@ -22,6 +22,7 @@ SCENES = {
             {"effect": "labrun.effects.lag:EFFECT", "site": "torque_z", "values": {"time_constant": 0.05}}
         ]
     },
+    "driven-joint": {"hide": [{"effect": "labrun.effects.lag:EFFECT", "site": "horn"}]},
     "spm-stabiliser": {"hide": [{"effect": "labrun.effects.coulomb_friction:EFFECT", "site": "axis_1"}]},
 }
 

@@ -154,15 +154,18 @@ class Bench:
             self._began = True
 
     def _with_errors(self, model: Model) -> Model:
-        """Return the model with the parameter errors that the settings ask for."""
+        """Return the model with the parameter errors and values that the settings ask for."""
         values = dict(zip((one.name for one in model.parameters), model.values.tolist(), strict=True))
+        for key in ("parameters", "true_parameters"):
+            for name in getattr(self._settings, key):
+                if name not in values:
+                    raise SpecError(
+                        f"rig.scene.{key}: this bench has no parameter {name!r}",
+                        hint=f"it has {', '.join(values)}",
+                    )
         for name, error in self._settings.parameters.items():
-            if name not in values:
-                raise SpecError(
-                    f"rig.scene.parameters: this bench has no parameter {name!r}",
-                    hint=f"it has {', '.join(values)}",
-                )
             values[name] *= 1.0 + error
+        values |= self._settings.true_parameters
         return model.with_values(values)
 
     def _pruned_drives(self) -> dict[str, JointDrive]:

@@ -33,6 +33,8 @@ class BenchSettings(BaseModel):
         Effects that work on the bench, and that nobody tells the model of.
     parameters
         Relative errors: ``{ stiffness = 0.02 }`` makes the bench 2 % stiffer than its documentation says.
+    true_parameters
+        What parameters really are, SI: ``{ tilt = 0.05 }``, where a share of the documented value would be zero.
     noise
         Factor on everything random; 0 makes the bench exactly repeatable.
     as_modelled
@@ -44,6 +46,7 @@ class BenchSettings(BaseModel):
 
     hide: tuple[HiddenEffect, ...] = ()
     parameters: dict[str, float] = {}
+    true_parameters: dict[str, float] = {}
     noise: NonNegativeFloat = 1.0
     as_modelled: bool = False
 

@@ -6,7 +6,7 @@ import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labrun.spec.positions import Position, locate
+from labrun.toml_positions import Position, locate
 
 TEXT = """\
 a = 1
@@ -79,3 +79,20 @@ def test_every_key_that_tomllib_reads_has_a_place(tree):
     for path in _paths(tomllib.loads(text)):
         position = found.keys[path]
         assert 1 <= position.column <= len(lines[position.line - 1]) + 1
+
+
+@given(_TREES)
+def test_the_bytes_of_every_value_read_as_that_value(tree):
+    text = tomli_w.dumps(tree)
+    found = locate(text).spans
+    for path in _paths(tomllib.loads(text)):
+        if path not in found:  # a table with a header of its own
+            continue
+        begin, end = found[path]
+        assert tomllib.loads(f"value = {text.encode()[begin:end].decode()}")["value"] == _at(tree, path)
+
+
+def _at(tree, path):
+    for part in path:
+        tree = tree[part]
+    return tree

@@ -1,13 +1,14 @@
-"""Where in a TOML text each key stands: dotted path to line and column.
+"""Where in a TOML text each key and each value stands: by path, line and column, and the bytes of values.
 
 `tomllib` reads the values and keeps no positions; the syntax tree of tree-sitter gives them.
 """
 
 from collections import defaultdict
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-import tree_sitter_toml
-from tree_sitter import Language, Node, Parser
+if TYPE_CHECKING:
+    from tree_sitter import Node
 
 KeyPath = tuple[str | int, ...]
 """Keys from the top of the file down; an integer is a position in a list."""
@@ -23,18 +24,31 @@ class Position:
 
 @dataclass(slots=True)
 class Positions:
-    """Positions of the keys and of the values of one file."""
+    """Positions of the keys and of the values of one file.
+
+    Attributes
+    ----------
+    keys, values
+        Where each begins; of a table, its header.
+    spans : path -> (begin, end)
+        Bytes of every value, in the text encoded as UTF-8.
+    """
 
     keys: dict[KeyPath, Position] = field(default_factory=dict)
     values: dict[KeyPath, Position] = field(default_factory=dict)
+    spans: dict[KeyPath, tuple[int, int]] = field(default_factory=dict)
 
-    def of_key(self, path: KeyPath) -> Position:
-        """Return where a key stands; where its nearest enclosing table does, if the key itself is absent."""
+    def nearest(self, path: KeyPath) -> Position | None:
+        """Return where a key stands; where its nearest enclosing table does, if the key is absent; None if none is."""
         while path:
             if path in self.keys:
                 return self.keys[path]
             path = path[:-1]
-        return Position(1, 1)
+        return None
+
+    def of_key(self, path: KeyPath) -> Position:
+        """Return where a key, or its nearest enclosing table, stands; the beginning of the file if none is there."""
+        return self.nearest(path) or Position(1, 1)
 
     def of_value(self, path: KeyPath) -> Position:
         """Return where a key's value stands; falls back as `of_key` does."""
@@ -43,8 +57,10 @@ class Positions:
 
 def locate(text: str) -> Positions:
     """Return the positions of every key and value of a TOML text, inline tables and arrays of tables included."""
-    parser = Parser(Language(tree_sitter_toml.language()))
-    tree = parser.parse(text.encode())
+    import tree_sitter_toml
+    from tree_sitter import Language, Parser
+
+    tree = Parser(Language(tree_sitter_toml.language())).parse(text.encode())
     return _Walk(text).document(tree.root_node)
 
 
@@ -56,7 +72,7 @@ class _Walk:
         self._found = Positions()
         self._elements: defaultdict[KeyPath, int] = defaultdict(int)
 
-    def document(self, root: Node) -> Positions:
+    def document(self, root: "Node") -> Positions:
         for node in root.named_children:
             if node.type == "pair":
                 self._pair(node, ())
@@ -64,12 +80,12 @@ class _Walk:
                 self._table(node)
         return self._found
 
-    def _position(self, node: Node) -> Position:
+    def _position(self, node: "Node") -> Position:
         row, column = node.start_point
         # Columns of the tree count bytes; people count characters.
         return Position(row + 1, len(self._lines[row][:column].decode(errors="replace")) + 1)
 
-    def _table(self, node: Node) -> None:
+    def _table(self, node: "Node") -> None:
         head, *body = [child for child in node.named_children if child.type != "comment"]
         path = self._key(head, (), follow_arrays=True)
         if node.type == "table_array_element":
@@ -81,7 +97,7 @@ class _Walk:
             if child.type == "pair":
                 self._pair(child, path)
 
-    def _key(self, node: Node, path: KeyPath, *, follow_arrays: bool = False) -> KeyPath:
+    def _key(self, node: "Node", path: KeyPath, *, follow_arrays: bool = False) -> KeyPath:
         """Extend `path` by a bare, quoted or dotted key, noting where each part stands."""
         if node.type == "dotted_key":
             for child in node.named_children:
@@ -94,13 +110,14 @@ class _Walk:
         self._found.keys.setdefault(path, self._position(node))
         return path
 
-    def _pair(self, node: Node, path: KeyPath) -> None:
+    def _pair(self, node: "Node", path: KeyPath) -> None:
         named = [child for child in node.named_children if child.type != "comment"]
         if len(named) == 2:
             self._value(named[1], self._key(named[0], path))
 
-    def _value(self, node: Node, path: KeyPath) -> None:
+    def _value(self, node: "Node", path: KeyPath) -> None:
         self._found.values[path] = self._position(node)
+        self._found.spans[path] = (node.start_byte, node.end_byte)
         if node.type == "inline_table":
             for child in node.named_children:
                 if child.type == "pair":

@@ -1,0 +1,127 @@
+"""How near a level may lie that is out of reach without its effect: a stop, a saturation, a limited rate."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.gap.diagnosis import Estimate
+from labrun.gap.problem import own_states
+
+if TYPE_CHECKING:
+    from labrun.effects import EffectParameter
+    from labrun.gap.screening import Base, Screened
+
+FloatArray = NDArray[np.float64]
+
+_NORMAL_95 = 1.96
+_CLOSE = 1.03
+"""Levels that differ by less than this factor are as good as one."""
+
+
+def least_levels(
+    screened: "Screened", base: "Base", dispersion: float, units: Mapping[str, str]
+) -> dict[str, Estimate]:
+    """Return the level below which each parameter that is neutral at infinity would have shown (95 %), in SI.
+
+    A level is excluded where the squared residual, with parameters and initial states following linearly, is by more
+    than 1.96^2 dispersions above the least that any level leaves. Parameters that are no levels, such as the stiffness
+    of a stop, stand where the data show the effect least; levels on another side are out of reach.
+
+    Returns
+    -------
+    Mapping
+        By parameter. `value` is the level, the other end of the interval the farthest level that is looked for. None
+        for a parameter of which no level can be excluded.
+    """
+    candidate = screened.candidate
+    if candidate.attached is None or candidate.scale is None:
+        return {}
+    fitted = [one for one in candidate.attached.effect.parameters if not one.held]
+    levels = [place for place, one in enumerate(fitted) if one.neutral is not None and np.isinf(one.neutral)]
+    if not levels:
+        return {}
+    search = _Levels(screened, base, fitted, _NORMAL_95**2 * dispersion)
+    found = {}
+    for place in levels:
+        parameter = fitted[place]
+        level = search.least(place)
+        if level is not None:
+            scale = candidate.scale.of(parameter.quantity)
+            ends = level * scale, _far(parameter) * scale
+            found[parameter.name] = Estimate(ends[0], min(ends), max(ends), units.get(parameter.name, "1"))
+    return found
+
+
+class _Levels:
+    """Levels of one effect, and how much of the data is left unexplained with each; in multiples of what is typical."""
+
+    def __init__(
+        self, screened: "Screened", base: "Base", fitted: "list[EffectParameter]", room: float
+    ) -> None:
+        self._base, self._fitted, self._room = base, fitted, room
+        self._problem = screened.problem
+        self._shared, self._own = base.z[: base.problem.size], own_states(base.problem, base.z)
+        self._before = base.absorption.left(base.residual, base.problem.prior_residual(base.z))
+        self._ended = screened.sizes
+        self._starts = screened.candidate.starts
+
+    def least(self, place: int) -> float | None:
+        """Return the farthest level that the data exclude together with all below it; None if there is none."""
+        far = _far(self._fitted[place])
+        near = min((start[place] for start in self._starts), key=abs)
+        others = self._least_shown(place, near)
+        best, left = far, self._left(others, place, far)
+        ended = float(self._ended[place])
+        if abs(near) < abs(ended) < abs(far):
+            there = self._left(others, place, ended)
+            best, left = (ended, there) if there < left else (best, left)
+        limit = left + self._room
+        if not self._left(others, place, near) > limit:
+            parameter = self._fitted[place]
+            best, near = near, min(parameter.lower, parameter.upper, key=abs)
+            if not self._left(others, place, near) > limit:
+                return None
+        while abs(best) > _CLOSE * abs(near):
+            between = float(np.sign(near) * np.sqrt(near * best))
+            if self._left(others, place, between) > limit:
+                near = between
+            else:
+                best = between
+        return near
+
+    def _least_shown(self, place: int, level: float) -> FloatArray:
+        """Return sizes of all parameters with which the level at `place` changes the data least."""
+        start = next(start for start in self._starts if start[place] == level)
+        sizes = np.array(start, dtype=float)
+        free = []
+        for other, parameter in enumerate(self._fitted):
+            if other == place:
+                continue
+            if parameter.neutral is not None and np.isinf(parameter.neutral):
+                sizes[other] = _far(parameter)
+            else:
+                free.append(other)
+        for other in free:
+            parameter = self._fitted[other]
+            tried = []
+            for value in (sizes[other], parameter.lower, parameter.upper):
+                sizes[other] = value
+                tried.append((self._left(sizes, place, level), value))
+            sizes[other] = min(tried)[1]
+        return sizes
+
+    def _left(self, sizes: FloatArray, place: int, level: float) -> float:
+        """Return the sum of squares that is left with a level, less what recalibration can take."""
+        sizes = sizes.copy()
+        sizes[place] = level
+        z = np.concatenate([self._shared, sizes, self._own])
+        parts = [
+            after - now for after, now in zip(self._problem.residuals(z), self._base.residual, strict=True)
+        ]
+        return float(np.sum(np.square(self._before + self._base.absorption.left(parts))))
+
+
+def _far(parameter: "EffectParameter") -> float:
+    return parameter.upper if parameter.neutral is not None and parameter.neutral > 0 else parameter.lower

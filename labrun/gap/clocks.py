@@ -1,0 +1,160 @@
+"""Clocks that cannot be right: trials whose time jumps, and repeats that were not sampled at one rate."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.errors import RecordingError
+from labrun.fit.dataset import Dataset, FitTrial
+
+FloatArray = NDArray[np.float64]
+
+_LONG = 5.0
+"""A time step this many times as long as the usual one is a jump of the clock, or samples are missing."""
+_FEWEST_STEPS = 20
+"""With fewer, nobody can say which step is the usual one."""
+_SELDOM = 0.02
+"""Where a larger part of the steps is long, a trial was sampled unevenly on purpose."""
+_SHORT = 0.01
+"""Part of a trial's duration up to which a long step shifts little of what comes after it."""
+_APART = 0.005
+"""Part by which the sampling intervals of repeats may differ."""
+_SHOWN = 3
+
+
+@dataclass(frozen=True)
+class Checked:
+    """Trials whose clocks can be believed.
+
+    Attributes
+    ----------
+    limitations, notes
+        What was found, in sentences: what it means for the answer, and every place.
+    """
+
+    dataset: Dataset
+    limitations: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def with_sound_clocks(dataset: Dataset) -> Checked:
+    """Leave out trials in which time jumps, and say where the clocks of repeats disagree.
+
+    A jump is a step of more than five times the trial's median one and more than a hundredth of its duration. Shorter
+    ones are noted. Trials of fewer than 21 samples, and those of which more than a fiftieth of the steps are long, say
+    nothing about their clock.
+
+    Raises
+    ------
+    RecordingError
+        Time jumps in every trial.
+    """
+    kept, jumping, notes, short, uneven = list[FitTrial](), list[str](), list[str](), 0, list[str]()
+    for trial in dataset.trials:
+        usual_s, long = _long_steps(trial)
+        if not len(long):
+            kept.append(trial)
+        elif len(long) > max(1.0, _SELDOM * (len(trial.time_s) - 1)):
+            kept.append(trial)
+            uneven.append(_called(trial))
+        else:
+            steps_s = np.diff(trial.time_s)[long]
+            notes += [
+                f"{_place(trial, int(at))}: time goes on by {step:.3g} s; the usual step is {usual_s:.3g} s"
+                for at, step in zip(long, steps_s, strict=True)
+            ]
+            if np.max(steps_s) > _SHORT * float(trial.time_s[-1] - trial.time_s[0]):
+                jumping.append(f"{_place(trial, int(long[np.argmax(steps_s)]))} ({np.max(steps_s):.3g} s)")
+            else:
+                kept.append(trial)
+                short += 1
+    if not kept:
+        raise RecordingError(
+            f"time jumps in every trial of {dataset.name}: {_listed(jumping)}",
+            hint="if only the clock jumped, mend the times; if samples are missing, make a trial of each part",
+        )
+    limitations = []
+    if jumping:
+        limitations.append(
+            f"{_trials(len(jumping))} left out, because time jumps there: {_listed(jumping)}. If only the clock "
+            "jumped, mend the times; if samples are missing, make a trial of each part."
+        )
+    if short:
+        limitations.append(
+            f"Short holes in the time of {short} trial{'s' * (short > 1)}, see the notes: inputs were taken to run "
+            "straight across them. If the clock jumped there, delays are not to be told."
+        )
+    if uneven:
+        limitations.append(
+            f"Sampled unevenly: {_listed(uneven)}. This was taken to be on purpose; whether their clocks jumped was "
+            "not told."
+        )
+    dataset = replace(dataset, trials=tuple(kept))
+    return Checked(dataset, (*limitations, *_disagreeing(dataset)), tuple(notes))
+
+
+def _disagreeing(dataset: Dataset) -> tuple[str, ...]:
+    """Return a sentence where repeats of a condition were sampled at intervals that differ."""
+    groups: dict[str, list[tuple[FitTrial, float]]] = {}
+    for trial in dataset.trials:
+        interval_s = _interval_s(trial)
+        if interval_s is not None:
+            groups.setdefault(_key(trial.condition), []).append((trial, interval_s))
+    found = []
+    for group in groups.values():
+        for place, (trial, interval_s) in enumerate(group):
+            # of two, nobody can say which is wrong: each is held against the other
+            compared = group if len(group) != 2 else [group[1 - place]]
+            apart = interval_s / float(np.median([one for _, one in compared])) - 1.0
+            if abs(apart) > _APART:
+                found.append(f"{_called(trial)} ({100 * apart:+.1f} %)")
+    if not found:
+        return ()
+    return (
+        f"Repeats were not sampled at one interval: {_listed(found)} beside the others of the condition. If a clock "
+        "runs wrong there, what is said to be ruled out may be wrong, too: correct these times or take the trials out, "
+        "and diagnose again.",
+    )
+
+
+def _long_steps(trial: FitTrial) -> tuple[float, NDArray[np.intp]]:
+    """Return the median step in s and the places of steps that are far longer."""
+    steps_s = np.diff(trial.time_s)
+    if len(steps_s) < _FEWEST_STEPS:
+        return 0.0, np.empty(0, dtype=np.intp)
+    usual_s = float(np.median(steps_s))
+    return usual_s, np.flatnonzero(steps_s > _LONG * usual_s) if usual_s > 0 else np.empty(0, dtype=np.intp)
+
+
+def _interval_s(trial: FitTrial) -> float | None:
+    """Return the mean step without holes, s; None where there are too few to tell."""
+    steps_s = np.diff(trial.time_s)
+    if len(steps_s) < _FEWEST_STEPS or not np.median(steps_s) > 0:
+        return None
+    return float(np.mean(steps_s[steps_s <= _LONG * np.median(steps_s)]))
+
+
+def _key(condition: Mapping[str, float | str]) -> str:
+    return repr(sorted(condition.items()))
+
+
+def _called(trial: FitTrial) -> str:
+    return trial.label if trial.file is None else trial.file.name
+
+
+def _place(trial: FitTrial, step: int) -> str:
+    """Return where a step ends: the line of a file with a header, else the sample."""
+    if trial.file is None:
+        return f"{trial.label}, sample {step + 2}"
+    return f"{trial.file.name}:{step + 3}"
+
+
+def _trials(number: int) -> str:
+    return "1 trial was" if number == 1 else f"{number} trials were"
+
+
+def _listed(items: Sequence[str]) -> str:
+    more = f" and {len(items) - _SHOWN} more" if len(items) > _SHOWN else ""
+    return ", ".join(items[:_SHOWN]) + more

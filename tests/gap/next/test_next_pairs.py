@@ -1,0 +1,86 @@
+"""Four pairs of causes that slow motion cannot tell apart, each settled by the experiment that is proposed for it."""
+
+from dataclasses import dataclass
+
+import pytest
+
+from labrun.gap.diagnose import Options, diagnose
+from labrun.gap.next import propose
+from labrun.runner.plan import plan
+from labrun.runner.progress import SilentProgress
+from labrun.search.execute import execute
+from labrun.spec.loading import load_experiment
+from labrun.spec.named import load_named
+
+SEED = 1
+
+
+@dataclass(frozen=True)
+class Pair:
+    """What a dry run hides, what it is called, and what must be in doubt at first and ruled out at last."""
+
+    experiment: str
+    hide: str
+    truth: str
+    other: str
+
+
+SETTLED = {
+    "a lag, no delay": Pair(
+        "driven-joint", "lag@base:time_constant=0.01", "lag at base", "delay at base"
+    ),
+    "a delay, no lag": Pair(
+        "driven-joint", "delay@base:delay=0.01", "delay at base", "lag at base"
+    ),
+    "a bent strip, no false zero": Pair(
+        "driven-joint", "rest-offset@hinge:offset=0.05", "rest-offset at hinge", "bias at angle"
+    ),
+    "a false zero, no bent strip": Pair(
+        "driven-joint", "bias@angle:offset=0.04", "bias at angle", "rest-offset at hinge"
+    ),
+    "a tilt, no friction that differs": Pair(
+        "driven-joint-bushing", "tilt=0.03", "parameter tilt", "asymmetric-friction at hinge"
+    ),
+    "friction that differs, no tilt": Pair(
+        "driven-joint-bushing", "asymmetric-friction@hinge:torque=2e-3,asymmetry=0.8",
+        "asymmetric-friction at hinge", "parameter tilt",
+    ),
+    "friction that grows with the load": Pair(
+        "driven-joint", "load-dependent-friction@hinge:coefficient=0.5",
+        "load-dependent-friction at hinge", "coulomb-friction at hinge",
+    ),
+    "friction that does not": Pair(
+        "driven-joint", "coulomb-friction@hinge:torque=5e-3",
+        "coulomb-friction at hinge", "load-dependent-friction at hinge",
+    ),
+}  # fmt: skip
+QUICK = ("friction that grows with the load",)
+
+
+def dry_run(folder, name, hide, seed=None):
+    loaded = load_named(name, folder, [])
+    return execute(
+        loaded, results=folder / "results", dry_run=True, seed=seed, progress=SilentProgress(), hide=[hide]
+    ).run
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(one, marks=() if one in QUICK else pytest.mark.slow) for one in SETTLED]
+)
+def test_what_slow_motion_leaves_open_the_proposed_experiment_settles(case, tmp_path):
+    pair = SETTLED[case]
+    first = dry_run(tmp_path, pair.experiment, pair.hide, SEED)
+    proposal = propose(first, workspace=tmp_path)
+    assert proposal.doubt
+    assert {pair.truth, pair.other} <= set(proposal.rivals)
+    assert proposal.file == tmp_path / "experiments" / f"{pair.experiment}-next.toml"
+    experiment = load_experiment(proposal.file).experiment
+    made = plan(experiment, experiment.run.conditions)
+    made.require_feasible()
+    assert 0 < proposal.time_s <= proposal.time_at_most_s
+    second = dry_run(tmp_path, proposal.file.stem, f"same-as:{pair.experiment}")
+    found = diagnose(first, more=[second], workspace=tmp_path, options=Options(places=False))
+    (cause,) = found.causes
+    left = {str(cause.name), *(str(name) for name in cause.indistinguishable_from)}
+    assert pair.truth in left
+    assert pair.other not in left

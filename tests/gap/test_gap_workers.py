@@ -1,0 +1,52 @@
+"""Work whose results nobody wants any more ends soon."""
+
+import signal
+import threading
+
+import pytest
+
+from labrun.gap.workers import stop_if_told, workers
+
+
+def endless(begun: threading.Event) -> None:
+    begun.set()
+    while True:
+        stop_if_told()
+
+
+def test_ctrl_c_ends_work_that_would_never_end() -> None:
+    def work(number: int) -> None:
+        begun = threading.Event()
+        if number == 0:
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+        endless(begun)
+
+    with pytest.raises(KeyboardInterrupt), workers(2) as each:
+        each(work, range(8))
+    left = [one for one in threading.enumerate() if one.name.startswith("ThreadPoolExecutor")]
+    for one in left:  # a thread that was being started at that moment is nobody's, and ends by itself
+        one.join(30.0)
+    assert not any(one.is_alive() for one in left)
+
+
+def test_an_error_of_one_item_ends_the_others() -> None:
+    begun = threading.Event()
+
+    def work(number: int) -> None:
+        if number == 1:
+            endless(begun)
+        begun.wait()
+        raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"), workers(2) as each:
+        each(work, range(8))
+
+
+def test_results_come_in_their_order_whatever_the_number_of_workers() -> None:
+    for count in (1, 3):
+        with workers(count) as each:
+            assert each(lambda item: item**2, range(20)) == [item**2 for item in range(20)]
+
+
+def test_the_main_thread_is_never_told_to_stop() -> None:
+    stop_if_told()

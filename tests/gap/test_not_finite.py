@@ -1,0 +1,113 @@
+"""What gives no finite numbers is said to, and never taken for a change of the outputs."""
+
+import math
+
+import numpy as np
+import pytest
+
+import labrun.effects
+from labrun.effects.effect import Effect, EffectParameter, force_law
+from labrun.effects.quantities import Scale
+from labrun.errors import FitError
+from labrun.gap.candidates import Candidate
+from labrun.gap.diagnose import Options, diagnose_dataset
+from labrun.gap.diagnosis import Name
+from labrun.gap.problem import GapProblem
+from labrun.gap.recalibration import unsearched
+from labrun.gap.screening import Base, screen_all, survey
+from labrun.gap.units import gather
+from labrun.models.toml_model import parse_model
+
+from .benches import CONDITIONS, PENDULUM, dry_friction, pendulum, recorded
+
+
+def never(t, q, rate, acceleration, load, stiffness, values, z, dz):
+    """Return no number at all."""
+    return values[0] * (math.inf - math.inf)
+
+
+def when_small(t, q, rate, acceleration, load, stiffness, values, z, dz):
+    """Return a drag whose formula breaks down for sizes above 0.5."""
+    return -0.01 * math.sqrt(0.5 - values[0]) * rate
+
+
+def effect(name, law) -> Effect:
+    torque = EffectParameter("torque", "force", neutral=0.0, lower=0.0, upper=2.0, starts=(0.4,))
+    return Effect(id=name, kind="joint", parameters=(torque,), function=force_law(law), form="-", source="-")
+
+
+NEVER, WHEN_SMALL = effect("no-number", never), effect("breaks-when-large", when_small)
+
+
+@pytest.fixture(scope="module")
+def base() -> Base:
+    problem = GapProblem(pendulum(), gather(recorded(repeats=1, conditions=CONDITIONS[:2]), pendulum()))
+    return Base.of(problem, problem.values[problem.free] / problem.scale)
+
+
+def candidate(one: Effect) -> Candidate:
+    name = Name(one.id, "hinge")
+    return Candidate(name, one.attach("hinge"), Scale(), ((0.4,), (0.1,), (1.2,)))
+
+
+def test_starts_that_give_no_finite_numbers_are_dropped(base: Base) -> None:
+    looked = survey(base, candidate(WHEN_SMALL))
+    assert sorted(float(z[base.problem.size]) for z in looked.starts) == [0.1, 0.4]
+    assert looked.directions.shape[1] == 2
+    assert np.all(np.isfinite(looked.directions))
+
+
+def test_a_candidate_without_any_finite_start_promises_nothing_and_is_not_fitted(base: Base) -> None:
+    looked = survey(base, candidate(NEVER))
+    assert looked.starts == []
+    assert looked.potential == 0.0
+    assert looked.lines.shape[1] == 0
+    fitted = screen_all(base, [looked, survey(base, candidate(WHEN_SMALL))])
+    assert [one.candidate.name.effect for one in fitted] == ["breaks-when-large"]
+
+
+def test_an_effect_that_gives_no_numbers_is_not_ruled_out_but_said_not_to_have_been_tried(
+    monkeypatch,
+) -> None:
+    library = [one for one in labrun.effects.effects() if one.id in ("coulomb-friction", "bias")]
+    monkeypatch.setattr(labrun.effects, "effects", lambda **_: (*library, NEVER))
+    found = diagnose_dataset(recorded(dry_friction(0.006)), pendulum(), Options(places=False))
+    assert "no-number" not in {one.name.effect for one in found.candidates}
+    assert "effect no-number at hinge gives no finite numbers at any size: it was not tried" in found.notes
+    assert str(found.causes[0].name) == "coulomb-friction at hinge"
+
+
+def with_equation(addition: str) -> object:
+    return parse_model(PENDULUM.replace("- gravity*sin(angle)", f"- gravity*sin(angle) {addition}"), "m.toml")
+
+
+def problem_of(model) -> GapProblem:
+    return GapProblem(model, gather(recorded(repeats=1, conditions=CONDITIONS[:1]), model))
+
+
+def test_ends_of_what_is_believed_that_do_not_simulate_are_named() -> None:
+    problem = problem_of(
+        with_equation("+ 0*log(gravity - 0.058)")
+    )  # stated 0.06, three tolerances below: 0.0546
+    said = unsearched(problem, problem.values[problem.free] / problem.scale)
+    assert "with gravity = 0.0546," in said[0]
+    assert "was not searched" in said[0]
+
+
+def test_simulations_that_left_the_finite_numbers_are_counted() -> None:
+    problem = problem_of(pendulum())
+    assert unsearched(problem, problem.values[problem.free] / problem.scale) == ()
+    broken = problem.values.copy()
+    broken[0] = 0.0
+    before = problem.tally.made
+    assert problem.simulate(broken, 0, np.empty(0)) is None
+    assert (problem.tally.made, problem.tally.broken) == (before + 1, 1)
+    assert f"1 of {before + 1} simulations of the model" in problem.tally.remarks[0]
+
+
+def test_a_model_that_never_simulates_is_refused_with_a_hint_that_helps() -> None:
+    model = with_equation("+ 1/(inertia - inertia)")
+    with pytest.raises(FitError, match="finite numbers") as caught:
+        diagnose_dataset(recorded(repeats=1, conditions=CONDITIONS[:1]), model, Options(places=False))
+    assert "labrun fit" not in (caught.value.hint or "")
+    assert "units of its parameters" in (caught.value.hint or "")
