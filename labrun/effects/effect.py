@@ -86,6 +86,8 @@ class Effect:
         Whether the force depends on the site's acceleration, linearly. The integrator then solves for both.
     signals
         Of a filter: how many signals of its kind the model must have, itself included.
+    caution
+        What to know wherever it is named; empty if nothing.
     contains
         Ids of simpler effects that it becomes at some sizes. A library without one of them is without this one, too.
     """
@@ -102,6 +104,7 @@ class Effect:
     needs_acceleration: bool = False
     signals: int = 1
     contains: tuple[str, ...] = ()
+    caution: str = ""
 
     def fits(self, site: Site) -> bool:
         """Tell whether it can sit at a site: the kind is right, and the site declares what it needs."""

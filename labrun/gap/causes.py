@@ -13,7 +13,9 @@ from labrun.gap.problem import WITHIN
 
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset
+    from labrun.gap.candidates import Candidate as Tried
     from labrun.gap.engine import Search
+    from labrun.gap.rating import Rated
 
 FloatArray = NDArray[np.float64]
 
@@ -34,7 +36,7 @@ def causes_of(search: "Search", dataset: "Dataset", moved: FloatArray) -> tuple[
         else:
             place = _place(search, name)
             values = values_of(final.problem, final.z, place, moved, model, dataset)
-            remark = _bound_remark(search, place)
+            remark = "; ".join(filter(None, (_bound_remark(search, place), _caution(one))))
         found.append(
             Cause(
                 name,
@@ -45,6 +47,11 @@ def causes_of(search: "Search", dataset: "Dataset", moved: FloatArray) -> tuple[
             )
         )
     return tuple(found)
+
+
+def _caution(one: "Rated") -> str:
+    attached = one.candidate.attached
+    return "" if attached is None else attached.effect.caution
 
 
 def candidate_table(
@@ -83,7 +90,7 @@ def candidate_table(
                 chosen[name].values if name in chosen else {},
                 bounds,
                 chosen[name].indistinguishable_from if name in chosen else tuple(rivals.get(name, ())),
-                _remark(judged, decided),
+                _remark(judged, decided, _richer_than(candidate, chosen)),
             )
         )
     rank = {"cause": 0, "indistinguishable": 1, "ruled-out": 2, "not-visible": 3}
@@ -113,7 +120,15 @@ def _judged(
     return "ruled-out" if seen else "not-visible"
 
 
-def _remark(judged: CandidateVerdict, decided: Verdict) -> str:
+def _richer_than(one: "Tried", chosen: dict[Name, Cause]) -> str:
+    """Return the cause at its site that a candidate contains; empty if none."""
+    contained = () if one.attached is None else one.attached.effect.contains
+    return next((str(name) for name in chosen if name.site == one.name.site and name.effect in contained), "")
+
+
+def _remark(judged: CandidateVerdict, decided: Verdict, contained: str = "") -> str:
+    if judged == "ruled-out" and contained:
+        return f"contains {contained}, and what it has more explains nothing"
     if judged == "not-visible":
         return "what it changes at the sizes tried is nearly all imitated by parameters"
     if judged == "ruled-out" and decided == "not-in-library":

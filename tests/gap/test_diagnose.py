@@ -52,6 +52,22 @@ def test_every_candidate_has_a_verdict_and_the_cause_has_the_first_place(with_fr
     assert len({one.name for one in with_friction.candidates}) == len(verdicts) > 20
 
 
+def test_a_richer_effect_that_explains_no_more_is_no_rival(with_friction: Diagnosis) -> None:
+    richer = next(one for one in with_friction.candidates if one.name.effect == "asymmetric-friction")
+    assert richer.verdict == "ruled-out"
+    assert richer.remark == "contains coulomb-friction at hinge, and what it has more explains nothing"
+    assert richer.name not in with_friction.causes[0].indistinguishable_from
+
+
+def test_friction_that_differs_by_direction_is_named_with_what_looks_like_it() -> None:
+    uneven = recorded(lambda t, q, v: -(0.006 + 0.002 * np.tanh(v / 0.02)) * np.tanh(v / 0.02))
+    (cause,) = diagnose_dataset(uneven, pendulum(), QUICK).causes
+    assert str(cause.name) == "asymmetric-friction at hinge"
+    assert cause.values["torque"].value == pytest.approx(0.006, rel=0.05)
+    assert cause.values["asymmetry"].value == pytest.approx(1 / 3, rel=0.05)
+    assert "looks the same while the joint moves" in cause.remark
+
+
 def test_what_parameters_imitate_is_not_visible(with_friction: Diagnosis) -> None:
     damping = next(one for one in with_friction.candidates if one.name.effect == "viscous-damping")
     assert damping.verdict == "not-visible"  # the model's own damping is free

@@ -27,10 +27,10 @@ class Pair:
 
 SETTLED = {
     "a lag, no delay": Pair(
-        "driven-joint", "lag@base:time_constant=0.01", "lag at base", "delay at base"
+        "driven-joint", "lag@base:time_constant=0.02", "lag at base", "delay at base"
     ),
     "a delay, no lag": Pair(
-        "driven-joint", "delay@base:delay=0.01", "delay at base", "lag at base"
+        "driven-joint", "delay@base:delay=0.02", "delay at base", "lag at base"
     ),
     "a bent strip, no false zero": Pair(
         "driven-joint", "rest-offset@hinge:offset=0.05", "rest-offset at hinge", "bias at angle"
