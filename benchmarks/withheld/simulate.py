@@ -15,6 +15,8 @@ from withheld.plant import FloatArray
 RTOL = 1e-9
 _ATOL_SHARE = 1e-10
 """Absolute tolerance, in units of a state's own size."""
+_MOST_SUBSTEPS = 500
+"""A bench that is stiffer than these allow is drawn again."""
 _STABLE = 1.5
 """Fastest rate times step that the classical Runge-Kutta method takes with something to spare (its limit is 2.8)."""
 _MOST_STEPS = 20000
@@ -84,6 +86,8 @@ def march(bench: Bench, y: FloatArray, substeps: int) -> dict[float, FloatArray]
     corners = bench.corners()
     usual = float(bench.time_s[1] - bench.time_s[0])
     substeps = max(substeps, int(np.ceil(bench.fastest() * usual / _STABLE)))
+    if substeps > _MOST_SUBSTEPS:
+        raise BlewUpError
     states = {round(float(corners[0]), 9): y}
     with np.errstate(all="ignore"):
         for begin, end in pairwise(corners):

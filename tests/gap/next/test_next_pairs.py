@@ -54,7 +54,7 @@ SETTLED = {
         "coulomb-friction at hinge", "load-dependent-friction at hinge",
     ),
 }  # fmt: skip
-QUICK = ("friction that grows with the load",)
+QUICK = ("a false zero, no bent strip",)
 
 
 def dry_run(folder, name, hide, seed=None):
