@@ -67,10 +67,11 @@ def verdict(found: Findings) -> Verdict:
     if found.effects > 1 and found.sizes.after >= max(_DOUBTFUL[1][0], _FAR_ABOVE * found.sizes.floor):
         least = _SEVERAL
     impostor = found.shrinkage.value < least and found.shrinkage.high < least + _ROOM
-    if impostor and found.remains:
+    # a parameter's form is the model's own: what it plainly leaves has another cause
+    plain = found.remains and found.sizes.after >= max(_FAR_ABOVE * found.sizes.floor, 1.0)
+    if impostor and found.remains and (found.effects or plain):
         return "not-in-library"
-    if found.effects == 0:  # a parameter's form is the model's own: what it leaves has another cause
-        plain = found.remains and found.sizes.after >= max(_FAR_ABOVE * found.sizes.floor, 1.0)
+    if found.effects == 0:
         return "partly-explained" if plain else "parameter"
     whole = _NEARLY_ALL if found.sizes.after >= _LARGE else _WHOLE
     return "explained" if found.shrinkage.value >= whole or not found.remains else "partly-explained"

@@ -63,6 +63,13 @@ def test_a_wrong_parameter_that_leaves_a_plain_gap_is_a_part_of_the_answer_only(
     assert verdict(found) == "partly-explained"
 
 
+def test_a_wrong_parameter_that_leaves_next_to_nothing_stays_one_however_little_it_removes():
+    found = findings(
+        sizes=(113.0, 0.5, 0.4, 0.3), share=(0.4, 0.1, 0.6), effects=0, parameters=1, remains=True
+    )
+    assert verdict(found) == "parameter"
+
+
 def test_several_causes_together_must_remove_more_than_one_alone():
     left = {"sizes": (40.0, 7.0, 1.9, 0.1), "share": (0.927, 0.87, 0.94), "remains": True}
     assert verdict(findings(**left)) == "partly-explained" or verdict(findings(**left)) == "explained"
