@@ -41,6 +41,7 @@ EFFECT = Effect(
     function=force_law(law),
     form="F = -torque (1 + asymmetry s) s, s = tanh(rate / transition_speed)",
     contains=("coulomb-friction",),
+    compound=True,
     caution="Coulomb friction beside a constant pull (a tilt) looks the same while the joint moves: turn gravity round",
     source="levels as in Canudas de Wit, Astrom, Braun, IEEE J. Robotics and Automation 3 (1987) 681; smoothed sign",
 )

@@ -88,6 +88,8 @@ class Effect:
         Of a filter: how many signals of its kind the model must have, itself included.
     caution
         What to know wherever it is named; empty if nothing.
+    compound
+        Whether simpler effects together look nearly the same: where they explain as much, they are preferred.
     contains
         Ids of simpler effects that it becomes at some sizes. A library without one of them is without this one, too.
     """
@@ -105,6 +107,7 @@ class Effect:
     signals: int = 1
     contains: tuple[str, ...] = ()
     caution: str = ""
+    compound: bool = False
 
     def fits(self, site: Site) -> bool:
         """Tell whether it can sit at a site: the kind is right, and the site declares what it needs."""

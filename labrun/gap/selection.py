@@ -38,6 +38,8 @@ _LEAST_SHARE = 0.3
 _TOGETHER = 0.85
 """The same where nothing does so alone: two that only fit together are often two that stand in for a third."""
 _SWEEPS = 3
+_AS_MUCH = 0.01
+"""Part of the recalibrated excess that simpler effects together may leave more than one that stands for them."""
 _FORM_SLACK = (0.006, 0.02)
 """Part of a gain that the idealised form of a true effect may lack: as much as the best one's leaves, between these."""
 _SIMPLER = 0.02
@@ -54,6 +56,14 @@ class Round:
     screened: list[Screened]
     guard: Guard
     rated: list[Rated]
+
+    def without(self, names: "set[Name]") -> "Round":
+        """Return the round with fewer candidates."""
+        return replace(
+            self,
+            screened=[one for one in self.screened if one.candidate.name not in names],
+            rated=[one for one in self.rated if one.candidate.name not in names],
+        )
 
     def find(self, candidate: Candidate) -> Screened | None:
         """Return how a candidate did."""
@@ -137,7 +147,28 @@ class Selector:
     _rounds: "dict[frozenset[Name], Round]" = field(default_factory=dict, repr=False)
 
     def select(self) -> Selection:
-        """Choose the causes; each must beat the guard given the others, and remove a part of the gap of its own."""
+        """Choose the causes; each must beat the guard given the others, and remove a part of the gap of its own.
+
+        What simpler effects together explain as well is theirs: friction that differs by direction is Coulomb friction
+        beside a constant pull, unless the data say more.
+        """
+        found = self._select()
+        compound = {
+            one.name for one in self.candidates if one.attached is not None and one.attached.effect.compound
+        }
+        if not compound & {one.candidate.name for one in found.chosen}:
+            return found
+        self.note("looking whether simpler effects explain as much")
+        simpler = replace(
+            self,
+            first=self.first.without(compound),
+            candidates=without(self.candidates, compound),
+            _rounds={},
+        )._select()
+        room = _AS_MUCH * self.reference.total
+        return simpler if simpler.chosen and simpler.held_out.total <= found.held_out.total + room else found
+
+    def _select(self) -> Selection:
         chosen, rounds = self._forward()
         if len(chosen) > 1:
             chosen, rounds = self._exchanged(chosen)

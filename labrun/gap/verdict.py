@@ -9,8 +9,6 @@ _UNKNOWN = 0.6
 effects that stand in for one that is not there at most 60 %."""
 _DOUBTFUL = ((1.0, 0.88), (0.5, 0.8))
 """The same where a plain remainder is left (in units of one trial's noise): more than what is in the library leaves."""
-_SEVERAL = 0.95
-"""The same for several effects together, which can imitate more than one can."""
 _LARGE, _NEARLY_ALL = 3.0, 0.995
 """A remainder of several times one trial's noise is part of the answer, unless it is next to nothing of the gap."""
 _WHOLE = 0.85
@@ -64,8 +62,6 @@ def verdict(found: Findings) -> Verdict:
             return "not-in-library"
         return "parameter" if _recalibration_helps(found.sizes) else "no-gap"
     least = next((share for size, share in _DOUBTFUL if found.sizes.after >= size), _UNKNOWN)
-    if found.effects > 1 and found.sizes.after >= max(_DOUBTFUL[1][0], _FAR_ABOVE * found.sizes.floor):
-        least = _SEVERAL
     impostor = found.shrinkage.value < least and found.shrinkage.high < least + _ROOM
     # a parameter's form is the model's own: what it plainly leaves has another cause
     plain = found.remains and found.sizes.after >= max(_FAR_ABOVE * found.sizes.floor, 1.0)

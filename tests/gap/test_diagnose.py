@@ -59,13 +59,13 @@ def test_a_richer_effect_that_explains_no_more_is_no_rival(with_friction: Diagno
     assert richer.name not in with_friction.causes[0].indistinguishable_from
 
 
-def test_friction_that_differs_by_direction_is_named_with_what_looks_like_it() -> None:
+def test_friction_that_differs_by_direction_is_coulomb_friction_and_a_pull_while_the_joint_moves() -> None:
     uneven = recorded(lambda t, q, v: -(0.006 + 0.002 * np.tanh(v / 0.02)) * np.tanh(v / 0.02))
-    (cause,) = diagnose_dataset(uneven, pendulum(), QUICK).causes
-    assert str(cause.name) == "asymmetric-friction at hinge"
-    assert cause.values["torque"].value == pytest.approx(0.006, rel=0.05)
-    assert cause.values["asymmetry"].value == pytest.approx(1 / 3, rel=0.05)
-    assert "looks the same while the joint moves" in cause.remark
+    friction, pull = diagnose_dataset(uneven, pendulum(), QUICK).causes
+    assert str(friction.name) == "coulomb-friction at hinge"
+    assert friction.values["torque"].value == pytest.approx(0.006, rel=0.05)
+    pulls = {(one.effect, one.site) for one in (pull.name, *pull.indistinguishable_from)}
+    assert pulls & {("constant-force", "hinge"), ("bias", "torque"), ("rest-offset", "hinge")}
 
 
 def test_what_parameters_imitate_is_not_visible(with_friction: Diagnosis) -> None:

@@ -71,6 +71,7 @@ def test_a_late_command_of_the_fin_is_found_against_the_model_of_the_step_respon
     assert_named(found_on("fin-step", "delay@tail:delay=0.05", FIN_STEP), "delay", "tail")
 
 
+@pytest.mark.slow
 def test_a_late_command_of_the_towed_tail_is_found_in_six_axes() -> None:
     answer = found_on("tail-sweep", "delay@tail:delay=0.03", TAIL_SWEEP)
     assert_named(answer, "delay", "tail")

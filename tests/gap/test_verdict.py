@@ -70,12 +70,6 @@ def test_a_wrong_parameter_that_leaves_next_to_nothing_stays_one_however_little_
     assert verdict(found) == "parameter"
 
 
-def test_several_causes_together_must_remove_more_than_one_alone():
-    left = {"sizes": (40.0, 7.0, 1.9, 0.1), "share": (0.927, 0.87, 0.94), "remains": True}
-    assert verdict(findings(**left)) == "partly-explained" or verdict(findings(**left)) == "explained"
-    assert verdict(findings(**left, effects=2)) == "not-in-library"
-
-
 def test_a_gap_that_nothing_explains_is_not_in_the_library_only_where_it_is_told_from_noise():
     unexplained = {"effects": 0, "share": None, "sizes": (5.0, 0.8, 0.8, 0.3)}
     assert verdict(findings(**unexplained)) == "not-in-library"
