@@ -54,7 +54,6 @@ SETTLED = {
         "coulomb-friction at hinge", "load-dependent-friction at hinge",
     ),
 }  # fmt: skip
-QUICK = ("a false zero, no bent strip",)
 
 
 def dry_run(folder, name, hide, seed=None):
@@ -64,9 +63,8 @@ def dry_run(folder, name, hide, seed=None):
     ).run
 
 
-@pytest.mark.parametrize(
-    "case", [pytest.param(one, marks=() if one in QUICK else pytest.mark.slow) for one in SETTLED]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("case", SETTLED)
 def test_what_slow_motion_leaves_open_the_proposed_experiment_settles(case, tmp_path):
     pair = SETTLED[case]
     first = dry_run(tmp_path, pair.experiment, pair.hide, SEED)
