@@ -137,7 +137,13 @@ PAIRS = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module", params=PAIRS)
+QUICK = ("delay or lag", "friction that depends on the load, or not")
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(one, marks=() if one in QUICK else pytest.mark.slow) for one in PAIRS],
+)
 def proposed(request, tmp_path_factory):
     bench, truth, others = PAIRS[request.param]
     workspace = tmp_path_factory.mktemp("bench")
