@@ -82,7 +82,7 @@ def test_what_slow_motion_leaves_open_the_proposed_experiment_settles(case, tmp_
 
 @pytest.mark.slow
 def test_friction_that_differs_by_direction_is_told_from_a_tilt_by_slow_motion_already(tmp_path):
-    hide = "asymmetric-friction@hinge:torque=1e-3,asymmetry=0.5"
+    hide = "asymmetric-friction@hinge:torque=2e-3,asymmetry=0.8"
     run = dry_run(tmp_path, "driven-joint-bushing", hide, SEED)
     (cause,) = diagnose(run, workspace=tmp_path, options=Options(places=False)).causes
     assert str(cause.name) == "asymmetric-friction at hinge"
