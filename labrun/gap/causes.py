@@ -90,7 +90,7 @@ def candidate_table(
                 chosen[name].values if name in chosen else {},
                 bounds,
                 chosen[name].indistinguishable_from if name in chosen else tuple(rivals.get(name, ())),
-                _remark(judged, decided, _richer_than(candidate, chosen)),
+                _remark(judged, decided, _richer_than(candidate, chosen), several=len(chosen) > 1),
             )
         )
     rank = {"cause": 0, "indistinguishable": 1, "ruled-out": 2, "not-visible": 3}
@@ -126,7 +126,9 @@ def _richer_than(one: "Tried", chosen: dict[Name, Cause]) -> str:
     return next((str(name) for name in chosen if name.site == one.name.site and name.effect in contained), "")
 
 
-def _remark(judged: CandidateVerdict, decided: Verdict, contained: str = "") -> str:
+def _remark(judged: CandidateVerdict, decided: Verdict, contained: str = "", *, several: bool = False) -> str:
+    if judged == "ruled-out" and contained and several:
+        return f"looks nearly the same as {contained} and the other cause together"
     if judged == "ruled-out" and contained:
         return f"contains {contained}, and what it has more explains nothing"
     if judged == "not-visible":

@@ -166,7 +166,9 @@ class Selector:
             _rounds={},
         )._select()
         room = _AS_MUCH * self.reference.total
-        return simpler if simpler.chosen and simpler.held_out.total <= found.held_out.total + room else found
+        if not simpler.chosen or simpler.held_out.total > found.held_out.total + room:
+            return found
+        return replace(simpler, rounds=[self.first, *simpler.rounds[1:]])  # the table is of all candidates
 
     def _select(self) -> Selection:
         chosen, rounds = self._forward()

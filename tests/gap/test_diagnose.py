@@ -61,7 +61,10 @@ def test_a_richer_effect_that_explains_no_more_is_no_rival(with_friction: Diagno
 
 def test_friction_that_differs_by_direction_is_coulomb_friction_and_a_pull_while_the_joint_moves() -> None:
     uneven = recorded(lambda t, q, v: -(0.006 + 0.002 * np.tanh(v / 0.02)) * np.tanh(v / 0.02))
-    friction, pull = diagnose_dataset(uneven, pendulum(), QUICK).causes
+    found = diagnose_dataset(uneven, pendulum(), QUICK)
+    friction, pull = found.causes
+    assert not any("not tried" in one for one in found.notes)
+    assert any(one.name.effect == "asymmetric-friction" for one in found.candidates)
     assert str(friction.name) == "coulomb-friction at hinge"
     assert friction.values["torque"].value == pytest.approx(0.006, rel=0.05)
     pulls = {(one.effect, one.site) for one in (pull.name, *pull.indistinguishable_from)}
