@@ -5,6 +5,7 @@
 import math
 
 from labrun.effects.effect import Effect, EffectParameter, force_law
+from labrun.effects.transition import TRANSITION_SPEED
 from labrun.models.native import Pointer
 
 
@@ -28,15 +29,7 @@ EFFECT = Effect(
         EffectParameter("torque", "force", neutral=0.0, lower=0.0, upper=2.0, starts=(0.05, 0.3)),
         # beyond one, friction would push; with no torque nothing depends on it, so a fit begins on either side
         EffectParameter("asymmetry", "ratio", neutral=None, lower=-1.0, upper=1.0, starts=(0.4, -0.4)),
-        EffectParameter(
-            "transition_speed",
-            "rate",
-            neutral=None,
-            lower=3e-3,
-            upper=0.1,
-            starts=(0.01, 0.05, 0.004),
-            held=True,
-        ),
+        TRANSITION_SPEED,
     ),
     function=force_law(law),
     form="F = -torque (1 + asymmetry s) s, s = tanh(rate / transition_speed)",

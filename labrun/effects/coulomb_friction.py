@@ -5,6 +5,7 @@
 import math
 
 from labrun.effects.effect import Effect, EffectParameter, force_law
+from labrun.effects.transition import TRANSITION_SPEED
 from labrun.models.native import Pointer
 
 
@@ -21,16 +22,7 @@ EFFECT = Effect(
     kind="joint",
     parameters=(
         EffectParameter("torque", "force", neutral=0.0, lower=0.0, upper=2.0, starts=(0.05, 0.3)),
-        # the sign function, smoothed: below a hundredth of the peak speed friction fades linearly to zero
-        EffectParameter(
-            "transition_speed",
-            "rate",
-            neutral=None,
-            lower=3e-3,
-            upper=0.1,
-            starts=(0.01, 0.05, 0.004),
-            held=True,
-        ),
+        TRANSITION_SPEED,
     ),
     function=force_law(law),
     form="F = -torque tanh(rate / transition_speed)",

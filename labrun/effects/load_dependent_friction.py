@@ -5,6 +5,7 @@
 import math
 
 from labrun.effects.effect import Effect, EffectParameter, force_law
+from labrun.effects.transition import TRANSITION_SPEED
 from labrun.models.native import Pointer
 
 
@@ -21,15 +22,7 @@ EFFECT = Effect(
     kind="joint",
     parameters=(
         EffectParameter("coefficient", "ratio", neutral=0.0, lower=0.0, upper=1.0, starts=(0.02, 0.1)),
-        EffectParameter(
-            "transition_speed",
-            "rate",
-            neutral=None,
-            lower=3e-3,
-            upper=0.1,
-            starts=(0.01, 0.05, 0.004),
-            held=True,
-        ),
+        TRANSITION_SPEED,
     ),
     function=force_law(law),
     form="F = -coefficient |load| tanh(rate / transition_speed); the coefficient is in units of force per load",

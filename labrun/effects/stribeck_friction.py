@@ -5,6 +5,7 @@
 import math
 
 from labrun.effects.effect import Effect, EffectParameter, force_law
+from labrun.effects.transition import TRANSITION_SPEED
 from labrun.models.native import Pointer
 
 
@@ -25,15 +26,7 @@ EFFECT = Effect(
         EffectParameter("torque", "force", neutral=0.0, lower=0.0, upper=2.0, starts=(0.05, 0.3)),
         EffectParameter("static_excess", "force", neutral=0.0, lower=0.0, upper=2.0, starts=(0.05, 0.3)),
         EffectParameter("stribeck_speed", "rate", neutral=None, lower=0.005, upper=0.5, starts=(0.1, 0.03)),
-        EffectParameter(
-            "transition_speed",
-            "rate",
-            neutral=None,
-            lower=3e-3,
-            upper=0.1,
-            starts=(0.01, 0.05, 0.004),
-            held=True,
-        ),
+        TRANSITION_SPEED,
     ),
     function=force_law(law),
     form="F = -(torque + static_excess exp(-(rate / stribeck_speed)^2)) tanh(rate / transition_speed)",
