@@ -1,0 +1,7 @@
+"""The array type of measured and computed numbers."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+"""Floats in SI units and radians; shapes stand in the docstrings."""
