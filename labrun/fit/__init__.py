@@ -1,1 +1,43 @@
-"""Recorded data to identified models, with uncertainty."""
+"""Fitting: what a model's parameters are, how sure, and what is left. What a fit by plugin builds on stands here."""
+
+from labrun.fit.correlation import correlation_length
+from labrun.fit.dataset import Dataset, FitTrial, load_dataset
+from labrun.fit.descent import NormalEquations, minimise
+from labrun.fit.estimate import Estimate, rounded
+from labrun.fit.method import FitJob, FitMethod, FitPlugin, Fitted, NoSettings
+from labrun.fit.notes import Note, silent
+from labrun.fit.output_error import FEW_TRIALS, fit_model
+from labrun.fit.problem import Problem
+from labrun.fit.resampling import LEVEL, resample_trials, student
+from labrun.fit.result import FitResult
+from labrun.fit.summary import FitSummary, FittedData, TextTable
+from labrun.store.recording import is_recording
+
+__all__ = [
+    "FEW_TRIALS",
+    "LEVEL",
+    "Dataset",
+    "Estimate",
+    "FitJob",
+    "FitMethod",
+    "FitPlugin",
+    "FitResult",
+    "FitSummary",
+    "FitTrial",
+    "Fitted",
+    "FittedData",
+    "NoSettings",
+    "NormalEquations",
+    "Note",
+    "Problem",
+    "TextTable",
+    "correlation_length",
+    "fit_model",
+    "is_recording",
+    "load_dataset",
+    "minimise",
+    "resample_trials",
+    "rounded",
+    "silent",
+    "student",
+]

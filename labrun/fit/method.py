@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, cast
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, ConfigDict
 
 from labrun import registry
 from labrun.errors import RequestError
@@ -118,6 +118,12 @@ class FitPlugin(Protocol):
     def __call__(self, settings: Any) -> FitMethod:
         """Make the method of its validated settings."""
         ...
+
+
+class NoSettings(BaseModel):
+    """Settings of a fit without keys of its own."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def is_method(name: str) -> bool:

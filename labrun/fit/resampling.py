@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit  # scipy.stats takes half a second to import
 
 FloatArray = NDArray[np.float64]
 
@@ -101,10 +100,14 @@ def _leverage_corrected(information: FloatArray, score: FloatArray, total: Float
 
 
 def _student_over_normal(trials: int) -> float:
+    from scipy.special import ndtri
+
     quantile = 0.5 * (1.0 + LEVEL)
     return student(trials - 1, quantile) / float(ndtri(quantile))
 
 
 def student(freedom: int, quantile: float = 0.5 * (1.0 + LEVEL)) -> float:
     """Return a quantile of Student's t."""
+    from scipy.special import stdtrit  # scipy.stats takes half a second to import
+
     return float(stdtrit(freedom, quantile))

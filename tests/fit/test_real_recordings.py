@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from labrun.fit.dataset import load_dataset
-from labrun.fit.hinge import fit_hinge
 from labrun.fit.output_error import fit_model
 from labrun.fit.result import FitResult
 from labrun.models import load_model, parse_model
@@ -69,12 +68,3 @@ def test_the_servo_is_fitted_with_its_gap_left_in(recordings: Path) -> None:
     result = fitted(recordings / "xl330-servo", starts=1)
     assert 0.05 < result.rmse["angle"] < 0.3
     assert set(result.parameters) == {"rotor_inertia", "torque_const", "resistance"}
-
-
-def test_the_pendulums_stiffness_is_not_distinguishable_from_zero(recordings: Path) -> None:
-    folder = recordings / "ring-down"
-    model = load_model(folder / "model.toml")
-    result = fit_hinge(load_dataset(folder, model), model, rng=np.random.default_rng(0))
-    assert result.parameters["stiffness"].contains_zero
-    assert result.parameters["stiffness_fourier"].contains_zero
-    assert any("stiffness is not distinguishable from zero" in warning for warning in result.warnings)

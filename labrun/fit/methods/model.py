@@ -2,22 +2,16 @@
 
 from typing import TYPE_CHECKING, ClassVar
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel
 
 from labrun.errors import RequestError
 from labrun.fit.dataset import load_dataset
-from labrun.fit.method import FitJob
+from labrun.fit.method import FitJob, NoSettings
 
 if TYPE_CHECKING:
     from labrun.fit.result import FitResult
 
 STARTS = 5
-
-
-class NoSettings(BaseModel):
-    """A fit without keys of its own."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class ModelFit:

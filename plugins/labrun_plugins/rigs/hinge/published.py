@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from labrun.devices import FloatArray
+
 Term = tuple[str, int]
 """A variable and its power; ("", 0) is the constant."""
 
@@ -81,6 +81,9 @@ NOMINAL = {"a": 43e-4, "l": 1.75e-3, "w": 50e-3}
 """The specimen at which the published maps agree; the single-variable ones hold for it only. Inferred, not printed."""
 PUBLISHED_RANGE = {"a": (2e-4, 100e-4), "l": (1e-3, 5e-3), "w": (10e-3, 60e-3)}
 """Sizes between which the published maps may be read."""
+_NEARLY = 0.02
+"""Relative difference up to which a size counts as nominal."""
+_EDGE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +127,29 @@ class Form:
     def names(self) -> tuple[str, ...]:
         """Names of the coefficients: b_w2 multiplies w^2 in b, b_0 is the constant."""
         return tuple(f"{self.symbol}_{name}{power if power != 1 else ''}" for name, power in self.terms)
+
+    def published_value(self, sizes: Mapping[str, float]) -> float:
+        """Return the published map's value at a specimen; nan if there is none or it may not be read there.
+
+        It may not outside of the sizes it was fitted to, and one over a single size not for hinges or bodies that are
+        not nominal otherwise.
+        """
+        if self.published is None or not self._readable(sizes):
+            return float("nan")
+        return self.published.value(sizes)
+
+    def _readable(self, sizes: Mapping[str, float]) -> bool:
+        inside = all(
+            PUBLISHED_RANGE[name][0] * (1 - _EDGE) <= sizes[name] <= PUBLISHED_RANGE[name][1] * (1 + _EDGE)
+            for name in self.variables
+        )
+        # k depends on the hinge only, whatever hangs on it
+        others = [
+            name
+            for name in NOMINAL
+            if name not in self.variables and not (name == "a" and self.quantity == "stiffness")
+        ]
+        return inside and all(abs(sizes[name] / NOMINAL[name] - 1) <= _NEARLY for name in others)
 
     def unit(self, term: Term) -> str:
         """Return the unit of a coefficient."""

@@ -4,19 +4,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labrun.fit.estimate import Estimate, rounded
-from labrun.fit.hinge_maps.comparison import published_at
-from labrun.fit.hinge_maps.forms import PUBLISHED, UNITS
-from labrun.fit.hinge_maps.polynomial import FittedMap
-from labrun.fit.hinge_maps.specimens import Specimen
-from labrun.fit.summary import TextTable
+from labrun.fit import Estimate, TextTable, rounded
+from labrun_plugins.rigs.hinge.polynomial import FittedMap
+from labrun_plugins.rigs.hinge.published import PUBLISHED, UNITS
+from labrun_plugins.rigs.hinge.specimens import Specimen
 
 NONE = "-"
 
 
 def specimen_table(one: FittedMap, specimens: Sequence[Specimen], way: str) -> TextTable:
     """Return one row a specimen: measured with interval, the fitted map, the published map."""
-    published = published_at(one, specimens)
+    published = [one.form.published_value(specimen.sizes) for specimen in specimens]
     rows = []
     for specimen, measured, fitted, other in zip(specimens, one.measured, one.fitted, published, strict=True):
         estimate = specimen.by(way)[1][one.form.quantity]

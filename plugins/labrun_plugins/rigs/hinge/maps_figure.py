@@ -5,17 +5,23 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from labrun.fit.figure import _INK, _LEFT, _MEASURED, _SIMULATED, _STYLE
-from labrun.fit.hinge_maps.comparison import published_at
-from labrun.fit.hinge_maps.forms import PUBLISHED_RANGE
-from labrun.fit.hinge_maps.negative import hub, line
-from labrun.fit.hinge_maps.polynomial import FittedMap, FloatArray
-from labrun.fit.hinge_maps.specimens import SIZES, Specimen
+from labrun.devices import FloatArray
+from labrun_plugins.rigs.hinge.polynomial import FittedMap
+from labrun_plugins.rigs.hinge.published import PUBLISHED_RANGE
+from labrun_plugins.rigs.hinge.specimens import SIZES, Specimen
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_MEASURED, _SIMULATED, _LEFT, _INK, _GRID = "#9aa5b1", "#c2410c", "#1d4e89", "#1f2933", "#e4e7eb"
+_STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans", "font.size": 8.5, "axes.edgecolor": "#7b8794", "axes.linewidth": 0.6,
+    "axes.labelcolor": _INK, "text.color": _INK, "xtick.color": "#52606d", "ytick.color": "#52606d",
+    "xtick.major.width": 0.6, "ytick.major.width": 0.6, "xtick.major.size": 2.5, "ytick.major.size": 2.5,
+    "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.color": _GRID, "grid.linewidth": 0.6,
+    "axes.axisbelow": True, "legend.frameon": False, "figure.facecolor": "white", "axes.titlesize": 8.5,
+}  # fmt: skip
 _AXES = {"a": "body's area a, cm\N{SUPERSCRIPT TWO}", "l": "hinge length l, mm", "w": "hinge width w, mm"}
 _CELL = (4.1, 3.5)
 _HEADING = 0.55
@@ -75,7 +81,7 @@ def _panel(
 ) -> None:
     scale, unit = _SCALES[one.form.quantity]
     size = 1.0 / SIZES[name][1]
-    points = line(one, name)
+    points = one.line(name)
     x = size * points[name]
     low, high = one.band(points)
     upper.fill_between(x, scale * low, scale * high, color=_SIMULATED, alpha=0.15, linewidth=0)
@@ -115,7 +121,7 @@ def _panel(
     lower.set_xlabel(_AXES[name])
     others = [
         f"{other} = {value / SIZES[other][1]:g} {_AXES[other].rpartition(', ')[2]}"
-        for other, value in hub(one).items()
+        for other, value in one.crossing.items()
         if other != name
     ]
     upper.set_title(
@@ -133,7 +139,9 @@ def _published(
 ) -> FloatArray:
     """Return the published map along a line, nan where it may not be read."""
     values = np.full(len(points[name]), np.nan)
-    if one.form.published is not None and np.isfinite(published_at(one, specimens)).any():
+    if one.form.published is not None and any(
+        np.isfinite(one.form.published_value(specimen.sizes)) for specimen in specimens
+    ):
         low, high = PUBLISHED_RANGE[name]
         for place in np.flatnonzero((points[name] >= low) & (points[name] <= high)):
             values[place] = one.form.published.value({other: at[place] for other, at in points.items()})
@@ -143,6 +151,6 @@ def _published(
 def _on_line(one: FittedMap, name: str, place: int) -> bool:
     return all(
         abs(one.sizes[other][place] / value - 1) <= _ALIKE
-        for other, value in hub(one).items()
+        for other, value in one.crossing.items()
         if other != name
     )

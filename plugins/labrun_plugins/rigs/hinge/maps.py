@@ -1,34 +1,63 @@
 """From runs of specimens to the maps of chapter 3."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, PositiveFloat
 
 from labrun.errors import FitError
-from labrun.fit.hinge_maps.forms import SYMBOLS, UNITS, Form, Quantity
-from labrun.fit.hinge_maps.polynomial import FittedMap, fit_polynomial
-from labrun.fit.hinge_maps.specimens import SIZES, Specimen, load_specimens
-from labrun.fit.hinge_maps.tables import coefficient_table, quality_table, specimen_table
-from labrun.fit.hinge_maps.told import findings, map_warnings, warnings
-from labrun.fit.hinge_model import FOUND
-from labrun.fit.summary import FitSummary, FittedData
+from labrun.fit import FitJob, FitSummary, FittedData
+from labrun_plugins.rigs.hinge.body import FOUND
+from labrun_plugins.rigs.hinge.map_findings import findings, map_warnings, warnings
+from labrun_plugins.rigs.hinge.map_tables import coefficient_table, quality_table, specimen_table
+from labrun_plugins.rigs.hinge.polynomial import FittedMap, fit_polynomial
+from labrun_plugins.rigs.hinge.published import SYMBOLS, UNITS, Form, Quantity
+from labrun_plugins.rigs.hinge.specimens import SIZES, Specimen, load_specimens
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from labrun.fit.method import FitJob
-
-FloatArray = NDArray[np.float64]
 
 METHOD = "hinge-maps"
 _QUANTITIES: tuple[Quantity, ...] = ("damping", "stiffness")
 _ALIKE = 1e-6
 
 
+class HingeMapsSettings(BaseModel):
+    """What the conditions of the trials do not say, and which estimate of each release the maps go through.
+
+    Attributes
+    ----------
+    width_mm, length_mm, area_cm2
+        Hinge width, hinge length and the body's cross-section, where a trial's condition does not name them.
+    way
+        "simulation" (output error) or "fourier" (chapter 3's: Fourier series, differentiated, least squares).
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    width_mm: PositiveFloat | None = None
+    length_mm: PositiveFloat | None = None
+    area_cm2: PositiveFloat | None = None
+    way: Literal["simulation", "fourier"] = "simulation"
+
+
+class HingeMapsFit:
+    """k and b of every specimen from its releases, then the polynomials (3.6) to (3.12) through them."""
+
+    Settings: ClassVar[type[BaseModel]] = HingeMapsSettings
+
+    def __init__(self, settings: HingeMapsSettings) -> None:
+        self._settings = settings
+
+    def __call__(self, job: FitJob) -> FitSummary:
+        """Fit; see `fit_hinge_maps`."""
+        stated = self._settings.model_dump(include={"width_mm", "length_mm", "area_cm2"}, exclude_none=True)
+        return fit_hinge_maps(job, stated=stated, way=self._settings.way)
+
+
 def fit_hinge_maps(
-    job: "FitJob", *, stated: Mapping[str, float] | None = None, way: str = "simulation"
+    job: FitJob, *, stated: Mapping[str, float] | None = None, way: str = "simulation"
 ) -> FitSummary:
     """Fit k and b of every specimen, then polynomials in the sizes that differ between specimens.
 
@@ -59,7 +88,7 @@ def fit_hinge_maps(
     found = maps[way]
 
     def picture() -> "Figure":
-        from labrun.fit.hinge_maps.figure import draw_maps
+        from labrun_plugins.rigs.hinge.maps_figure import draw_maps
 
         return draw_maps(found, specimens.every, way)
 

@@ -2,17 +2,18 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from labrun_plugins.rigs.hinge.body import hinge_model
+from labrun_plugins.rigs.hinge.fourier import fit_fourier
+from labrun_plugins.rigs.hinge.free_swings import fit_hinge
 from swings import DAMPING, GRAVITY, INERTIA, STIFFNESS, dataset_of, swing
 
 from labrun.errors import FitError
-from labrun.fit.dataset import Dataset
-from labrun.fit.fourier import fit_fourier
-from labrun.fit.hinge import fit_hinge
-from labrun.fit.hinge_model import hinge_model
-from labrun.models import Model, parse_model
+from labrun.fit import Dataset, load_dataset
+from labrun.models import Model, load_model, parse_model
 
 BODY = """
 name = "body"
@@ -234,3 +235,12 @@ def test_without_the_bodys_inertia_nothing_is_fitted() -> None:
 def test_an_inertia_that_is_left_free_is_refused() -> None:
     with pytest.raises(FitError, match="inertia, which the model leaves free"):
         hinge_model(body(inertia_tolerance="free"))
+
+
+def test_the_pendulums_stiffness_is_not_distinguishable_from_zero(recordings: Path) -> None:
+    folder = recordings / "ring-down"
+    model = load_model(folder / "model.toml")
+    result = fit_hinge(load_dataset(folder, model), model, rng=np.random.default_rng(0))
+    assert result.parameters["stiffness"].contains_zero
+    assert result.parameters["stiffness_fourier"].contains_zero
+    assert any("stiffness is not distinguishable from zero" in warning for warning in result.warnings)

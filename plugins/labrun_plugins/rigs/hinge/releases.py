@@ -2,25 +2,24 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.devices import FloatArray
 from labrun.errors import FitError
-from labrun.fit.correlation import correlation_length
-from labrun.fit.dataset import Dataset, FitTrial
-from labrun.fit.descent import NormalEquations, minimise
-from labrun.fit.estimate import Estimate
-from labrun.fit.fourier import FourierSwing
-from labrun.fit.hinge_model import FOUND, Body
-from labrun.fit.problem import Problem
-from labrun.fit.resampling import resample_trials
-
-if TYPE_CHECKING:
-    from labrun.models import Model
-
-FloatArray = NDArray[np.float64]
+from labrun.fit import (
+    Dataset,
+    Estimate,
+    FitTrial,
+    NormalEquations,
+    Problem,
+    correlation_length,
+    minimise,
+    resample_trials,
+)
+from labrun.models import Model
+from labrun_plugins.rigs.hinge.body import FOUND, Body
+from labrun_plugins.rigs.hinge.fourier import FourierSwing
 
 _SHARES = (0.1, 0.35)
 """Of a release, fitted first: over all of it a stiffness that is 1 % off already runs out of phase."""
@@ -51,9 +50,7 @@ class Release:
     initial_state: FloatArray
 
 
-def fit_release(
-    model: "Model", dataset: Dataset, trial: FitTrial, swing: FourierSwing, body: Body
-) -> Release:
+def fit_release(model: Model, dataset: Dataset, trial: FitTrial, swing: FourierSwing, body: Body) -> Release:
     """Fit one release both ways; the body is taken as stated.
 
     Raises

@@ -3,25 +3,16 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.devices import FloatArray
 from labrun.errors import FitError, RequestError
-from labrun.fit.dataset import Dataset, FitTrial, load_dataset
-from labrun.fit.estimate import Estimate
-from labrun.fit.hinge import fit_hinge
-from labrun.fit.hinge_maps.body import SpecimenBody, body_of, with_body
-from labrun.fit.hinge_model import FOUND
+from labrun.fit import Dataset, Estimate, FitJob, FitTrial, is_recording, load_dataset
+from labrun.models import Model
 from labrun.nearest import nearest
-from labrun.store.recording import is_recording
-
-if TYPE_CHECKING:
-    from labrun.fit.method import FitJob
-    from labrun.models import Model
-
-FloatArray = NDArray[np.float64]
+from labrun_plugins.rigs.hinge.body import FOUND, SpecimenBody, body_of, with_body
+from labrun_plugins.rigs.hinge.free_swings import fit_hinge
 
 SIZES = {"a": ("area_cm2", 1e-4), "l": ("length_mm", 1e-3), "w": ("width_mm", 1e-3)}
 """Which name of a condition is which variable of the maps, and what makes it m or m^2."""
@@ -55,7 +46,7 @@ class Specimen:
     fourier_estimates: Mapping[str, Estimate]
     warnings: tuple[str, ...]
 
-    def by(self, way: str) -> "tuple[FloatArray, Mapping[str, Estimate]]":
+    def by(self, way: str) -> tuple[FloatArray, Mapping[str, Estimate]]:
         """Return releases and estimates of one way, "simulation" or "fourier"."""
         return (
             (self.values, self.estimates) if way == "simulation" else (self.fourier, self.fourier_estimates)
@@ -90,7 +81,7 @@ class Specimens:
         return sum(len(specimen.values) for specimen in self.every)
 
 
-def load_specimens(job: "FitJob", stated: Mapping[str, float]) -> Specimens:
+def load_specimens(job: FitJob, stated: Mapping[str, float]) -> Specimens:
     """Fit every specimen of the job's runs by itself.
 
     Parameters
@@ -155,7 +146,7 @@ def _require_different(targets: Sequence[Path]) -> None:
         known.add(place)
 
 
-def _dataset(target: Path, model: "Model", signals: Mapping[str, str]) -> Dataset:
+def _dataset(target: Path, model: Model, signals: Mapping[str, str]) -> Dataset:
     outputs = {output.name for output in model.outputs}
     wanted = {name: channel for name, channel in signals.items() if name in outputs}
     # a recording has channels of its own, not the devices of an experiment
@@ -218,8 +209,8 @@ def _label(sizes: Mapping[str, float], every: Sequence[Mapping[str, float]], run
 
 
 def _fitted(
-    job: "FitJob",
-    model: "Model",
+    job: FitJob,
+    model: Model,
     dataset: Dataset,
     sizes: Mapping[str, float],
     stated: Mapping[str, float],

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from labrun_plugins.rigs.hinge.body import body_of
+from labrun_plugins.rigs.hinge.map_findings import map_warnings
+from labrun_plugins.rigs.hinge.polynomial import fit_polynomial
+from labrun_plugins.rigs.hinge.published import CONSTANT, PUBLISHED, Form, design
 from swings import swing
 
 from labrun.errors import FitError, RequestError
-from labrun.fit.hinge_maps.body import body_of
-from labrun.fit.hinge_maps.forms import CONSTANT, PUBLISHED, Form, design
-from labrun.fit.hinge_maps.polynomial import fit_polynomial
-from labrun.fit.hinge_maps.told import map_warnings
 from labrun.fit.run_fit import fit
 from labrun.models import hinge_maps, load_model
 from labrun.runner.progress import SilentProgress

@@ -7,18 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from labrun.devices import FloatArray
 from labrun.errors import FitError
-from labrun.fit.estimate import Estimate
-from labrun.fit.hinge_maps.forms import CONSTANT, Form, Term, design
-from labrun.fit.resampling import LEVEL, student
-
-FloatArray = NDArray[np.float64]
+from labrun.fit import LEVEL, Estimate, student
+from labrun_plugins.rigs.hinge.published import CONSTANT, Form, Term, design
 
 RESAMPLES = 2000
 _DEFICIENT = 1e-9
 """A singular value this much below the largest is zero: no specimens tell along that direction."""
 _LEVERAGE = 1.0 - 1e-9
 _VISIBLE = 1e-6
+_LINE = 401
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +119,20 @@ class FittedMap:
             low, high = np.fmin(low, -half), np.fmax(high, half)
         return centre + low, centre + high
 
+    @property
+    def crossing(self) -> dict[str, float]:
+        """The size of every variable that most specimens share: where the lines of specimens cross."""
+        found = {}
+        for name, values in self.sizes.items():
+            sizes, counts = np.unique(values, return_counts=True)
+            found[name] = float(sizes[np.argmax(counts)])
+        return found
+
+    def line(self, name: str) -> dict[str, FloatArray]:
+        """Return points along one size, between its smallest and its largest specimen, the others at the crossing."""
+        own = np.linspace(float(self.sizes[name].min()), float(self.sizes[name].max()), _LINE)
+        return {other: own if other == name else np.full(_LINE, at) for other, at in self.crossing.items()}
+
     def _rows(self, sizes: Mapping[str, FloatArray]) -> FloatArray:
         return design(self.form.terms, _scaled(sizes, self.form, self.centre, self.scale))
 
@@ -138,7 +151,7 @@ def fit_polynomial(
 
     Two things make the coefficients uncertain. Releases of one specimen differ: whole releases are resampled within
     every specimen, and the map is fitted again (deviations expanded for few releases, see
-    `labrun.fit.resampling.resample_trials`). And specimens lie off the map by more than that, by how they are made
+    `labrun.fit.resample_trials`). And specimens lie off the map by more than that, by how they are made
     and mounted: least squares' own interval, by Student's t with as many degrees of freedom as there are more
     specimens than coefficients. Both are given; `FittedMap.intervals` is the wider one.
 

@@ -1,24 +1,114 @@
-"""The body that hangs on a specimen: its mass properties from a model whose equations use the trial's condition."""
+"""Eq. (3.5) and the body that swings: as a model states it, for one hinge or for the trial of every specimen."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.devices import FloatArray
 from labrun.errors import FitError
-from labrun.fit.hinge_model import FOUND
+from labrun.models import Model, Parameter, load_model
 
-if TYPE_CHECKING:
-    from labrun.models import Model
-
-FloatArray = NDArray[np.float64]
 Condition = Mapping[str, float | str]
 
+FOUND = ("stiffness", "damping")
+"""What a hinge fit is for; always free."""
 _STEP = 1e-4
 """Relative step of the derivatives with respect to the model's parameters."""
 _CLOSE = 1e-6
+
+
+def hinge_model(known: Model | None) -> Model:
+    """Return eq. (3.5) with what another model knows of the body.
+
+    Parameters
+    ----------
+    known
+        A model with the parameters `inertia` (I_G + m r^2, kg m^2) and `gravity_torque` (m g r, N m), such as
+        that of the experiment or of a recording; values and tolerances are taken over, those of `stiffness` and
+        `damping` too where it has them.
+
+    Raises
+    ------
+    FitError
+        No model, one that knows neither, or one that leaves the inertia free: a swing gives ratios to it only.
+    """
+    model = load_model(Path(__file__).with_name("hinge.toml"))
+    stated = {} if known is None else {parameter.name: parameter for parameter in known.parameters}
+    missing = [name for name in ("inertia", "gravity_torque") if name not in stated]
+    if missing:
+        source = "no model says" if known is None else f"model {known.name} does not have"
+        raise FitError(
+            f"a hinge fit needs the body's {' and '.join(missing)}, which {source}",
+            hint="a swing alone gives ratios only: name a model with the parameters inertia (kg m^2) and "
+            "gravity_torque (N m) by --model",
+        )
+    if stated["inertia"].tolerance == "free":
+        raise FitError(
+            "a hinge fit needs the body's inertia, which the model leaves free",
+            hint="a swing alone gives ratios to it only: weigh and measure the body, and give the inertia the "
+            "tolerance it is then known to",
+        )
+    parameters = tuple(_taken_over(parameter, stated) for parameter in model.parameters)
+    angle = known.outputs[0].name if known is not None and known.outputs else "angle"
+    if angle == "angle":
+        return replace(model, parameters=parameters)
+    outputs = tuple(replace(output, name=angle) for output in model.outputs)
+    return replace(model, parameters=parameters, outputs=outputs)
+
+
+def _taken_over(parameter: Parameter, stated: dict[str, Parameter]) -> Parameter:
+    if parameter.name not in stated:
+        return parameter
+    other = stated[parameter.name]
+    return replace(
+        parameter, value=other.value, tolerance="free" if parameter.name in FOUND else other.tolerance
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """What swings.
+
+    Attributes
+    ----------
+    inertia
+        I_G + m r^2, kg m^2.
+    gravity_torque
+        m g r, N m; None where it is not known.
+    inertia_tolerance, gravity_tolerance
+        Relative standard deviations.
+    """
+
+    inertia: float
+    gravity_torque: float | None
+    inertia_tolerance: float
+    gravity_tolerance: float
+
+    @classmethod
+    def of(cls, model: Model) -> "Body":
+        """Return what a hinge model says of the body."""
+        stated = {parameter.name: parameter for parameter in model.parameters}
+        inertia, gravity = stated["inertia"], stated["gravity_torque"]
+        free = gravity.tolerance == "free"
+        return cls(
+            inertia.value,
+            None if free else gravity.value,
+            0.0 if isinstance(inertia.tolerance, str) else inertia.tolerance,
+            0.0 if isinstance(gravity.tolerance, str) else gravity.tolerance,
+        )
+
+
+def taken_as_stated(model: Model) -> Model:
+    """Return the model with the body's numbers fixed, as far as they are known."""
+    parameters = [
+        parameter
+        if parameter.name in FOUND or parameter.tolerance == "free"
+        else replace(parameter, tolerance=0.0)
+        for parameter in model.parameters
+    ]
+    return replace(model, parameters=tuple(parameters))
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +139,7 @@ class SpecimenBody:
         return float(np.linalg.norm(k)) / size[0], float(np.linalg.norm(b)) / size[1]
 
 
-def body_of(model: "Model", condition: Condition) -> SpecimenBody:
+def body_of(model: Model, condition: Condition) -> SpecimenBody:
     """Return the body of one specimen as the model states it.
 
     The equation of motion is asked for it: ``I theta'' = torque - k theta - b theta' - m g r sin(theta)``, so that
@@ -88,10 +178,8 @@ def body_of(model: "Model", condition: Condition) -> SpecimenBody:
     return SpecimenBody(inertia, gravity, np.array(rows).reshape(-1, 2))
 
 
-def with_body(model: "Model", body: SpecimenBody) -> "Model":
-    """Return the model's stiffness and damping beside a body that is known, for `labrun.fit.hinge.fit_hinge`."""
-    from labrun.models.model import Parameter
-
+def with_body(model: Model, body: SpecimenBody) -> Model:
+    """Return the model's stiffness and damping beside a body that is known, for `fit_hinge`."""
     searched = tuple(parameter for parameter in model.parameters if parameter.name in FOUND)
     known = (
         Parameter("inertia", body.inertia, 0.0, "kg m^2"),
@@ -100,7 +188,7 @@ def with_body(model: "Model", body: SpecimenBody) -> "Model":
     return replace(model, parameters=(*known, *searched))
 
 
-def _require_hinge(model: "Model", names: list[str]) -> None:
+def _require_hinge(model: Model, names: list[str]) -> None:
     missing = [name for name in FOUND if name not in names]
     joints = [site.name for site in model.sites if site.kind == "joint"]
     if missing or len(model.states) != 2 or len(joints) != 1 or len(model.outputs) != 1 or model.inputs:
@@ -112,7 +200,7 @@ def _require_hinge(model: "Model", names: list[str]) -> None:
         )
 
 
-def _properties(model: "Model", condition: Condition, values: Mapping[str, float]) -> tuple[float, float]:
+def _properties(model: Model, condition: Condition, values: Mapping[str, float]) -> tuple[float, float]:
     p = model.vector(values, condition)
     derivative = model.derivative.python
     column = model.states.index(model.outputs[0].name) if model.outputs[0].name in model.states else 0

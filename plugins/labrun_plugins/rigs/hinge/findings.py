@@ -4,14 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labrun.fit.estimate import Estimate, rounded
-from labrun.fit.hinge_model import FOUND, Body
-from labrun.fit.releases import Release
-from labrun.fit.resampling import student
-
-FloatArray = NDArray[np.float64]
+from labrun.devices import FloatArray
+from labrun.fit import Estimate, rounded, student
+from labrun_plugins.rigs.hinge.body import FOUND, Body
+from labrun_plugins.rigs.hinge.releases import Release
 
 _CLOSE = 5e-3
 _ABOVE_NOISE = 2.0

@@ -2,38 +2,72 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from pydantic import BaseModel
 
 from labrun.errors import FitError
-from labrun.fit.correlation import correlation_length
-from labrun.fit.dataset import Dataset, FitTrial
-from labrun.fit.estimate import Estimate
-from labrun.fit.fourier import FourierSwing, fit_fourier
-from labrun.fit.hinge_findings import agreement_warnings, body_warning, release_findings, residual_warning
-from labrun.fit.hinge_model import FOUND, Body, hinge_model, taken_as_stated
-from labrun.fit.notes import Note, silent
-from labrun.fit.output_error import FEW_TRIALS, fit_model
-from labrun.fit.releases import Release, fit_release, fourier_system, fourier_values, mean_over_releases
-from labrun.fit.resampling import resample_trials
-from labrun.fit.result import FitResult
+from labrun.fit import (
+    FEW_TRIALS,
+    Dataset,
+    Estimate,
+    FitJob,
+    FitResult,
+    FitTrial,
+    NoSettings,
+    Note,
+    correlation_length,
+    fit_model,
+    load_dataset,
+    resample_trials,
+    silent,
+)
+from labrun.models import Model
+from labrun_plugins.rigs.hinge.body import FOUND, Body, hinge_model, taken_as_stated
+from labrun_plugins.rigs.hinge.findings import (
+    agreement_warnings,
+    body_warning,
+    release_findings,
+    residual_warning,
+)
+from labrun_plugins.rigs.hinge.fourier import FourierSwing, fit_fourier
+from labrun_plugins.rigs.hinge.releases import (
+    Release,
+    fit_release,
+    fourier_system,
+    fourier_values,
+    mean_over_releases,
+)
 
-if TYPE_CHECKING:
-    from labrun.models import Model
-
-FloatArray = NDArray[np.float64]
-
+STARTS = 2
+"""A hinge fit starts from its own Fourier estimate."""
 _BLOCKS = 10
+
+
+class HingeFit:
+    """Stiffness and damping by Fourier derivatives and by simulation; the model says what is known of the body."""
+
+    Settings: ClassVar[type[BaseModel]] = NoSettings
+
+    def __init__(self, settings: NoSettings) -> None:  # noqa: ARG002  (has none)
+        return
+
+    def __call__(self, job: FitJob) -> FitResult:
+        """Fit; see `fit_hinge`."""
+        hinge = hinge_model(job.model)
+        names = {output.name for output in hinge.outputs}
+        signals = {name: channel for name, channel in job.signals.items() if name in names}
+        dataset = load_dataset(job.target, hinge, signals)
+        return fit_hinge(dataset, job.model, rng=job.rng, starts=job.starts or STARTS, note=job.note)
 
 
 def fit_hinge(
     dataset: Dataset,
-    known: "Model | None",
+    known: Model | None,
     *,
     rng: np.random.Generator,
-    starts: int = 2,
+    starts: int = STARTS,
     note: Note = silent,
 ) -> FitResult:
     """Fit eq. (3.5) to free swings both ways.
@@ -87,7 +121,7 @@ def fit_hinge(
 
 def _one_by_one(
     dataset: Dataset,
-    model: "Model",
+    model: Model,
     body: Body,
     swings: Sequence[FourierSwing],
     rng: np.random.Generator,
@@ -149,7 +183,7 @@ def _renamed(fourier: dict[str, Estimate]) -> dict[str, Estimate]:
 
 def _together(
     dataset: Dataset,
-    model: "Model",
+    model: Model,
     body: Body,
     swings: Sequence[FourierSwing],
     rng: np.random.Generator,
@@ -172,7 +206,7 @@ def _together(
 
 
 def _fourier_together(
-    swings: Sequence[FourierSwing], body: Body, model: "Model", rng: np.random.Generator
+    swings: Sequence[FourierSwing], body: Body, model: Model, rng: np.random.Generator
 ) -> dict[str, Estimate]:
     """Return chapter 3's estimate from all swings at once; intervals by resampling swings, or pieces of one."""
     names = [*FOUND, *["gravity_torque"] * (body.gravity_torque is None)]
@@ -198,9 +232,7 @@ def _fourier_together(
     }
 
 
-def _without_spring(
-    result: FitResult, model: "Model", dataset: Dataset, rng: np.random.Generator
-) -> list[str]:
+def _without_spring(result: FitResult, model: Model, dataset: Dataset, rng: np.random.Generator) -> list[str]:
     """Say what the spring is worth where it may as well be absent."""
     stiffness = result.parameters["stiffness"]
     if not stiffness.contains_zero:

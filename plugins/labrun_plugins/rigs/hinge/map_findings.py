@@ -1,16 +1,15 @@
 """What the maps show, and what to know before trusting them."""
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
 
-from labrun.fit.hinge_maps.comparison import published_mae, unread
-from labrun.fit.hinge_maps.forms import PUBLISHED, UNITS, Quantity
-from labrun.fit.hinge_maps.negative import negative_warnings
-from labrun.fit.hinge_maps.polynomial import FittedMap
-from labrun.fit.hinge_maps.specimens import SIZES, Specimen
-from labrun.fit.hinge_model import FOUND
-from labrun.fit.output_error import FEW_TRIALS
+from labrun.fit import FEW_TRIALS
+from labrun_plugins.rigs.hinge.body import FOUND
+from labrun_plugins.rigs.hinge.polynomial import FittedMap
+from labrun_plugins.rigs.hinge.published import PUBLISHED, UNITS, Quantity
+from labrun_plugins.rigs.hinge.specimens import SIZES, Specimen
 
 _FEW_FREEDOMS = 3
 _NEARLY_COLLINEAR = 30.0
@@ -19,6 +18,8 @@ _SHOWN = 3
 _WAYS_APART = 0.01
 _NORMAL = 1.96
 _ABOVE_RELEASES = 2.0
+_BOX = 25
+"""Points along each edge of the box in which negative values are looked for."""
 
 
 def findings(
@@ -27,7 +28,7 @@ def findings(
     """Return what the maps show."""
     told = []
     for one in maps:
-        known = published_mae(one, specimens)
+        known = _published_mae(one, specimens)
         if one.form.published is not None and np.isfinite(known):
             told.append(
                 f"on these specimens the published map {one.form.published.equation} has a mean absolute error of "
@@ -92,14 +93,14 @@ def map_warnings(one: FittedMap) -> list[str]:
         )
     if one.form.published is None:
         told.append(f"{label}: the source has no map over just these sizes to compare with")
-    return [*told, *negative_warnings(one)]
+    return [*told, *_negative(one)]
 
 
 def warnings(maps: Sequence[FittedMap], specimens: Sequence[Specimen], way: str) -> list[str]:
     """Return what concerns all maps."""
     told = []
     for one in maps:
-        labels = unread(one, specimens)
+        labels = [one_.label for one_ in specimens if not np.isfinite(one.form.published_value(one_.sizes))]
         if labels and one.form.published is not None:
             told.append(
                 f"{one.form.published.equation} is not compared with {_capped(labels)}: the specimen is outside of the "
@@ -120,6 +121,40 @@ def warnings(maps: Sequence[FittedMap], specimens: Sequence[Specimen], way: str)
     told += own[:_SHOWN]
     if len(own) > _SHOWN:
         told.append(f"more on single specimens ({len(own) - _SHOWN}) is stored with the fit")
+    return told
+
+
+def _published_mae(one: FittedMap, specimens: Sequence[Specimen]) -> float:
+    """Return the mean absolute error of the published map on these specimens; nan if it may be read at none."""
+    published = np.array([one.form.published_value(specimen.sizes) for specimen in specimens])
+    error = np.abs(one.measured - published)
+    return float(np.nanmean(error)) if np.isfinite(error).any() else float("nan")
+
+
+def _negative(one: FittedMap) -> list[str]:
+    """Return where along the lines of specimens the map is negative, and in how much of the box around them."""
+    told = []
+    for name in one.form.variables:
+        points = one.line(name)
+        values = one.value(points)
+        below = points[name][values <= 0]
+        if len(below):
+            condition, factor = SIZES[name]
+            unit = condition.rpartition("_")[2].replace("cm2", "cm^2")
+            told.append(
+                f"{one.form.label} turns negative between specimens, at {name} = {below[0] / factor:.3g} to "
+                f"{below[-1] / factor:.3g} {unit} (least: {values.min():.2g} {UNITS[one.form.quantity]}): do not use "
+                "it there, and measure a specimen there"
+            )
+    if len(one.form.variables) > 1:
+        axes = [np.linspace(values.min(), values.max(), _BOX) for values in one.sizes.values()]
+        grid = np.array(list(itertools.product(*axes))).T
+        share = float(np.mean(one.value(dict(zip(one.sizes, grid, strict=True))) <= 0))
+        if share > 0:
+            told.append(
+                f"{one.form.label} is negative in {100 * share:.2g} % of the box that the specimens span, off the "
+                "lines along which they were varied: nothing was measured there, and the map says nothing about it"
+            )
     return told
 
 
