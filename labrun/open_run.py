@@ -171,7 +171,7 @@ class OpenRun:
     @cached_property
     def best(self) -> "Best | None":
         """The honest best with its interval; None without a goal, before the end, or of a run.h5 alone."""
-        from labrun.search.engine import stored_result
+        from labrun.search.result import stored_result
 
         folder = self.path if self.path.is_dir() else self.path.parent
         if self.path.is_file() and not (folder / SPEC).is_file():

@@ -52,8 +52,8 @@ def doctor(
     Example:  labrun doctor --hardware fin-params
     """
     with reported(as_json):
+        from labrun.app.doctor import examine
         from labrun.report.remark_text import remark_text
-        from labrun.search.examination import examine
 
         remarks = examine(experiment, Path.cwd(), overrides or (), hardware=hardware, emulate=emulate)
         found = []

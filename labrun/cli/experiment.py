@@ -1,6 +1,6 @@
 """`labrun check`, `run`, `sweep`, `track`, `cmaes`, `resume`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +11,7 @@ from labrun.cli.output import print_json, reported, to_terminal
 
 if TYPE_CHECKING:
     from labrun.runner.progress import Progress
-    from labrun.search.execute import RunResult
+    from labrun.search.result import RunResult
 
 
 def check(
@@ -26,7 +26,7 @@ def check(
     Example:  labrun check fin-params --set trial.repeats=5
     """
     with reported(as_json):
-        from labrun.search.execute import check as check_plan
+        from labrun.app.check import check as check_plan
         from labrun.spec.named import load_named
 
         plan = check_plan(load_named(name, Path.cwd(), overrides or ()), dry_run=dry_run)
@@ -39,80 +39,60 @@ def check(
         plan.require_feasible()
 
 
-def run(
-    name: options.Name,
-    dry_run: options.DryRun = False,
-    emulate: options.Emulate = False,
-    overrides: options.Overrides = None,
-    seed: options.Seed = None,
-    limit: options.Limit = None,
-    results: options.Results = options.RESULTS,
-    as_json: options.Json = False,
-    hide: options.Hide = None,
-    hide_seed: options.HideSeed = None,
-) -> None:
-    """Run an experiment of any kind, as its file says.
+def _command(kind: str | None, text: str) -> Callable[..., None]:
+    """Return the command that runs experiments of a kind (None: of any)."""
 
-    Example:  labrun run hinge --dry-run
-    """
-    _execute(name, None, dry_run, emulate, overrides, seed, limit, results, as_json, hide, hide_seed)
+    def command(
+        name: options.Name,
+        dry_run: options.DryRun = False,
+        emulate: options.Emulate = False,
+        overrides: options.Overrides = None,
+        seed: options.Seed = None,
+        limit: options.Limit = None,
+        results: options.Results = options.RESULTS,
+        as_json: options.Json = False,
+        hide: options.Hide = None,
+        hide_seed: options.HideSeed = None,
+    ) -> None:
+        with reported(as_json):
+            from labrun.app.run import run
 
+            result = run(
+                name,
+                dry_run=dry_run,
+                emulate=emulate,
+                overrides=overrides or (),
+                kind=kind,
+                seed=seed,
+                limit=limit,
+                hide=hide or (),
+                hide_seed=hide_seed,
+                results=results,
+                progress=progress_display(),
+            )
+            _print_result(result, as_json)
 
-def sweep(
-    name: options.SweepName,
-    dry_run: options.DryRun = False,
-    emulate: options.Emulate = False,
-    overrides: options.Overrides = None,
-    seed: options.Seed = None,
-    limit: options.Limit = None,
-    results: options.Results = options.RESULTS,
-    as_json: options.Json = False,
-    hide: options.Hide = None,
-    hide_seed: options.HideSeed = None,
-) -> None:
-    """Measure every condition of a sweep, in shuffled blocks.
-
-    Example:  labrun sweep fin-params --dry-run
-    """
-    _execute(name, "sweep", dry_run, emulate, overrides, seed, limit, results, as_json, hide, hide_seed)
-
-
-def track(
-    name: options.TrackName,
-    dry_run: options.DryRun = False,
-    emulate: options.Emulate = False,
-    overrides: options.Overrides = None,
-    seed: options.Seed = None,
-    limit: options.Limit = None,
-    results: options.Results = options.RESULTS,
-    as_json: options.Json = False,
-    hide: options.Hide = None,
-    hide_seed: options.HideSeed = None,
-) -> None:
-    """Close loops: follow a reference with each controller.
-
-    Example:  labrun track force-control --dry-run
-    """
-    _execute(name, "track", dry_run, emulate, overrides, seed, limit, results, as_json, hide, hide_seed)
+    command.__doc__ = text
+    return command
 
 
-def cmaes(
-    name: options.CmaesName,
-    dry_run: options.DryRun = False,
-    emulate: options.Emulate = False,
-    overrides: options.Overrides = None,
-    seed: options.Seed = None,
-    limit: options.Limit = None,
-    results: options.Results = options.RESULTS,
-    as_json: options.Json = False,
-    hide: options.Hide = None,
-    hide_seed: options.HideSeed = None,
-) -> None:
-    """Search by CMA-ES; the winner is confirmed by fresh repeats.
-
-    Example:  labrun cmaes turn-torque --dry-run
-    """
-    _execute(name, "cmaes", dry_run, emulate, overrides, seed, limit, results, as_json, hide, hide_seed)
+RUNS = {
+    "run": (None, "Run an experiment of any kind, as its file says.\n\nExample:  labrun run hinge --dry-run"),
+    "sweep": (
+        "sweep",
+        "Measure every condition of a sweep, in shuffled blocks.\n\nExample:  labrun sweep fin-params --dry-run",
+    ),
+    "track": (
+        "track",
+        "Close loops: follow a reference with each controller.\n\nExample:  labrun track force-control --dry-run",
+    ),
+    "cmaes": (
+        "cmaes",
+        "Search by CMA-ES; the winner is confirmed by fresh repeats.\n\n"
+        "Example:  labrun cmaes turn-torque --dry-run",
+    ),
+}
+"""The commands that run an experiment: the kind they are for, and their help."""
 
 
 def resume(
@@ -132,79 +112,23 @@ def resume(
     Example:  labrun resume
     """
     with reported(as_json):
-        from labrun.report.figure import draw_run
-        from labrun.search.resume import resume as resume_run
+        from labrun.app.resume import resume as resume_run
         from labrun.store.locate import find_unfinished
 
         folder = find_unfinished(run, results)
-        with _progress() as progress:
+        with progress_display() as progress:
             result = resume_run(
                 folder,
                 progress=progress,
                 accept_changed_spec=accept_changed_spec,
                 limit=limit,
-                draw=draw_run,
+                draw=True,
             )
         _print_result(result, as_json)
 
 
-def _execute(
-    name: str,
-    kind: str | None,
-    dry_run: bool,
-    emulate: bool,
-    overrides: list[str] | None,
-    seed: int | None,
-    limit: int | None,
-    results: Path,
-    as_json: bool,
-    hide: list[str] | None,
-    hide_seed: int | None,
-) -> None:
-    """Run an experiment of a kind (None: of any), and print its result."""
-    with reported(as_json):
-        result = _carried_out(
-            name, kind, dry_run, emulate, overrides or [], seed, limit, results, hide or (), hide_seed
-        )
-        _print_result(result, as_json)
-
-
-def dry_run_of(name: str, seed: int | None, results: Path) -> Path:
-    """Make a dry run of an experiment, and return its folder."""
-    return _carried_out(name, None, True, False, [], seed, None, results).run
-
-
-def _carried_out(
-    name: str,
-    kind: str | None,
-    dry_run: bool,
-    emulate: bool,
-    overrides: list[str],
-    seed: int | None,
-    limit: int | None,
-    results: Path,
-    hide: Sequence[str] = (),
-    hide_seed: int | None = None,
-) -> "RunResult":
-    from labrun.errors import RequestError
-    from labrun.report.figure import draw_run
-    from labrun.search.execute import execute
-    from labrun.spec.named import load_named
-
-    if dry_run and emulate:
-        raise RequestError(
-            "--dry-run and --emulate exclude each other",
-            hint="--dry-run: simulated devices in simulated time; --emulate: real drivers in real time",
-        )
-    loaded = load_named(name, Path.cwd(), overrides, kind=kind)
-    with _progress() as progress:
-        return execute(
-            loaded, results=results, dry_run=dry_run, emulate=emulate, seed=seed, limit=limit, progress=progress,
-            draw=draw_run, hide=hide, hide_seed=hide_seed,
-        )  # fmt: skip
-
-
-def _progress() -> "Progress":
+def progress_display() -> "Progress":
+    """Return what tells a person on standard error how a run goes."""
     if to_terminal():
         from labrun.report.progress import LiveProgress
 
@@ -223,5 +147,7 @@ def _print_result(result: "RunResult", as_json: bool) -> None:
 
 def register(app: typer.Typer) -> None:
     """Add this module's commands."""
-    for command in (check, run, sweep, track, cmaes, resume):
-        app.command()(command)
+    app.command()(check)
+    for name, (kind, text) in RUNS.items():
+        app.command(name)(_command(kind, text))
+    app.command()(resume)

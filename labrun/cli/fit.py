@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from labrun.cli import options
-from labrun.cli.experiment import dry_run_of
+from labrun.cli.experiment import progress_display
 from labrun.cli.output import print_json, reported, to_terminal
 
 
@@ -52,7 +52,10 @@ def fit(
         from labrun.fit.request import fit_request
 
         if dry_run:
-            target = str(dry_run_of(target, seed, results))
+            from labrun.app.run import run
+
+            made = run(target, dry_run=True, seed=seed, results=results, progress=progress_display())
+            target = str(made.run)
         with _status() as note:
             result = fit_request(
                 target,

@@ -1,36 +1,26 @@
 """Arguments and options that several commands share, with their shell completion."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 
-def complete_experiment(incomplete: str) -> list[str]:
-    """Offer the experiments of this workspace and those that ship with labrun."""
-    from labrun.spec.workspace import list_experiments
+def complete_experiment(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Offer the experiments of this workspace and those that ship with labrun; of its kind to `labrun sweep`, say."""
+    from labrun.spec.listing import summarise_workspace
 
-    return sorted({path.stem for path in list_experiments(Path.cwd()) if path.stem.startswith(incomplete)})
-
-
-def complete_of_kind(kind: str) -> Callable[[str], list[str]]:
-    """Return a completion that offers the experiments of one kind."""
-
-    def complete(incomplete: str) -> list[str]:
-        from labrun.spec.listing import summarise_workspace
-
-        summaries = summarise_workspace(Path.cwd(), RESULTS)
-        return [item.name for item in summaries if item.kind == kind and item.name.startswith(incomplete)]
-
-    return complete
+    kind = ctx.info_name if ctx.info_name in ("sweep", "track", "cmaes") else None
+    found = summarise_workspace(Path.cwd(), RESULTS)
+    return sorted({one.name for one in found if one.name.startswith(incomplete) and kind in (None, one.kind)})
 
 
-_NAME = "Experiment: its name, or the path of its TOML file."
-Name = Annotated[str, typer.Argument(help=_NAME, autocompletion=complete_experiment)]
-SweepName = Annotated[str, typer.Argument(help=_NAME, autocompletion=complete_of_kind("sweep"))]
-CmaesName = Annotated[str, typer.Argument(help=_NAME, autocompletion=complete_of_kind("cmaes"))]
-TrackName = Annotated[str, typer.Argument(help=_NAME, autocompletion=complete_of_kind("track"))]
+Name = Annotated[
+    str,
+    typer.Argument(
+        help="Experiment: its name, or the path of its TOML file.", autocompletion=complete_experiment
+    ),
+]
 Target = Annotated[
     str,
     typer.Argument(

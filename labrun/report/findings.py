@@ -26,8 +26,7 @@ from labrun.report.statistics import (
 )
 from labrun.report.stored_fits import StoredFit, stored_fits
 from labrun.runner.settling import unsettled
-from labrun.search.engine import stored_result
-from labrun.search.result import Best
+from labrun.search.result import Best, stored_result
 from labrun.store.folder import SPEC
 
 if TYPE_CHECKING:

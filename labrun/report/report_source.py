@@ -20,9 +20,8 @@ from labrun.report.statistics import (
     repeatability,
     stream_health,
 )
-from labrun.search.engine import stored_result
 from labrun.search.leaders import t_interval
-from labrun.search.result import Best
+from labrun.search.result import Best, stored_result
 from labrun.spec.experiment import Experiment
 from labrun.store.folder import SPEC
 from labrun.store.reading import Run

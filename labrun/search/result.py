@@ -1,5 +1,6 @@
 """What a run comes to."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Any
 
 from labrun.spec.experiment import Value
 
+RESULT_FILE = "result.json"
 _MOST_REASONS = 4
 
 
@@ -121,6 +123,28 @@ class RunResult:
     def unsettled_text(self) -> str:
         """Return the warning about trials that were recorded on a bench that was not at rest."""
         return unsettled_text(self.unsettled, self.done)
+
+
+def stored_result(run: Path) -> RunResult | None:
+    """Return the result of a finished run; None if the run is not finished."""
+    path = run / RESULT_FILE
+    if not path.is_file():
+        return None
+    record = json.loads(path.read_text(encoding="utf-8"))
+    trials = record["trials"]
+    figure = run / record["figure"] if record["figure"] is not None else None
+    best = None if record["best"] is None else Best.from_record(record["best"])
+    return RunResult(
+        run,
+        trials["done"],
+        trials["rejected"],
+        trials["failed"],
+        best,
+        figure,
+        finished=True,
+        reasons=record.get("reasons", {}),
+        unsettled=record.get("unsettled", 0),
+    )
 
 
 def reason_lines(reasons: Mapping[str, int]) -> list[str]:

@@ -1,6 +1,7 @@
 """What a person sees before anything runs."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -83,8 +84,29 @@ def test_an_error_is_one_json_object_for_a_script(tmp_path):
     assert "fin-parms" in json.loads(done.stdout)["error"]
 
 
-def test_completion_offers_the_experiments(tmp_path, monkeypatch):
-    from labrun.cli.options import complete_experiment
-
+@pytest.mark.parametrize(
+    ("command", "typed", "offered"),
+    [
+        ("run", "turn", ["turn-torque", "turn-torque-current"]),
+        ("cmaes", "", ["turn-torque", "turn-torque-current"]),
+        ("track", "", ["force-control", "stabilise"]),
+    ],
+)
+def test_completion_offers_the_experiments_that_the_command_runs(
+    tmp_path, monkeypatch, command, typed, offered
+):
     monkeypatch.chdir(tmp_path)
-    assert complete_experiment("turn") == ["turn-torque", "turn-torque-current"]
+    asked = {
+        "COMP_WORDS": f"labrun {command} {typed}",
+        "COMP_CWORD": "2",
+        "_LABRUN_COMPLETE": "complete_bash",
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", "import sys; sys.argv[0] = 'labrun'; from labrun.cli import main; main()"],
+        env={**os.environ, **asked},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.stdout.split() == offered

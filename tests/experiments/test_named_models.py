@@ -5,10 +5,10 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
+from labrun.app.run import execute
 from labrun.fit.dataset import load_dataset
 from labrun.fit.output_error import fit_model
 from labrun.runner.progress import SilentProgress
-from labrun.search.execute import execute
 from labrun.search.hidden import named_model
 from labrun.spec.named import load_named
 

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from labrun.app.run import execute
 from labrun.errors import FitError, RequestError
 from labrun.fit.signal_table import SignalTable
 from labrun.fit.signals import load_signals, trailing_mean
 from labrun.runner.progress import SilentProgress
-from labrun.search.execute import execute
 from labrun.spec.named import load_named
 from labrun.store.reading import open_run
 

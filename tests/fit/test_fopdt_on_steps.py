@@ -6,9 +6,9 @@ has to hold it, and the other's interval has to end next to it.
 
 import pytest
 
+from labrun.app.run import execute
 from labrun.fit.run_fit import fit
 from labrun.runner.progress import SilentProgress
-from labrun.search.execute import execute
 from labrun.spec.named import load_named
 
 PUBLISHED = {

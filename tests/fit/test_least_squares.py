@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from labrun.app.run import execute
 from labrun.errors import RequestError
 from labrun.fit.baskets.solving import collinear, condition, fit_basket, solve
 from labrun.fit.baskets.terms import BASKETS, column
 from labrun.fit.run_fit import fit
 from labrun.runner.progress import SilentProgress
-from labrun.search.execute import execute
 from labrun.spec.named import load_named
 
 STEP_S = 0.05

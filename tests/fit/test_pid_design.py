@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from labrun.app.run import execute
 from labrun.control.feedforward import FeedforwardPid
 from labrun.control.pid import PidController
 from labrun.control.protocol import LoopContext, Step
@@ -35,7 +36,6 @@ from labrun.fit.tuning.settings import PidSettings
 from labrun.fit.tuning.simc import rules, simc
 from labrun.fit.tuning.study import Study, study
 from labrun.runner.progress import SilentProgress
-from labrun.search.execute import execute
 from labrun.spec.named import load_named
 
 CYCLE_S = 1 / 1.4

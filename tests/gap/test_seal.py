@@ -8,12 +8,12 @@ import h5py
 import numpy as np
 import pytest
 
+from labrun.app.resume import resume
+from labrun.app.run import execute
 from labrun.effects import effects
 from labrun.errors import RecordingError, RequestError
 from labrun.gap.seal import reveal, seal
 from labrun.runner.progress import SilentProgress
-from labrun.search.execute import execute
-from labrun.search.resume import resume
 from labrun.spec.named import load_named
 from labrun.store.reading import open_run
 from labrun.store.seal import redacted

@@ -20,8 +20,8 @@ ALL_P = ("P-100", "P-109", "P-120")
 )
 def found(request, tmp_path_factory):
     """Return every accepted value of each objective by controller, of one whole dry run."""
+    from labrun.app.run import execute
     from labrun.runner.progress import SilentProgress
-    from labrun.search.execute import execute
     from labrun.spec.loading import load_experiment
     from labrun.spec.workspace import shipped_experiments
 

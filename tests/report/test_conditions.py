@@ -10,11 +10,11 @@ import pytest
 from memory_run import sweep_view
 from rich.console import Console
 
+from labrun.app.run import execute
 from labrun.report.conditions import condition_results, in_order, most_promising, varying
 from labrun.report.findings import findings
 from labrun.report.run_overlay import condition_title
 from labrun.runner.progress import SilentProgress
-from labrun.search.execute import execute
 from labrun.spec.named import load_named
 from labrun.store.reading import open_run
 

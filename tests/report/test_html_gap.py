@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import gap_examples as examples
 
+from labrun.app.run import execute
 from labrun.report.gap_store import store
 from labrun.report.html import write_report
 from labrun.report.html_gap import gap_section
 from labrun.runner.progress import SilentProgress
-from labrun.search.execute import execute
 from labrun.spec.named import load_named
 from labrun.store.opening import open_run
 

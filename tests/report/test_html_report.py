@@ -7,13 +7,13 @@ import shutil
 import pytest
 from typer.testing import CliRunner
 
+from labrun.app.run import execute
 from labrun.cli.app import app
 from labrun.report.html import write_report
 from labrun.report.html_words import interval_words
 from labrun.report.report_source import read_source
 from labrun.runner.progress import SilentProgress
-from labrun.search.engine import stored_result
-from labrun.search.execute import execute
+from labrun.search.result import stored_result
 from labrun.spec.named import load_named
 from labrun.store.folder import RunFolder
 from labrun.store.importing import import_recording
@@ -25,9 +25,7 @@ SMALL = ["sweep.axes.b=[0]", "sweep.axes.a=[20, 60]", "sweep.axes.f=[0.7, 1.4]",
 def measure(results, *, overrides=SMALL, limit=None, name="fin-params"):
     loaded = load_named(name, results, overrides)
     progress = SilentProgress()
-    return execute(
-        loaded, results=results, dry_run=True, seed=3, limit=limit, progress=progress, draw=None
-    ).run
+    return execute(loaded, results=results, dry_run=True, seed=3, limit=limit, progress=progress).run
 
 
 @pytest.fixture(scope="module")

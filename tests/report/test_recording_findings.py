@@ -8,11 +8,11 @@ import tempfile
 import pytest
 from rich.console import Console
 
+from labrun.app.resume import resume
 from labrun.errors import RequestError
 from labrun.report.figure import draw_run
 from labrun.report.findings import findings
 from labrun.report.progress import LiveProgress
-from labrun.search.resume import resume
 from labrun.store.export import export_run
 from labrun.store.importing import import_recording
 from labrun.store.opening import open_target

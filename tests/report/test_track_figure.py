@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from labrun.app.run import execute
 from labrun.report.data import RunView
 from labrun.report.figure import draw_run
 from labrun.report.findings import findings
@@ -12,7 +13,6 @@ from labrun.report.loop_health import LoopHealth, loop_health, loop_words
 from labrun.report.recorded import experiment_of
 from labrun.report.report_source import read_source
 from labrun.runner.progress import SilentProgress
-from labrun.search.execute import execute
 from labrun.spec.named import load_named
 from labrun.store.reading import open_run
 

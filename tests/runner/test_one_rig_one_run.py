@@ -9,14 +9,13 @@ from pathlib import Path
 import pytest
 from paddle_lab import EXPERIMENT, experiment_with
 
+from labrun.app.run import connected, execute
 from labrun.devices import DeviceSettings, Port
 from labrun.errors import PluginError, RigBusyError
 from labrun.runner.clock import RealClock
 from labrun.runner.ports import ports_of
 from labrun.runner.progress import SilentProgress
 from labrun.runner.rig import Rig
-from labrun.search.engine import connected
-from labrun.search.execute import execute
 from labrun.spec.loading import loads_experiment
 from labrun.store import rig_lock
 from labrun.store.rig_lock import lock_ports

@@ -2,9 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from labrun.report.figure import draw_run
+from labrun.app.run import execute
 from labrun.runner.progress import SilentProgress
-from labrun.search.execute import execute
 from labrun.spec.loading import load_experiment
 
 TANK = """
@@ -105,7 +104,7 @@ def dry_run(tmp_path: Path):
             seed=seed,
             limit=limit,
             progress=progress or SilentProgress(),
-            draw=draw_run,
+            draw=True,
         )
 
     return run

@@ -5,11 +5,13 @@ import signal
 import pytest
 from analytic_bench import search_experiment
 
+from labrun.app.check import check
+from labrun.app.resume import resume
+from labrun.app.run import execute
 from labrun.errors import LabrunError, PlanError, RequestError, SpecError
 from labrun.report.plan_text import plan_text
 from labrun.runner.faults import Interrupted
 from labrun.runner.progress import SilentProgress
-from labrun.search.execute import check, execute, resume
 from labrun.search.result import Best, RunResult
 from labrun.spec.loading import load_experiment
 from labrun.store.folder import RunFolder

@@ -7,11 +7,11 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from labrun.app.resume import resume
 from labrun.cli.app import app
 from labrun.errors import ExperimentError
 from labrun.report.findings import findings
 from labrun.runner.progress import SilentProgress
-from labrun.search.execute import resume
 from labrun.search.result import RunResult
 from labrun.store.folder import RunFolder
 from labrun.store.reading import open_run

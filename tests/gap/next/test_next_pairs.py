@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import pytest
 
+from labrun.app.run import execute
 from labrun.gap.diagnose import Options, diagnose
 from labrun.gap.next import propose
 from labrun.runner.plan import plan
 from labrun.runner.progress import SilentProgress
-from labrun.search.execute import execute
 from labrun.spec.loading import load_experiment
 from labrun.spec.named import load_named
 

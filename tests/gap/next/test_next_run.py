@@ -2,12 +2,12 @@
 
 import pytest
 
+from labrun.app.run import execute
 from labrun.gap.diagnose import Options, diagnose
 from labrun.gap.next import propose
 from labrun.gap.next.values import beyond, by_hand, rounded
 from labrun.runner.plan import plan
 from labrun.runner.progress import SilentProgress
-from labrun.search.execute import execute
 from labrun.spec.loading import load_experiment
 from labrun.spec.named import load_named
 

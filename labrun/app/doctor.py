@@ -3,8 +3,17 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from labrun.app.run import behind_the_drivers
 from labrun.devices import Remark
 from labrun.errors import RequestError
+from labrun.runner.clock import RealClock
+from labrun.runner.doctor import examine as examine_machine
+from labrun.runner.hardware_doctor import examine_rig, find_devices
+from labrun.runner.ports import ports_of
+from labrun.runner.progress import SilentProgress
+from labrun.runner.rig import Rig
+from labrun.spec.named import load_named
+from labrun.store.rig_lock import lock_ports
 
 
 def examine(
@@ -35,8 +44,6 @@ def examine(
     RigBusyError
         A run holds the devices.
     """
-    from labrun.runner.doctor import examine as examine_machine
-
     if (experiment is not None or emulate) and not hardware:
         raise RequestError(
             "an experiment and --emulate are for looking at devices", hint="add --hardware: nothing is moved"
@@ -48,23 +55,12 @@ def examine(
     if not hardware:
         yield from examine_machine()
     elif experiment is None:
-        from labrun.runner.hardware_doctor import find_devices
-
         yield from find_devices()
     else:
         yield from _examine_devices(experiment, workspace, overrides, emulate)
 
 
 def _examine_devices(name: str, workspace: Path, overrides: Sequence[str], emulate: bool) -> Iterator[Remark]:
-    from labrun.runner.clock import RealClock
-    from labrun.runner.hardware_doctor import examine_rig
-    from labrun.runner.ports import ports_of
-    from labrun.runner.progress import SilentProgress
-    from labrun.runner.rig import Rig
-    from labrun.search.emulated import behind_the_drivers
-    from labrun.spec.named import load_named
-    from labrun.store.rig_lock import lock_ports
-
     loaded = load_named(name, workspace, overrides)
     with behind_the_drivers(
         loaded.experiment, loaded.path, seed=0, emulate=emulate, progress=SilentProgress()

@@ -2,14 +2,20 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from labrun.app.carry_out import carry_out, require_answer
+from labrun.app.run import behind_the_drivers, connected
 from labrun.errors import LabrunError, RequestError
-from labrun.search.engine import Draw, carry_out, connected, require_answer, stored_result
-from labrun.search.result import RunResult, resume_line
-
-if TYPE_CHECKING:
-    from labrun.runner.progress import Progress
+from labrun.runner.clock import RealClock, SimulatedClock
+from labrun.runner.concealment import concealed
+from labrun.runner.progress import Progress
+from labrun.runner.rig import Rig
+from labrun.search.result import RunResult, resume_line, stored_result
+from labrun.spec.loading import load_experiment, loads_experiment
+from labrun.store.folder import RunFolder
+from labrun.store.locate import is_finished
+from labrun.store.seal import is_sealed, read_seal
 
 _MOST_CHANGES = 8
 
@@ -17,10 +23,10 @@ _MOST_CHANGES = 8
 def resume(
     run: Path,
     *,
-    progress: "Progress",
+    progress: Progress,
     accept_changed_spec: bool = False,
     limit: int | None = None,
-    draw: Draw | None = None,
+    draw: bool = False,
 ) -> RunResult:
     """Go on with a run by replay: stored trials are served, missing ones are run, the result is the same.
 
@@ -32,21 +38,13 @@ def resume(
         Go on although the experiment file has changed. The run keeps the specification it began with (its
         spec.toml): trials of two specifications in one run would answer no question.
     draw
-        What draws the finished run; without it there is no picture.
+        Whether the finished run gets its picture.
 
     Raises
     ------
     RequestError
         The experiment file has changed since (says which keys), the folder is no run, or an imported recording.
     """
-    from labrun.runner.clock import RealClock, SimulatedClock
-    from labrun.runner.rig import Rig
-    from labrun.search.emulated import behind_the_drivers
-    from labrun.spec.loading import loads_experiment
-    from labrun.store.folder import RunFolder
-    from labrun.store.locate import is_finished
-    from labrun.store.seal import is_sealed, read_seal
-
     folder = RunFolder.open(run)
     result = stored_result(run)
     if result is not None:
@@ -66,8 +64,6 @@ def resume(
     loaded = loads_experiment(folder.spec_toml, run.parent.name)
     on_bench = loaded.experiment
     if is_sealed(origin):
-        from labrun.runner.concealment import concealed
-
         on_bench = concealed(on_bench, read_seal(run, origin).hidden())
     seed, dry_run = int(origin["seed"]), bool(origin["dry_run"])
     clock = SimulatedClock() if dry_run else RealClock()
@@ -86,19 +82,11 @@ def resume(
             )
 
 
-def source_of(experiment_file: Path) -> dict[str, Any]:
-    """Return what provenance keeps of the experiment file, for `changed_keys`: where it is, and its text."""
-    text = experiment_file.read_text(encoding="utf-8") if experiment_file.is_file() else None
-    return {"experiment_file": str(experiment_file.resolve()), "experiment_text": text}
-
-
 def changed_keys(origin: Mapping[str, Any]) -> list[str]:
     """Return what differs between the experiment file as it was read and as it is now, one line a key.
 
     Comments and layout are no change; a file that is gone cannot be compared and counts as unchanged.
     """
-    from labrun.spec.loading import load_experiment, loads_experiment
-
     path, before = Path(origin.get("experiment_file", "")), origin.get("experiment_text")
     if before is None or not path.is_file() or path.read_text(encoding="utf-8") == before:
         return []
@@ -120,7 +108,7 @@ def _differences(old: Any, new: Any, key: str = "") -> Iterator[str]:
 
 
 def _refuse_or_note(
-    run: Path, origin: Mapping[str, Any], changes: list[str], accept: bool, progress: "Progress"
+    run: Path, origin: Mapping[str, Any], changes: list[str], accept: bool, progress: Progress
 ) -> None:
     path = origin["experiment_file"]
     if accept:

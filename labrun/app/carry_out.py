@@ -1,0 +1,343 @@
+"""A run from its open rig to its picture, new or resumed; and how it ends early: stopped, journalled, resumable."""
+
+import json
+import signal
+import threading
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
+
+from labrun.control.conductor import LoopConductor
+from labrun.errors import ExperimentError, LabrunError, PlanError
+from labrun.objectives import make_objective
+from labrun.report.figure import draw_run
+from labrun.runner.faults import Interrupted, LimitReached
+from labrun.runner.plan import Planner
+from labrun.runner.progress import Progress
+from labrun.runner.recording import Conduct, conduct_as_planned
+from labrun.runner.rig import Rig
+from labrun.runner.session import Session
+from labrun.runner.settling import unsettled
+from labrun.search.cmaes import search_by_cmaes
+from labrun.search.design import conditions
+from labrun.search.forecast import expected_trials
+from labrun.search.leaders import Measured, condition_key, honest_best
+from labrun.search.result import RESULT_FILE, Best, RunResult, reason_lines, resume_line
+from labrun.spec.experiment import Experiment, Value
+from labrun.spec.track_tables import LOOP_DEVICE
+from labrun.store.disk import replace_durably, saving
+from labrun.store.folder import RunFolder
+from labrun.store.trial import TrialOutcome
+
+
+def carry_out(
+    experiment: Experiment,
+    rig: Rig,
+    folder: RunFolder,
+    *,
+    seed: int,
+    limit: int | None,
+    progress: Progress,
+    draw: bool = False,
+) -> RunResult:
+    """Measure, name the honest best, pack, draw; trials that are stored already are not run again.
+
+    Raises
+    ------
+    Interrupted
+        Ctrl-C, or a request to terminate.
+    ExperimentError
+        The experiment failed. As after an interrupt, the hint says how to go on. Or it came to its end without an
+        answer, see `require_answer`: the data are packed.
+    """
+    goal = experiment.goal
+    unit = objective_unit(experiment, rig, goal[0]) if goal is not None else ""
+    if goal is not None:
+        progress = _BestSoFar(progress, *goal, unit, experiment.trial.repeats.min)
+    with folder.lock(), _resumable(folder), _terminate_like_interrupt():
+        session = Session(
+            experiment, rig, folder, rig.clock, seed, progress, limit, _conduct(experiment, rig)
+        )
+        try:
+            best = _measure(experiment, rig, session, folder, seed, unit, progress)
+        except LimitReached:
+            folder.journal.append("limit-reached", limit=limit)
+            progress.note(f"stopped after {limit} new trials; to go on: {resume_line(folder.path)}")
+            return _result(folder, best=None, figure=None, finished=False)
+        result = _finish(folder, best, progress, draw)
+    return require_answer(result, experiment)
+
+
+def require_answer(result: RunResult, experiment: Experiment) -> RunResult:
+    """Return the result of a finished run if it answers anything.
+
+    Raises
+    ------
+    ExperimentError
+        No trial was accepted, or there is a goal and no best could be named. The run stays packed and readable.
+    """
+    if result.done == 0:
+        problem = "no trial was accepted"
+    elif experiment.goal is not None and result.best is None:
+        name, direction = experiment.goal
+        problem = f"nothing can be named that would {direction} {name}: too few trials were accepted"
+    else:
+        return result
+    counts = f"{result.done} done, {result.rejected} rejected, {result.failed} failed"
+    error = ExperimentError(
+        "\n".join([f"{problem} ({counts})", *reason_lines(result.reasons)]),
+        hint=f"everything recorded is kept and packed in {result.run}: labrun show {result.run}; "
+        "mend the cause and start a new run",
+    )
+    error.details.update(result.to_json())
+    raise error
+
+
+def _measure(
+    experiment: Experiment,
+    rig: Rig,
+    session: Session,
+    folder: RunFolder,
+    seed: int,
+    unit: str,
+    progress: Progress,
+) -> Best | None:
+    found: Sequence[Measured]
+    if experiment.kind == "cmaes":
+        _expect(session, folder, expected_trials(experiment, ()))
+        found = search_by_cmaes(
+            experiment,
+            session,
+            folder.path / "search",
+            limit_excesses=Planner(experiment, rig).excess_of,
+            seed=seed,
+            progress=progress,
+        )
+    else:
+        planned = conditions(experiment, seed)
+        table = {"run": experiment.run, "track": experiment.track}.get(experiment.kind, experiment.sweep)
+        _expect(session, folder, expected_trials(experiment, planned))
+        found = session.measure(planned, order="shuffled" if table is None else table.order)
+    if experiment.goal is None:
+        return None
+    progress.phase("fresh repeats of the leaders")
+    name, direction = experiment.goal
+    return honest_best(session, found, objective=name, goal=direction, unit=unit, leaders=experiment.leaders)
+
+
+def _conduct(experiment: Experiment, rig: Rig) -> Conduct:
+    """Return how trials are recorded: with the loops closed where the experiment has any."""
+    if experiment.kind == "track":
+        return LoopConductor(experiment, rig)
+    return conduct_as_planned
+
+
+def _expect(session: Session, folder: RunFolder, trials: int | None) -> None:
+    """Say how many trials there will be, here and to whoever watches the run from elsewhere."""
+    folder.journal.append("expected", sync=False, trials=trials)
+    session.expect(trials)
+
+
+def objective_unit(experiment: Experiment, rig: Rig, name: str) -> str:
+    """Return the unit of an objective: its channel's, or what the objective makes of it."""
+    table = experiment.objectives[name]
+    device, _, channel = (table.channel or "").partition(".")
+    sensor = rig.sensors.get(device)
+    units = {item.name: item.unit for item in sensor.channels} if sensor is not None else {}
+    if device == LOOP_DEVICE and experiment.kind == "track":
+        units = {item.name: item.unit for item in LoopConductor(experiment, rig).channels}
+    return make_objective(name, table).unit(units.get(channel, ""))
+
+
+def _finish(folder: RunFolder, best: Best | None, progress: Progress, draw: bool) -> RunResult:
+    progress.phase("packing run.h5")
+    result = _result(folder, best=best, figure=None, finished=True)
+    folder.pack()
+    figure = _drawn(folder.path, best, progress) if draw else None
+    record = {
+        **result.to_json(),
+        "run": folder.path.name,
+        "best": None if best is None else best.to_record(),
+        "figure": None if figure is None else figure.name,
+        "reasons": dict(result.reasons),
+        "unsettled": result.unsettled,
+    }
+    with saving(RESULT_FILE, folder.path):
+        replace_durably(folder.path / RESULT_FILE, json.dumps(record, indent=2).encode())
+    if result.unsettled:
+        folder.journal.append("unsettled", trials=result.unsettled, of=result.done)
+        progress.note(result.unsettled_text())
+    folder.journal.append("finished", trials=record["trials"])
+    return _result(folder, best=best, figure=figure, finished=True)
+
+
+def _drawn(run: Path, best: Best | None, progress: Progress) -> Path | None:
+    """Draw the run. Whatever goes wrong with a picture, the data are safe and the run counts as done."""
+    progress.phase("drawing")
+    try:
+        return draw_run(run, best)
+    except Exception as error:
+        progress.note(f"the figure could not be drawn: {type(error).__name__}: {error}")
+        return None
+
+
+def _result(folder: RunFolder, *, best: Best | None, figure: Path | None, finished: bool) -> RunResult:
+    outcomes = list(folder.outcomes().values())
+    statuses = [outcome.status for outcome in outcomes]
+    done, rejected, failed = (statuses.count(status) for status in ("done", "rejected", "failed"))
+    reasons = Counter(
+        f"{outcome.status}: {outcome.reason}" for outcome in outcomes if outcome.status != "done"
+    )
+    timed_out = sum(unsettled(outcome) for outcome in outcomes)
+    return RunResult(
+        folder.path, done, rejected, failed, best, figure, finished, dict(reasons.most_common()), timed_out
+    )
+
+
+@contextmanager
+def _resumable(folder: RunFolder) -> Iterator[None]:
+    """Journal why a run ended early, and tell the person how to go on."""
+    try:
+        yield
+    except KeyboardInterrupt as interrupt:  # between two measurements; during one the session sees to it
+        _journal_end(folder, "interrupted", "Ctrl-C")
+        message = f"interrupted by Ctrl-C: actuators are stopped, {_saved(folder)}"
+        stopped = Interrupted(message, hint=_go_on(folder))
+        stopped.details.update(_so_far(folder))
+        raise stopped from interrupt
+    except LabrunError as error:
+        _journal_end(folder, "interrupted" if isinstance(error, Interrupted) else "failed", str(error))
+        saved = _saved(folder) if isinstance(error, PlanError) else f"{_saved(folder)}; {_go_on(folder)}"
+        error.hint = saved if error.hint is None else f"{error.hint}\n  {saved}"
+        error.details.update(_so_far(folder))
+        raise
+    except Exception as error:
+        _journal_end(folder, "failed", f"{type(error).__name__}: {error}")
+        error.add_note(f"{_saved(folder)}; {_go_on(folder)}")
+        raise
+
+
+def _go_on(folder: RunFolder) -> str:
+    return f"to go on: {resume_line(folder.path)}"
+
+
+def _journal_end(folder: RunFolder, event: str, reason: str) -> None:
+    try:
+        folder.journal.append(event, reason=reason)
+    except (OSError, LabrunError):  # a full disk: the error that brought us here tells more
+        return
+
+
+def _saved(folder: RunFolder) -> str:
+    try:
+        count = len(folder.outcomes())
+    except (OSError, LabrunError):
+        return f"what was measured is kept in {folder.path}"
+    return f"{count} trials are kept in {folder.path}"
+
+
+def _so_far(folder: RunFolder) -> dict[str, Any]:
+    """Return where the data are and what was done, for scripts."""
+    try:
+        statuses = [outcome.status for outcome in folder.outcomes().values()]
+    except (OSError, LabrunError):
+        return {"run": str(folder.path)}
+    trials = {status: statuses.count(status) for status in ("done", "rejected", "failed")}
+    return {"run": str(folder.path), "trials": trials}
+
+
+@contextmanager
+def _terminate_like_interrupt() -> Iterator[None]:
+    """Let SIGTERM (a shutdown, a batch system) end a run as Ctrl-C does: actuators first, then the data."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(_signal: int, _frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+class _BestSoFar:
+    """A progress display that hears of the best condition as well; everything else is passed on.
+
+    The best so far is the best mean among the conditions with the full number of repeats (any, before there is one).
+    It is what the search has in hand, and optimistic: the honest best comes at the end of the run.
+
+    Parameters
+    ----------
+    progress
+        Who is told.
+    objective, goal, unit
+        What is best.
+    repeats
+        How many accepted trials a condition needs to count in full.
+    """
+
+    def __init__(
+        self,
+        progress: Progress,
+        objective: str,
+        goal: Literal["maximise", "minimise"],
+        unit: str,
+        repeats: int,
+    ) -> None:
+        self._progress = progress
+        self._objective = objective
+        self._sign = 1.0 if goal == "maximise" else -1.0
+        self._unit = unit
+        self._repeats = repeats
+        self._sums: dict[object, tuple[int, float]] = {}
+        self._best: tuple[bool, float] | None = None
+
+    def __enter__(self) -> Self:
+        self._progress.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.__exit__(kind, error, trace)
+
+    def total(self, trials: int | None) -> None:
+        """Pass it on."""
+        self._progress.total(trials)
+
+    def phase(self, text: str) -> None:
+        """Pass it on."""
+        self._progress.phase(text)
+
+    def trial(self, outcome: TrialOutcome, done: int, total: int | None, remaining_s: float | None) -> None:
+        """Pass it on, and tell of a new best."""
+        self._progress.trial(outcome, done, total, remaining_s)
+        if (
+            outcome.status != "done"
+            or outcome.role == "reference"
+            or self._objective not in outcome.objectives
+        ):
+            return
+        key = condition_key(outcome.condition)
+        count, total_value = self._sums.get(key, (0, 0.0))
+        count, total_value = count + 1, total_value + outcome.objectives[self._objective]
+        self._sums[key] = (count, total_value)
+        mean = total_value / count
+        rank = (count >= self._repeats, self._sign * mean)
+        if self._best is None or rank > self._best:
+            self._best = rank
+            self._progress.best(outcome.condition, mean, self._unit)
+
+    def best(self, condition: Mapping[str, Value], value: float, unit: str) -> None:
+        """Pass it on."""
+        self._progress.best(condition, value, unit)
+
+    def note(self, text: str) -> None:
+        """Pass it on."""
+        self._progress.note(text)

@@ -1,0 +1,229 @@
+"""A new run: planned, connected, carried out."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labrun.app.carry_out import carry_out
+from labrun.app.check import whole_plan
+from labrun.errors import RequestError, SpecError
+from labrun.runner.clock import RealClock, SimulatedClock
+from labrun.runner.emulated.bench import EmulatedBench, has_emulator
+from labrun.runner.ports import ports_of
+from labrun.runner.progress import Progress, SilentProgress
+from labrun.runner.rig import Rig
+from labrun.search.hidden import bench_of, sealed_choice
+from labrun.search.result import RunResult
+from labrun.spec.experiment import Experiment
+from labrun.spec.loading import LoadedExperiment
+from labrun.spec.named import load_named
+from labrun.store.folder import RunFolder
+from labrun.store.provenance import collect
+from labrun.store.rig_lock import lock_ports
+from labrun.store.seal import SEALED, redacted, write_seal
+
+
+def run(
+    experiment: str | Path,
+    *,
+    dry_run: bool = False,
+    emulate: bool = False,
+    overrides: Sequence[str] = (),
+    kind: str | None = None,
+    seed: int | None = None,
+    limit: int | None = None,
+    hide: Sequence[str] = (),
+    hide_seed: int | None = None,
+    results: str | Path = "results",
+    workspace: str | Path = ".",
+    progress: Progress | None = None,
+) -> RunResult:
+    """Run an experiment of any kind to its end: trials, honest best, ``run.h5``, picture.
+
+    Parameters
+    ----------
+    experiment
+        Its name, as ``labrun list`` shows it, or the path of its TOML file.
+    dry_run
+        Simulated devices in simulated time.
+    emulate
+        The real drivers in real time, against emulators of their devices.
+    overrides
+        Keys of the file to replace, such as ``trial.repeats=5``.
+    kind
+        What the experiment must be, such as ``"sweep"``; of any kind if None.
+    seed, limit, hide, hide_seed
+        See `execute`.
+    results
+        Folder of the runs.
+    workspace
+        Where the experiment is looked for.
+    progress
+        Who is told how it goes; nobody if None.
+
+    Raises
+    ------
+    RequestError
+        The request or the plan does not hold; nothing moved and nothing was written.
+    ExperimentError, Interrupted
+        The experiment failed, or was interrupted; the hint says what was saved and how to go on.
+    """
+    if dry_run and emulate:
+        raise RequestError(
+            "--dry-run and --emulate exclude each other",
+            hint="--dry-run: simulated devices in simulated time; --emulate: real drivers in real time",
+        )
+    loaded = load_named(str(experiment), Path(workspace), overrides, kind=kind)
+    with SilentProgress() if progress is None else progress as told:
+        return execute(
+            loaded,
+            results=Path(results),
+            dry_run=dry_run,
+            emulate=emulate,
+            seed=seed,
+            limit=limit,
+            progress=told,
+            draw=True,
+            hide=hide,
+            hide_seed=hide_seed,
+        )
+
+
+def execute(
+    loaded: LoadedExperiment,
+    *,
+    results: Path,
+    dry_run: bool,
+    emulate: bool = False,
+    seed: int | None = None,
+    limit: int | None = None,
+    progress: Progress,
+    draw: bool = False,
+    hide: Sequence[str] = (),
+    hide_seed: int | None = None,
+) -> RunResult:
+    """Run an experiment to its end: trials, honest best, run.h5, figure.
+
+    Parameters
+    ----------
+    results
+        The run's folder is made below it, once all devices have answered.
+    dry_run
+        Simulated devices in simulated time.
+    emulate
+        The real drivers in real time, against emulators of their devices.
+    seed
+        Of all randomness; drawn if None, and stored with the run.
+    limit
+        Stop after this many trials; the run can be resumed.
+    draw
+        Whether the finished run gets its picture.
+    hide
+        Of a dry or emulated run: what its scene hides, see `labrun.runner.hiding.choose_hidden`; sealed with the
+        run, and told nowhere else. Empty hides nothing and seals nothing.
+    hide_seed
+        Of what is drawn; drawn itself if None, and stored nowhere.
+
+    Raises
+    ------
+    RequestError
+        The plan does not hold; nothing moved and nothing was written.
+    ExperimentError, Interrupted
+        The experiment failed, or was interrupted; the hint says what was saved and how to go on.
+    """
+    again = None
+    if hide:
+        bench = bench_of(hide, results)
+        if bench is not None:
+            # the same bench: what was built from the seed there is built from it here
+            seed, again = (bench[0] if seed is None else seed), bench[1]
+    if seed is None:
+        seed = int(np.random.default_rng().integers(2**32))
+    clock = SimulatedClock() if dry_run else RealClock()
+    progress.phase("checking the plan")
+    on_bench, seal = loaded.experiment, None
+    if hide:
+        on_bench, seal = sealed_choice(
+            loaded, hide, seed=hide_seed, simulated=dry_run or emulate, again=again
+        )
+    with behind_the_drivers(on_bench, loaded.path, seed=seed, emulate=emulate, progress=progress) as emulated:
+        rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run, emulated=emulated)
+        whole_plan(loaded, seed, rig).require_feasible()
+        progress.phase("connecting")
+        with connected(rig):
+            origin = {
+                **collect(loaded.path.resolve().parent, seed=seed, devices=rig.identities()),
+                **source_of(loaded.path),
+                "dry_run": dry_run,
+                "emulated": emulate,
+            }
+            if seal is not None:
+                origin |= {SEALED: seal.sha256, "command": redacted(origin["command"])}
+            folder = RunFolder.create(results, loaded.name, loaded.resolved_toml, origin)
+            if emulated is not None:
+                emulated.keep_logs(folder.path / "emulated")
+            if seal is not None:
+                write_seal(folder.path, seal)
+                progress.note(f"sealed what this run hides: sha256 {seal.sha256[:16]}")
+            return carry_out(
+                loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress, draw=draw
+            )
+
+
+@contextmanager
+def connected(rig: Rig) -> Iterator[Rig]:
+    """Hold every port of a rig and its devices open; a second run on one of the ports is refused.
+
+    Raises
+    ------
+    RigBusyError
+        Another run holds a port; nothing was connected.
+    DeviceError
+        A device cannot be opened.
+    """
+    # Emulators' ports are the run's own, and two such runs do not meet.
+    settings = [] if rig.dry_run or rig.emulated else [item.settings for item in rig.resolved]
+    ports = [port for table in settings for port in ports_of(table)]
+    with lock_ports(ports) if ports else nullcontext(), rig:
+        yield rig
+
+
+@contextmanager
+def behind_the_drivers(
+    experiment: Experiment, path: Path, *, seed: int, emulate: bool, progress: Progress
+) -> Iterator[EmulatedBench | None]:
+    """Run the emulators of an experiment's devices; None where they are not asked for.
+
+    Raises
+    ------
+    RequestError
+        None of the devices has an emulator, so that a dry run would do the same.
+    SpecError
+        The experiment names no bench for them to feel and move.
+    """
+    if not emulate:
+        yield None
+        return
+    rig = experiment.rig
+    if rig.scene is None:
+        raise SpecError(
+            f"{path} names no scene, so there is no bench for the emulators to move and feel",
+            hint='add scene = "..." to [rig]; labrun plugins lists the scenes',
+        )
+    if not any(has_emulator(table.plugin) for table in rig.devices.values()):
+        raise RequestError(
+            "none of its devices has an emulator",
+            hint="--dry-run simulates them; labrun plugins lists the emulators",
+        )
+    progress.phase("starting the emulators")
+    with EmulatedBench(rig.devices, rig.scene, seed=seed) as bench:
+        yield bench
+
+
+def source_of(experiment_file: Path) -> dict[str, Any]:
+    """Return what provenance keeps of the experiment file, for `changed_keys`: where it is, and its text."""
+    text = experiment_file.read_text(encoding="utf-8") if experiment_file.is_file() else None
+    return {"experiment_file": str(experiment_file.resolve()), "experiment_text": text}
