@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.gap import criteria
+
 if TYPE_CHECKING:
     from labrun.gap.problem import GapProblem
 
 FloatArray = NDArray[np.float64]
-
-_RANK = 1e-7
 
 
 class Absorption:
@@ -62,7 +62,7 @@ def basis(columns: FloatArray) -> FloatArray:
     if columns.shape[1] == 0:
         return columns
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
-    kept: FloatArray = left[:, singular > _RANK * singular[0]]
+    kept: FloatArray = left[:, singular > criteria.SPANNED * singular[0]]
     return kept
 
 

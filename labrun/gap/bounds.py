@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.gap import criteria
 from labrun.gap.diagnosis import Estimate
 from labrun.gap.problem import own_states
 
@@ -14,10 +15,6 @@ if TYPE_CHECKING:
     from labrun.gap.screening import Base, Screened
 
 FloatArray = NDArray[np.float64]
-
-_NORMAL_95 = 1.96
-_CLOSE = 1.03
-"""Levels that differ by less than this factor are as good as one."""
 
 
 def least_levels(
@@ -42,7 +39,7 @@ def least_levels(
     levels = [place for place, one in enumerate(fitted) if one.neutral is not None and np.isinf(one.neutral)]
     if not levels:
         return {}
-    search = _Levels(screened, base, fitted, _NORMAL_95**2 * dispersion)
+    search = _Levels(screened, base, fitted, criteria.NORMAL_95**2 * dispersion)
     found = {}
     for place in levels:
         parameter = fitted[place]
@@ -83,7 +80,7 @@ class _Levels:
             best, near = near, min(parameter.lower, parameter.upper, key=abs)
             if not self._left(others, place, near) > limit:
                 return None
-        while abs(best) > _CLOSE * abs(near):
+        while abs(best) > criteria.LEVELS_ALIKE * abs(near):
             between = float(np.sign(near) * np.sqrt(near * best))
             if self._left(others, place, between) > limit:
                 near = between

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labrun.errors import ModelError, RequestError
+from labrun.gap import criteria
 from labrun.gap.diagnosis import Name
 from labrun.nearest import nearest
 
@@ -15,10 +16,6 @@ if TYPE_CHECKING:
     from labrun.effects import AttachedEffect, Effect, Scale
     from labrun.gap.problem import GapProblem
     from labrun.models import Model
-
-_MOST_STARTS = 4
-_SIZES = (1.0, 0.2, 3.0)
-"""Every start is looked at smaller and larger, too: an effect may be far from its typical size."""
 
 
 @dataclass(frozen=True)
@@ -110,10 +107,10 @@ def _starts(effect: "Effect") -> tuple[tuple[float, ...], ...]:
     """Return combinations of the starts, each at several sizes, within the bounds."""
     fitted = [parameter for parameter in effect.parameters if not parameter.held]
     combined = list(product(*(parameter.starts for parameter in fitted)))
-    step = max(1, len(combined) // _MOST_STARTS)
+    step = max(1, len(combined) // criteria.START_COMBINATIONS)
     found = []
     for start in combined[::step]:
-        for size in _SIZES:
+        for size in criteria.START_SIZES:
             scaled = [
                 value if parameter.neutral is None or not np.isfinite(parameter.neutral) else value * size
                 for value, parameter in zip(start, fitted, strict=True)

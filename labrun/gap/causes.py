@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.gap import criteria
 from labrun.gap.confidence import confidence
 from labrun.gap.diagnosis import Candidate, CandidateVerdict, Cause, Estimate, Name, Verdict
 from labrun.gap.estimates import effect_units, parameter_value, upper_bounds, values_of
 from labrun.gap.identified import information
-from labrun.gap.problem import WITHIN
 
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from labrun.gap.rating import Rated
 
 FloatArray = NDArray[np.float64]
-
-_AT_BOUND = 1e-3
 
 
 def causes_of(search: "Search", dataset: "Dataset", moved: FloatArray) -> tuple[Cause, ...]:
@@ -103,7 +101,9 @@ def _far_off(search: "Search") -> dict[str, float]:
     problem = base.problem
     known = information(problem, base.z, base.absorption.jacobian)
     return {
-        name: float(max(one * (sigma / scale) ** 2 - 1.0, 0.0) * WITHIN**2)  # less what is known without data
+        name: float(
+            max(one * (sigma / scale) ** 2 - 1.0, 0.0) * criteria.WITHIN_TOLERANCES**2
+        )  # less what is known without data
         for name, one, sigma, scale in zip(
             problem.names, known, problem.prior_sigma, problem.scale, strict=False
         )
@@ -155,7 +155,7 @@ def _bound_remark(search: "Search", place: int) -> str:
             continue
         value = final.z[variable]
         span = parameter.upper - parameter.lower
-        if min(abs(value - parameter.lower), abs(parameter.upper - value)) < _AT_BOUND * span:
+        if min(abs(value - parameter.lower), abs(parameter.upper - value)) < criteria.AT_BOUND * span:
             at_bounds.append(parameter.name)
         variable += 1
     if not at_bounds:

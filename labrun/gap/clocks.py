@@ -8,19 +8,10 @@ from numpy.typing import NDArray
 
 from labrun.errors import RecordingError
 from labrun.fit.dataset import Dataset, FitTrial
+from labrun.gap import criteria
 
 FloatArray = NDArray[np.float64]
 
-_LONG = 5.0
-"""A time step this many times as long as the usual one is a jump of the clock, or samples are missing."""
-_FEWEST_STEPS = 20
-"""With fewer, nobody can say which step is the usual one."""
-_SELDOM = 0.02
-"""Where a larger part of the steps is long, a trial was sampled unevenly on purpose."""
-_SHORT = 0.01
-"""Part of a trial's duration up to which a long step shifts little of what comes after it."""
-_APART = 0.005
-"""Part by which the sampling intervals of repeats may differ."""
 _SHOWN = 3
 
 
@@ -56,7 +47,7 @@ def with_sound_clocks(dataset: Dataset) -> Checked:
         usual_s, long = _long_steps(trial)
         if not len(long):
             kept.append(trial)
-        elif len(long) > max(1.0, _SELDOM * (len(trial.time_s) - 1)):
+        elif len(long) > max(1.0, criteria.SELDOM * (len(trial.time_s) - 1)):
             kept.append(trial)
             uneven.append(_called(trial))
         else:
@@ -65,7 +56,7 @@ def with_sound_clocks(dataset: Dataset) -> Checked:
                 f"{_place(trial, int(at))}: time goes on by {step:.3g} s; the usual step is {usual_s:.3g} s"
                 for at, step in zip(long, steps_s, strict=True)
             ]
-            if np.max(steps_s) > _SHORT * float(trial.time_s[-1] - trial.time_s[0]):
+            if np.max(steps_s) > criteria.SHORT_HOLE * float(trial.time_s[-1] - trial.time_s[0]):
                 jumping.append(f"{_place(trial, int(long[np.argmax(steps_s)]))} ({np.max(steps_s):.3g} s)")
             else:
                 kept.append(trial)
@@ -108,7 +99,7 @@ def _disagreeing(dataset: Dataset) -> tuple[str, ...]:
             # of two, nobody can say which is wrong: each is held against the other
             compared = group if len(group) != 2 else [group[1 - place]]
             apart = interval_s / float(np.median([one for _, one in compared])) - 1.0
-            if abs(apart) > _APART:
+            if abs(apart) > criteria.INTERVALS_APART:
                 found.append(f"{_called(trial)} ({100 * apart:+.1f} %)")
     if not found:
         return ()
@@ -122,18 +113,20 @@ def _disagreeing(dataset: Dataset) -> tuple[str, ...]:
 def _long_steps(trial: FitTrial) -> tuple[float, NDArray[np.intp]]:
     """Return the median step in s and the places of steps that are far longer."""
     steps_s = np.diff(trial.time_s)
-    if len(steps_s) < _FEWEST_STEPS:
+    if len(steps_s) < criteria.FEWEST_STEPS:
         return 0.0, np.empty(0, dtype=np.intp)
     usual_s = float(np.median(steps_s))
-    return usual_s, np.flatnonzero(steps_s > _LONG * usual_s) if usual_s > 0 else np.empty(0, dtype=np.intp)
+    return usual_s, np.flatnonzero(steps_s > criteria.LONG_STEP * usual_s) if usual_s > 0 else np.empty(
+        0, dtype=np.intp
+    )
 
 
 def _interval_s(trial: FitTrial) -> float | None:
     """Return the mean step without holes, s; None where there are too few to tell."""
     steps_s = np.diff(trial.time_s)
-    if len(steps_s) < _FEWEST_STEPS or not np.median(steps_s) > 0:
+    if len(steps_s) < criteria.FEWEST_STEPS or not np.median(steps_s) > 0:
         return None
-    return float(np.mean(steps_s[steps_s <= _LONG * np.median(steps_s)]))
+    return float(np.mean(steps_s[steps_s <= criteria.LONG_STEP * np.median(steps_s)]))
 
 
 def _key(condition: Mapping[str, float | str]) -> str:

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labrun.fit.notes import Note
+from labrun.gap import criteria
 from labrun.gap.causes import candidate_table, causes_of
 from labrun.gap.diagnosis import Diagnosis, MissingForce, Place, Shrinkage, Sizes
 from labrun.gap.estimates import floor_of, scatter, shrinkage
 from labrun.gap.excess import excess, mean_residuals
-from labrun.gap.guard import FULL_DRAWS
 from labrun.gap.pictures import difference_of, traces_of
 from labrun.gap.problem import named
 from labrun.gap.verdict import Findings, verdict
@@ -157,4 +157,6 @@ def _guard_words(search: "Search") -> str:
         f"{len(search.draws)} draws of noise from the trials' own deviations, the whole library tried on each "
         "(linearised); an announced cause must explain more than the best did in 97 of 100"
     )
-    return f"{told}; {FULL_DRAWS} of them searched with all fits" if search.full_guard else told
+    return (
+        f"{told}; {criteria.FULL_SEARCH_DRAWS} of them searched with all fits" if search.full_guard else told
+    )

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.fit.notes import Note, silent
+from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, candidates, without
 from labrun.gap.clocks import with_sound_clocks
 from labrun.gap.diagnosis import Name
@@ -26,7 +27,7 @@ from labrun.gap.recalibration import (
 )
 from labrun.gap.scales import site_scales
 from labrun.gap.screening import Base, ends_of, screen_all, survey
-from labrun.gap.selection import MOST_CAUSES, Selection, Selector, look
+from labrun.gap.selection import Selection, Selector, look
 from labrun.gap.units import Units, gather
 from labrun.gap.workers import Each, one_by_one
 
@@ -35,15 +36,6 @@ if TYPE_CHECKING:
     from labrun.models import Model
 
 FloatArray = NDArray[np.float64]
-
-_WITHOUT_REPEATS = 2.5
-"""Factor on the guard's threshold where noise was told from gap by a fit, not by repeats."""
-_BEST = 0.7
-"""Only candidates that gain this part of what the best one gains are rivals for being the best."""
-_PROMISE = 0.1
-"""Only candidates whose survey promises this part of what the best one's does are fitted to find it."""
-_WORTH = 0.98
-"""A further candidate that lowers the squared residual by less than this is taken to fit noise."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +132,7 @@ def search_causes(
     residual = held_out_residuals(problem, z)
     reference = excess(units, noise, residual)
     base = Base.of(problem, z)
-    strictness = 1.0 if noise.basis == "repeats" else _WITHOUT_REPEATS
+    strictness = 1.0 if noise.basis == "repeats" else criteria.UNREPEATED_STRICTNESS
     if full_guard:
         note("running the whole search on noise alone, for the guard")
         linear = guard(base, each(lambda one: survey(base, one), every), draws)
@@ -184,14 +176,21 @@ def _without_repeats(
     note("no repeats: telling noise from gap by what the best candidates together leave")
     base = Base.of(recalibration.problem, recalibration.z)
     first, known = dict[Name, FloatArray](), dict[Name, FloatArray]()
-    for _ in range(MOST_CAUSES):
+    for _ in range(criteria.MOST_CAUSES):
         rest = without(every, {one.name for one in base.added})
         surveys = each(lambda one, base=base: survey(base, one), rest)  # type: ignore[misc]
-        screened = screen_all(base, surveys, each=each, worth=_BEST, beside_best=_PROMISE, known=known)
+        screened = screen_all(
+            base,
+            surveys,
+            each=each,
+            worth=criteria.REPLACED_AS_GOOD,
+            beside_best=criteria.REPLACED_PROMISE,
+            known=known,
+        )
         known |= ends_of(screened)
         first = first or dict(known)
         best = min(screened, key=lambda one: one.squares, default=None)
-        if best is None or best.squares > _WORTH * base.squares:
+        if best is None or best.squares > criteria.REPLACED_WORTH * base.squares:
             break
         base = Base.of(best.problem, best.z, (*base.added, best.candidate))
     noise = from_residual(units, member_residuals(base.problem, base.z))

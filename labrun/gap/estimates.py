@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.effects.quantities import unit_of
+from labrun.gap import criteria
 from labrun.gap.bounds import least_levels
 from labrun.gap.diagnosis import Estimate, Shrinkage
 from labrun.gap.excess import Excess, group_means
@@ -22,12 +23,6 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-_RESAMPLES = 400
-_NEW_CONDITIONS = 3
-"""The interval is for an experiment of so many new conditions."""
-_FORM = 0.006
-_BEYOND = 0.6
-_NORMAL_95 = 1.96
 _RIDGE = 1e-10
 
 
@@ -127,7 +122,7 @@ def upper_bounds(
         ]
         if not per_unit:
             continue
-        room = abs(float(screened.z[size + place])) + _NORMAL_95 * np.sqrt(dispersion) / float(
+        room = abs(float(screened.z[size + place])) + criteria.NORMAL_95 * np.sqrt(dispersion) / float(
             np.median(per_unit)
         )
         scale = candidate.scale.of(parameter.quantity)
@@ -153,7 +148,7 @@ def shrinkage(
     groups = len(then)
     sizes = np.array([len(mean) for mean, _ in then], dtype=float)
     shares = []
-    for _ in range(_RESAMPLES):
+    for _ in range(criteria.RESAMPLES):
         drawn = group_means(units, noise.draw(units, rng))
         first, second = np.empty(groups), np.empty(groups)
         for group in range(groups):
@@ -161,7 +156,7 @@ def shrinkage(
             floor = noise.mean_floor(group, then[group][1])
             first[group] = _shaken(then[group][0], disturbance, noise.sd, floor)
             second[group] = _shaken(now[group][0], disturbance, noise.sd, floor)
-        chosen = rng.integers(0, groups, min(groups, _NEW_CONDITIONS))
+        chosen = rng.integers(0, groups, min(groups, criteria.NEW_CONDITIONS))
         total = float(sizes[chosen] @ first[chosen])
         if total > 0:
             shares.append(1.0 - float(sizes[chosen] @ second[chosen]) / total)
@@ -170,8 +165,8 @@ def shrinkage(
     value = 1.0 - rest / whole if whole > 0 else 0.0
     low, high = np.percentile(shares, [5.0, 95.0]) if shares else (value, value)
     # new conditions ask for more than those between the old ones: forms and parameters are extrapolated
-    low = min(low, value) - _FORM - _BEYOND * max(1.0 - value, 0.0)
-    high = max(high, value) + _FORM
+    low = min(low, value) - criteria.FORM_ERROR - criteria.EXTRAPOLATED * max(1.0 - value, 0.0)
+    high = max(high, value) + criteria.FORM_ERROR
     return Shrinkage(float(min(value, 1.0)), float(low), float(high))
 
 
@@ -194,11 +189,13 @@ def _plain(
     return np.array(values), sizes / sizes.sum()
 
 
-def floor_of(units: "Units", noise: "Noise", rng: np.random.Generator, draws: int = 200) -> float:
+def floor_of(
+    units: "Units", noise: "Noise", rng: np.random.Generator, draws: int = criteria.FLOOR_DRAWS
+) -> float:
     """Return the systematic residual that noise alone shows at most in 95 of 100 experiments."""
     found = []
     for _ in range(draws):
         means = group_means(units, noise.draw(units, rng))
         values, shares = _plain(units, noise, means)
         found.append(Excess(values, shares).gap)
-    return float(np.percentile(found, 95.0))
+    return float(np.percentile(found, criteria.FLOOR_PERCENTILE))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.gap import criteria
 from labrun.gap.workers import Each, one_by_one
 
 if TYPE_CHECKING:
@@ -16,12 +17,6 @@ if TYPE_CHECKING:
     from labrun.gap.screening import Base, Survey
 
 FloatArray = NDArray[np.float64]
-
-LEVEL = 97.0
-DRAWS = 200
-FULL_DRAWS = 30
-_SLACK = 1.3
-"""Factor on the threshold: fits are not linear, and the noise itself is only estimated."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +40,7 @@ class Guard:
 
 
 def noise_draws(
-    problem: "GapProblem", noise: "Noise", rng: np.random.Generator, draws: int = DRAWS
+    problem: "GapProblem", noise: "Noise", rng: np.random.Generator, draws: int = criteria.NOISE_DRAWS
 ) -> list[list[FloatArray]]:
     """Return whitened noise of the mean of every unit, as the residuals of `problem` see it, for every draw."""
     rows = [len(part) for part in problem.residual_rows()]
@@ -66,7 +61,7 @@ def full_strictness(
     linear: Guard,
     rng: np.random.Generator,
     *,
-    draws: int = FULL_DRAWS,
+    draws: int = criteria.FULL_SEARCH_DRAWS,
     each: Each = one_by_one,
 ) -> float:
     """Return by what factor the linearised threshold has to grow, from the whole search run on noise alone.
@@ -86,7 +81,7 @@ def full_strictness(
         null = Base.of(problem, refit(problem, base.z, tolerance=1e-4))
         surveys = each(lambda one, null=null: survey(null, one), candidates)  # type: ignore[misc]
         most.append(max(one.gain for one in screen_all(null, surveys, linear.threshold, each)))
-    return max(1.0, float(np.percentile(most, LEVEL)) / linear.threshold)
+    return max(1.0, float(np.percentile(most, criteria.NOISE_PERCENTILE)) / linear.threshold)
 
 
 def guard(base: "Base", surveys: "Sequence[Survey]", draws: Sequence[Sequence[FloatArray]]) -> Guard:
@@ -113,4 +108,4 @@ def guard(base: "Base", surveys: "Sequence[Survey]", draws: Sequence[Sequence[Fl
             gain = np.maximum(gain, np.sum(np.square(plane.T @ noise), axis=0))
         most = np.maximum(most, gain)
     dispersion = max(1.0, float(np.mean(energies))) if energies else 1.0
-    return Guard(_SLACK * float(np.percentile(most, LEVEL)), dispersion)
+    return Guard(criteria.LINEAR_SLACK * float(np.percentile(most, criteria.NOISE_PERCENTILE)), dispersion)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from labrun.fit.descent import minimise
 from labrun.fit.problem import Blocks
+from labrun.gap import criteria
 from labrun.gap.identified import information, unseen
 from labrun.gap.problem import own_states
 
@@ -16,15 +17,10 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-_MOST_FOLDS = 8
-_EVALUATIONS = 16
-_TOLERANCE = 1e-4
-_FINER = 8
-
 
 def folds(groups: int) -> list[list[int]]:
     """Return which conditions are left out together: one at a time, at most eight folds."""
-    count = min(groups, _MOST_FOLDS)
+    count = min(groups, criteria.MOST_FOLDS)
     return [list(range(fold, groups, count)) for fold in range(count)]
 
 
@@ -111,8 +107,8 @@ def _trained(
         start,
         lower=np.where(stays, shared, problem.lower),
         upper=np.where(stays, shared, problem.upper),
-        tolerance=_TOLERANCE,
-        evaluations=_EVALUATIONS,
+        tolerance=criteria.FOLD_TOLERANCE,
+        evaluations=criteria.FOLD_EVALUATIONS,
         central=False,
         derivatives=seen,
         secant=True,
@@ -132,8 +128,8 @@ def _tested(
             start,
             lower=shared,
             upper=shared,
-            tolerance=_TOLERANCE,
-            evaluations=_EVALUATIONS,
+            tolerance=criteria.FOLD_TOLERANCE,
+            evaluations=criteria.FOLD_EVALUATIONS,
             central=False,
             derivatives=_of(blocks, test),
             secant=True,
@@ -144,7 +140,7 @@ def _tested(
     for index, trial in enumerate(part.dataset.trials):
         outputs = part.simulate(parameters, index, part.own(start, index))
         if outputs is None:  # what is stiff in this condition only may want shorter steps
-            outputs = part.finer(_FINER).simulate(parameters, index, part.own(start, index))
+            outputs = part.finer(criteria.FINER_STEPS).simulate(parameters, index, part.own(start, index))
         # parameters that blow up elsewhere explain nothing there: as bad as predicting the channels' means
         found.append(trial.outputs - (np.mean(trial.outputs, axis=0) if outputs is None else outputs))
     return found

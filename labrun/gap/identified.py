@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.fit.descent import NormalEquations
+from labrun.gap import criteria
 
 if TYPE_CHECKING:
     from labrun.fit.problem import Blocks
@@ -13,8 +14,6 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-_LEAST = 0.12
-"""Part of what is known of a size that a fit must have seen to say anything about it: one of eight conditions."""
 _RIDGE = 1e-12
 
 
@@ -44,5 +43,5 @@ def unseen(problem: "GapProblem", whole: FloatArray, part: FloatArray) -> NDArra
     """
     effects = sum(not one.held for attached in problem.effects for one in attached.effect.parameters)
     of_effects = np.arange(problem.size) >= problem.size - effects
-    found: NDArray[np.bool_] = of_effects & (part < _LEAST * whole)
+    found: NDArray[np.bool_] = of_effects & (part < criteria.LEAST_INFORMATION * whole)
     return found

@@ -5,11 +5,7 @@ import numpy as np
 from labrun.errors import RecordingError
 from labrun.fit.dataset import Dataset
 from labrun.fit.pieces import FEWEST_SAMPLES
-
-_ROUNDING = 1e-9
-"""Part of an output's size by which its values differ from rounding alone."""
-_STEPS = 2
-"""An output that moves by no more steps of its resolution than this is not told from a constant one."""
+from labrun.gap import criteria
 
 
 def require_informative(dataset: Dataset) -> None:
@@ -29,7 +25,7 @@ def require_informative(dataset: Dataset) -> None:
         size, span = float(np.max(np.abs(values))), float(np.ptp(values))
         levels = np.unique(values)
         unit = "" if output.unit in ("", "1") else f" {output.unit}"
-        if span <= _ROUNDING * size:
+        if span <= criteria.CONSTANT_OUTPUT * size:
             shown = "zero" if size == 0.0 else f"{float(np.median(values)):.6g}{unit}"
             what = f"is {shown} throughout {dataset.name}"
         elif len(values) >= FEWEST_SAMPLES and _few_steps(levels, span):
@@ -52,4 +48,6 @@ def require_informative(dataset: Dataset) -> None:
 
 def _few_steps(levels: "np.ndarray[tuple[int], np.dtype[np.float64]]", span: float) -> bool:
     """Tell whether different values are a few neighbouring steps of one resolution."""
-    return len(levels) <= _STEPS + 1 and span <= (_STEPS + 0.01) * float(np.min(np.diff(levels)))
+    return len(levels) <= criteria.FEWEST_LEVELS + 1 and span <= (criteria.FEWEST_LEVELS + 0.01) * float(
+        np.min(np.diff(levels))
+    )

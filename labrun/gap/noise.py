@@ -7,16 +7,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.gap import criteria
 from labrun.gap.units import Unit, Units
 from labrun.gap.whitening import Whitener, fit_whitener, white
 
 FloatArray = NDArray[np.float64]
 Basis = Literal["repeats", "residual"]
 
-_ENOUGH_FREEDOM = 8
-"""Independent whole-trial deviations from which noise is redrawn; with fewer it is drawn from its spectrum."""
-_OWN_FLOOR = 3
-"""Repeats from which a condition has a noise floor of its own."""
 _QUANTUM = 1.0 / np.sqrt(12.0)
 
 
@@ -58,7 +55,7 @@ class Noise:
         Trials that scatter do so more where they move more: with enough repeats a condition has its own floor.
         """
         own = self.deviations[group]
-        if len(own) < _OWN_FLOOR:
+        if len(own) < criteria.OWN_FLOOR_REPEATS:
             return 1.0 - self.systematic
         return np.asarray(np.mean([np.mean(np.square(one / self.sd), axis=0) for one in own], axis=0))
 
@@ -89,7 +86,7 @@ class Noise:
 
     def _draw_unit(self, unit: Unit, rng: np.random.Generator, cautious: bool) -> FloatArray:
         shape = unit.trial.outputs.shape
-        own = self.deviations[unit.group] if self.freedom >= _ENOUGH_FREEDOM else ()
+        own = self.deviations[unit.group] if self.freedom >= criteria.ENOUGH_FREEDOM else ()
         own = tuple(one for one in own if one.shape == shape)
         rounding = rng.standard_normal(shape) * np.sqrt(self.systematic) * self.sd
         if len(own) < 2:
@@ -147,7 +144,7 @@ def _energy_freedom(deviations: Sequence[Sequence[FloatArray]], sd: FloatArray) 
     """
     scatter, counted = 0.0, 0
     for group in deviations:
-        if len(group) < _OWN_FLOOR:
+        if len(group) < criteria.OWN_FLOOR_REPEATS:
             continue
         stacked = np.stack([(one / sd).ravel() for one in group])
         count = len(group)

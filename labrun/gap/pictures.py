@@ -4,14 +4,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from labrun.gap import criteria
 from labrun.gap.diagnosis import Trace
 from labrun.gap.excess import mean_residuals
 
 if TYPE_CHECKING:
     from labrun.gap.engine import Search
     from labrun.gap.where.difference import Difference
-
-_SHOWN = 4
 
 
 def traces_of(search: "Search", *, with_causes: bool) -> tuple[Trace, ...]:
@@ -28,7 +27,7 @@ def traces_of(search: "Search", *, with_causes: bool) -> tuple[Trace, ...]:
     worst: dict[int, int] = {}
     for index in sorted(range(len(sizes)), key=lambda index: -sizes[index]):
         worst.setdefault(problem.units.units[index].group, index)
-    order = list(worst.values())[:_SHOWN]
+    order = list(worst.values())[: criteria.CONDITIONS_SHOWN]
     return tuple(
         Trace(
             unit.trial.label,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from labrun.errors import FitError
 from labrun.fit.pieces import FIRST_SAMPLES, prior_sigma
 from labrun.fit.problem import Problem
+from labrun.gap import criteria
 from labrun.gap.noise import Noise
 from labrun.gap.recent import Recent
 from labrun.gap.tally import Tally
@@ -24,15 +25,6 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-WITHIN = 3.0
-"""Recalibration moves a parameter by at most this many of its stated tolerances."""
-_FORM_SLACK = 5e-4
-"""Part of an output's spread below which no model is believed: integrators and sampling differ by as much."""
-_FAR = 3.0
-"""Factor by which a stated value may be wrong: beyond it, an effect is the better explanation."""
-_NUMERICAL = 0.03
-"""Root mean square, in units of one trial's noise, that halving the integrator's steps may move an output by."""
-_MOST_SUBSTEPS = 64
 _LOOSE = 1e4
 _HUGE = 1e3
 
@@ -77,7 +69,7 @@ class GapProblem(Problem):
         """Return the same problem, measured in units of this noise."""
         other = copy(self)
         other.noise = noise
-        sd = np.sqrt(noise.sd**2 + (_FORM_SLACK * self.spread) ** 2)
+        sd = np.sqrt(noise.sd**2 + (criteria.MODEL_ROUNDING * self.spread) ** 2)
         other.weights = 1.0 / sd
         other._set_first_priors()
         return other
@@ -116,7 +108,7 @@ class GapProblem(Problem):
         variable = self.names.index(name)
         parameter = next(one for one in self.model.parameters if one.name == name)
         stated = parameter.value / self.scale[variable]
-        ends = sorted((stated / _FAR, stated * _FAR)) if stated else (-np.inf, np.inf)
+        ends = sorted((stated / criteria.FAR_OFF, stated * criteria.FAR_OFF)) if stated else (-np.inf, np.inf)
         for attribute, value in (
             ("prior_sigma", np.inf),
             ("pull_sigma", _LOOSE * self.scale[variable]),
@@ -306,7 +298,7 @@ class GapProblem(Problem):
         """
         shortened = False
         before = self.simulated(z)
-        while self.substeps < _MOST_SUBSTEPS:
+        while self.substeps < criteria.MOST_SUBSTEPS:
             self.substeps *= 2
             self._drives = self._prepared()
             after = self.simulated(z)
@@ -314,7 +306,7 @@ class GapProblem(Problem):
                 float(np.max(np.sqrt(np.mean(np.square((one - two) * self.weights), axis=0))))
                 for one, two in zip(before, after, strict=True)
             )
-            if moved <= _NUMERICAL:
+            if moved <= criteria.INTEGRATION_ERROR:
                 self.substeps //= 2
                 self._drives = self._prepared()
                 return shortened
@@ -385,8 +377,8 @@ class GapProblem(Problem):
             sigma = prior_sigma(parameter.tolerance, self.values[index]) / self.scale[variable]
             if np.isfinite(sigma):
                 stated = self.values[index] / self.scale[variable]
-                self.lower[variable] = max(self.lower[variable], stated - WITHIN * sigma)
-                self.upper[variable] = min(self.upper[variable], stated + WITHIN * sigma)
+                self.lower[variable] = max(self.lower[variable], stated - criteria.WITHIN_TOLERANCES * sigma)
+                self.upper[variable] = min(self.upper[variable], stated + criteria.WITHIN_TOLERANCES * sigma)
 
 
 def own_states(problem: GapProblem, z: FloatArray) -> FloatArray:

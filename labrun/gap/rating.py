@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.gap import criteria
 from labrun.gap.excess import Excess, excess
 from labrun.gap.held_out import held_out_residuals
 
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
     from labrun.gap.screening import Base, Screened
 
 FloatArray = NDArray[np.float64]
-
-_EACH_VARIABLE = 3.0
-"""What a further variable must earn, in units of log likelihood: half of ln(400), for hundreds of free samples."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,9 @@ def rate(base: "Base", screened: "Screened", guard: "Guard", noise: "Noise", ref
 
 def score(screened: "Screened", guard: "Guard") -> float:
     """Return the tempered log likelihood that a candidate adds, less a price for its variables."""
-    return 0.5 * screened.gain / guard.dispersion - _EACH_VARIABLE * max(screened.candidate.variables, 1)
+    return 0.5 * screened.gain / guard.dispersion - criteria.VARIABLE_PRICE * max(
+        screened.candidate.variables, 1
+    )
 
 
 def promising(screened: "Sequence[Screened]", guard: "Guard", most: int) -> "list[Screened]":
@@ -79,7 +79,8 @@ def promising(screened: "Sequence[Screened]", guard: "Guard", most: int) -> "lis
     return [
         one
         for place, one in enumerate(ordered[:most])
-        if place < 2 or (one.gain > guard.threshold and score(one, guard) > 0.3 * best)
+        if place < criteria.RATED_ANYWAY
+        or (one.gain > guard.threshold and score(one, guard) > criteria.RATED_BESIDE_BEST * best)
     ]
 
 

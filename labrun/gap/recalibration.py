@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from labrun.fit.descent import minimise
 from labrun.fit.notes import Note
 from labrun.fit.search import search
+from labrun.gap import criteria
 from labrun.gap.noise import Noise, from_repeats, from_residual
-from labrun.gap.problem import WITHIN, GapProblem, own_states
+from labrun.gap.problem import GapProblem, own_states
 from labrun.gap.screening import refit
 
 if TYPE_CHECKING:
@@ -18,9 +19,6 @@ if TYPE_CHECKING:
     from labrun.models import Model
 
 FloatArray = NDArray[np.float64]
-
-_STARTS = 3
-_PROBED_UNITS = 3
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,7 @@ def recalibrate(model: "Model", units: "Units", rng: np.random.Generator, note: 
     """Fit the parameters within their tolerances, find the noise, and fit again in its units."""
     problem = GapProblem(model, units)
     note("recalibrating the model within what is known of its parameters")
-    z = search(problem, rng, starts=_STARTS, note=lambda _: None)[0].z
+    z = search(problem, rng, starts=criteria.RECALIBRATION_STARTS, note=lambda _: None)[0].z
     if problem.refine_steps(z):
         z = refit(problem, z)
     deviations = member_residuals(problem, z)
@@ -102,7 +100,10 @@ def unsearched(problem: GapProblem, z: FloatArray) -> tuple[str, ...]:
 def _simulates(problem: GapProblem, z: FloatArray, variable: int, value: float) -> bool:
     changed = z.copy()
     changed[variable] = value
-    parameters, units = problem.parameters(changed), range(min(_PROBED_UNITS, len(problem.dataset.trials)))
+    parameters, units = (
+        problem.parameters(changed),
+        range(min(criteria.PROBED_UNITS, len(problem.dataset.trials))),
+    )
     return all(problem.simulate(parameters, unit, problem.own(changed, unit)) is not None for unit in units)
 
 
@@ -113,6 +114,7 @@ def bound_remarks(problem: GapProblem, z: FloatArray) -> tuple[str, ...]:
         at_end = z[variable] <= problem.lower[variable] or z[variable] >= problem.upper[variable]
         if at_end and np.isfinite(problem.prior_sigma[variable]):
             found.append(
-                f"recalibration took {name} to {WITHIN:g} times its tolerance, as far as its statement is believed"
+                f"recalibration took {name} to {criteria.WITHIN_TOLERANCES:g} times its tolerance, "
+                "as far as its statement is believed"
             )
     return tuple(found)

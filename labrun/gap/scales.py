@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.gap import criteria
 from labrun.gap.probe import push
 
 if TYPE_CHECKING:
@@ -15,11 +16,6 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 _Answer = tuple[FloatArray, FloatArray]
-
-_VISIBLE = 1e-3
-_STRONGEST = 1e12
-_PEAK = 99.0
-"""Percentile taken as peak: one wild sample must not set a scale."""
 
 
 def site_scales(problem: "GapProblem", z: FloatArray) -> "dict[tuple[str, str], Scale]":
@@ -110,7 +106,7 @@ def _force(
     where it changes nothing at all.
     """
     size = 1e-6
-    while size < _STRONGEST:
+    while size < criteria.STRONGEST_PUSH:
         pushed = _answers(problem, z, [push(problem.model, problem.model.sites[place].name, size)])
         if pushed is None:
             return None
@@ -123,9 +119,11 @@ def _force(
             share = max(
                 _peak(column) / spread for column, spread in zip(shown.T, problem.spread, strict=True)
             )
-        if share > _VISIBLE:
+        if share > criteria.VISIBLE_PUSH:
             return size / share
-        size *= 10.0 if share < 1e-3 * _VISIBLE else max(2.0, 3.0 * _VISIBLE / share)
+        size *= (
+            10.0 if share < 1e-3 * criteria.VISIBLE_PUSH else max(2.0, 3.0 * criteria.VISIBLE_PUSH / share)
+        )
     return None
 
 
@@ -164,4 +162,4 @@ def _answers(
 
 
 def _peak(values: FloatArray) -> float:
-    return float(np.percentile(np.abs(values), _PEAK))
+    return float(np.percentile(np.abs(values), criteria.PEAK_PERCENTILE))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.fit.descent import minimise
+from labrun.gap import criteria
 from labrun.gap.absorption import Absorption
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnosis import Name
@@ -18,27 +19,6 @@ if TYPE_CHECKING:
     from labrun.gap.problem import GapProblem
 
 FloatArray = NDArray[np.float64]
-
-_IMITATED = 0.08
-"""Part of a change, at a small size, below which it counts as imitated by parameters: it is not linear after all."""
-_FOLLOWED = 3
-"""Starts that are followed: a delay, say, has a minimum of its own beside what damping imitates."""
-_ALIKE = 0.99
-"""Starts whose changes of the residuals have at least this cosine lead to one end."""
-_BESIDE_KNOWN = 1
-"""Starts that are followed beside the sizes at which an earlier fit of the same candidate ended."""
-_ROUGH = 1e-2
-_FEW = 12
-_WORTH_A_FIT = 0.3
-"""A candidate is fitted if its survey promises this part of what a gain must exceed ..."""
-_BESIDE_BEST = 0.03
-"""... and this part of what the best one promises ..."""
-_ALWAYS = 3
-"""... and the best few in any case."""
-_WORTH_FOLLOWING = 0.1
-"""What is roughly fitted is followed to its end if it gains this part of what the best one gains."""
-_TOLERANCE = 1e-4
-_EVALUATIONS = 30
 
 
 @dataclass(frozen=True)
@@ -104,7 +84,7 @@ class Survey:
         for place in range(len(self.starts)):
             if len(chosen) == most:
                 break
-            if not np.any(np.abs(unit[:, chosen].T @ unit[:, place]) > _ALIKE):
+            if not np.any(np.abs(unit[:, chosen].T @ unit[:, place]) > criteria.STARTS_ALIKE):
                 chosen.append(place)
         return [self.starts[place] for place in chosen]
 
@@ -152,7 +132,7 @@ class Screened:
             return 0.0
         smallest = int(np.argmin(np.where(whole > 0, whole, np.inf)))
         left = float(np.linalg.norm(self.survey.directions[:, smallest])) / float(whole[smallest])
-        return left * float(np.max(whole)) if left > _IMITATED else 0.0
+        return left * float(np.max(whole)) if left > criteria.IMITATED else 0.0
 
 
 def survey(base: Base, candidate: Candidate) -> Survey:
@@ -201,11 +181,20 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
         Sizes at which an earlier fit of this candidate ended, beside another base: a start like no other.
     """
     problem = surveyed.problem
-    starts = surveyed.different(_FOLLOWED if known is None else _BESIDE_KNOWN)
+    starts = surveyed.different(criteria.STARTS_FOLLOWED if known is None else criteria.STARTS_BESIDE_KNOWN)
     if known is not None:
         shared, own = base.z[: base.problem.size], own_states(base.problem, base.z)
         starts = [np.concatenate([shared, known, own]), *starts]
-    ends = [minimise(problem, z, tolerance=_ROUGH, evaluations=_FEW, central=False) for z in starts]
+    ends = [
+        minimise(
+            problem,
+            z,
+            tolerance=criteria.ROUGH_TOLERANCE,
+            evaluations=criteria.ROUGH_EVALUATIONS,
+            central=False,
+        )
+        for z in starts
+    ]
     squares = [problem.squares(z) for z in ends]
     best = int(np.argmin(squares))
     return _screened(base, surveyed, ends[best], squares[best])
@@ -214,7 +203,13 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
 def follow(base: Base, begun: Screened) -> Screened:
     """Fit all variables to the end, from where a rough fit ended."""
     problem = begun.problem
-    z = minimise(problem, begun.z, tolerance=_TOLERANCE, evaluations=_EVALUATIONS, central=False)
+    z = minimise(
+        problem,
+        begun.z,
+        tolerance=criteria.FIT_TOLERANCE,
+        evaluations=criteria.FIT_EVALUATIONS,
+        central=False,
+    )
     return _screened(base, begun.survey, z, problem.squares(z))
 
 
@@ -223,8 +218,8 @@ def screen_all(
     surveys: Sequence[Survey],
     threshold: float = 0.0,
     each: Each = one_by_one,
-    worth: float = _WORTH_FOLLOWING,
-    beside_best: float = _BESIDE_BEST,
+    worth: float = criteria.WORTH_FOLLOWING,
+    beside_best: float = criteria.WORTH_BESIDE_BEST,
     known: Mapping[Name, FloatArray] | None = None,
 ) -> list[Screened]:
     """Fit every candidate whose survey promises something, in their order.
@@ -246,8 +241,8 @@ def screen_all(
     known = known or {}
     surveys = [one for one in surveys if one.starts]
     best = max((one.potential for one in surveys), default=0.0)
-    needed = max(_WORTH_A_FIT * threshold, beside_best * best)
-    top = sorted((one.potential for one in surveys), reverse=True)[:_ALWAYS]
+    needed = max(criteria.WORTH_A_FIT * threshold, beside_best * best)
+    top = sorted((one.potential for one in surveys), reverse=True)[: criteria.ALWAYS_FITTED]
     needed = min(needed, top[-1]) if top else needed
 
     def begin(one: Survey) -> Screened:
@@ -258,7 +253,7 @@ def screen_all(
 
     begun = each(begin, surveys)
     gains = sorted((one.gain for one in begun if one.survey.potential >= needed), reverse=True)
-    enough = min(worth * gains[0], gains[: _ALWAYS + 1][-1]) if gains else 0.0
+    enough = min(worth * gains[0], gains[: criteria.ALWAYS_FITTED + 1][-1]) if gains else 0.0
 
     def finish(one: Screened) -> Screened:
         worthy = one.survey.potential >= needed and one.gain >= enough

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labrun.fit.notes import Note
+from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, without
 from labrun.gap.diagnosis import Name
 from labrun.gap.excess import Excess, excess
@@ -24,28 +25,6 @@ if TYPE_CHECKING:
     from labrun.gap.noise import Noise
 
     FloatArray = NDArray[np.float64]
-
-MOST_CAUSES = 3
-_LOOKED_AT = 8
-_ANOTHER = 0.08
-"""Part of the recalibrated excess that a further cause must remove on withheld conditions."""
-_NOTICED = 0.04
-"""The same of a cause that at least halves what is left."""
-_SMALL, _NEARLY_ALL, _PLAIN = 0.005, 0.85, 2.0
-"""The same of one beside a far larger one, if it removes nearly all of what is plainly left (in units of the noise)."""
-_LEAST_SHARE = 0.3
-"""Part of the excess that causes must remove on withheld conditions, however well they fit those they saw."""
-_TOGETHER = 0.85
-"""The same where nothing does so alone: two that only fit together are often two that stand in for a third."""
-_SWEEPS = 3
-_AS_MUCH = 0.01
-"""Part of the recalibrated excess that simpler effects together may leave more than one that stands for them."""
-_FORM_SLACK = (0.006, 0.02)
-"""Part of a gain that the idealised form of a true effect may lack: as much as the best one's leaves, between these."""
-_SIMPLER = 0.02
-"""A candidate with fewer variables is preferred if it removes no less than this part of the excess less."""
-_RIVAL = 0.05
-_CLOSE = 0.06
 
 
 @dataclass(frozen=True)
@@ -119,7 +98,7 @@ def look(
     screened = screen_all(base, surveys, threshold.threshold, each, known=known)
     rated = each(
         lambda one: rate(base, shaped(base, one, threshold), threshold, noise, reference),
-        promising(screened, threshold, _LOOKED_AT),
+        promising(screened, threshold, criteria.RATED),
     )
     return Round(base, screened, threshold, rated)
 
@@ -165,7 +144,7 @@ class Selector:
             candidates=without(self.candidates, compound),
             _rounds={},
         )._select()
-        room = _AS_MUCH * self.reference.total
+        room = criteria.SIMPLER_TOGETHER * self.reference.total
         if not simpler.chosen or simpler.held_out.total > found.held_out.total + room:
             return found
         return replace(simpler, rounds=[self.first, *simpler.rounds[1:]])  # the table is of all candidates
@@ -178,7 +157,7 @@ class Selector:
             chosen, rounds = self._fewer(chosen, rounds)
         # one of two causes alone may fail where it was not fitted; all that were chosen together must not
         alone = max((one.share for one in self.first.rated), default=0.0)
-        needed = _LEAST_SHARE if alone >= _LEAST_SHARE else _TOGETHER
+        needed = criteria.LEAST_SHARE if alone >= criteria.LEAST_SHARE else criteria.TOGETHER_SHARE
         if chosen and self._share(chosen[-1].held_out) < needed:
             chosen, rounds = [], [self.first]
         base = chosen[-1].base if chosen else self.first.base
@@ -199,20 +178,20 @@ class Selector:
 
     def _forward(self) -> "tuple[list[_Chosen], list[Round]]":
         rounds, chosen = [self.first], list[_Chosen]()
-        while len(chosen) < MOST_CAUSES:
+        while len(chosen) < criteria.MOST_CAUSES:
             left = chosen[-1].held_out if chosen else self.reference
             one = self._choose(rounds[-1], left, further=bool(chosen))
             if one is None:
                 break
             self.note(f"found {one.rated.candidate.name}; looking whether there is more")
             chosen.append(one)
-            if len(chosen) < MOST_CAUSES:
+            if len(chosen) < criteria.MOST_CAUSES:
                 rounds.append(self._look(one.base))
         return chosen, rounds
 
     def _exchanged(self, chosen: "list[_Chosen]") -> "tuple[list[_Chosen], list[Round]]":
         """Choose each cause again beside the others: what stood in for two of them gives way."""
-        for _sweep in range(_SWEEPS):
+        for _sweep in range(criteria.EXCHANGES):
             before = {one.rated.candidate.name for one in chosen}
             if len(chosen) == 1:
                 break
@@ -249,7 +228,7 @@ class Selector:
 
         Whoever is found first beside nothing may stand in for another, and a third then mends what it cannot do.
         """
-        enough = chosen[-1].held_out.total + _NOTICED * self.reference.total
+        enough = chosen[-1].held_out.total + criteria.NOTICED_SHARE * self.reference.total
         pair: list[_Chosen] = []
         for place, one in enumerate(chosen):
             alone = self._rounds.get(frozenset([one.rated.candidate.name])) or self._look(
@@ -332,24 +311,35 @@ def _best(rated: Sequence[Rated], left: Excess, reference: Excess, *, further: b
         passing = [
             one
             for one, less in zip(passing, removed, strict=True)
-            if less >= _ANOTHER * reference.total
-            or (less >= _NOTICED * reference.total and less >= 0.5 * left.total)
-            or (less >= _SMALL * reference.total and less >= _NEARLY_ALL * left.total and left.gap >= _PLAIN)
+            if less >= criteria.ANOTHER_SHARE * reference.total
+            or (
+                less >= criteria.NOTICED_SHARE * reference.total
+                and less >= criteria.NOTICED_OF_LEFT * left.total
+            )
+            or (
+                less >= criteria.SMALL_SHARE * reference.total
+                and less >= criteria.SMALL_OF_LEFT * left.total
+                and left.gap >= criteria.SMALL_GAP
+            )
         ]
     if not passing:
         return None
     most = max(one.share for one in passing)
     # what fits the seen conditions well and fails on the unseen has learned the wrong thing
     # ... but where all fail there alone, as each of two causes may, how badly they do says little
-    fair = [one for one in passing if one.share >= most - 0.1] if most >= _LEAST_SHARE else passing
+    fair = (
+        [one for one in passing if one.share >= most - criteria.SHARE_BEHIND_BEST]
+        if most >= criteria.LEAST_SHARE
+        else passing
+    )
     best = max(fair, key=lambda one: one.score)
     probable = weights(fair, _slack(best))
     alike = [
         one
         for one, weight in zip(fair, probable, strict=True)
         if one.candidate.variables < best.candidate.variables
-        and one.share >= best.share - _SIMPLER
-        and weight >= _RIVAL
+        and one.share >= best.share - criteria.SIMPLER_SHARE
+        and weight >= criteria.RIVAL_WEIGHT
     ]
     return max(alike, key=lambda one: one.score) if alike else best
 
@@ -359,14 +349,18 @@ def _rivals(best: Rated, rated: Sequence[Rated]) -> tuple[tuple[tuple[Rated, flo
     near = [
         one
         for one in rated
-        if one.evidence > 0.5 and one.share >= best.share - _CLOSE and not _best_again(best, one)
+        if one.evidence > criteria.RIVAL_EVIDENCE
+        and one.share >= best.share - criteria.RIVAL_SHARE
+        and not _best_again(best, one)
     ]
     if best not in near:
         near.append(best)
     shares = weights(near, _slack(best))
     own = float(shares[near.index(best)])
     ordered = sorted(zip(near, shares, strict=True), key=lambda pair: -pair[1])
-    return tuple((one, float(weight)) for one, weight in ordered if one is not best and weight >= _RIVAL), own
+    return tuple(
+        (one, float(weight)) for one, weight in ordered if one is not best and weight >= criteria.RIVAL_WEIGHT
+    ), own
 
 
 def _best_again(best: Rated, one: Rated) -> bool:
@@ -382,4 +376,4 @@ def _slack(best: Rated) -> float:
     screened = best.screened
     rows = sum(part.size for part in best.residual)
     left = max(screened.squares - rows, 0.0) / screened.gain if screened.gain > 0 else 1.0
-    return float(np.clip(left, *_FORM_SLACK))
+    return float(np.clip(left, *criteria.IDEALISED_FORM))

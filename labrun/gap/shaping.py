@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labrun.fit.descent import minimise
+from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
 from labrun.gap.problem import own_states
 from labrun.gap.screening import Base, Screened
@@ -18,22 +19,13 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-_LEAVES = 0.004
-"""Part of what a candidate explains that has to be left over (beyond noise) before its shape is looked at."""
-_PRICE = 10.0
-"""By how much the sum of squares must fall for every shape that is fitted, in units of the noise's dispersion ..."""
-_EARNS = 0.002
-"""... and by which part of what the candidate explains."""
-_ROUGH, _FEW = 1e-2, 12
-_TOLERANCE, _EVALUATIONS = 1e-4, 30
-
 
 def shaped(base: Base, screened: Screened, guard: "Guard") -> Screened:
     """Return the candidate with its shape fitted, if that explains clearly more; else as it was."""
     rows = sum(len(part) for part in base.residual)
     left = screened.squares - rows
     found = _with_shape(screened.candidate)
-    if found is None or screened.gain < guard.threshold or left < _LEAVES * screened.gain:
+    if found is None or screened.gain < guard.threshold or left < criteria.SHAPE_REMAINDER * screened.gain:
         return screened
     candidate, choices = found
     problem = candidate.added_to(base.problem)
@@ -43,17 +35,19 @@ def shaped(base: Base, screened: Screened, guard: "Guard") -> Screened:
         minimise(
             problem,
             np.concatenate([shared, sizes, own]),
-            tolerance=_ROUGH,
-            evaluations=_FEW,
+            tolerance=criteria.ROUGH_TOLERANCE,
+            evaluations=criteria.ROUGH_EVALUATIONS,
             central=False,
         )
         for sizes in _starts(choices, screened.sizes)
     ]
     best = min(ends, key=problem.squares)
-    z = minimise(problem, best, tolerance=_TOLERANCE, evaluations=_EVALUATIONS, central=False)
+    z = minimise(
+        problem, best, tolerance=criteria.FIT_TOLERANCE, evaluations=criteria.FIT_EVALUATIONS, central=False
+    )
     squares = problem.squares(z)
     further = candidate.variables - screened.candidate.variables
-    worth = max(_PRICE * guard.dispersion * further, _EARNS * screened.gain)
+    worth = max(criteria.SHAPE_PRICE * guard.dispersion * further, criteria.SHAPE_EARNS * screened.gain)
     if screened.squares - squares < worth:
         return screened
     return Screened(candidate, problem, z, squares, max(base.squares - squares, 0.0), screened.survey)

@@ -10,17 +10,11 @@ from numpy.typing import NDArray
 from labrun.errors import RecordingError
 from labrun.fit.dataset import Dataset, FitTrial
 from labrun.fit.pieces import FIRST_SAMPLES
+from labrun.gap import criteria
 from labrun.models import Model
 from labrun.store.recording import condition_label
 
 FloatArray = NDArray[np.float64]
-
-_ALIKE = 5.0
-"""First samples of repeats that differ by less than this many standard deviations of the noise begin alike."""
-_FEWEST_SAMPLES = 8
-_SAMPLES_APART = 2
-_SAME_INPUT = 0.01
-"""Inputs that differ by less than this part of their spread are one command, read at other times."""
 
 
 @dataclass(frozen=True)
@@ -135,18 +129,18 @@ def _on_one_time_base(trials: Sequence[FitTrial]) -> list[FitTrial] | None:
     if _same_course(trials):
         return list(trials)
     first, step_s = trials[0], _step_s(trials[0])
-    if any(abs(len(one.time_s) - len(first.time_s)) > _SAMPLES_APART for one in trials):
+    if any(abs(len(one.time_s) - len(first.time_s)) > criteria.SAMPLES_APART for one in trials):
         return None
-    if len(first.time_s) < _FEWEST_SAMPLES:
+    if len(first.time_s) < criteria.FEWEST_ALIGNED_SAMPLES:
         return None
     spread = np.maximum(np.std(first.inputs, axis=0), 1e-12)
     found = []
     for one in trials:
         ends = one.time_s[[0, -1]] - first.time_s[[0, -1]]
-        if np.any(np.abs(ends) > (_SAMPLES_APART + 1) * step_s):
+        if np.any(np.abs(ends) > (criteria.SAMPLES_APART + 1) * step_s):
             return None
         inputs = _carried(one.time_s, one.inputs, first.time_s, "linear")
-        if np.any(np.sqrt(np.mean(np.square(inputs - first.inputs), axis=0)) > _SAME_INPUT * spread):
+        if np.any(np.sqrt(np.mean(np.square(inputs - first.inputs), axis=0)) > criteria.SAME_INPUT * spread):
             return None
         outputs = _carried(one.time_s, one.outputs, first.time_s, "cubic")
         found.append(replace(one, time_s=first.time_s, inputs=first.inputs, outputs=outputs))
@@ -183,11 +177,11 @@ def _step_s(trial: FitTrial) -> float:
 def _same_beginning(trials: Sequence[FitTrial]) -> bool:
     """Tell whether the first samples of repeats differ no more than the samples after them do."""
     outputs = np.stack([trial.outputs for trial in trials])
-    if outputs.shape[1] < _FEWEST_SAMPLES:
+    if outputs.shape[1] < criteria.FEWEST_ALIGNED_SAMPLES:
         return True
     spread = np.sqrt(np.mean(np.var(outputs, axis=0, ddof=1), axis=0))
     begin = np.mean(outputs[:, :FIRST_SAMPLES], axis=1)
-    return bool(np.all(np.ptp(begin, axis=0) <= _ALIKE * spread + 1e-12))
+    return bool(np.all(np.ptp(begin, axis=0) <= criteria.SAME_BEGINNING * spread + 1e-12))
 
 
 def _averaged(trials: Sequence[FitTrial], group: int) -> Unit:

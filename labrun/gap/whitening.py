@@ -7,10 +7,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from labrun.gap import criteria
 
-_MOST_ORDER = 8
-_LEAST_INNOVATION = 1e-6
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ def fit_whitener(sequences: Sequence[FloatArray]) -> Whitener:
 def _predictor(sequences: Sequence[FloatArray]) -> Predictor:
     longest = max(len(one) for one in sequences)
     total = sum(len(one) for one in sequences)
-    most = max(0, min(_MOST_ORDER, longest // 10))
+    most = max(0, min(criteria.MOST_ORDER, longest // 10))
     covariance = np.array(
         [
             sum(float(one[lag:] @ one[: len(one) - lag]) for one in sequences) / total
@@ -133,7 +132,7 @@ def _levinson(correlation: FloatArray) -> tuple[list[FloatArray], FloatArray]:
         last = coefficients[-1]
         reflection = (correlation[order] - last @ correlation[1:order][::-1]) / variance[-1]
         left = variance[-1] * (1.0 - reflection**2)
-        if left <= _LEAST_INNOVATION:
+        if left <= criteria.LEAST_INNOVATION:
             break
         coefficients.append(np.concatenate([last - reflection * last[::-1], [reflection]]))
         variance.append(left)

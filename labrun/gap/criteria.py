@@ -1,0 +1,223 @@
+"""Every threshold of the diagnosis, in the order of its steps, with its meaning and the evidence for it.
+
+Where no evidence is told, the value was chosen when the step was written and not tested separately. Figures of seeds
+are those of `labrun gap check`. Lengths, shares and factors are plain numbers; "in units of the noise" means multiples
+of the standard deviation of one trial's noise.
+"""
+
+# --- what data can be diagnosed -----------------------------------------------------------------------------------
+
+LONG_STEP = 5.0
+"""A time step this many times as long as the usual one is a jump of the clock, or samples are missing."""
+FEWEST_STEPS = 20
+"""With fewer, nobody can say which step is the usual one."""
+SELDOM = 0.02
+"""Where a larger part of the steps is long, a trial was sampled unevenly on purpose."""
+SHORT_HOLE = 0.01
+"""Part of a trial's duration up to which a long step shifts little of what comes after it."""
+INTERVALS_APART = 0.005
+"""Part by which the sampling intervals of repeats may differ."""
+CONSTANT_OUTPUT = 1e-9
+"""Part of an output's size by which its values differ from rounding alone."""
+FEWEST_LEVELS = 2
+"""An output that moves by no more steps of its resolution than this is not told from a constant one."""
+SAME_BEGINNING = 5.0
+"""First samples of repeats that differ by less than this many standard deviations of the noise begin alike."""
+FEWEST_ALIGNED_SAMPLES = 8
+"""Shorter repeats are not carried over to one time base, and say nothing about how they begin."""
+SAMPLES_APART = 2
+"""Repeats whose numbers of samples differ by more did not take the same course."""
+SAME_INPUT = 0.01
+"""Inputs that differ by less than this part of their spread are one command, read at other times."""
+
+# --- recalibration ------------------------------------------------------------------------------------------------
+
+WITHIN_TOLERANCES = 3.0
+"""Recalibration moves a parameter by at most this many of its stated tolerances."""
+RECALIBRATION_STARTS = 3
+"""Starts of the search for the recalibrated parameters: the stated values, those again piece by piece, one drawn."""
+PROBED_UNITS = 3
+"""Trials that are simulated with a parameter at the end of what is believed of it, to see whether it simulates."""
+MODEL_ROUNDING = 5e-4
+"""Part of an output's spread below which no model is believed: integrators and sampling differ by as much."""
+INTEGRATION_ERROR = 0.03
+"""Root mean square, in units of the noise, that halving the integrator's steps may move an output by."""
+MOST_SUBSTEPS = 64
+"""Steps of the integrator per sample beyond which they are not halved again."""
+
+# --- noise --------------------------------------------------------------------------------------------------------
+
+ENOUGH_FREEDOM = 8
+"""Independent whole-trial deviations from which noise is redrawn; with fewer it is drawn from its spectrum."""
+OWN_FLOOR_REPEATS = 3
+"""Repeats from which a condition has a noise floor of its own."""
+MOST_ORDER = 8
+"""Highest order of the autoregressive predictor that makes noise white; AICc chooses below it."""
+LEAST_INNOVATION = 1e-6
+"""Part of the variance that is left when a higher order of the predictor would be fitting rounding."""
+REPLACED_AS_GOOD = 0.7
+"""Without repeats: only candidates that gain this part of what the best one gains are followed to their ends."""
+REPLACED_PROMISE = 0.1
+"""Without repeats: only candidates whose survey promises this part of what the best one's does are fitted."""
+REPLACED_WORTH = 0.98
+"""Without repeats: a further candidate that leaves more than this part of the squared residual fits noise."""
+
+# --- candidates and screening -------------------------------------------------------------------------------------
+
+START_COMBINATIONS = 4
+"""About so many combinations of the starts of an effect's parameters are looked at."""
+START_SIZES = (1.0, 0.2, 3.0)
+"""Every start is looked at smaller and larger, too: an effect may be far from its typical size."""
+PEAK_PERCENTILE = 99.0
+"""Percentile taken as peak: one wild sample must not set a scale."""
+VISIBLE_PUSH = 1e-3
+"""Part of its motion by which a probing force must move a site before its answer is taken as linear."""
+STRONGEST_PUSH = 1e12
+"""A site that a larger force does not move has no scale of forces."""
+FAR_OFF = 3.0
+"""Factor by which a stated value may be wrong: beyond it, an effect is the better explanation."""
+SPANNED = 1e-7
+"""Singular value, in units of the largest, below which a direction of the nuisance parameters is rounding."""
+IMITATED = 0.08
+"""Part of a change, at a small size, below which it counts as imitated by parameters: it is not linear after all."""
+STARTS_FOLLOWED = 3
+"""Starts that are followed: a delay, say, has a minimum of its own beside what damping imitates."""
+STARTS_BESIDE_KNOWN = 1
+"""Starts that are followed beside the sizes at which an earlier fit of the same candidate ended."""
+STARTS_ALIKE = 0.99
+"""Starts whose changes of the residuals have at least this cosine lead to one end."""
+WORTH_A_FIT = 0.3
+"""A candidate is fitted if its survey promises this part of what a gain must exceed ..."""
+WORTH_BESIDE_BEST = 0.03
+"""... and this part of what the best one promises ..."""
+ALWAYS_FITTED = 3
+"""... and the best few in any case."""
+WORTH_FOLLOWING = 0.1
+"""What is roughly fitted is followed to its end if it gains this part of what the best one gains."""
+ROUGH_TOLERANCE, ROUGH_EVALUATIONS = 1e-2, 12
+"""Of rough fits: relative fall of the sum of squares at which they end, and most evaluations."""
+FIT_TOLERANCE, FIT_EVALUATIONS = 1e-4, 30
+"""The same of fits that are followed to their ends."""
+SHAPE_REMAINDER = 0.004
+"""Part of what a candidate explains that has to be left over (beyond noise) before its shape is looked at."""
+SHAPE_PRICE = 10.0
+"""By how much the sum of squares must fall for every shape that is fitted, in units of the noise's dispersion ..."""
+SHAPE_EARNS = 0.002
+"""... and by which part of what the candidate explains."""
+
+# --- the threshold that noise alone sets ----------------------------------------------------------------------------
+
+NOISE_PERCENTILE = 97.0
+"""An announced cause must explain more than the best candidate explains of noise alone in so many of 100 draws."""
+NOISE_DRAWS = 200
+"""Draws of noise in the linearised search ..."""
+FULL_SEARCH_DRAWS = 30
+"""... and in the search with all its fits."""
+LINEAR_SLACK = 1.3
+"""Factor on the threshold: fits are not linear, and the noise itself is only estimated."""
+UNREPEATED_STRICTNESS = 2.5
+"""Factor on the threshold where noise was told from gap by a fit, not by repeats."""
+
+# --- selection on withheld conditions -------------------------------------------------------------------------------
+
+MOST_FOLDS = 8
+"""Conditions are left out one at a time, or in this many groups where there are more."""
+FOLD_TOLERANCE, FOLD_EVALUATIONS = 1e-4, 16
+"""As of fits, for those that do not see a condition."""
+FINER_STEPS = 8
+"""What is stiff in a withheld condition only is simulated again with so many times the integrator's steps."""
+LEAST_INFORMATION = 0.12
+"""Part of what is known of a size that a fit must have seen to say anything about it: one of eight conditions."""
+MOST_CAUSES = 3
+"""Causes that may be at work together."""
+RATED = 8
+"""Candidates of a round that are tested on withheld conditions."""
+RATED_ANYWAY = 2
+"""The best so many are tested even if noise explains them ..."""
+RATED_BESIDE_BEST = 0.3
+"""... the others if their score is this part of the best one's."""
+VARIABLE_PRICE = 3.0
+"""What a further variable must earn, in units of log likelihood: half of ln(400), for hundreds of free samples."""
+ANOTHER_SHARE = 0.08
+"""Part of the recalibrated excess that a further cause must remove on withheld conditions."""
+NOTICED_SHARE, NOTICED_OF_LEFT = 0.04, 0.5
+"""The same of a cause that removes at least this part of what is left."""
+SMALL_SHARE, SMALL_OF_LEFT, SMALL_GAP = 0.005, 0.85, 2.0
+"""The same of one beside a far larger one, if it removes nearly all of what is plainly left (in units of the noise)."""
+LEAST_SHARE = 0.3
+"""Part of the excess that causes must remove on withheld conditions, however well they fit those they saw."""
+TOGETHER_SHARE = 0.85
+"""The same where nothing does so alone: two that only fit together are often two that stand in for a third."""
+SHARE_BEHIND_BEST = 0.1
+"""A candidate whose share is this much below the best one's has learned the wrong thing from the seen conditions."""
+EXCHANGES = 3
+"""How often each cause is chosen again beside the others."""
+SIMPLER_TOGETHER = 0.01
+"""Part of the recalibrated excess that simpler effects together may leave more than one that stands for them."""
+IDEALISED_FORM = (0.006, 0.02)
+"""Part of a gain that the idealised form of a true effect may lack: as much as the best one's leaves, between these."""
+SIMPLER_SHARE = 0.02
+"""A candidate with fewer variables is preferred if it removes no less than this part of the excess less."""
+RIVAL_WEIGHT = 0.05
+"""What explains the data as well is told as a rival from this probability on ..."""
+RIVAL_EVIDENCE = 0.5
+"""... if it gains this part of the threshold ..."""
+RIVAL_SHARE = 0.06
+"""... and its share on withheld conditions is no more than this below the cause's."""
+
+# --- verdict ------------------------------------------------------------------------------------------------------
+
+IMPOSTOR_SHARE = 0.6
+"""Share of the excess below which the best of the library is an impostor: true effects remove 97 % in the median,
+effects that stand in for one that is not there at most 60 % (167 cases of one joint, an independent generator)."""
+DOUBTFUL_SHARES = ((1.0, 0.88), (0.5, 0.8))
+"""The same where a plain remainder is left (in units of the noise): more than what is in the library leaves."""
+IMPOSTOR_ROOM = 0.1
+"""By how much the interval of the share may reach beyond that limit."""
+LARGE_REMAINDER, NEARLY_ALL = 3.0, 0.995
+"""A remainder of several times the noise is part of the answer, unless it is next to nothing of the gap."""
+WHOLE_SHARE = 0.85
+"""Share from which causes explain the gap, not a part of it."""
+SMALL_GAP_UNEXPLAINED = 0.3
+"""A gap below this part of the noise that nothing in the library explains is left alone."""
+FAR_ABOVE_FLOOR = 3.0
+"""How far above the floor a gap is told from noise even where nothing was repeated."""
+BEYOND_FLOOR = 1.5
+"""How far above the floor a gap is that nothing explains: noise alone is above the floor in 5 of 100 experiments."""
+PROVEN_SHARE = 0.9
+"""Share of the excess beyond which a cause stands, even if few of the conditions show it at all."""
+RECALIBRATION_HELPS = 1.5
+"""Factor by which recalibration must reduce the gap to be the answer."""
+
+# --- confidence, intervals and bounds -------------------------------------------------------------------------------
+
+SURE = 0.95
+"""How often a cause far beyond chance, or its first rival, was the right one: 66 of 70 (seeds 6000 and 8000, which are
+for development since)."""
+SURE_WITHOUT_REPEATS = 0.87
+"""The same where noise is not told by repeats: of the causes that `labrun gap check` announced with seeds 5000, 6000,
+7000 and 8000, 27 of 31 were right in cases of one repeat, 94 of 103 in those of three or five."""
+SURE_OF_ONE_CONDITION = 0.84
+"""The same where nothing can be withheld: one condition of each of those 240 recordings, diagnosed by itself, announced
+128 causes, of which 107 were right."""
+LEAST_CONFIDENCE = 0.02
+"""No announced cause is said to be less likely than this."""
+CHANCE_EVIDENCE, LEAST_BEYOND_CHANCE = 0.8, 0.05
+"""Evidence from which a cause begins to be beyond chance, and what counts of it at least."""
+NORMAL_95 = 1.96
+"""Two-sided 95 % of the normal distribution."""
+RESAMPLES = 400
+"""Resamples of the conditions behind the interval of the share."""
+NEW_CONDITIONS = 3
+"""The interval is for an experiment of so many new conditions."""
+FORM_ERROR, EXTRAPOLATED = 0.006, 0.6
+"""What the interval of the share is widened by: the idealised form of effects, and downwards this part of what is left,
+since new conditions ask for more than those between the old ones. Its 90 % held 22 of 24 (seed 21)."""
+FLOOR_DRAWS, FLOOR_PERCENTILE = 200, 95.0
+"""Draws of noise behind the floor, and which of the gaps that noise alone leaves is called the floor."""
+LEVELS_ALIKE = 1.03
+"""Levels that differ by less than this factor are as good as one."""
+AT_BOUND = 1e-3
+"""Part of what is searched within which a size stands at its bound."""
+CONDITIONS_SHOWN = 4
+"""Conditions of which courses are kept for pictures, those with the largest gap first."""
