@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labrun.errors import RecordingError
+from labrun.spec.condition import condition_text
 from labrun.store import frames, layout
 from labrun.store.folder import SPEC
 from labrun.store.locate import find_run
@@ -200,8 +201,12 @@ class OpenRun:
             )
         if self.best is not None:
             best = self.best
-            where = ", ".join(f"{name} = {value}" for name, value in best.parameters.items())
-            rows.append(("best", f"{best.objective_name} = {best.value:.4g} {best.unit} at {where}"))
+            rows.append(
+                (
+                    "best",
+                    f"{best.objective_name} = {best.value:.4g} {best.unit} at {condition_text(best.parameters)}",
+                )
+            )
         rows.append(("path", str(self.path)))
         lines = [f"  {label:<12}{text}" for label, text in rows if text]
         return "\n".join([f"<labrun run of {self.name}, {self.identifier}>", *lines])

@@ -24,8 +24,9 @@ from labrun.runner.settling import unsettled
 from labrun.search.cmaes import search_by_cmaes
 from labrun.search.design import conditions
 from labrun.search.forecast import expected_trials
-from labrun.search.leaders import Measured, condition_key, honest_best
+from labrun.search.leaders import Measured, honest_best
 from labrun.search.result import RESULT_FILE, Best, RunResult, reason_lines, resume_line
+from labrun.spec.condition import condition_key
 from labrun.spec.experiment import Experiment, Value
 from labrun.spec.track_tables import LOOP_DEVICE
 from labrun.store.disk import replace_durably, saving

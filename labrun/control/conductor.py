@@ -15,9 +15,9 @@ from labrun.errors import SpecError
 from labrun.gaits import make_gait
 from labrun.gaits.steering import steering_of
 from labrun.runner.bench import Handle
-from labrun.runner.measurement import describe
 from labrun.runner.recording import LEAD_S, TAIL_S, Take
 from labrun.runner.rig import Rig
+from labrun.spec.condition import condition_text
 from labrun.spec.experiment import Experiment, Track
 from labrun.spec.track_tables import LOOP_DEVICE
 
@@ -130,7 +130,7 @@ class LoopConductor:
             try:
                 self._loops(condition, 1.0 / self._track.rate_hz, None)
             except SpecError as error:
-                raise SpecError(f"{describe(condition)}: {error}") from error
+                raise SpecError(f"{condition_text(condition)}: {error}") from error
 
     def __call__(self, take: Take) -> None:
         """Record one trial."""

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.errors import FitError, RequestError
+from labrun.spec.condition import condition_text
 from labrun.store.recording import (
     Between,
     Recording,
     SignalInfo,
-    condition_label,
     is_recording,
     read_recording,
 )
@@ -142,7 +142,7 @@ def from_recording(
     outputs = _columns(model.outputs, recording.outputs, "output", wanted, source)
     trials = []
     for trial in recording.trials:
-        label = condition_label(trial.condition) or trial.source_file.stem
+        label = condition_text(trial.condition) or trial.source_file.stem
         repeated = sum(other.condition == trial.condition for other in recording.trials) > 1
         trials.append(
             FitTrial(

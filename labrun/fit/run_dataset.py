@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from labrun.errors import RecordingError, RequestError
 from labrun.fit.dataset import Dataset, FitTrial, Named, Ports, require_trials, resample
-from labrun.store.recording import SignalInfo, condition_label
+from labrun.spec.condition import condition_text
+from labrun.store.recording import SignalInfo
 
 if TYPE_CHECKING:
     from labrun.store.trial import Stream, TrialOutcome
@@ -79,7 +80,7 @@ def _trial(
         columns = [_column(streams[sources[port.name][0]], sources[port.name][1], time_s) for port in ports]
         return np.column_stack(columns) if columns else np.empty((len(time_s), 0))
 
-    label = condition_label(outcome.condition)
+    label = condition_text(outcome.condition)
     return FitTrial(
         f"trial {outcome.index}: {label}" if label else f"trial {outcome.index}",
         outcome.condition,

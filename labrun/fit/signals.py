@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from labrun.errors import FitError, RequestError
 from labrun.fit.signal_table import SignalTable
 from labrun.nearest import nearest
+from labrun.spec.condition import condition_text
 from labrun.store.recording import (
     RecordedTrial,
     SignalInfo,
-    condition_label,
     is_recording,
     read_recording,
 )
@@ -107,7 +107,7 @@ def load_signals(
     name, kind, trials, left_out = load(target, wanted, dict(where or {}), rate_hz)
     if not trials:
         why = "no accepted trial" if left_out else "no trial"
-        only = f" with {condition_label(dict(where))}" if where else ""
+        only = f" with {condition_text(dict(where))}" if where else ""
         raise FitError(
             f"nothing to fit in {target}: it has {why}{only}", hint=f"labrun show {target} lists its trials"
         )
@@ -159,7 +159,7 @@ def _run_trial(
     measured = [streams[device] for device in devices if device in streams and device != "command"]
     base = measured[0] if measured else next(iter(streams.values()))
     end_s = outcome.duration_s if outcome.duration_s > 0 else float(base.time_s[-1])
-    label = f"trial {outcome.index}: {condition_label(outcome.condition)}".rstrip(": ")
+    label = f"trial {outcome.index}: {condition_text(outcome.condition)}".rstrip(": ")
     time_s = _even(0.0, end_s, rate_hz or base.rate_hz, label)
 
     def channel(name: str) -> Channel:
@@ -195,7 +195,7 @@ def _recorded_trial(
     rate_hz: float | None,
     target: Path,
 ) -> tuple[SignalTrial, dict[str, str]]:
-    label = f"trial {number}: {condition_label(trial.condition)}".rstrip(": ")
+    label = f"trial {number}: {condition_text(trial.condition)}".rstrip(": ")
     rate = rate_hz or 1.0 / float(np.median(np.diff(trial.time_s)))
     time_s = _even(float(trial.time_s[0]), float(trial.time_s[-1]), rate, label)
     table = np.column_stack([trial.inputs, trial.outputs])

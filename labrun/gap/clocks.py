@@ -1,6 +1,6 @@
 """Clocks that cannot be right: trials whose time jumps, and repeats that were not sampled at one rate."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from labrun.errors import RecordingError
 from labrun.fit.dataset import Dataset, FitTrial
 from labrun.gap import criteria
+from labrun.spec.condition import condition_key
 
 FloatArray = NDArray[np.float64]
 
@@ -88,11 +89,11 @@ def with_sound_clocks(dataset: Dataset) -> Checked:
 
 def _disagreeing(dataset: Dataset) -> tuple[str, ...]:
     """Return a sentence where repeats of a condition were sampled at intervals that differ."""
-    groups: dict[str, list[tuple[FitTrial, float]]] = {}
+    groups: dict[object, list[tuple[FitTrial, float]]] = {}
     for trial in dataset.trials:
         interval_s = _interval_s(trial)
         if interval_s is not None:
-            groups.setdefault(_key(trial.condition), []).append((trial, interval_s))
+            groups.setdefault(condition_key(trial.condition), []).append((trial, interval_s))
     found = []
     for group in groups.values():
         for place, (trial, interval_s) in enumerate(group):
@@ -127,10 +128,6 @@ def _interval_s(trial: FitTrial) -> float | None:
     if len(steps_s) < criteria.FEWEST_STEPS or not np.median(steps_s) > 0:
         return None
     return float(np.mean(steps_s[steps_s <= criteria.LONG_STEP * np.median(steps_s)]))
-
-
-def _key(condition: Mapping[str, float | str]) -> str:
-    return repr(sorted(condition.items()))
 
 
 def _called(trial: FitTrial) -> str:

@@ -1,6 +1,6 @@
 """Measured trials as units: what one simulation predicts, with the repeats that agree on it averaged."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -12,7 +12,7 @@ from labrun.fit.dataset import Dataset, FitTrial
 from labrun.fit.pieces import FIRST_SAMPLES
 from labrun.gap import criteria
 from labrun.models import Model
-from labrun.store.recording import condition_label
+from labrun.spec.condition import condition_key, condition_text
 
 FloatArray = NDArray[np.float64]
 
@@ -74,10 +74,10 @@ def gather(dataset: Dataset, model: Model) -> Units:
     RecordingError
         A trial too short to say anything, or numbers that are not finite.
     """
-    groups: dict[str, list[FitTrial]] = {}
+    groups: dict[object, list[FitTrial]] = {}
     for trial in dataset.trials:
         _check(trial, dataset)
-        groups.setdefault(_key(trial.condition), []).append(trial)
+        groups.setdefault(condition_key(trial.condition), []).append(trial)
     rules = {model.initial.get(state, "free") for state in model.states}
     free, read = "free" in rules, "first" in rules
     units: list[Unit] = []
@@ -89,12 +89,8 @@ def gather(dataset: Dataset, model: Model) -> Units:
         else:
             units.extend(Unit(trial, group, (trial.outputs,)) for trial in trials)
     means = replace(dataset, trials=tuple(unit.trial for unit in units))
-    labels = [condition_label(trials[0].condition) or trials[0].label for trials in groups.values()]
+    labels = [condition_text(trials[0].condition) or trials[0].label for trials in groups.values()]
     return Units(means, tuple(units), tuple(labels), min(len(trials) for trials in groups.values()))
-
-
-def _key(condition: Mapping[str, float | str]) -> str:
-    return repr(sorted(condition.items()))
 
 
 def _check(trial: FitTrial, dataset: Dataset) -> None:
@@ -186,7 +182,7 @@ def _same_beginning(trials: Sequence[FitTrial]) -> bool:
 
 def _averaged(trials: Sequence[FitTrial], group: int) -> Unit:
     mean = np.mean([trial.outputs for trial in trials], axis=0)
-    label = condition_label(trials[0].condition) or trials[0].label
+    label = condition_text(trials[0].condition) or trials[0].label
     return Unit(
         replace(trials[0], label=label, outputs=mean), group, tuple(trial.outputs for trial in trials)
     )

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from labrun.report.data import FloatArray, Point, RunView
-from labrun.search.leaders import condition_key, leading_conditions
+from labrun.search.leaders import leading_conditions
+from labrun.spec.condition import condition_key
 from labrun.spec.experiment import Experiment, Value
 from labrun.store.trial import TrialOutcome
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.errors import PluginError, SpecError
-from labrun.search.leaders import condition_key, t_interval
+from labrun.search.leaders import t_interval
 from labrun.search.result import Best
+from labrun.spec.condition import condition_key
 from labrun.spec.experiment import Experiment, Value
 from labrun.store.trial import SettleCurve, Stream, TrialOutcome
 

@@ -25,6 +25,7 @@ from labrun.report.html_elements import (
     section,
     table,
 )
+from labrun.spec.condition import condition_key
 
 _MOST_FORCES = 2
 
@@ -98,7 +99,7 @@ def _traces(diagnosis: Diagnosis) -> Html | None:
 
 def _chosen(diagnosis: Diagnosis, traces: Sequence[Trace]) -> str:
     """Return which conditions and outputs are shown, where it is not all of them."""
-    conditions = len({repr(sorted(trace.condition.items())) for trace in traces})
+    conditions = len({condition_key(trace.condition) for trace in traces})
     outputs = len(worst_outputs(diagnosis, traces))
     told = []
     if conditions < diagnosis.conditions:

@@ -15,6 +15,7 @@ from labrun.report.gap_words import listed, name_words
 from labrun.report.html_words import spaced
 from labrun.report.style import FAINT, INK, zero_line
 from labrun.report.svg import as_svg
+from labrun.spec.condition import condition_key
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,9 +49,9 @@ def shown_traces(diagnosis: Diagnosis) -> list[Trace]:
 
 def _various(traces: Sequence[Trace]) -> list[Trace]:
     """Return a few traces, of as many different conditions as there are."""
-    first: dict[str, Trace] = {}
+    first: dict[object, Trace] = {}
     for trace in traces:
-        first.setdefault(repr(sorted(trace.condition.items())), trace)
+        first.setdefault(condition_key(trace.condition), trace)
     chosen = list(first.values())
     again = [trace for trace in traces if not any(trace is one for one in chosen)]
     return [*chosen, *again][:_MOST_UNITS]

@@ -14,7 +14,7 @@ from labrun.report.html_elements import Content, Html, element, joined, paragrap
 from labrun.report.html_words import condition_with_units, counted, decimal_text, decimals_for, spaced
 from labrun.report.report_source import ReportSource
 from labrun.report.words import label, value_text
-from labrun.search.leaders import condition_key
+from labrun.spec.condition import condition_key
 from labrun.spec.experiment import Value
 
 _LEADERS_SHOWN = 12

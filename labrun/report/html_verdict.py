@@ -17,8 +17,8 @@ from labrun.report.html_words import (
 from labrun.report.report_source import ReportSource
 from labrun.report.stored_fits import stored_fits
 from labrun.report.words import duration_text, quantity_text
-from labrun.search.leaders import condition_key
 from labrun.search.result import Best, resume_line
+from labrun.spec.condition import condition_key
 
 _KINDS = {
     "run": "run",

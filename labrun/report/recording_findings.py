@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labrun.fit.run_dataset import imported_channels
-from labrun.search.leaders import condition_key
+from labrun.spec.condition import condition_key
 from labrun.spec.experiment import Value
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from labrun.report.conditions import in_order, varying
 from labrun.report.data import Point, RunView
 from labrun.report.style import COLOURS, SOFT, heading, new_figure, save, zero_line
 from labrun.report.words import condition_text, interval_text, label, value_text, value_with_unit
-from labrun.search.leaders import condition_key
+from labrun.spec.condition import condition_key
 from labrun.store.trial import TrialOutcome
 
 if TYPE_CHECKING:

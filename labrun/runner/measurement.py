@@ -8,6 +8,7 @@ import numpy as np
 
 from labrun.devices import FloatArray
 from labrun.errors import ExperimentError
+from labrun.spec.condition import condition_text
 from labrun.store.trial import Role, TrialOutcome
 
 Condition = Mapping[str, float | str]
@@ -52,7 +53,7 @@ class Measurement:
         if len(values) == 0:
             reasons = "; ".join(dict.fromkeys(o.reason for o in self.outcomes if o.reason)) or "none was run"
             raise ExperimentError(
-                f"no accepted trial of {describe(self.condition)}: {reasons}",
+                f"no accepted trial of {condition_text(self.condition)}: {reasons}",
                 hint="labrun show lists the trials with their reasons",
             )
         return float(np.mean(values))
@@ -63,9 +64,3 @@ class Measurement:
         if len(values) < 2:
             return math.inf
         return float(np.std(values, ddof=1) / math.sqrt(len(values)))
-
-
-def describe(condition: Condition) -> str:
-    """Return a condition as a person writes it: ``a = 20, f = 1.2``."""
-    pairs = (f"{k} = {v:g}" if isinstance(v, int | float) else f"{k} = {v}" for k, v in condition.items())
-    return ", ".join(pairs)

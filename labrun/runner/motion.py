@@ -8,7 +8,8 @@ from labrun.devices import Excess, Trajectory
 from labrun.errors import PlanError
 from labrun.gaits import make_gait
 from labrun.runner.envelope import Envelope, envelope
-from labrun.runner.measurement import Condition, describe
+from labrun.runner.measurement import Condition
+from labrun.spec.condition import condition_text
 from labrun.spec.experiment import Experiment
 from labrun.spec.expression import evaluate
 
@@ -140,7 +141,7 @@ class MotionMaker:
             return self._trial.cycles, duration_s, _too_long(duration_s, available_s)
         if math.isinf(available_s):
             raise PlanError(
-                f'cycles = "fit" with a carriage that stands still at {describe(condition)}',
+                f'cycles = "fit" with a carriage that stands still at {condition_text(condition)}',
                 hint="give a number of cycles, or the carriage a speed above zero",
             )
         cycles = math.floor(available_s / period_s * (1 + _WHOLE))

@@ -11,12 +11,13 @@ from labrun.devices import Excess, Limits
 from labrun.errors import LabrunError, PlanError
 from labrun.runner.clock import SimulatedClock
 from labrun.runner.envelope import Envelope, loop_notes
-from labrun.runner.measurement import Condition, describe
+from labrun.runner.measurement import Condition
 from labrun.runner.motion import MotionMaker, TrialMotion
 from labrun.runner.moves import smooth_move
 from labrun.runner.rig import Rig
 from labrun.runner.settling import settle_estimate_s
 from labrun.runner.wiring import check_wiring
+from labrun.spec.condition import condition_text
 from labrun.spec.experiment import Experiment, Settle
 
 _SHOWN = 5
@@ -139,7 +140,7 @@ class Plan:
         if not self.excess:
             return
         lines = [
-            f"  {describe(item.condition)}: {'; '.join(str(excess) for excess in item.excess)}"
+            f"  {condition_text(item.condition)}: {'; '.join(str(excess) for excess in item.excess)}"
             for item in self.excess[:_SHOWN]
         ]
         if len(self.excess) > _SHOWN:
@@ -278,7 +279,7 @@ class Planner:
         try:
             return self._motions.motion(condition)
         except LabrunError as error:
-            raise PlanError(f"{describe(condition)}: {error}") from error
+            raise PlanError(f"{condition_text(condition)}: {error}") from error
 
     def _excess(self, motion: TrialMotion, worst: Envelope | None) -> list[Excess]:
         found = list(motion.excess)

@@ -9,7 +9,7 @@ from labrun.errors import DeviceError, LimitExceededError, RecordingError
 from labrun.runner.bench import Bench
 from labrun.runner.clock import RealClock
 from labrun.runner.faults import LimitReached
-from labrun.runner.measurement import Condition, Measurement, describe
+from labrun.runner.measurement import Condition, Measurement
 from labrun.runner.motion import MotionMaker
 from labrun.runner.order import Order, block_order
 from labrun.runner.outliers import PREFIX, find_outliers
@@ -21,6 +21,7 @@ from labrun.runner.safety import StopRequest, interruptible
 from labrun.runner.settling import needs_baseline, unsettled
 from labrun.runner.trial import TrialRequest, TrialRunner
 from labrun.runner.wiring import check_wiring
+from labrun.spec.condition import condition_text
 from labrun.spec.experiment import Experiment, RepeatRule
 from labrun.store.folder import RunFolder
 from labrun.store.trial import Role, TrialOutcome
@@ -195,9 +196,9 @@ class Session:
             return None
         if outcome.condition != dict(request.condition) or outcome.role != request.role:
             raise RecordingError(
-                f"trial {request.index} of {self._folder.path} measured {describe(outcome.condition)} "
+                f"trial {request.index} of {self._folder.path} measured {condition_text(outcome.condition)} "
                 f"({outcome.role}), "
-                f"but the plan has {describe(request.condition)} ({request.role}) there",
+                f"but the plan has {condition_text(request.condition)} ({request.role}) there",
                 hint="the plan, the seed or labrun itself is not the one this run began with: start a new run",
             )
         if outcome.reason.startswith(PREFIX):

@@ -13,9 +13,10 @@ from labrun.errors import PlanError
 from labrun.search.design import Condition, start_of_search
 from labrun.search.feasibility import Feasibility, LimitExcesses, Violations, penalised
 from labrun.search.generation import keep_generation
-from labrun.search.leaders import Measured, Measures, condition_key, pooled_variance
+from labrun.search.leaders import Measured, Measures, pooled_variance
 from labrun.search.stopping import StopWatch
 from labrun.search.strategy import Strategy
+from labrun.spec.condition import condition_key
 from labrun.spec.experiment import CmaEs, Experiment
 
 if TYPE_CHECKING:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from labrun.search.design import Condition
 from labrun.search.result import Best
+from labrun.spec.condition import condition_key
 from labrun.spec.experiment import Leaders, RepeatRule
 from labrun.store.trial import Role
 
@@ -126,11 +127,6 @@ def leading_conditions(found: Sequence[Measured], objective: str, goal: Goal, co
     order = np.argsort(-shrunken if goal == "maximise" else shrunken, kind="stable")
     keys = list(samples)
     return [conditions[keys[index]] for index in order[:count]]
-
-
-def condition_key(condition: Condition) -> tuple[tuple[str, object], ...]:
-    """Return a hashable form: equal conditions have equal keys."""
-    return tuple(sorted(condition.items()))
 
 
 def t_interval(values: FloatArray) -> tuple[float, float] | None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from labrun.spec.experiment import Value
+from labrun.spec.condition import Value, condition_text
 
 RESULT_FILE = "result.json"
 _MOST_REASONS = 4
@@ -168,17 +168,12 @@ def resume_line(run: Path) -> str:
 
 
 def _best_lines(best: Best) -> list[str]:
-    parameters = ", ".join(f"{name} = {_short(value)}" for name, value in best.parameters.items())
     if best.ci95 is None:
         interval = "no interval: fewer than two confirming trials were accepted"
     else:
         interval = f"95 % interval {best.ci95[0]:.4g} to {best.ci95[1]:.4g}, {best.trials} confirming trials"
     return [
         f"best      {best.objective_name} = {best.value:.4g} {best.unit} ({interval})",
-        f"at        {parameters}",
+        f"at        {condition_text(best.parameters, digits=4)}",
         f"luckiest  {best.luckiest:.4g} {best.unit} (best single trial; not what to expect)",
     ]
-
-
-def _short(value: Value) -> str:
-    return value if isinstance(value, str) else f"{value:.4g}"

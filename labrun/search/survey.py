@@ -11,7 +11,7 @@ from labrun.runner.plan import ConditionExcess, Plan, SearchSpace, SpaceBreak, p
 from labrun.search.constraints import constraints
 from labrun.search.design import Condition, start_of_search
 from labrun.search.feasibility import Feasibility, LimitExcesses, probes
-from labrun.search.leaders import condition_key
+from labrun.spec.condition import condition_key
 from labrun.spec.experiment import CmaEs, Experiment
 
 _POINTS = 8192

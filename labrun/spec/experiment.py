@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 from pydantic import Field, PositiveFloat, field_validator, model_validator
 
+from labrun.spec.condition import Value
 from labrun.spec.fault import Faults
 from labrun.spec.search_tables import (
     Axis,
@@ -18,7 +19,7 @@ from labrun.spec.search_tables import (
     Sweep,
     Variable,
 )
-from labrun.spec.table import Expression, Number, PluginTable, Table, Value
+from labrun.spec.table import Expression, Number, PluginTable, Table
 from labrun.spec.track_tables import LoopTable, Track
 from labrun.spec.trial_tables import (
     CarriageMove,

@@ -5,8 +5,6 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 
 Number = float | int
-Value = float | str
-"""A value of a condition: a number, or a word (a specimen's name)."""
 Expression = float | str
 """A number, or an expression in the names of conditions, variables and `let`."""
 

@@ -4,8 +4,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, model_validator
 
+from labrun.spec.condition import Value
 from labrun.spec.fault import Faults
-from labrun.spec.table import Number, PluginTable, Table, Value
+from labrun.spec.table import Number, PluginTable, Table
 
 LOOP_DEVICE = "loop"
 """Stands for the loops where a channel is named: ``loop.force_error``."""

@@ -5,8 +5,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
+from labrun.spec.condition import Value
 from labrun.spec.fault import Faults
-from labrun.spec.table import Expression, Number, Table, Value
+from labrun.spec.table import Expression, Number, Table
 
 
 class RepeatRule(Table):

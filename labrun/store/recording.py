@@ -140,12 +140,3 @@ def _report(folder: Path, faults: list[str]) -> str:
     if len(faults) > _SHOWN_FAULTS:
         shown.append(f"  and {len(faults) - _SHOWN_FAULTS} more")
     return "\n".join([f"recording {folder} has {number}:", *shown])
-
-
-def condition_label(condition: Mapping[str, float | str]) -> str:
-    """Return a condition as a person would write it: ``"kp = 100, trajectory = sin-sin"``."""
-    parts = [
-        f"{name} = {value:g}" if isinstance(value, float | int) else f"{name} = {value}"
-        for name, value in condition.items()
-    ]
-    return ", ".join(parts)

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labrun.errors import RecordingError
-from labrun.store.recording import condition_label, read_recording
+from labrun.spec.condition import condition_text
+from labrun.store.recording import read_recording
 
 TOML = """\
 experiment = "swing"
@@ -53,7 +54,7 @@ def test_a_sound_recording_is_read_with_its_units_and_conditions(tmp_path: Path)
     assert [trial.repeat for trial in recording.trials] == [1, 2]
     first = recording.trials[0]
     assert first.condition == {"release": 20.0, "body": "wide"}
-    assert condition_label(first.condition) == "release = 20, body = wide"
+    assert condition_text(first.condition) == "release = 20, body = wide"
     np.testing.assert_array_equal(first.time_s, [0.0, 0.1, 0.2])
     np.testing.assert_array_equal(first.inputs, [[1.0], [2.0], [3.0]])
     np.testing.assert_array_equal(first.outputs, [[0.1], [0.2], [0.3]])

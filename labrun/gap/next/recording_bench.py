@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from labrun.gap.next.trials import PlannedTrial
 from labrun.gap.next.values import by_hand
+from labrun.spec.condition import condition_key, condition_text
 
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset, FitTrial
@@ -66,9 +67,9 @@ class RecordingBench:
 
     def _bases(self) -> list[int]:
         """Return the first trials of a few conditions, one number each."""
-        firsts: dict[str, int] = {}
+        firsts: dict[object, int] = {}
         for place, trial in enumerate(self.dataset.trials):
-            firsts.setdefault(repr(sorted(trial.condition.items())), place)
+            firsts.setdefault(condition_key(trial.condition), place)
         places = list(firsts.values())
         return [places[k] for k in np.unique(np.linspace(0, len(places) - 1, _BASES).round().astype(int))]
 
@@ -79,7 +80,7 @@ class RecordingBench:
             values = [float(one.condition[name]) for one in self.dataset.trials]
             for value in by_hand(name, values):
                 condition = {**trial.condition, name: value}
-                label = f"{name} = {value:g}, else as recorded at {trial.label}"
+                label = f"{condition_text({name: value})}, else as recorded at {trial.label}"
                 found.append(self._trial(label, condition, trial, trial.inputs, (place, 1.0)))
                 for factor in _GENTLER if self.model.inputs else ():
                     gentle = {**condition, "input": f"times {factor:g}"}

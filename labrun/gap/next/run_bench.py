@@ -12,9 +12,9 @@ from labrun.errors import LabrunError, RequestError
 from labrun.fit.run_dataset import COMMAND
 from labrun.gap.next.trials import PlannedTrial
 from labrun.gap.next.values import beyond, by_hand, reach, rounded
+from labrun.spec.condition import Condition, condition_text
 from labrun.spec.expression import evaluate, names_in
 from labrun.spec.loading import loads_experiment, resolved
-from labrun.store.recording import condition_label
 
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from labrun.store.reading import Run
 
 FloatArray = NDArray[np.float64]
-Condition = Mapping[str, float | str]
 
 _MOST = 60
 _BASES = 4
@@ -134,7 +133,7 @@ class RunBench:
             )
             found.append(
                 PlannedTrial(
-                    condition_label(condition),
+                    condition_text(condition),
                     condition,
                     time_s,
                     inputs,

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from labrun.gap.diagnosis import By
 from labrun.gap.where.difference import Difference
 from labrun.gap.where.pooling import Piece
-from labrun.gap.where.wording import channel_text, condition_text, joined_conditions, threshold_text
+from labrun.gap.where.wording import channel_text, joined_conditions, located, threshold_text
+from labrun.spec.condition import condition_text
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -107,13 +108,12 @@ def condition_sets(difference: Difference, pieces: Sequence[Piece], *, ranges: b
     for group, label in enumerate(difference.units.conditions):
         chosen = tuple(piece.group == group for piece in pieces)
         if any(chosen):
-            add(label, condition_text(conditions[chosen.index(True)]) or label, chosen, True)
+            add(label, located(conditions[chosen.index(True)]) or label, chosen, True)
     values = {
         key: list(dict.fromkeys(one[key] for one in conditions if key in one)) for key in _keys(conditions)
     }
     for key, several in values.items():
         for value in several:
-            at = f"{key} = {value:g}" if not isinstance(value, str) else f"{key} = {value}"
             chosen = tuple(one.get(key) == value for one in conditions)
             labels = [
                 difference.units.conditions[piece.group]
@@ -121,7 +121,8 @@ def condition_sets(difference: Difference, pieces: Sequence[Piece], *, ranges: b
                 if yes
             ]
             named = isinstance(value, str) and 1 < len(labels) <= _MOST_NAMED
-            add(at, joined_conditions(labels) if named else condition_text({key: value}), chosen)
+            text = joined_conditions(labels) if named else located({key: value})
+            add(condition_text({key: value}), text, chosen)
     for key, several in values.items() if ranges else ():
         numbers = sorted(value for value in several if not isinstance(value, str))
         for low in numbers[1:] if len(numbers) == len(several) > 2 else ():

@@ -1,12 +1,10 @@
 """Names of channels, conditions and units as a person would say them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
-_UNITS = {
-    "hz": "Hz", "deg": "deg", "rad": "rad", "s": "s", "ms": "ms", "mm": "mm", "cm": "cm", "m": "m", "kg": "kg",
-    "g": "g", "n": "N", "n_m": "N m", "v": "V", "a": "A", "w": "W", "m_s": "m/s", "deg_s": "deg/s", "rad_s": "rad/s",
-    "percent": "%",
-}  # fmt: skip
+from labrun.spec.condition import Condition, value_text
+from labrun.spec.names import UNITS, split_unit
+
 _FREQUENCIES = ("frequency", "freq", "f", "drive_frequency")
 
 
@@ -22,20 +20,11 @@ def channel_text(name: str) -> str:
 
 def key_parts(key: str) -> tuple[str, str]:
     """Return what a condition key measures and its unit, both for people; the unit may be empty."""
-    words = key.split("_")
-    for count in (2, 1):
-        unit = "_".join(words[-count:]).lower()
-        if len(words) > count and unit in _UNITS:
-            return " ".join(words[:-count]), _UNITS[unit]
-    return plain(key), ""
+    stem, suffix = split_unit(key)
+    return plain(stem), "" if suffix is None else UNITS[suffix].label
 
 
-def value_text(value: float | str, unit: str) -> str:
-    """Return "0.3 Hz"."""
-    return value if isinstance(value, str) else f"{value:g} {unit}".strip()
-
-
-def condition_text(condition: Mapping[str, float | str]) -> str:
+def located(condition: Condition) -> str:
     """Return "at 0.3 Hz", "at amplitude 40 deg and 1 Hz", "at 0.3 Hz (buckling one side)", "with buckling one side"."""
     numbers, words = [], []
     for key, value in condition.items():

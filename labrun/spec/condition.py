@@ -1,0 +1,32 @@
+"""A condition: the values a trial is run under, as a key and in words."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+Value = float | str
+"""A value of a condition: a number, or a word (a specimen's name)."""
+Condition = Mapping[str, Value]
+"""Values of one trial, by name, in the units of the file."""
+
+_NO_UNITS: Mapping[str, str] = MappingProxyType({})
+
+
+def condition_key(condition: Condition) -> tuple[tuple[str, Value], ...]:
+    """Return a hashable form: equal conditions have equal keys, whatever the order of their names."""
+    return tuple(sorted(condition.items(), key=lambda item: item[0]))
+
+
+def condition_text(condition: Condition, units: Mapping[str, str] = _NO_UNITS, *, digits: int = 6) -> str:
+    """Return ``a = 20 deg, f = 1.2 Hz, fin = soft``; without units where they are not known."""
+    return ", ".join(
+        f"{name} = {value_text(value, units.get(name, ''), digits=digits)}"
+        for name, value in condition.items()
+    )
+
+
+def value_text(value: Value, unit: str = "", *, digits: int = 6) -> str:
+    """Return ``0.3 Hz``; the unit "1" is none, and words have none."""
+    if not isinstance(value, int | float):
+        return value
+    number = f"{value:.{digits}g}"
+    return number if unit in ("", "1") else f"{number} {unit}"
