@@ -113,7 +113,7 @@ def _measure(
             experiment,
             session,
             folder.path / "search",
-            limit_excesses=Planner(experiment, rig).excess_of,
+            limit_excesses=Planner(experiment, rig, session.motions).excess_of,
             seed=seed,
             progress=progress,
         )

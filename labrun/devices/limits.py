@@ -58,6 +58,8 @@ class Limits(BaseModel):
 
     def trajectory_excess(self, trajectory: Trajectory) -> Iterator[Excess]:
         """Yield what a motion would break: one item per joint and limit, at its worst moment."""
+        if self._inside(trajectory):
+            return
         for joint, angle_rad in zip(trajectory.joints, trajectory.angle_rad.T, strict=True):
             angle_deg = np.degrees(angle_rad)
             if self.angle_deg is not None:
@@ -66,6 +68,21 @@ class Limits(BaseModel):
                 speed = np.diff(angle_deg) / np.diff(trajectory.time_s)
                 bounds = (-self.speed_deg_s, self.speed_deg_s)
                 yield from _outside(f"speed of {joint}", speed, bounds, "deg/s", trajectory.time_s[:-1])
+
+    def _inside(self, trajectory: Trajectory) -> bool:
+        """Tell whether a motion surely keeps every limit; nearly all do, and need no look at each joint."""
+        angle_deg = np.degrees(trajectory.angle_rad)
+        if angle_deg.size == 0:
+            return False
+        if self.angle_deg is not None:
+            low, high = self.angle_deg
+            if not (angle_deg.min() >= low and angle_deg.max() <= high):
+                return False
+        if self.speed_deg_s is not None and len(angle_deg) > 1:
+            time_s = trajectory.time_s
+            speed = np.abs((angle_deg[1:] - angle_deg[:-1]) / (time_s[1:] - time_s[:-1])[:, None])
+            return bool(speed.max() <= self.speed_deg_s)
+        return True
 
     def sample_excess(
         self, channels: tuple[Channel, ...], time_s: FloatArray, values: FloatArray

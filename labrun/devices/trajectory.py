@@ -41,6 +41,13 @@ class Trajectory:
                 f"trajectory of {len(self.joints)} joints and {len(self.time_s)} points "
                 f"has angles of shape {self.angle_rad.shape}"
             )
+        times, angles = self.time_s, self.angle_rad
+        if (
+            (len(times) == 0 or (-np.inf < times[0] and times[-1] < np.inf))
+            and (times[1:] > times[:-1]).all()
+            and np.isfinite(angles).all()
+        ):
+            return
         if not np.isfinite(self.time_s).all():
             point = int(np.argmin(np.isfinite(self.time_s)))
             raise ValueError(f"trajectory has a time of {self.time_s[point]} s at point {point}")
@@ -71,6 +78,8 @@ class Trajectory:
 
     def only(self, joints: tuple[str, ...]) -> "Trajectory":
         """Return the motion of these joints alone, in their order."""
+        if joints == self.joints:
+            return self
         columns = [self.joints.index(joint) for joint in joints]
         return Trajectory(joints, self.time_s, self.angle_rad[:, columns], self.period_s)
 

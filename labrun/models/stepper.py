@@ -1,5 +1,6 @@
 """Simulate in blocks: the state and the memory of every effect last from one block to the next."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -82,7 +83,8 @@ class Stepper:
     @property
     def finite(self) -> bool:
         """Whether the state is still finite: False after the model blew up."""
-        return bool(np.isfinite(self._all).all())
+        # Not a number, once there, stays one in a sum; an infinity as well, or becomes not a number.
+        return math.isfinite(float(self._all.sum())) or bool(np.isfinite(self._all).all())
 
     def advance(self, inputs: FloatArray) -> FloatArray:
         """Advance by some steps.
@@ -134,8 +136,10 @@ class Stepper:
         if inputs.ndim == 3 and inputs.shape[1:] == (3, count):
             return np.array(inputs, order="C")
         if inputs.ndim == 2 and inputs.shape[1] == count and len(inputs) >= 1:
+            steps = np.empty((len(inputs) - 1, 3, count))
             first, last = inputs[:-1], inputs[1:]
-            return np.ascontiguousarray(np.stack([first, 0.5 * (first + last), last], axis=1))
+            steps[:, 0], steps[:, 1], steps[:, 2] = first, 0.5 * (first + last), last
+            return steps
         raise ModelError(
             f"model {self.model.name} has {count} inputs: (steps, 3, {count}) or (steps + 1, {count}) was expected, "
             f"not {inputs.shape}"

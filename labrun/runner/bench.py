@@ -223,7 +223,7 @@ class Bench:
             bounds = limits.angle_deg
             if bounds is None:
                 continue
-            low, high = np.radians(bounds)
+            low, high = math.radians(bounds[0]), math.radians(bounds[1])
             for joint, angle in pose.items():
                 if not low - _POSE_SLACK_RAD <= angle <= high + _POSE_SLACK_RAD:
                     bound = bounds[1] if angle > high else bounds[0]
@@ -246,7 +246,7 @@ class Bench:
         passed_s = now_s - before_s
         if passed_s <= 0.0:
             return
-        allowed_rad = _SPEED_SLACK * np.radians(bound_deg_s) * passed_s + _POSE_SLACK_RAD
+        allowed_rad = _SPEED_SLACK * math.radians(bound_deg_s) * passed_s + _POSE_SLACK_RAD
         for joint, angle in pose.items():
             way = angle - before.get(joint, angle)
             if abs(way) > allowed_rad:

@@ -1,7 +1,6 @@
 """How a run can end before its plan does, and how a trial can fail without ending the run."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from types import TracebackType
 
 from labrun.errors import DeviceError, LabrunError
 
@@ -22,16 +21,26 @@ class NonsenseError(DeviceError):
     """A device answered something that cannot be a measurement."""
 
 
-@contextmanager
-def blaming(device: str) -> Iterator[None]:
-    """Turn whatever a driver raises into a DeviceError that names the device; labrun's own errors pass."""
-    try:
-        yield
-    except LabrunError:
-        raise
-    except Exception as error:
-        raise DeviceError(
-            device,
-            f"its driver failed: {type(error).__name__}: {error}",
-            hint="check its cable and power; if it stays, this is a fault of its driver",
-        ) from error
+class blaming:  # noqa: N801  reads as a statement: with blaming(device)
+    """Turn whatever a driver raises into a DeviceError that names the device; labrun's own errors pass.
+
+    A class, and no generator: it surrounds every call of a driver, hundreds of times a trial.
+    """
+
+    __slots__ = ("_device",)
+
+    def __init__(self, device: str) -> None:
+        self._device = device
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if isinstance(error, Exception) and not isinstance(error, LabrunError):
+            raise DeviceError(
+                self._device,
+                f"its driver failed: {type(error).__name__}: {error}",
+                hint="check its cable and power; if it stays, this is a fault of its driver",
+            ) from error

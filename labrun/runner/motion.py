@@ -15,6 +15,8 @@ from labrun.spec.expression import evaluate
 
 _WHOLE = 1e-9
 """Relative slack when whole cycles are counted: 1 m at 0.1 m/s is ten cycles of 1 s, not nine."""
+_MOST_NUMBERS = 4_000_000
+"""Angles kept of motions made before (32 MB): a sweep of hundreds of conditions fits, one of hours a trial does not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +64,11 @@ class TrialMotion:
 
 
 class MotionMaker:
-    """Makes the motion of each condition of an experiment."""
+    """Makes the motion of each condition of an experiment, once: repeats of a condition share it."""
 
     def __init__(self, experiment: Experiment) -> None:
+        self._made: dict[frozenset[tuple[str, float | str]], TrialMotion] = {}
+        self._numbers = 0
         self._trial = experiment.trial
         self._rate_hz = experiment.gait.command_rate_hz
         self._name = experiment.gait.plugin
@@ -87,6 +91,16 @@ class MotionMaker:
             Cycles of a gait that has no period, a carriage that stands still where its travel sets the length, or a
             gait whose angles, times or period are not finite numbers; names the gait.
         """
+        key = frozenset(condition.items())
+        made = self._made.get(key)
+        if made is None:
+            made = self._made[key] = self._make(condition)
+            self._numbers += made.trajectory.angle_rad.size
+            while self._numbers > _MOST_NUMBERS and len(self._made) > 1:
+                self._numbers -= self._made.pop(next(iter(self._made))).trajectory.angle_rad.size
+        return made
+
+    def _make(self, condition: Condition) -> TrialMotion:
         at_start = {
             **condition,
             **self._start,

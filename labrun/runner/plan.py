@@ -213,12 +213,16 @@ class Planner:
         What is planned.
     rig
         Its devices, not necessarily opened; without it, stand-ins tell which device moves which joint.
+    motions
+        Motions made so far, of the same experiment.
     """
 
-    def __init__(self, experiment: Experiment, rig: Rig | None = None) -> None:
+    def __init__(
+        self, experiment: Experiment, rig: Rig | None = None, motions: MotionMaker | None = None
+    ) -> None:
         self._experiment = experiment
         self._rig = rig if rig is not None else _describe_rig(experiment)
-        self._motions = MotionMaker(experiment)
+        self._motions = motions if motions is not None else MotionMaker(experiment)
         check_wiring(experiment, self._rig, self._motions.joints)
 
     @property

@@ -98,7 +98,7 @@ class SensorWatch:
         self._check_shape(block)
         self._last_s = float(block.host_time_s[-1])
         # One comparison covers NaN, infinity, plausibility and limits; what exactly is wrong is found only when it is.
-        if not bool(np.all(np.max(np.abs(block.values), axis=0) <= self._ceiling)):
+        if not (np.abs(block.values).max(axis=0) <= self._ceiling).all():
             self._check_values(block)
         return block
 

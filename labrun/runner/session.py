@@ -75,7 +75,9 @@ class Session:
         limit: int | None = None,
         conduct: Conduct = conduct_as_planned,
     ) -> None:
-        check_wiring(experiment, rig, MotionMaker(experiment).joints)
+        self.motions = MotionMaker(experiment)
+        """Motion of each condition."""
+        check_wiring(experiment, rig, self.motions.joints)
         self._experiment = experiment
         self._rig = rig
         self._folder = folder
@@ -85,7 +87,13 @@ class Session:
         self._request = StopRequest()
         self._bench = Bench(rig, clock, self._check_stop, rig.beat)
         self._trials = TrialRunner(
-            experiment, self._bench, folder, seed=seed, phase=self._progress.phase, conduct=conduct
+            experiment,
+            self._bench,
+            folder,
+            self.motions,
+            seed=seed,
+            phase=self._progress.phase,
+            conduct=conduct,
         )
         self._stored = folder.outcomes()
         self._stopwatch = RealClock()

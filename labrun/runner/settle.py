@@ -97,6 +97,8 @@ class Judge:
         found = [part for part in parts if part is not None]
         if len(found) < len(parts):
             return None
+        if len(found) == 1:  # one device: in order already
+            return found[0]
         back = np.argsort(self._order)
         return Stillness(
             np.concatenate([part.spread for part in found])[back],

@@ -62,31 +62,35 @@ def stillness(time_s: FloatArray, values: FloatArray) -> Stillness | None:
         return None
     each = count // bins
     start = count - bins * each
-    grouped = values[start:].reshape(bins, each, -1)
+    # One row a bin, so that every operation runs along memory.
+    grouped = np.ascontiguousarray(values[start:].T).reshape(-1, bins, each)
     centre = _median(grouped)
     rest = grouped - centre
-    scale = _SIGMA * _median(np.abs(rest).reshape(1, bins * each, -1))[0, 0]
-    ceiling = np.where(scale > 0, _CLIP * scale, np.inf)
-    rest = np.clip(rest, -ceiling, ceiling)
-    means = centre[:, 0] + rest.mean(axis=1)
-    within = np.mean(np.diff(rest, axis=1) ** 2, axis=(0, 1)) / (2.0 * each)
-    between = means.var(axis=0, ddof=1)
+    scale = _SIGMA * _median(np.abs(rest).reshape(-1, 1, bins * each))
+    ceiling = _CLIP * scale
+    ceiling[ceiling <= 0.0] = np.inf
+    rest = np.minimum(np.maximum(rest, -ceiling), ceiling)
+    means = centre[:, :, 0] + np.add.reduce(rest, axis=2) / each
+    steps = rest[:, :, 1:] - rest[:, :, :-1]
+    within = np.add.reduce(steps * steps, axis=(1, 2)) / (bins * (each - 1) * 2.0 * each)
+    apart = means - (np.add.reduce(means, axis=1) / bins)[:, None]
+    between = np.add.reduce(apart * apart, axis=1) / (bins - 1)
     uncertainty = within * math.sqrt(2.0 / (bins - 1))
     spread = np.sqrt(np.maximum(0.0, between - within - 2.0 * uncertainty))
-    times = time_s[start:].reshape(bins, each).mean(axis=1)
-    centred = times - times.mean()
+    times = np.add.reduce(time_s[start:].reshape(bins, each), axis=1) / each
+    centred = times - np.add.reduce(times) / bins
     length_s = float(time_s[-1] - time_s[0])
     moment = float(centred @ centred)
-    slope = centred @ means / moment
+    slope = apart @ centred / moment
     error = np.sqrt(within / moment)
     drift = np.maximum(0.0, np.abs(slope) - 2.0 * error) * length_s
     return Stillness(spread, drift, np.maximum(np.sqrt(uncertainty), error * length_s))
 
 
 def _median(values: FloatArray) -> FloatArray:
-    """Return the median over the middle axis, kept; `numpy.median` checks more, and is slow on small arrays."""
-    middle = values.shape[1] // 2
-    if values.shape[1] % 2:
-        return np.partition(values, middle, axis=1)[:, middle : middle + 1]
-    lower = np.partition(values, (middle - 1, middle), axis=1)
-    return np.asarray(0.5 * (lower[:, middle - 1 : middle] + lower[:, middle : middle + 1]))
+    """Return the median over the last axis, kept; `numpy.median` checks more, and is slow on small arrays."""
+    middle = values.shape[2] // 2
+    if values.shape[2] % 2:
+        return np.partition(values, middle, axis=2)[:, :, middle : middle + 1]
+    lower = np.partition(values, (middle - 1, middle), axis=2)
+    return np.asarray(0.5 * (lower[:, :, middle - 1 : middle] + lower[:, :, middle : middle + 1]))

@@ -73,6 +73,8 @@ class TrialRunner:
     ----------
     experiment, bench, folder
         What to do, on what, and where data goes.
+    motions
+        Makes the motion of a condition.
     seed
         Each trial's device noise derives from it and the trial's index.
     phase
@@ -86,6 +88,7 @@ class TrialRunner:
         experiment: Experiment,
         bench: Bench,
         folder: RunFolder,
+        motions: MotionMaker,
         *,
         seed: int,
         phase: Callable[[str], object],
@@ -99,7 +102,7 @@ class TrialRunner:
         self._seed = seed
         self._phase = phase
         self._conduct = conduct
-        self._motions = MotionMaker(experiment)
+        self._motions = motions
         self._judging = Judging(experiment)
         self._speed_rad_s = math.radians(self._table.move_speed_deg_s)
         self._safe_pose = {joint: math.radians(deg) for joint, deg in self._table.safe_pose_deg.items()}

@@ -49,7 +49,8 @@ class SimulatedArduinoServo(SimulatedJoints):
         super()._check(trajectory)
         for joint in self.joints:
             table = self._tables[joint]
-            pulse_us = table.exact_pulse_us(np.degrees(trajectory.only((joint,)).angle_rad))
+            angle_rad = trajectory.angle_rad[:, trajectory.joints.index(joint)]
+            pulse_us = table.exact_pulse_us(np.degrees(angle_rad))
             low_us, high_us = table.pulse_us
             if pulse_us.min() < low_us or pulse_us.max() > high_us:
                 raise DeviceError(

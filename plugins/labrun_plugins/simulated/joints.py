@@ -132,8 +132,9 @@ class SimulatedJoints(SimulatedDevice):
 
     def _move(self, joint: str, motion: Trajectory, start_s: float) -> None:
         self._motion[joint] = (start_s, motion)
-        turned = Trajectory((joint,), motion.time_s, self._signs[joint] * motion.angle_rad, motion.period_s)
-        self.scene.drive(joint, turned, start_s)
+        if self._signs[joint] == -1:
+            motion = Trajectory((joint,), motion.time_s, -motion.angle_rad, motion.period_s)
+        self.scene.drive(joint, motion, start_s)
 
     def _state(self, joint: str, time_s: float) -> tuple[float, float]:
         """Return the shaft's angle and speed at a time."""
@@ -145,6 +146,8 @@ class SimulatedJoints(SimulatedDevice):
         if joint not in moves:
             return 0.0
         start_s, trajectory = moves[joint]
+        if time_s - start_s >= trajectory.time_s[-1]:  # at rest, as nearly always
+            return float(trajectory.angle_rad[-1, 0])
         return float(np.interp(time_s - start_s, trajectory.time_s, trajectory.angle_rad[:, 0]))
 
 

@@ -51,6 +51,7 @@ class SimulatedSensor(SimulatedDevice):
         self._stream = SampleStream(rate_hz, timing)
         self._full_scale = full_scale
         self._bounded = bool(np.isfinite(full_scale).any())
+        self._disturbed = self._faults.saturate or self._faults.nonsense_after_s is not None
         self._counts_frames = counts_frames
         self._has_clock = has_clock
         self._streaming = False
@@ -102,7 +103,9 @@ class SimulatedSensor(SimulatedDevice):
 
         For an emulator, which has a wire of its own in place of this one's.
         """
-        values = self._with_faults(self._measure(time_s))
+        values = self._measure(time_s)
+        if self._disturbed:
+            values = self._with_faults(values)
         saturated = self._clip(values)
         return values, saturated
 
@@ -134,7 +137,7 @@ class SimulatedSensor(SimulatedDevice):
 
     def _clip(self, values: FloatArray) -> int:
         # The greatest value of all channels decides at once in nearly every case; NaN passes as it is.
-        if not self._bounded or np.all(np.abs(values).max(axis=0) < self._full_scale):
+        if not self._bounded or (np.abs(values).max(axis=0) < self._full_scale).all():
             return 0
         with np.errstate(invalid="ignore"):
             at_end = np.abs(values) >= self._full_scale

@@ -1,5 +1,6 @@
 """From what a servo is told to what its shaft does."""
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -53,23 +54,25 @@ class Shaft:
         frame_time_s = np.arange(-(-count // hold), dtype=np.float64) * self.frame_s
         command = np.interp(frame_time_s, trajectory.time_s, commanded)
         angle = _follow(
-            command, hold, count, from_rad, from_rad_s, self._transition(),
+            command, hold, count, from_rad, from_rad_s, _transition(self.natural_hz, self.damping),
             self.step_rad, self.dead_band_rad, self.speed_rad_s,
         )  # fmt: skip
         time_s = np.arange(count, dtype=np.float64) * _SUBSTEP_S
         return Trajectory((joint,), time_s, angle[:, None], trajectory.period_s)
 
-    def _transition(self) -> FloatArray:
-        """Return the matrix that takes error (command - x) and speed one substep on, shape (2, 2)."""
-        natural = 2.0 * math.pi * self.natural_hz
-        decay = self.damping * natural
-        damped = natural * math.sqrt(1.0 - self.damping**2)
-        cosine, sine = math.cos(damped * _SUBSTEP_S), math.sin(damped * _SUBSTEP_S) / damped
-        transition = np.array([
-            [cosine + decay * sine, -sine],
-            [natural**2 * sine, cosine - decay * sine],
-        ])  # fmt: skip
-        return math.exp(-decay * _SUBSTEP_S) * transition
+
+@functools.cache
+def _transition(natural_hz: float, damping: float) -> FloatArray:
+    """Return the matrix that takes error (command - x) and speed one substep on, shape (2, 2)."""
+    natural = 2.0 * math.pi * natural_hz
+    decay = damping * natural
+    damped = natural * math.sqrt(1.0 - damping**2)
+    cosine, sine = math.cos(damped * _SUBSTEP_S), math.sin(damped * _SUBSTEP_S) / damped
+    transition = np.array([
+        [cosine + decay * sine, -sine],
+        [natural**2 * sine, cosine - decay * sine],
+    ])  # fmt: skip
+    return math.exp(-decay * _SUBSTEP_S) * transition
 
 
 @kernel

@@ -77,42 +77,38 @@ class SampleStream:
         """Return what has been received up to now, and not been returned before."""
         # The small slack keeps a sample that falls on "now" from being decided by rounding.
         end = int((now_s - self._start_s) * self.rate_hz + 1e-6) + 1
-        numbers, host_s = self._under_way
-        if end > self._next:
-            delay = self.timing.latency_s + rng.exponential(self.timing.jitter_s, end - self._next)
-            share = self.timing.lost_share + extra_lost_share
-            dice = rng.random(len(delay)) if share > 0 else np.ones(len(delay))
-            numbers, host_s, self._last_arrival_s = _sent(
-                numbers,
-                host_s,
-                self._next,
-                delay,
-                dice,
-                share,
-                self._start_s,
-                self.rate_hz,
-                self._last_arrival_s,
-            )
+        delay = dice = _NOTHING
+        timing = self.timing
+        share = timing.lost_share + extra_lost_share
+        first = self._next
+        if end > first:
+            delay = rng.exponential(timing.jitter_s, end - first)
+            if share > 0:
+                dice = rng.random(len(delay))
             self._next = end
-        count = int(np.searchsorted(host_s, now_s, side="right"))
-        self._under_way = (numbers[count:], host_s[count:])
-        if count == 0:
+        numbers, host_s, taken, device, arrived, self._last_arrival_s, last = _sent(
+            *self._under_way, first, delay, timing.latency_s, dice, share, self._start_s, self.rate_hz,
+            self._last_arrival_s, now_s, timing.clock_offset_s, timing.clock_drift,
+        )  # fmt: skip
+        self._under_way = (numbers, host_s)
+        if len(arrived) == 0:
             return Arrivals(_NOTHING, _NOTHING, _NOTHING, 0)
-        numbers, host_s = numbers[:count], host_s[:count]
-        last = int(numbers[-1])
-        lost = last - self._last_seen - count
+        lost = last - self._last_seen - len(arrived)
         self._last_seen = last
-        taken = self._start_s + numbers / self.rate_hz
-        device = (taken + self.timing.clock_offset_s) * (1 + self.timing.clock_drift)
-        return Arrivals(taken, device, host_s, lost)
+        return Arrivals(taken, device, arrived, lost)
 
 
 @kernel
 def _sent(
-    numbers: IntArray, host_s: FloatArray, first: int, delay_s: FloatArray, dice: FloatArray, lost_share: float,
-    start_s: float, rate_hz: float, last_arrival_s: float,
-) -> tuple[IntArray, FloatArray, float]:  # fmt: skip
-    """Add samples from number `first` on to those under way, but for the lost ones; none overtakes another."""
+    numbers: IntArray, host_s: FloatArray, first: int, delay_s: FloatArray, latency_s: float, dice: FloatArray,
+    lost_share: float, start_s: float, rate_hz: float, last_arrival_s: float, now_s: float, offset_s: float,
+    drift: float,
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray, float, int]:  # fmt: skip
+    """Add samples from number `first` on to those under way, but for the lost ones; none overtakes another.
+
+    Returned are numbers and arrival times of those still under way; true, device and host times of those that have
+    arrived; when the last one will have arrived, and the number of the last that has.
+    """
     waiting, new = len(numbers), len(delay_s)
     all_numbers, all_host_s = np.empty(waiting + new, np.int64), np.empty(waiting + new)
     for i in range(waiting):
@@ -120,9 +116,25 @@ def _sent(
         all_host_s[i] = host_s[i]
     count = waiting
     for i in range(new):
-        last_arrival_s = max(last_arrival_s, start_s + (first + i) / rate_hz + delay_s[i])
-        if dice[i] >= lost_share:
+        last_arrival_s = max(last_arrival_s, start_s + (first + i) / rate_hz + (latency_s + delay_s[i]))
+        if lost_share <= 0.0 or dice[i] >= lost_share:
             all_numbers[count] = first + i
             all_host_s[count] = last_arrival_s
             count += 1
-    return all_numbers[:count], all_host_s[:count], last_arrival_s
+    here = 0
+    while here < count and all_host_s[here] <= now_s:
+        here += 1
+    taken, device = np.empty(here), np.empty(here)
+    for i in range(here):
+        taken[i] = start_s + all_numbers[i] / rate_hz
+        device[i] = (taken[i] + offset_s) * (1 + drift)
+    last = all_numbers[here - 1] if here > 0 else -1
+    return (
+        all_numbers[here:count],
+        all_host_s[here:count],
+        taken,
+        device,
+        all_host_s[:here],
+        last_arrival_s,
+        last,
+    )

@@ -33,6 +33,8 @@ class JointDrive:
             start_s, times, points = self._moves[-1]
             if time_s[0] >= start_s + times[-1]:  # at rest, as nearly always
                 return np.full(len(time_s), points[-1])
+        elif not self._moves:
+            return np.full(len(time_s), self.rest_rad)
         angle = np.full(len(time_s), self.rest_rad)
         for start_s, times, points in self._moves:
             first = int(np.searchsorted(time_s, start_s))

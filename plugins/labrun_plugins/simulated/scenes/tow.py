@@ -28,6 +28,9 @@ class Carriage:
 
     def motion(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position (m), speed (m/s), acceleration (m/s^2) at ascending times; forgets moves that are over."""
+        if not self._later:
+            position, speed, acceleration = self._current(time_s)
+            return position, speed, acceleration
         parts = []
         first = 0
         while self._later:
