@@ -29,18 +29,22 @@ class JointDrive:
 
     def angles(self, time_s: FloatArray) -> FloatArray:
         """Return the commanded angles at ascending times, shape (n,)."""
+        angle = np.empty(len(time_s))
+        self.write(time_s, angle)
+        return angle
+
+    def write(self, time_s: FloatArray, angle_rad: FloatArray) -> None:
+        """Write the commanded angles at ascending times, shape (n,)."""
         if self._moves and len(time_s):
             start_s, times, points = self._moves[-1]
             if time_s[0] >= start_s + times[-1]:  # at rest, as nearly always
-                return np.full(len(time_s), points[-1])
-        elif not self._moves:
-            return np.full(len(time_s), self.rest_rad)
-        angle = np.full(len(time_s), self.rest_rad)
+                angle_rad.fill(points[-1])
+                return
+        angle_rad.fill(self.rest_rad)
         for start_s, times, points in self._moves:
-            first = int(np.searchsorted(time_s, start_s))
+            first = int(time_s.searchsorted(start_s))
             if first < len(time_s):
-                angle[first:] = np.interp(time_s[first:] - start_s, times, points)
-        return angle
+                angle_rad[first:] = np.interp(time_s[first:] - start_s, times, points)
 
     def under_way(self, time_s: FloatArray) -> FloatArray:
         """Return whether a command is under way (1) or has ended (0), at ascending times, shape (n,)."""

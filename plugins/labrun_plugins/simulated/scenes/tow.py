@@ -21,6 +21,16 @@ class Carriage:
     _start_s: float = 0.0
     _later: list[list[float]] = field(default_factory=list)
 
+    @property
+    def at_rest(self) -> bool:
+        """Whether it stands still, and no move is to come."""
+        return not self._later and (self._to_m == self._from_m or self._speed_m_s <= 0.0)
+
+    @property
+    def position_m(self) -> float:
+        """Where the last move ends."""
+        return self._to_m
+
     def move(self, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:
         """Take a move from `start_s` on; it supersedes those that would start later."""
         self._later = [move for move in self._later if move[3] < start_s]
