@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from labrun.errors import PluginError
-from labrun.nearest import nearest
+from labrun.toml import nearest
 
 GROUPS = (
     "labrun.devices",

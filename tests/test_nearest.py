@@ -2,7 +2,7 @@
 
 import pytest
 
-from labrun.nearest import nearest
+from labrun.toml import nearest
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labrun.toml_positions import Position, locate
+from labrun.toml import Position, locate
 
 TEXT = """\
 a = 1

@@ -10,7 +10,7 @@ from labrun.control.plant import PlantModel, read_plant
 from labrun.control.protocol import FindFile, LoopContext, Step
 from labrun.control.settings import ControlSettings, checked
 from labrun.errors import SpecError
-from labrun.spec.fault import Faults
+from labrun.toml import Faults
 
 
 def _form_of_model(model: object) -> str:

@@ -15,10 +15,10 @@ from labrun.control.protocol import (
     ReferencePlugin,
 )
 from labrun.errors import SpecError
-from labrun.spec.names import suggest
 from labrun.spec.setting_expressions import resolved_settings
 from labrun.spec.table import PluginTable
 from labrun.spec.track_tables import LoopTable
+from labrun.toml import suggest
 
 REFERENCES = "labrun.references"
 FEEDBACKS = "labrun.feedbacks"

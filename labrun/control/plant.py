@@ -9,8 +9,7 @@ from pydantic import Field, model_validator
 
 from labrun.control.settings import ControlSettings
 from labrun.errors import SpecError
-from labrun.spec.fault import Faults
-from labrun.spec.names import suggest
+from labrun.toml import Faults, suggest
 
 _KEYS = ("gain", "lag_s", "dead_s", "numerator", "denominator")
 

@@ -6,8 +6,7 @@ from typing import Any, TypeVar, cast
 from pydantic import BaseModel, ConfigDict
 
 from labrun.errors import SpecError
-from labrun.spec.problem import dotted
-from labrun.spec.validation import validate
+from labrun.toml import dotted, validate
 
 
 class ControlSettings(BaseModel):

@@ -8,8 +8,8 @@ from labrun.control.loop import LoopRecord
 from labrun.control.protocol import Feedback
 from labrun.devices import Channel, Samples
 from labrun.spec.experiment import Experiment
-from labrun.spec.names import unit_of
 from labrun.spec.track_tables import LOOP_CHANNELS, loop_channel
+from labrun.toml import unit_of
 
 _OF_FEEDBACK = ("reference", "feedback", "error")
 

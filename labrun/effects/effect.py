@@ -7,9 +7,9 @@ from typing import Any, Literal
 
 from labrun.effects.quantities import Quantity, Scale, unit_of
 from labrun.errors import ModelError
-from labrun.models.expression import nearest
 from labrun.models.model import Model, Site, SiteKind
 from labrun.models.native import NativeFunction, native
+from labrun.toml import suggest
 
 Need = Literal["load", "stiffness"]
 
@@ -124,7 +124,7 @@ class Effect:
         names = [parameter.name for parameter in self.parameters]
         for name in values:
             if name not in names:
-                raise ModelError(f"effect {self.id} has no parameter {name!r}", hint=nearest(name, names))
+                raise ModelError(f"effect {self.id} has no parameter {name!r}", hint=suggest(name, names))
         defaults = {one.name: one.start_values(scale or Scale())[0] for one in self.parameters}
         return AttachedEffect(self, site, tuple(float({**defaults, **values}[name]) for name in names))
 

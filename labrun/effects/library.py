@@ -5,8 +5,8 @@ from collections.abc import Collection, Iterator
 from labrun import registry
 from labrun.effects.effect import Effect
 from labrun.errors import ModelError, PluginError
-from labrun.models.expression import nearest
 from labrun.models.model import SiteKind
+from labrun.toml import suggest
 
 _GROUP = "labrun.effects"
 
@@ -68,6 +68,6 @@ def _of_plugin(name: str) -> tuple[Effect, ...]:
         if not isinstance(effect, Effect):
             raise PluginError(
                 f"effect plugin {name!r} gives {type(effect).__name__}, not labrun.effects.Effect",
-                hint=nearest(name, registry.names(_GROUP)) if ":" not in name else None,
+                hint=suggest(name, registry.names(_GROUP)) if ":" not in name else None,
             )
     return group

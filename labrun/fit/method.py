@@ -11,8 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from labrun import registry
 from labrun.errors import RequestError
 from labrun.fit.notes import Note, silent
-from labrun.spec.problem import dotted
-from labrun.spec.validation import validate
+from labrun.toml import dotted, validate
 
 if TYPE_CHECKING:
     from labrun.models import Model

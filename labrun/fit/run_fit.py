@@ -14,8 +14,8 @@ from labrun import registry
 from labrun.errors import RequestError
 from labrun.fit.method import GROUP, FitJob, Fitted, is_method, make_method, takes
 from labrun.fit.notes import Note, silent
-from labrun.nearest import nearest
 from labrun.store.recording import is_recording
+from labrun.toml import nearest
 
 if TYPE_CHECKING:
     from labrun.models import Model

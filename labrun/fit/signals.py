@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from labrun.errors import FitError, RequestError
 from labrun.fit.signal_table import SignalTable
-from labrun.nearest import nearest
 from labrun.spec.condition import condition_text
 from labrun.store.recording import (
     RecordedTrial,
@@ -18,6 +17,7 @@ from labrun.store.recording import (
     is_recording,
     read_recording,
 )
+from labrun.toml import nearest
 
 if TYPE_CHECKING:
     from labrun.spec.experiment import Experiment
@@ -256,7 +256,7 @@ def _signal(
 def _gait_value(
     experiment: "Experiment", condition: Mapping[str, float | str], name: str, time_s: FloatArray
 ) -> Channel:
-    from labrun.spec.let import resolve
+    from labrun.toml import resolve
 
     known = resolve(experiment.gait.let, {**condition, "t": time_s})
     value = known.get(name)

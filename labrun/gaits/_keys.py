@@ -10,10 +10,7 @@ from pydantic import BaseModel, ConfigDict
 from labrun.devices import FloatArray, Trajectory
 from labrun.errors import SpecError
 from labrun.spec.experiment import Expression, Value
-from labrun.spec.expression import evaluate, names_in
-from labrun.spec.let import resolve
-from labrun.spec.problem import dotted
-from labrun.spec.validation import validate
+from labrun.toml import dotted, evaluate, names_in, resolve, validate
 
 
 class Keys(BaseModel):

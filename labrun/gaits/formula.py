@@ -11,7 +11,7 @@ from labrun.gaits._keys import Keys, NoSettings, Scope, assemble, check, points,
 from labrun.gaits.sine import common_period_s
 from labrun.gaits.steering import Driven, Steering
 from labrun.spec.experiment import Expression, Value
-from labrun.spec.expression import names_in
+from labrun.toml import names_in
 
 
 class FormulaKeys(Keys):

@@ -7,8 +7,7 @@ from labrun.devices import FloatArray
 from labrun.errors import SpecError
 from labrun.gaits.protocol import Condition
 from labrun.spec.experiment import Expression
-from labrun.spec.expression import evaluate, names_in
-from labrun.spec.let import order, resolve
+from labrun.toml import evaluate, in_order, names_in, resolve
 
 Steering = Callable[[FloatArray, Mapping[str, FloatArray]], FloatArray]
 """Times of the gait, shape (n,), and each steered variable there, shape (n,), to joint angles, rad, (n, joints)."""
@@ -68,7 +67,7 @@ class Driven:
     def __init__(self, let: Mapping[str, Expression], condition: Condition, moving: Sequence[str]) -> None:
         self._moving = set(moving)
         later: list[str] = []
-        for name in order(let):
+        for name in in_order(let):
             if names_in(let[name]) & self._moving:
                 self._moving.add(name)
                 later.append(name)

@@ -10,7 +10,7 @@ import numpy as np
 from labrun.errors import ModelError, RequestError
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Name
-from labrun.nearest import nearest
+from labrun.toml import nearest
 
 if TYPE_CHECKING:
     from labrun.effects import AttachedEffect, Effect, Scale

@@ -5,10 +5,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from labrun.errors import ModelError, PluginError
-from labrun.models.expression import nearest
 from labrun.models.fields import Fields
 from labrun.models.model import Model, SiteKind
-from labrun.toml_positions import KeyPath
+from labrun.toml import KeyPath, suggest
 
 if TYPE_CHECKING:
     from labrun.effects.effect import AttachedEffect, Effect, EffectParameter
@@ -43,7 +42,7 @@ def _attached(fields: Fields, path: KeyPath, entry: Mapping[str, Any], model: Mo
     site = fields.string((*path, "site"), entry["site"])
     kind = entry.get("kind")
     if kind is not None and kind not in _KINDS:
-        hint = nearest(str(kind), _KINDS)
+        hint = suggest(str(kind), _KINDS)
         raise fields.text.error((*path, "kind"), f"{kind!r} is no kind of site", hint)
     effect = _effect(fields, path, name, _kinds(fields, path, model, site, kind))
     attached = effect.attach(site, **_values(fields, path, effect, entry.get("values", {})))
@@ -61,7 +60,7 @@ def _kinds(fields: Fields, path: KeyPath, model: Model, site: str, kind: SiteKin
         return kinds
     known = {place.name for place in model.places if kind in (None, place.kind)}
     what = f"{kind} site" if kind else "site"
-    hint = nearest(site, known) or f"it has no {what} at all"
+    hint = suggest(site, known) if known else f"it has no {what} at all"
     raise fields.text.error((*path, "site"), f"model {model.name} has no {what} {site!r}", hint)
 
 

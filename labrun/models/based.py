@@ -5,9 +5,9 @@ from pathlib import Path
 
 from labrun.errors import LabrunError
 from labrun.models.attaching import read_effects
-from labrun.models.expression import nearest
 from labrun.models.fields import Fields
 from labrun.models.model import Model
+from labrun.toml import suggest
 
 KEYS = ("name", "title", "base", "values", "effects")
 _DEEPEST = 16
@@ -60,7 +60,7 @@ def _values(fields: Fields, model: Model) -> dict[str, float]:
         key = f"values.{name}"
         if name not in parameters:
             raise fields.text.error(
-                key, f"model {model.name} has no parameter {name!r}", nearest(name, list(parameters))
+                key, f"model {model.name} has no parameter {name!r}", suggest(name, list(parameters))
             )
         value, lower, upper = fields.number(key, given), parameters[name].lower, parameters[name].upper
         if not lower <= value <= upper or value in (float("inf"), float("-inf")):

@@ -6,8 +6,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from labrun.models.expression import RESERVED, Expression, ExpressionError, parse
 from labrun.models.problems import Key, ModelText
+from labrun.toml import RESERVED, Expression, ExpressionError
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 
@@ -84,6 +84,15 @@ class Fields:
         if isinstance(text, int | float) and not isinstance(text, bool):
             text = repr(text)
         try:
-            return parse(self.string(key, text))
+            expression = Expression.of(self.string(key, text))
         except ExpressionError as problem:
-            raise self.text.equation_error(key, text, problem) from None
+            raise self.text.equation_error(key, problem) from None
+        alien = {f"a model has no words such as {word!r}": at for word, at in expression.words.items()}
+        alien |= {
+            f"{name!r} has a letter that is not plain": at
+            for name, at in expression.names.items()
+            if not name.isascii()
+        }
+        for reason, position in alien.items():
+            raise self.text.equation_error(key, ExpressionError(expression.text, reason, position))
+        return expression

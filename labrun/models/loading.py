@@ -4,9 +4,9 @@ from pathlib import Path
 
 from labrun import registry
 from labrun.errors import ModelError
-from labrun.models.expression import nearest
 from labrun.models.model import Model
 from labrun.models.toml_model import parse_model
+from labrun.toml import suggest
 
 _GROUP = "labrun.models"
 
@@ -43,9 +43,7 @@ def load_from(source: str | Path, depth: int = 0) -> Model:
             raise ModelError(f"{name} is no labrun model but {type(made).__name__}")
         return made
     known = [*shipped_models(), *registry.names(_GROUP)]
-    raise ModelError(
-        f"there is no model {name!r}", hint=nearest(name, known) or "give the path of a .toml file"
-    )
+    raise ModelError(f"there is no model {name!r}", hint=suggest(name, known))
 
 
 def shipped_models() -> dict[str, Path]:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.errors import ModelError
-from labrun.models.expression import nearest
 from labrun.models.native import NativeFunction
+from labrun.toml import suggest
 
 if TYPE_CHECKING:
     from labrun.effects.effect import AttachedEffect
@@ -152,7 +152,7 @@ class Model:
         what = f"{kind} site" if kind else "site"
         raise ModelError(
             f"model {self.name} has no {what} {name!r}",
-            hint=nearest(name, known) or f"it has no {what} at all",
+            hint=suggest(name, known) if known else f"it has no {what} at all",
         )
 
     @property
@@ -176,7 +176,7 @@ class Model:
             for name, value in parameters.items():
                 if name not in names:
                     raise ModelError(
-                        f"model {self.name} has no parameter {name!r}", hint=nearest(name, names)
+                        f"model {self.name} has no parameter {name!r}", hint=suggest(name, names)
                     )
                 values[names.index(name)] = value
         elif parameters is not None:
@@ -195,7 +195,7 @@ class Model:
             raise ModelError(
                 f"the equations of model {self.name} use {name!r}, which is no state, input or parameter, "
                 f"and the trial's condition has no {name!r} (it has: {', '.join(condition) or 'nothing'})",
-                hint=nearest(name, [*ours, *condition]),
+                hint=suggest(name, [*ours, *condition]),
             )
         if isinstance(value, str):
             raise ModelError(

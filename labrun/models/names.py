@@ -2,11 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 
-from labrun.models.expression import Expression, ExpressionError, nearest
 from labrun.models.fields import Fields
 from labrun.models.model import Input, Parameter, Site
-from labrun.models.rewriting import CONSTANTS
-from labrun.toml_positions import KeyPath
+from labrun.toml import Expression, ExpressionError, KeyPath, suggest
 
 
 def places_of(
@@ -44,13 +42,13 @@ def conditions_of(
     found: dict[str, None] = {}
     for key, expression in expressions.items():
         for name, position in expression.names.items():
-            if name.startswith("force.") or name in known or name in CONSTANTS:
+            if name.startswith("force.") or name in known or name == "t":
                 continue
             if declared is not None and name not in declared:
                 problem = ExpressionError(
-                    f"there is no {name!r}", position, nearest(name, [*known, *declared])
+                    expression.text, f"there is no {name!r}", position, suggest(name, [*known, *declared])
                 )
-                raise fields.text.equation_error(key, expression.text, problem)
+                raise fields.text.equation_error(key, problem)
             found.setdefault(name)
     return tuple(found)
 
@@ -65,12 +63,13 @@ def check_forces(fields: Fields, expressions: Mapping[str, Expression], sites: S
             if site == name:
                 continue
             if site not in names:
-                hint = nearest(site, names) or f"declare [sites.{site}]"
-                problem = ExpressionError(f"there is no site {site!r}", position, hint)
-                raise fields.text.equation_error(key, expression.text, problem)
+                hint = suggest(site, names) if names else f"declare [sites.{site}]"
+                problem = ExpressionError(expression.text, f"there is no site {site!r}", position, hint)
+                raise fields.text.equation_error(key, problem)
             if key.startswith("sites."):
-                problem = ExpressionError("a site cannot be described by the force at a site", position)
-                raise fields.text.equation_error(key, expression.text, problem)
+                reason = "a site cannot be described by the force at a site"
+                problem = ExpressionError(expression.text, reason, position)
+                raise fields.text.equation_error(key, problem)
             used.add(site)
     for site in names:
         if site not in used:

@@ -4,8 +4,7 @@ import re
 from dataclasses import dataclass
 
 from labrun.errors import ModelError
-from labrun.models.expression import ExpressionError, nearest
-from labrun.toml_positions import KeyPath, locate
+from labrun.toml import ExpressionError, KeyPath, locate, suggest
 
 Key = str | KeyPath
 """Names joined by dots, or a path where a name itself has dots or a table is one of an array."""
@@ -27,11 +26,11 @@ class ModelText:
             f"{where}: {shown}: {message}" if shown else f"{where}: {message}", hint=hint or None
         )
 
-    def equation_error(self, key: Key, equation: str, problem: ExpressionError) -> ModelError:
+    def equation_error(self, key: Key, problem: ExpressionError) -> ModelError:
         """Return an error with the equation and a caret below the place."""
-        flat = re.sub(r"\s", " ", equation)
+        flat = re.sub(r"\s", " ", problem.text)
         shown, caret = _window(flat, problem.position)
-        return self.error(key, f"{problem}\n    {shown}\n    {' ' * caret}^", problem.hint)
+        return self.error(key, f"{problem.reason}\n    {shown}\n    {' ' * caret}^", problem.hint)
 
     def line_of(self, key: Key) -> int | None:
         """Return the line (from 1) of a key, or of the nearest table around it that is there."""
@@ -40,7 +39,7 @@ class ModelText:
 
     def unknown_key(self, prefix: Key, key: str, known: tuple[str, ...]) -> ModelError:
         """Return the error for a key that a table does not have."""
-        return self.error((*_path(prefix), key), "there is no such key here", nearest(key, known))
+        return self.error((*_path(prefix), key), "there is no such key here", suggest(key, known))
 
 
 def _path(key: Key) -> KeyPath:

@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 
 from labrun.errors import ModelError
-from labrun.models.expression import ExpressionError, nearest, parse
 from labrun.models.generate import equations, generated
 from labrun.models.model import FloatArray, Input, Model, Output, Parameter, Site
 from labrun.models.native import NativeFunction, native
-from labrun.models.rewriting import CONSTANTS
+from labrun.toml import Expression, ExpressionError, suggest
 
 
 def compile_derivative(function: Callable[..., Any]) -> NativeFunction:
@@ -79,16 +78,16 @@ def python_model(
         for key in ("coordinate", "rate", "load", "stiffness"):
             text = getattr(site, key) or "0"
             try:
-                expression = parse(text)
+                expression = Expression.of(text)
             except ExpressionError as problem:
                 raise ModelError(
-                    f"site {site.name} of model {name}: {key} = {text!r}: {problem}", hint=problem.hint
+                    f"site {site.name} of model {name}: {key} = {text!r}: {problem.reason}", hint=problem.hint
                 ) from None
             for used in expression.names:
-                if used not in variables and used not in CONSTANTS:
+                if used not in variables and used != "t":
                     raise ModelError(
                         f"site {site.name} of model {name}: {key} = {text!r}: there is no {used!r}",
-                        hint=nearest(used, list(variables)),
+                        hint=suggest(used, list(variables)),
                     )
             expressions.append(expression)
     return Model(

@@ -4,9 +4,9 @@ import math
 from collections.abc import Mapping
 from typing import Any, Literal, cast, get_args
 
-from labrun.models.expression import Expression, nearest
 from labrun.models.fields import Fields, is_name
 from labrun.models.model import Between, Input, Output, Parameter, Site, SiteKind
+from labrun.toml import Expression, suggest
 
 _PARAMETER_KEYS = ("value", "tolerance", "unit", "lower", "upper")
 _INPUT_KEYS = ("unit", "between")
@@ -85,7 +85,7 @@ def read_equations(fields: Fields, states: tuple[str, ...]) -> list[Expression]:
     table = fields.table("equations")
     for key in table:
         if key not in states:
-            raise fields.text.error(f"equations.{key}", f"there is no state {key!r}", nearest(key, states))
+            raise fields.text.error(f"equations.{key}", f"there is no state {key!r}", suggest(key, states))
     for state in states:
         if state not in table:
             raise fields.text.error(
@@ -139,7 +139,7 @@ def read_sites(fields: Fields, known: Mapping[str, str]) -> tuple[Site, ...]:
         if stiffness.isidentifier() and not known.get(stiffness, "").startswith("p["):
             parameters = [one for one, place in known.items() if place.startswith("p[")]
             raise fields.text.error(
-                f"{key}.stiffness", f"there is no parameter {stiffness!r}", nearest(stiffness, parameters)
+                f"{key}.stiffness", f"there is no parameter {stiffness!r}", suggest(stiffness, parameters)
             )
         sites.append(Site(name, cast("SiteKind", kind), **texts))
     return tuple(sites)
@@ -163,7 +163,7 @@ def read_initial(
     table = fields.table("initial")
     for key in table:
         if key not in states:
-            raise fields.text.error(f"initial.{key}", f"there is no state {key!r}", nearest(key, states))
+            raise fields.text.error(f"initial.{key}", f"there is no state {key!r}", suggest(key, states))
     result: dict[str, float | str] = {}
     for state in states:
         key, rule = f"initial.{state}", table.get(state, "free")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from labrun import registry
 from labrun.errors import ModelError
-from labrun.toml_positions import KeyPath, locate
+from labrun.toml import KeyPath, locate
 
 if TYPE_CHECKING:
     from labrun.effects.effect import AttachedEffect, Effect

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labrun.errors import ModelError
-from labrun.models.expression import nearest
 from labrun.models.loading import model_file
 from labrun.models.model import Model
 from labrun.models.toml_edits import quoted, replaced, with_effects, with_parameters, with_values
+from labrun.toml import suggest
 
 if TYPE_CHECKING:
     from labrun.effects.effect import AttachedEffect
@@ -97,7 +97,7 @@ def _changed(model: Model, values: Mapping[str, float]) -> dict[str, float]:
     for name, given in values.items():
         if name not in parameters:
             raise ModelError(
-                f"model {model.name} has no parameter {name!r}", hint=nearest(name, list(parameters))
+                f"model {model.name} has no parameter {name!r}", hint=suggest(name, list(parameters))
             )
         one, value = parameters[name], float(given)
         if not math.isfinite(value) or not one.lower <= value <= one.upper:

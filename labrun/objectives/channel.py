@@ -11,8 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from labrun.devices import FloatArray
 from labrun.errors import SpecError
 from labrun.objectives.protocol import Signal, TrialSignals
-from labrun.spec.problem import dotted
-from labrun.spec.validation import validate
+from labrun.toml import dotted, validate
 
 
 class ChannelSettings(BaseModel):

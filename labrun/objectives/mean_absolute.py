@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from labrun.errors import ExperimentError
 from labrun.objectives.channel import ChannelObjective, ChannelSettings, time_mean
 from labrun.objectives.protocol import Signal, TrialSignals
-from labrun.spec.fault import Faults
+from labrun.toml import Faults
 
 Seconds = Annotated[float, Field(ge=0)]
 

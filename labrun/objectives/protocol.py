@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from labrun.devices import FloatArray, Trajectory
 from labrun.errors import ExperimentError, SpecError
 from labrun.spec.experiment import ObjectiveTable, Value
-from labrun.spec.names import suggest
+from labrun.toml import suggest
 
 
 @dataclass(frozen=True, slots=True)

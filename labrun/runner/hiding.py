@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labrun.errors import RequestError
-from labrun.nearest import nearest
 from labrun.runner.concealment import PARAMETER
 from labrun.runner.rehearsal import HidingScene, Rehearsal, hiding_scene
+from labrun.toml import nearest
 
 if TYPE_CHECKING:
     from labrun.effects import Effect, EffectParameter, Scale

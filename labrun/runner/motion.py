@@ -11,7 +11,7 @@ from labrun.runner.envelope import Envelope, envelope
 from labrun.runner.measurement import Condition
 from labrun.spec.condition import condition_text
 from labrun.spec.experiment import Experiment
-from labrun.spec.expression import evaluate
+from labrun.toml import evaluate
 
 _WHOLE = 1e-9
 """Relative slack when whole cycles are counted: 1 m at 0.1 m/s is ten cycles of 1 s, not nine."""

@@ -6,7 +6,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from labrun.nearest import nearest
+from labrun.toml import nearest
 
 _SERIAL = ("/dev/", "COM", "\\\\.\\COM")
 

@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.errors import SpecError
-from labrun.spec.expression import ExpressionError, evaluate
-from labrun.spec.problem import dotted
-from labrun.toml_positions import KeyPath
+from labrun.toml import ExpressionError, KeyPath, dotted, evaluate
 
 FloatArray = NDArray[np.float64]
 

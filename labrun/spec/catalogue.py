@@ -7,10 +7,7 @@ from typing import Any
 from labrun import registry
 from labrun.devices import DeviceContext, Limits
 from labrun.errors import PluginError
-from labrun.spec.names import suggest
-from labrun.spec.problem import Problem
-from labrun.spec.validation import mend, validate
-from labrun.toml_positions import KeyPath
+from labrun.toml import Fault, KeyPath, mend, suggest, validate
 
 GROUP = "labrun.devices"
 STAND_IN = "simulated-"
@@ -47,7 +44,7 @@ class _NoClock:
         raise RuntimeError(f"a device waits {duration_s} s before it is opened")
 
 
-def examine(name: str, table: Mapping[str, Any]) -> tuple[DeviceInfo, list[Problem]]:
+def examine(name: str, table: Mapping[str, Any]) -> tuple[DeviceInfo, list[Fault]]:
     """Return what a device is, and what is wrong with its table."""
     base: KeyPath = ("rig", "devices", name)
     plugin = table.get("plugin")
@@ -66,7 +63,7 @@ def examine(name: str, table: Mapping[str, Any]) -> tuple[DeviceInfo, list[Probl
     return _ask(name, settings, plugin_class, checked), problems
 
 
-def find_class(plugin: str, path: KeyPath) -> tuple[Any, Problem | None]:
+def find_class(plugin: str, path: KeyPath) -> tuple[Any, Fault | None]:
     """Return the class that knows all keys of a device: its stand-in's where there is one, else the driver's own.
 
     A stand-in takes the driver's keys and some of its own, such as faults on request; whether the driver takes those of
@@ -78,22 +75,22 @@ def find_class(plugin: str, path: KeyPath) -> tuple[Any, Problem | None]:
             try:
                 return registry.load(GROUP, plugin), None
             except PluginError as error:
-                return None, Problem(path, _one_line(error), at_value=True)
+                return None, Fault(path, _one_line(error), at_value=True)
         known = sorted({known.removeprefix(STAND_IN) for known in registry.names(GROUP)})
-        return None, Problem(
+        return None, Fault(
             path, f"unknown device plugin; {suggest(plugin, known, kind='installed')}", at_value=True
         )
     try:
         return registry.load(GROUP, stand_in), None
     except PluginError as error:
-        return None, Problem(path, _one_line(error), at_value=True)
+        return None, Fault(path, _one_line(error), at_value=True)
 
 
 def _one_line(error: PluginError) -> str:
     return str(error).replace("\n  ", "; ")
 
 
-def _limits_alone(settings: Mapping[str, Any], base: KeyPath) -> list[Problem]:
+def _limits_alone(settings: Mapping[str, Any], base: KeyPath) -> list[Fault]:
     limits = settings.get("limits")
     return validate(Limits, limits, (*base, "limits"))[1] if isinstance(limits, Mapping) else []
 

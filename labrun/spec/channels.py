@@ -2,14 +2,11 @@
 
 from collections.abc import Iterator, Mapping
 
-from labrun.nearest import nearest
 from labrun.spec.catalogue import DeviceInfo
-from labrun.spec.names import suggest
-from labrun.spec.problem import Problem
-from labrun.toml_positions import KeyPath
+from labrun.toml import Fault, KeyPath, nearest, suggest
 
 
-def check_channel(channel: object, path: KeyPath, devices: Mapping[str, DeviceInfo]) -> Iterator[Problem]:
+def check_channel(channel: object, path: KeyPath, devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
     """Yield what is wrong with a channel's name, "device.channel"."""
     if not isinstance(channel, str):
         return
@@ -18,13 +15,13 @@ def check_channel(channel: object, path: KeyPath, devices: Mapping[str, DeviceIn
     if name not in devices:
         near = nearest(channel, known)
         hint = f'did you mean "{near}"?' if near else suggest(name, devices, kind="devices")
-        yield Problem(path, f'there is no device "{name}"; {hint}', at_value=True)
+        yield Fault(path, f'there is no device "{name}"; {hint}', at_value=True)
         return
     channels = devices[name].channels
     if not signal:
         hint = suggest(channel, known, kind="channels")
-        yield Problem(path, f'a channel is written "device.channel"; {hint}', at_value=True)
+        yield Fault(path, f'a channel is written "device.channel"; {hint}', at_value=True)
     elif channels is not None and signal not in channels:
         own = [f"{name}.{item}" for item in channels]
         hint = suggest(channel, own, kind="channels") if own else f"{name} measures nothing"
-        yield Problem(path, f'{name} has no channel "{signal}"; {hint}', at_value=True)
+        yield Fault(path, f'{name} has no channel "{signal}"; {hint}', at_value=True)

@@ -8,23 +8,18 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from labrun.nearest import nearest
+from labrun.errors import SpecError
 from labrun.spec.catalogue import DeviceInfo, examine
 from labrun.spec.channels import check_channel
-from labrun.spec.expression import CONSTANTS, FUNCTIONS, ExpressionError, is_comparison
-from labrun.spec.expression_checks import check_expression
 from labrun.spec.fit_checks import check_fit, check_gap
-from labrun.spec.let import order
-from labrun.spec.names import suggest
 from labrun.spec.plugin_checks import check_plugins, gait_names
-from labrun.spec.problem import Problem
-from labrun.spec.raw_tables import condition_names, driven_names, listed_conditions, table
+from labrun.spec.raw_tables import check_expression, condition_names, driven_names, listed_conditions, table
 from labrun.spec.track_checks import check_track
 from labrun.spec.unit_checks import check_units
-from labrun.toml_positions import KeyPath
+from labrun.toml import CONSTANTS, FUNCTIONS, Expression, Fault, KeyPath, in_order, nearest, suggest
 
 
-def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Problem]:
+def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Fault]:
     """Return everything that does not fit together.
 
     Parameters
@@ -34,7 +29,7 @@ def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Probl
     path
         The file; without it (a spec stored with a run) nothing beside it is looked for.
     """
-    problems: list[Problem] = []
+    problems: list[Fault] = []
     devices: dict[str, DeviceInfo] = {}
     for name, device in table(data, "rig", "devices").items():
         if isinstance(device, dict):
@@ -53,23 +48,23 @@ def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Probl
     return problems
 
 
-def _check_joints(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Problem]:
+def _check_joints(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
     drivers: dict[str, str] = {}
     for name, device in devices.items():
         for joint in device.joints:
             if joint in drivers:
                 path: KeyPath = ("rig", "devices", name)
-                yield Problem(path, f'joint "{joint}" is driven by {drivers[joint]} already')
+                yield Fault(path, f'joint "{joint}" is driven by {drivers[joint]} already')
             drivers.setdefault(joint, name)
     for where in (("gait", "joints"), ("trial", "safe_pose_deg")):
         for joint in table(data, *where):
             if joint not in drivers:
-                yield Problem(
+                yield Fault(
                     (*where, joint), f"no device drives this joint; {suggest(joint, drivers, kind='joints')}"
                 )
 
 
-def _check_references(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Problem]:
+def _check_references(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
     objectives = table(data, "objectives")
     trial = table(data, "trial")
     channel = table(trial, "settle").get("channel")
@@ -77,11 +72,11 @@ def _check_references(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]
     for name in table(trial, "repeats", "standard_error"):
         if name not in objectives:
             path: KeyPath = ("trial", "repeats", "standard_error", name)
-            yield Problem(path, f"no objective of this name; {suggest(name, objectives, kind='objectives')}")
+            yield Fault(path, f"no objective of this name; {suggest(name, objectives, kind='objectives')}")
     outlier = table(trial, "outliers").get("objective")
     if isinstance(outlier, str) and outlier not in objectives:
         path = ("trial", "outliers", "objective")
-        yield Problem(
+        yield Fault(
             path, f"no objective of this name; {suggest(outlier, objectives, kind='objectives')}", True
         )
     yield from _check_device_names(trial, devices)
@@ -94,34 +89,32 @@ def _check_references(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]
         if isinstance(signal, str) and signal.startswith("command."):
             joint = signal.removeprefix("command.")
             if joint not in joints:
-                yield Problem(
+                yield Fault(
                     path, f'the gait has no joint "{joint}"; {suggest(joint, joints, kind="joints")}', True
                 )
         else:
             yield from check_channel(signal, path, devices)
 
 
-def _check_device_names(trial: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Problem]:
+def _check_device_names(trial: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
     carriage = table(trial, "carriage").get("device")
     path: KeyPath = ("trial", "carriage", "device")
     if isinstance(carriage, str):
         able = [name for name, device in devices.items() if device.carriage is not False]
         if carriage not in devices:
-            yield Problem(
+            yield Fault(
                 path, f"no device of this name; {suggest(carriage, able or devices, kind='devices')}", True
             )
         elif carriage not in able:
-            yield Problem(
-                path, f"this device cannot travel; {suggest(carriage, able, kind='carriages')}", True
-            )
+            yield Fault(path, f"this device cannot travel; {suggest(carriage, able, kind='carriages')}", True)
     tared = table(trial, "tare").get("devices")
     for number, name in enumerate(tared if isinstance(tared, list) else []):
         if isinstance(name, str) and name not in devices:
             path = ("trial", "tare", "devices", number)
-            yield Problem(path, f"no device of this name; {suggest(name, devices, kind='devices')}", True)
+            yield Fault(path, f"no device of this name; {suggest(name, devices, kind='devices')}", True)
 
 
-def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Problem]:
+def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Fault]:
     for kind in ("run", "track"):
         for number, condition in enumerate(listed_conditions(data, kind)):
             yield from _same_names(condition, (kind, "conditions", number), names)
@@ -132,7 +125,7 @@ def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Pro
     for name in names:
         taken = "a part of let" if name in let else "a function" if name in FUNCTIONS else None
         if taken or name in CONSTANTS:
-            yield Problem(
+            yield Fault(
                 _condition_path(data, name), f"this name is taken: it is also {taken or 'a constant'}"
             )
 
@@ -143,30 +136,30 @@ def _condition_path(data: Mapping[str, Any], name: str) -> KeyPath:
     return paths.get(str(data.get("kind")), (listed, "conditions", 0, name))
 
 
-def _same_names(condition: Mapping[str, Any], path: KeyPath, names: list[str]) -> Iterator[Problem]:
+def _same_names(condition: Mapping[str, Any], path: KeyPath, names: list[str]) -> Iterator[Fault]:
     unknown = [name for name in condition if name not in names]
     free = [known for known in names if known not in condition]
     for name in unknown:
-        yield Problem(
+        yield Fault(
             (*path, name), f"no condition has this name; {suggest(name, free or names, kind='names')}"
         )
     meant = {nearest(name, free) for name in unknown}
     missing = [name for name in free if name not in meant]
     if missing and len(unknown) < len(free):  # else each that is missing is there under a wrong name
-        yield Problem(path, f"lacks a value for {', '.join(missing)}")
+        yield Fault(path, f"lacks a value for {', '.join(missing)}")
 
 
-def _check_expressions(data: Mapping[str, Any], conditions: list[str]) -> Iterator[Problem]:
+def _check_expressions(data: Mapping[str, Any], conditions: list[str]) -> Iterator[Fault]:
     let = table(data, "gait", "let")
     own = gait_names(data)
     in_gait = [*conditions, *let, *own, *driven_names(data)]
     for name, expression in let.items():
         yield from check_expression(expression, ("gait", "let", name), in_gait)
     try:
-        order({name: item for name, item in let.items() if isinstance(item, str | float | int)})
-    except ExpressionError as error:
+        in_order({name: item for name, item in let.items() if isinstance(item, str | float | int)})
+    except SpecError as error:
         if "circle" in str(error):
-            yield Problem(("gait", "let"), str(error))
+            yield Fault(("gait", "let"), str(error))
     for joint, keys in table(data, "gait", "joints").items():
         for key, expression in (keys if isinstance(keys, dict) else {}).items():
             yield from check_expression(expression, ("gait", "joints", joint, key), in_gait)
@@ -180,8 +173,8 @@ def _check_expressions(data: Mapping[str, Any], conditions: list[str]) -> Iterat
         for number, expression in enumerate(where if isinstance(where, list) else []):
             path: KeyPath = (kind, "where", number)
             found = list(check_expression(expression, path, list(names)))
-            if not found and isinstance(expression, str) and not is_comparison(expression):
+            if not found and isinstance(expression, str) and not Expression.of(expression).is_comparison:
                 found.append(
-                    Problem(path, 'compares nothing; a constraint reads "a + abs(b) <= 60"', at_value=True)
+                    Fault(path, 'compares nothing; a constraint reads "a + abs(b) <= 60"', at_value=True)
                 )
             yield from found

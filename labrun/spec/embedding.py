@@ -5,15 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from labrun.errors import SpecError
-from labrun.spec.names import suggest
 from labrun.spec.plugin_checks import load_plugin
-from labrun.spec.problem import Problem
 from labrun.spec.raw_tables import table
 from labrun.spec.workspace import find_model_file
-from labrun.toml_positions import KeyPath
+from labrun.toml import Fault, KeyPath, suggest
 
 
-def embed_files(data: dict[str, Any], experiment: Path | None) -> list[Problem]:
+def embed_files(data: dict[str, Any], experiment: Path | None) -> list[Fault]:
     """Put the content of named files in the place of their names, in the file as it was read.
 
     Parameters
@@ -25,10 +23,10 @@ def embed_files(data: dict[str, Any], experiment: Path | None) -> list[Problem]:
 
     Returns
     -------
-    list of Problem
+    list of Fault
         Files that are not there, or do not hold.
     """
-    problems: list[Problem] = []
+    problems: list[Fault] = []
     if experiment is None:
         return problems
     for group, holder, key, path in _parts(data):
@@ -44,7 +42,7 @@ def embed_files(data: dict[str, Any], experiment: Path | None) -> list[Problem]:
                 (key for key, value in keys.items() if isinstance(value, str) and value in str(error)), None
             )
             at = path if named is None else (*path, named)
-            problems.append(Problem(at, str(error).replace("\n  ", "; "), at_value=named is not None))
+            problems.append(Fault(at, str(error).replace("\n  ", "; "), at_value=named is not None))
     return problems
 
 

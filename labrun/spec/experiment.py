@@ -6,7 +6,6 @@ from typing import Any, Literal
 from pydantic import Field, PositiveFloat, field_validator, model_validator
 
 from labrun.spec.condition import Value
-from labrun.spec.fault import Faults
 from labrun.spec.search_tables import (
     Axis,
     CmaEs,
@@ -30,6 +29,7 @@ from labrun.spec.trial_tables import (
     Tare,
     TrialTable,
 )
+from labrun.toml import Faults
 
 __all__ = [
     "Axis", "CarriageMove", "CmaEs", "Experiment", "Expression", "FitTable", "GaitTable", "GapTable", "Interval",

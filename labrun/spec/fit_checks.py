@@ -5,18 +5,16 @@ from pathlib import Path
 from typing import Any
 
 from labrun import registry
-from labrun.spec.names import suggest
 from labrun.spec.plugin_checks import check_settings, load_plugin
-from labrun.spec.problem import Problem
 from labrun.spec.raw_tables import table
 from labrun.spec.workspace import find_model_file, shipped_experiments
-from labrun.toml_positions import KeyPath
+from labrun.toml import Fault, KeyPath, suggest
 
 _GROUP = "labrun.models"
 _METHODS = "labrun.fits"
 
 
-def check_fit(data: Mapping[str, Any], experiment: Path | None) -> Iterator[Problem]:
+def check_fit(data: Mapping[str, Any], experiment: Path | None) -> Iterator[Fault]:
     """Yield what is wrong with a fit's methods, settings and model, as far as that shows without reading the model.
 
     Parameters
@@ -41,12 +39,12 @@ def check_fit(data: Mapping[str, Any], experiment: Path | None) -> Iterator[Prob
     yield from _check_model(fit.get("model"), ("fit", "model"), experiment)
 
 
-def check_gap(data: Mapping[str, Any], experiment: Path | None) -> Iterator[Problem]:
+def check_gap(data: Mapping[str, Any], experiment: Path | None) -> Iterator[Fault]:
     """Yield what is wrong with the model that a run is compared with; see `check_fit`."""
     yield from _check_model(table(data, "gap").get("model"), ("gap", "model"), experiment)
 
 
-def _check_model(model: object, path: KeyPath, experiment: Path | None) -> Iterator[Problem]:
+def _check_model(model: object, path: KeyPath, experiment: Path | None) -> Iterator[Fault]:
     if experiment is None or not isinstance(model, str):
         return
     if find_model_file(model, experiment, Path()) is not None:
@@ -55,7 +53,7 @@ def _check_model(model: object, path: KeyPath, experiment: Path | None) -> Itera
         beside = sorted((experiment.parent / model).parent.glob("*.toml"))
         folder = Path(model).parent
         known = [str(folder / item.name) for item in beside if item != experiment]
-        yield Problem(
+        yield Fault(
             path, f"there is no such model file; {suggest(model, known, kind='model files')}", at_value=True
         )
     elif ":" in model or registry.is_installed(_GROUP, model):
@@ -64,6 +62,6 @@ def _check_model(model: object, path: KeyPath, experiment: Path | None) -> Itera
         shipped = sorted(item.stem for item in (shipped_experiments() / "models").glob("*.toml"))
         if model not in shipped:
             known = [*shipped, *registry.names(_GROUP)]
-            yield Problem(
+            yield Fault(
                 path, f"there is no such model; {suggest(model, known, kind='models')}", at_value=True
             )

@@ -1,21 +1,16 @@
 """From a file to an experiment, or to everything that is wrong with it."""
 
-import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from labrun.errors import RequestError
-from labrun.nearest import nearest
+from labrun.errors import SpecError
 from labrun.spec.checks import cross_check
 from labrun.spec.embedding import embed_files
 from labrun.spec.experiment import Experiment
 from labrun.spec.overrides import apply_overrides
-from labrun.spec.problem import LocatedProblem, Problem, SpecFileError, dotted
-from labrun.spec.validation import validate
-from labrun.toml_positions import KeyPath, Positions, locate
+from labrun.toml import KeyPath, Places, locate, parsed, refusal, text_of, validate
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,15 +63,10 @@ def load_experiment(path: Path, overrides: Sequence[str] = ()) -> LoadedExperime
     ------
     RequestError
         The file cannot be read.
-    SpecFileError
+    SpecError
         All that is wrong with it, each with file, line and column.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise RequestError(f"experiment file {path} cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise RequestError(f"experiment file {path} is not text in UTF-8 (byte {error.start})") from error
+    text = text_of(path, what="experiment file")
     return _load(text, path.stem, path, overrides, beside=path)
 
 
@@ -99,7 +89,7 @@ def loads_experiment(
 
     Raises
     ------
-    SpecFileError
+    SpecError
         All that is wrong with it.
     """
     return _load(text, name, Path(f"{name}.toml"), (), plugins=plugins, beside=beside)
@@ -114,7 +104,7 @@ def _load(
     beside: Path | None = None,
     plugins: bool = True,
 ) -> LoadedExperiment:
-    data = _parse(text, path)
+    data = parsed(text, str(path), kind=SpecError)
     _expand_short_forms(data, overrides)
     origins = apply_overrides(data, overrides)
     unreadable = embed_files(data, beside)
@@ -123,8 +113,8 @@ def _load(
     if plugins:
         problems += cross_check(data, beside)
     if experiment is None or problems:
-        where = _Places(path, locate(text), origins, data)
-        raise SpecFileError(str(path), where.of_all(problems))
+        places = Places(str(path), text, data, origins)
+        raise refusal(SpecError, str(path), places.of_all(problems))
     return LoadedExperiment(
         cast("Experiment", experiment), name, path, resolved(cast("Experiment", experiment)), origins
     )
@@ -138,27 +128,6 @@ def resolved(experiment: Experiment) -> str:
     return tomli_w.dumps(tree)
 
 
-def _parse(text: str, path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text)
-    except RecursionError as error:
-        raise SpecFileError(
-            str(path), [LocatedProblem(str(path), None, None, "", None, "nested too deeply")]
-        ) from error
-    except tomllib.TOMLDecodeError as error:
-        message = str(error)
-        place = re.search(r" \(at line (\d+), column (\d+)\)$", message)
-        if place is not None:
-            line, column = int(place[1]), int(place[2])
-            message = message[: place.start()]
-        else:  # at the end of the text
-            line, column = text.count("\n") + 1, len(text.rpartition("\n")[2]) + 1
-            message = re.sub(r" \(at end of document\)$", " at the end of the file", message)
-        origin = f"{path}:{line}:{column}"
-        found = LocatedProblem(origin, line, column, "", None, f"not valid TOML: {message}")
-        raise SpecFileError(str(path), [found]) from error
-
-
 def _expand_short_forms(data: dict[str, Any], overrides: Sequence[str]) -> None:
     """Write out ``scene = "name"`` and ``repeats = 3`` where an override reaches inside them."""
     keys = [override.partition("=")[0].strip() for override in overrides]
@@ -169,56 +138,3 @@ def _expand_short_forms(data: dict[str, Any], overrides: Sequence[str]) -> None:
     reaches_repeats = any(key.startswith("trial.repeats.") for key in keys)
     if reaches_repeats and isinstance(trial, dict) and type(trial.get("repeats")) is int:
         trial["repeats"] = {"min": trial["repeats"], "max": trial["repeats"]}
-
-
-_ABSENT = object()
-
-
-class _Places:
-    """Finds the place of each problem: a line of the file, or the override that brought the key."""
-
-    def __init__(
-        self, path: Path, positions: Positions, origins: Mapping[KeyPath, str], data: Mapping[str, Any]
-    ) -> None:
-        self._path = path
-        self._positions = positions
-        self._origins = origins
-        self._data = data
-
-    def of_all(self, problems: Sequence[Problem]) -> list[LocatedProblem]:
-        found = list(dict.fromkeys((problem.path, problem.message, problem.at_value) for problem in problems))
-        located = [self._of(Problem(*item)) for item in found]
-        return sorted(located, key=lambda item: (item.line is not None, item.line or 0, item.column or 0))
-
-    def _of(self, problem: Problem) -> LocatedProblem:
-        value = self._value(problem.path)
-        message = problem.message
-        shown = None if value is _ABSENT or isinstance(value, dict) else value
-        for path, override in self._origins.items():
-            if path[: len(problem.path)] == problem.path or problem.path[: len(path)] == path:
-                in_file = problem.path in self._positions.keys and len(problem.path) < len(path)
-                if not in_file:
-                    if "did you mean" not in message:
-                        message += self._misspelt_table(problem.path)
-                    return LocatedProblem(override, None, None, dotted(problem.path), shown, message)
-        place = self._positions.of_value if problem.at_value else self._positions.of_key
-        position = place(problem.path)
-        origin = f"{self._path}:{position.line}:{position.column}"
-        return LocatedProblem(origin, position.line, position.column, dotted(problem.path), shown, message)
-
-    def _misspelt_table(self, path: KeyPath) -> str:
-        """Return a suggestion where an override made a table because the name of the one it meant was misspelt."""
-        value, parent = self._value(path), self._value(path[:-1])
-        if not isinstance(value, dict) or not isinstance(parent, dict) or not path:
-            return ""
-        near = nearest(str(path[-1]), [key for key in parent if key != path[-1]])
-        return f'; did you mean "{dotted((*path[:-1], near))}"?' if near is not None else ""
-
-    def _value(self, path: KeyPath) -> Any:
-        value: Any = self._data
-        for part in path:
-            try:
-                value = value[part]
-            except (KeyError, IndexError, TypeError):
-                return _ABSENT
-        return value

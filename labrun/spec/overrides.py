@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from labrun.errors import SpecError
-from labrun.spec.names import suggest
-from labrun.spec.problem import dotted
-from labrun.toml_positions import KeyPath
+from labrun.toml import KeyPath, dotted, suggest
 
 _BARE_WORD = re.compile(r"[^\"'\[\]{}=]+")
 

@@ -10,28 +10,23 @@ from labrun.errors import PluginError
 from labrun.spec.catalogue import DeviceInfo
 from labrun.spec.channels import check_channel
 from labrun.spec.experiment import GaitTable, ObjectiveTable
-from labrun.spec.names import suggest
-from labrun.spec.problem import Problem
 from labrun.spec.raw_tables import table
 from labrun.spec.track_tables import LOOP_DEVICE, loop_channels
-from labrun.spec.validation import validate
-from labrun.toml_positions import KeyPath
+from labrun.toml import Fault, KeyPath, suggest, validate
 
 
-def load_plugin(group: str, plugin: object, path: KeyPath) -> tuple[Any, list[Problem]]:
+def load_plugin(group: str, plugin: object, path: KeyPath) -> tuple[Any, list[Fault]]:
     """Return a plugin's class, or why there is none; both empty if no plugin is named."""
     if not isinstance(plugin, str):
         return None, []
     if ":" not in plugin and not registry.is_installed(group, plugin):
         kind = group.removeprefix("labrun.").removesuffix("s")
         known = registry.names(group)
-        return None, [
-            Problem(path, f"unknown {kind} plugin; {suggest(plugin, known, kind='installed')}", True)
-        ]
+        return None, [Fault(path, f"unknown {kind} plugin; {suggest(plugin, known, kind='installed')}", True)]
     try:
         return registry.load(group, plugin), []
     except PluginError as error:
-        return None, [Problem(path, str(error).replace("\n  ", "; "), at_value=True)]
+        return None, [Fault(path, str(error).replace("\n  ", "; "), at_value=True)]
 
 
 def gait_names(data: Mapping[str, Any]) -> tuple[str, ...]:
@@ -49,7 +44,7 @@ def loop_device(data: Mapping[str, Any]) -> dict[str, DeviceInfo]:
     return {LOOP_DEVICE: DeviceInfo(joints=(), channels=loop_channels(list(loops)), carriage=False)}
 
 
-def check_plugins(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Problem]:
+def check_plugins(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
     """Yield what is wrong with scene, gait and objectives, apart from what other tables have to do with."""
     yield from _check_scene(data)
     yield from _check_gait(data)
@@ -59,7 +54,7 @@ def check_plugins(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) ->
             yield from _check_objective(objective, ("objectives", name), devices)
 
 
-def _check_scene(data: Mapping[str, Any]) -> Iterator[Problem]:
+def _check_scene(data: Mapping[str, Any]) -> Iterator[Fault]:
     scene = table(data, "rig").get("scene")
     path: KeyPath = ("rig", "scene")
     plugin = scene.get("plugin") if isinstance(scene, dict) else scene
@@ -75,7 +70,7 @@ def _check_scene(data: Mapping[str, Any]) -> Iterator[Problem]:
     yield from check_settings(loaded, keys, path, ["plugin"])
 
 
-def check_settings(plugin: Any, keys: Mapping[str, Any], path: KeyPath, own: list[str]) -> Iterator[Problem]:
+def check_settings(plugin: Any, keys: Mapping[str, Any], path: KeyPath, own: list[str]) -> Iterator[Fault]:
     """Yield what is wrong with a plugin's keys; those of `own` are read by someone else."""
     model = getattr(plugin, "Settings", None)
     if isinstance(model, type) and issubclass(model, BaseModel):
@@ -83,7 +78,7 @@ def check_settings(plugin: Any, keys: Mapping[str, Any], path: KeyPath, own: lis
         yield from validate(model, settings, path, also=own)[1]
 
 
-def _check_gait(data: Mapping[str, Any]) -> Iterator[Problem]:
+def _check_gait(data: Mapping[str, Any]) -> Iterator[Fault]:
     gait = table(data, "gait")
     loaded, problems = load_plugin("labrun.gaits", gait.get("plugin"), ("gait", "plugin"))
     yield from problems
@@ -102,7 +97,7 @@ def _check_gait(data: Mapping[str, Any]) -> Iterator[Problem]:
             if "frequency_hz" in _keys(model)
             else "give duration_s"
         )
-        yield Problem(("trial", "cycles"), f'the gait "{plugin}" has no cycle to count; {advice}')
+        yield Fault(("trial", "cycles"), f'the gait "{plugin}" has no cycle to count; {advice}')
 
 
 def _keys(model: Any) -> list[str]:
@@ -111,12 +106,12 @@ def _keys(model: Any) -> list[str]:
 
 def _check_objective(
     objective: Mapping[str, Any], path: KeyPath, devices: Mapping[str, DeviceInfo]
-) -> Iterator[Problem]:
+) -> Iterator[Fault]:
     loaded, problems = load_plugin("labrun.objectives", objective.get("plugin"), (*path, "plugin"))
     yield from problems
     yield from check_settings(loaded, objective, path, list(ObjectiveTable.model_fields))
     yield from check_channel(objective.get("channel"), (*path, "channel"), devices)
     if getattr(loaded, "needs_channel", False) and objective.get("channel") is None:
-        yield Problem(path, 'the key "channel" is missing: which channel this number is made of')
+        yield Fault(path, 'the key "channel" is missing: which channel this number is made of')
     for key in getattr(loaded, "channel_settings", ()):
         yield from check_channel(objective.get(key), (*path, key), devices)

@@ -1,7 +1,9 @@
 """Tables of a file as tomllib read it, whatever shape they have."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
+
+from labrun.toml import ExpressionError, Fault, KeyPath, fault_of, names_in, suggest
 
 
 def table(data: Any, *path: str) -> dict[str, Any]:
@@ -40,3 +42,16 @@ def listed_conditions(data: Mapping[str, Any], kind: str = "run") -> list[dict[s
     """Return the conditions that the table of a kind lists one by one."""
     conditions = table(data, kind).get("conditions")
     return [item for item in conditions if isinstance(item, dict)] if isinstance(conditions, list) else []
+
+
+def check_expression(expression: object, path: KeyPath, known: list[str]) -> Iterator[Fault]:
+    """Yield why an expression cannot be read, or which of its names are not among the known; numbers pass."""
+    if not isinstance(expression, str):
+        return
+    try:
+        needed = names_in(expression)
+    except ExpressionError as error:
+        yield Fault(path, fault_of(error), at_value=True)
+        return
+    for name in sorted(needed - set(known)):
+        yield Fault(path, f'unknown name "{name}"; {suggest(name, known, kind="names")}', at_value=True)

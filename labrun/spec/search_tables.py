@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 from pydantic import Discriminator, Field, PositiveFloat, PositiveInt, Tag, model_validator
 
 from labrun.spec.condition import Value
-from labrun.spec.fault import Faults
 from labrun.spec.table import Number, Table
+from labrun.toml import Faults
 
 
 class Range(Table):

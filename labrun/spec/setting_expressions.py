@@ -6,7 +6,7 @@ from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel
 
-from labrun.spec.expression import Operand, evaluate
+from labrun.toml import Operand, evaluate
 
 
 def is_expression(model: type[BaseModel], key: str, value: object) -> bool:

@@ -4,16 +4,13 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
+from labrun.toml import Table
+
+__all__ = ["Expression", "Number", "PluginTable", "Table"]
+
 Number = float | int
 Expression = float | str
 """A number, or an expression in the names of conditions, variables and `let`."""
-
-
-class Table(BaseModel):
-    """A table of the file: unknown keys are errors, values do not change."""
-
-    # Strict: TOML has types of its own, and `repeats = "3"` is a slip of the pen, not a number.
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class PluginTable(BaseModel):

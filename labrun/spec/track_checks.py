@@ -9,23 +9,18 @@ from labrun import registry
 from labrun.errors import PluginError
 from labrun.spec.catalogue import DeviceInfo
 from labrun.spec.channels import check_channel
-from labrun.spec.expression import ExpressionError, names_in
-from labrun.spec.expression_checks import check_expression
-from labrun.spec.names import suggest
 from labrun.spec.plugin_checks import load_plugin
-from labrun.spec.problem import Problem
-from labrun.spec.raw_tables import listed_conditions, table
+from labrun.spec.raw_tables import check_expression, listed_conditions, table
 from labrun.spec.setting_expressions import is_expression
 from labrun.spec.track_tables import LOOP_DEVICE
-from labrun.spec.validation import validate
-from labrun.toml_positions import KeyPath
+from labrun.toml import ExpressionError, Fault, KeyPath, names_in, suggest, validate
 
 _GAITS = "labrun.gaits"
 
 
 def check_track(
     data: Mapping[str, Any], devices: Mapping[str, DeviceInfo], conditions: list[str]
-) -> Iterator[Problem]:
+) -> Iterator[Fault]:
     """Yield what is wrong with the loops of a file, apart from the shape of their tables.
 
     Parameters
@@ -41,7 +36,7 @@ def check_track(
     if data.get("kind") != "track" or not loops:
         return
     if LOOP_DEVICE in devices:
-        yield Problem(
+        yield Fault(
             ("rig", "devices", LOOP_DEVICE), "this name is taken: the loops record under it; choose another"
         )
     yield from _check_gait(data)
@@ -49,7 +44,7 @@ def check_track(
     for name, loop in loops.items():
         path: KeyPath = ("track", "loops", name)
         if not name.replace("-", "_").isidentifier():
-            yield Problem(
+            yield Fault(
                 path, "a loop's name is made of letters, digits, - and _: its channels are named after it"
             )
         yield from _check_drive(data, name, loop, drivers, conditions)
@@ -61,12 +56,12 @@ def check_track(
     yield from _check_named_controllers(data, loops)
 
 
-def _check_gait(data: Mapping[str, Any]) -> Iterator[Problem]:
+def _check_gait(data: Mapping[str, Any]) -> Iterator[Fault]:
     plugin = table(data, "gait").get("plugin")
     gait, _ = load_plugin(_GAITS, plugin, ())
     if gait is not None and not hasattr(gait, "steering"):
         able = ", ".join(sorted(_steerable()))
-        yield Problem(
+        yield Fault(
             ("gait", "plugin"), f"this gait cannot be steered by a loop; these can: {able}", at_value=True
         )
 
@@ -86,24 +81,22 @@ def _check_drive(
     loop: Mapping[str, Any],
     drivers: dict[str, str],
     conditions: list[str],
-) -> Iterator[Problem]:
+) -> Iterator[Fault]:
     drives = loop.get("drives")
     path: KeyPath = ("track", "loops", name, "drives")
     if not isinstance(drives, str):
         return
     if drives in drivers:
-        yield Problem(
-            path, f"the loop {drivers[drives]} drives this already; two loops cannot", at_value=True
-        )
+        yield Fault(path, f"the loop {drivers[drives]} drives this already; two loops cannot", at_value=True)
     drivers.setdefault(drives, name)
     gait = table(data, "gait")
     let = table(gait, "let")
     if drives in conditions:
-        yield Problem(
+        yield Fault(
             path, "this is a value of the conditions, and a loop cannot set it as well", at_value=True
         )
     elif drives in let:
-        yield Problem(
+        yield Fault(
             path, "this is a part of let, which the gait computes; drive a name it uses", at_value=True
         )
     used: dict[KeyPath, frozenset[str]] = {}
@@ -112,13 +105,13 @@ def _check_drive(
             used["gait", "joints", joint, key] = _needs(expression, let)
     if drives not in frozenset().union(*used.values()):
         free = sorted(frozenset().union(*used.values()) - set(conditions) - set(let) - {"t"})
-        yield Problem(
+        yield Fault(
             path, f"the gait does not use this name; {suggest(drives, free, kind='free names')}", True
         )
     plugin, _ = load_plugin(_GAITS, gait.get("plugin"), ())
     for key_path, needed in used.items():
         if drives in needed and key_path[-1] in getattr(plugin, "fixed_keys", ()):
-            yield Problem(
+            yield Fault(
                 key_path,
                 f"depends on {drives}, which the loop {name} drives: a loop cannot set this key",
                 at_value=True,
@@ -142,7 +135,7 @@ def _needs(expression: object, let: Mapping[str, Any]) -> frozenset[str]:
     return frozenset(found)
 
 
-def _check_part(group: str, keys: object, path: KeyPath, conditions: list[str] | None) -> Iterator[Problem]:
+def _check_part(group: str, keys: object, path: KeyPath, conditions: list[str] | None) -> Iterator[Fault]:
     """Check plugin and keys; numbers may be expressions in `conditions`, unless that is None."""
     if not isinstance(keys, dict):
         return
@@ -165,7 +158,7 @@ def _check_part(group: str, keys: object, path: KeyPath, conditions: list[str] |
 
 def _check_feedback(
     data: Mapping[str, Any], keys: Mapping[str, Any], path: KeyPath, devices: Mapping[str, DeviceInfo]
-) -> Iterator[Problem]:
+) -> Iterator[Fault]:
     plugin, _ = load_plugin("labrun.feedbacks", keys.get("plugin"), ())
     for key in getattr(plugin, "channel_settings", ()):
         yield from check_channel(keys.get(key), (*path, key), devices)
@@ -175,7 +168,7 @@ def _check_feedback(
         return
     joints = {joint: item for joint, item in table(data, "gait", "joints").items() if isinstance(item, dict)}
     if not has_cycle(joints):
-        yield Problem(
+        yield Fault(
             (*path, "plugin"),
             "the gait has no cycle to average over; give period_s, or use moving-average",
             True,
@@ -184,13 +177,13 @@ def _check_feedback(
 
 def _check_named_controllers(
     data: Mapping[str, Any], loops: Mapping[str, Mapping[str, Any]]
-) -> Iterator[Problem]:
+) -> Iterator[Fault]:
     known = list(dict.fromkeys(name for loop in loops.values() for name in table(loop, "controllers")))
     for number, condition in enumerate(listed_conditions(data, "track")):
         path: KeyPath = ("track", "conditions", number)
         named = condition.get("controller")
         if isinstance(named, str) and named not in known:
-            yield Problem(
+            yield Fault(
                 (*path, "controller"),
                 f"no loop has this controller; {suggest(named, known, kind='controllers')}",
                 True,
@@ -203,4 +196,4 @@ def _check_named_controllers(
                     "says no controller" if named is None else f'the loop {name} has no controller "{named}"'
                 )
                 choice = " or ".join(f'"{item}"' for item in own)
-                yield Problem(path, f"{what}; the loop {name} can take {choice}")
+                yield Fault(path, f"{what}; the loop {name} can take {choice}")

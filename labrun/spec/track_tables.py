@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveFloat, model_validator
 
 from labrun.spec.condition import Value
-from labrun.spec.fault import Faults
 from labrun.spec.table import Number, PluginTable, Table
+from labrun.toml import Faults
 
 LOOP_DEVICE = "loop"
 """Stands for the loops where a channel is named: ``loop.force_error``."""

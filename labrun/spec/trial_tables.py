@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
 from labrun.spec.condition import Value
-from labrun.spec.fault import Faults
 from labrun.spec.table import Expression, Number, Table
+from labrun.toml import Faults
 
 
 class RepeatRule(Table):

@@ -3,13 +3,11 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from labrun.spec.names import KNOWN_UNITS, suggest, unit_of
-from labrun.spec.problem import Problem, dotted
 from labrun.spec.raw_tables import table
-from labrun.toml_positions import KeyPath
+from labrun.toml import KNOWN_UNITS, Fault, KeyPath, dotted, suggest, unit_of
 
 
-def check_units(data: Mapping[str, Any], names: list[str]) -> Iterator[Problem]:
+def check_units(data: Mapping[str, Any], names: list[str]) -> Iterator[Fault]:
     """Yield what is wrong with the units of conditions.
 
     Parameters
@@ -22,15 +20,15 @@ def check_units(data: Mapping[str, Any], names: list[str]) -> Iterator[Problem]:
     for name, unit in table(data, "units").items():
         path: KeyPath = ("units", name)
         if name not in names:
-            yield Problem(path, f"no condition has this name; {suggest(name, names, kind='names')}")
+            yield Fault(path, f"no condition has this name; {suggest(name, names, kind='names')}")
         elif isinstance(unit, str) and unit not in KNOWN_UNITS:
             hint = suggest(unit, KNOWN_UNITS, kind="known units")
-            yield Problem(path, f"unknown unit; {hint}", at_value=True)
+            yield Fault(path, f"unknown unit; {hint}", at_value=True)
         elif isinstance(unit, str):
             for key, meant in _given_to(data, name):
                 if meant != unit:
                     text = f"{dotted(key)} takes {name} in {meant}"
-                    yield Problem(path, text, at_value=True)
+                    yield Fault(path, text, at_value=True)
                     break
 
 

@@ -4,7 +4,7 @@ import shutil
 from pathlib import Path
 
 from labrun.errors import RequestError
-from labrun.spec.names import suggest
+from labrun.toml import suggest
 
 _RESULTS = "results"
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.nearest import nearest
+from labrun.toml import nearest
 
 FloatArray = NDArray[np.float64]
 _SHOWN_PER_KIND = 3

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from labrun.nearest import nearest
-from labrun.toml_positions import KeyPath, locate
+from labrun.toml import KeyPath, locate, nearest
 
 Kind = Literal["input", "output"]
 Between = Literal["linear", "hold", "band-limited"]

@@ -4,9 +4,9 @@ import tomllib
 from pathlib import Path
 
 from labrun.errors import RequestError
-from labrun.nearest import nearest
 from labrun.store.folder import PACKED, SPEC
 from labrun.store.journal import Journal
+from labrun.toml import nearest
 
 
 def find_run(target: str, results: Path) -> Path:

@@ -108,7 +108,7 @@ def test_keys_are_checked_when_the_gait_is_made():
         SineGait({"tail": {"amplitude_rad": 1, "frequency_hz": 1}}, {}, {})
     with pytest.raises(SpecError, match="unknown key"):
         SineGait({"tail": {"amplitude_deg": 1, "frequency_hz": 1}}, {}, {"speed": 3})
-    with pytest.raises(SpecError, match="cannot be read"):
+    with pytest.raises(SpecError, match="something is missing"):
         HoldGait({"tail": {"angle_deg": "1 +"}}, {}, {})
 
 

@@ -80,7 +80,7 @@ def test_a_parameter_that_only_a_load_uses_is_noted():
 
 def test_an_unknown_site_is_told_with_the_nearest_one():
     model = parse_model(OSCILLATOR, "o.toml")
-    with pytest.raises(ModelError, match=r"oscillator has no site 'hing'\n  did you mean 'hinge'"):
+    with pytest.raises(ModelError, match=r"oscillator has no site 'hing'\n  did you mean .hinge."):
         model.place("hing")
     with pytest.raises(ModelError, match=r"has no output site 'hinge'"):
         model.place("hinge", "output")
@@ -89,25 +89,24 @@ def test_an_unknown_site_is_told_with_the_nearest_one():
 
 
 EQUATION_FAULTS = {
-    "-stiffness*sine(angle)": ("no function 'sine'", 11, "did you mean 'sin'?"),
+    "-stiffness*sine(angle)": ("no function 'sine'", 11, 'did you mean "sin"?'),
     "stiffness*angle)": ("never opened", 15, ""),
     "(stiffness*angle": ("never closed", 0, ""),
     "stiffness angle": ("is an operator missing", 10, ""),
     "stiffness**": ("something is missing behind", 10, ""),
     "2^^angle": ("does not go on", 2, ""),
-    "force.knee": ("no site 'knee'", 0, "known: hinge"),
+    "force.knee": ("no site 'knee'", 0, 'did you mean "hinge"?'),
     "angle.real": ("only force.<site> has a dot", 0, ""),
     "angle^2 + sin": ("sin is a function", 10, ""),
-    "clip(angle, 1)": ("clip takes 3 arguments, not 2", 0, ""),
+    "clip(angle, 1)": ("clip takes 3 values, not 2", 0, ""),
     "max(angle)": ("max takes two or more", 0, ""),
-    "sin(x=1)": ("plain arguments", 0, ""),
+    "sin(x=1)": ("plain values", 0, ""),
     "2(angle)": ("a product needs *", 0, ""),
-    "angle := 3": ("means nothing in an equation", 6, ""),
-    "[angle]": ("means nothing in an equation", 0, ""),
-    "'angle'": ("means nothing in an equation", 0, ""),
-    "3 · angle": ("means nothing in an equation", 2, "write * for a product"),
+    "angle := 3": ("means nothing in an expression", 6, ""),
+    "[angle]": ("means nothing in an expression", 0, ""),
+    "'angle'": ("no words", 0, ""),
+    "3 · angle": ("means nothing in an expression", 2, "write * for a product"),
     "angle, rate": ("not arithmetic", 0, ""),
-    "angle if rate else 0": ("not arithmetic", 0, ""),
     "1e999*angle": ("too large", 0, ""),
     "True*angle": ("True is not a real number", 0, ""),
     "3j": ("not a real number", 0, ""),
@@ -117,7 +116,7 @@ EQUATION_FAULTS = {
     "": ("is empty", 0, ""),
     "(" * 300 + "1" + ")" * 300: ("nested too deeply", None, ""),
     "-" * 300 + "1": ("nested too deeply", None, ""),
-    "1+" * 3000 + "1": ("characters, more than", None, ""),
+    "1+" * 3000 + "1": ("characters are too many", None, ""),
 }
 
 
@@ -137,8 +136,8 @@ def test_a_broken_equation_is_reported_with_its_place(equation, expected):
 
 
 FILE_FAULTS = {
-    ("inputs", "input"): "bad.toml:4: input: there is no such key here.*did you mean 'inputs'",
-    ("tolerance = 0.1", "tolerence = 0.1"): "parameters.inertia.tolerence.*did you mean 'tolerance'",
+    ("inputs", "input"): "bad.toml:4: input: there is no such key here.*did you mean .inputs.",
+    ("tolerance = 0.1", "tolerence = 0.1"): "parameters.inertia.tolerence.*did you mean .tolerance.",
     ("tolerance = 0.1", "tolerance = -0.1"): "0 or more, not -0.1",
     ("tolerance = 0.1", 'tolerance = "some"'): 'neither a number nor "free"',
     ("value = 2.0,", "value = 2.0, lower = 3,"): "the value 2 is outside of its bounds 3 to inf",
@@ -158,11 +157,11 @@ FILE_FAULTS = {
     (
         'stiffness = "stiffness"',
         'stiffness = "stifness"',
-    ): "no parameter 'stifness'.*did you mean 'stiffness'",
+    ): "no parameter 'stifness'.*did you mean .stiffness.",
     ('load = "10*angle"', 'load = "10*force.hinge"'): "cannot be described by the force",
-    ('load = "10*angle"', 'loads = "10*angle"'): "sites.hinge.loads.*did you mean 'load'",
+    ('load = "10*angle"', 'loads = "10*angle"'): "sites.hinge.loads.*did you mean .load.",
     (" - force.hinge", ""): None,
-    ("rate = 0.0", 'angel = "first"'): "initial.angel.*did you mean 'angle'",
+    ("rate = 0.0", 'angel = "first"'): "initial.angel.*did you mean .angle.",
     ("rate = 0.0", 'rate = "first"'): "there is no output 'rate'",
     ("rate = 0.0", 'rate = "two words"'): "neither a number",
     ('name = "oscillator"', ""): "a model needs a name",
@@ -205,7 +204,7 @@ def test_models_are_found_by_path_by_name_and_by_dotted_name(tmp_path):
     assert load_model(path).name == "follower"
     assert load_model(str(path)).source == str(path)
     assert load_model("hinge-pendulum").sites[0].stiffness == "stiffness"
-    with pytest.raises(ModelError, match=r"there is no model 'hinge-pendulm'.*\n.*'hinge-pendulum'"):
+    with pytest.raises(ModelError, match=r"there is no model 'hinge-pendulm'.*\n.*hinge-pendulum"):
         load_model("hinge-pendulm")
     with pytest.raises(ModelError, match="no model file"):
         load_model(tmp_path / "absent.toml")

@@ -105,10 +105,10 @@ def test_a_model_without_states_may_carry_a_filter():
 
 FAULTS = {
     'effect = "colomb-friction"\nsite = "hinge"': (3, "effects.effect: unknown effect plugin", "coulomb-friction"),
-    'effect = "coulomb-friction"\nsite = "hing"\nvalues = { torque = 1 }': (4, "has no site 'hing'", "'hinge'"),
-    'effect = "coulomb-friction"\nsite = "hinge"\nkind = "join"': (5, "'join' is no kind", "'joint'"),
+    'effect = "coulomb-friction"\nsite = "hing"\nvalues = { torque = 1 }': (4, "has no site 'hing'", '"hinge"'),
+    'effect = "coulomb-friction"\nsite = "hinge"\nkind = "join"': (5, "'join' is no kind", '"joint"'),
     'effect = "coulomb-friction"\nsite = "torque"\nvalues = { torque = 1 }': (3, "sits at joint sites", ""),
-    'effect = "coulomb-friction"\nsite = "hinge"\nvalues = { torqe = 1 }': (5, "no such key", "'torque'"),
+    'effect = "coulomb-friction"\nsite = "hinge"\nvalues = { torqe = 1 }': (5, "no such key", '"torque"'),
     'effect = "coulomb-friction"\nsite = "hinge"\nvalues = { torque = "1" }': (5, "a number was expected", ""),
     'effect = "coulomb-friction"\nsite = "hinge"\nvalues = { torque = -1 }': (5, "0 or more was expected", ""),
     'effect = "coulomb-friction"\nsite = "hinge"\nvalues = { torque = inf }': (5, "a finite number", ""),
@@ -170,10 +170,10 @@ BASE_FAULTS = {
     'base = "bse.toml"': r"b.toml:1: base: there is no model file",
     'base = "hinge-pendulun"': r"b.toml:1: base: there is no model 'hinge-pendulun'\n  did you mean",
     'base = "b.toml"': r"deep",
-    'base = "hinge-pendulum"\n[values]\nstifness = 1.0': r"b.toml:3: values.stifness.*\n  did you mean 'stiffness'",
+    'base = "hinge-pendulum"\n[values]\nstifness = 1.0': r"b.toml:3: values.stifness.*\n  did you mean .stiffness.",
     'base = "hinge-pendulum"\n[values]\ninertia = -1.0': r"b.toml:3: values.inertia: a number from 0 to inf",
     'base = "hinge-pendulum"\n[parameters]\ninertia = 1.0': r"b.toml:2: parameters: there is no such key",
-    'base = "hinge-pendulum"\n[[effects]]\neffect = "delay"\nsite = "angel"': r"b.toml:4.*\n  did you mean 'angle'",
+    'base = "hinge-pendulum"\n[[effects]]\neffect = "delay"\nsite = "angel"': r"b.toml:4.*\n  did you mean .angle.",
 }
 
 

@@ -23,35 +23,38 @@ FAULTS = {
     ),
     ('"joint.hinge.position"', '"joint.hing.position"'): (
         "arm.toml:5: states.angle: .* no joint 'hing'",
-        "'hinge'",
+        '"hinge"',
     ),
     ('rate  = "joint.hinge.velocity"', 'rate = "joint.hinge.acceleration"'): ("states.rate.*is no state", ""),
     ('"joint.hinge.velocity"', '"joint.hinge.speed"'): ("arm.toml:6: states.rate: .* no 'speed'", "velocity"),
-    ('"actuator.motor", unit', '"actuator.moter", unit'): ("arm.toml:8: .*no actuator 'moter'", "'motor'"),
-    ('"actuator.motor", unit', '"sensor.motor", unit'): ("arm.toml:8: .*names no part", "known: actuator"),
+    ('"actuator.motor", unit', '"actuator.moter", unit'): ("arm.toml:8: .*no actuator 'moter'", '"motor"'),
+    ('"actuator.motor", unit', '"sensor.motor", unit'): (
+        "arm.toml:8: .*names no part",
+        "known names: actuator",
+    ),
     ('"body.arm.mass"', '"body.arm.mas"'): (
         "arm.toml:10: parameters.mass.mjcf: a body has no 'mas'",
-        "'mass'",
+        '"mass"',
     ),
     ('"body.arm.mass"', '"body.arm.inertia"'): ("body.arm.inertia has 3 numbers", r"inertia\[0\] to"),
     ('"body.arm.mass"', '"body.arm.inertia[3]"'): (r"none at \[3\]", ""),
     ('"body.arm.mass"', '"joint.hinge.damping"'): ("arm.toml:12: .*line 10 sets the same number", ""),
     ('"body.arm.mass"', '"actuator.motor.kp"'): ("no position servo", r"gainprm\[0\]"),
-    ('"body.arm.mass"', '"option.gravty[2]"'): ("no option 'gravty'", "'gravity'"),
+    ('"body.arm.mass"', '"option.gravty[2]"'): ("no option 'gravty'", '"gravity"'),
     ('{ mjcf = "body.arm.mass", tolerance', "{ value = 1.0, tolerance"): (None, ""),
     ('"actuator.motor.force"', '"actuator.motor.power"'): (
         "arm.toml:15: outputs.torque: .*'power'",
-        "known: force",
+        "known names: force",
     ),
     ('"actuator.motor.force"', '"sensor.imu"'): ("no sensor 'imu'", "no sensor of it has a name"),
     ('kind = "joint"', 'kind = "input"'): ("arm.toml:17: sites.hinge.kind", ""),
     ('kind = "joint"', 'joint = "knee"'): (
         "arm.toml:17: sites.hinge.joint: .*no joint 'knee'",
-        "known: hinge",
+        'did you mean "hinge"',
     ),
     ('stiffness = "stiffness"', 'stiffness = "stifness"'): (
         "arm.toml:18: .*no parameter 'stifness'",
-        "'stiffness'",
+        '"stiffness"',
     ),
     ("[outputs]", '[mjcf]\n"geom.x.friction" = "mass"\n[outputs]'): (
         "arm.toml:14: .*no geom 'x'",
@@ -70,7 +73,7 @@ FAULTS = {
         "",
     ),
     ("[outputs]", "[equations]\n[outputs]"): ("arm.toml:13: equations: there is no such key", ""),
-    ('angle = "first"', 'angel = "first"'): ("initial.angel: there is no state", "'angle'"),
+    ('angle = "first"', 'angel = "first"'): ("initial.angel: there is no state", '"angle"'),
 }
 
 

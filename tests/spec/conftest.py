@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from labrun.errors import SpecError
 from labrun.spec.loading import LoadedExperiment, load_experiment
-from labrun.spec.problem import LocatedProblem, SpecFileError
+from labrun.toml import LocatedFault
 
 GOOD = """\
 title = "Thrust over amplitude and frequency"
@@ -75,14 +76,14 @@ def load(write: Callable[..., Path]) -> Callable[..., LoadedExperiment]:
 
 
 @pytest.fixture
-def problems(write: Callable[..., Path]) -> Callable[..., tuple[LocatedProblem, ...]]:
+def problems(write: Callable[..., Path]) -> Callable[..., tuple[LocatedFault, ...]]:
     """Return what is wrong with the good file after replacements."""
 
     def _problems(
         *replacements: tuple[str, str], overrides: tuple[str, ...] = ()
-    ) -> tuple[LocatedProblem, ...]:
-        with pytest.raises(SpecFileError) as caught:
+    ) -> tuple[LocatedFault, ...]:
+        with pytest.raises(SpecError) as caught:
             load_experiment(write(*replacements), overrides)
-        return caught.value.problems
+        return tuple(LocatedFault(**fault) for fault in caught.value.details["problems"])
 
     return _problems

@@ -6,10 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labrun.errors import RequestError
+from labrun.errors import RequestError, SpecError
 from labrun.spec.loading import load_experiment, loads_experiment
-from labrun.spec.names import suggest
-from labrun.spec.problem import SpecFileError
+from labrun.toml import suggest
 
 
 def test_a_file_that_holds_is_an_experiment_named_after_the_file(load):
@@ -256,10 +255,10 @@ _TREE = st.recursive(
 def test_whatever_a_file_holds_it_is_refused_with_places_and_never_with_a_crash(tree):
     import tomli_w
 
-    with pytest.raises(SpecFileError) as caught:
+    with pytest.raises(SpecError) as caught:
         loads_experiment(tomli_w.dumps(tree), "odd")
-    assert caught.value.problems
-    assert all(problem.line is not None for problem in caught.value.problems)
+    assert caught.value.details["problems"]
+    assert all(problem["line"] is not None for problem in caught.value.details["problems"])
 
 
 SEARCH = (

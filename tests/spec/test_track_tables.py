@@ -4,8 +4,9 @@ import re
 
 import pytest
 
+from labrun.errors import SpecError
 from labrun.spec.loading import load_experiment, loads_experiment
-from labrun.spec.problem import SpecFileError
+from labrun.toml import LocatedFault
 
 GOOD = """\
 title = "Thrust follows a wave"
@@ -107,14 +108,14 @@ def test_a_file_with_two_loops_loads_and_its_resolved_text_is_equal(tmp_path):
     ],
 )
 def test_what_is_wrong_is_said_with_its_place_and_what_would_do(tmp_path, old, new, place, said):
-    with pytest.raises(SpecFileError) as caught:
+    with pytest.raises(SpecError) as caught:
         load(tmp_path, (old, new))
-    found = [str(problem) for problem in caught.value.problems]
+    found = [str(LocatedFault(**problem)) for problem in caught.value.details["problems"]]
     assert any(re.search(rf"wave\.toml:{place}: ", text) and said in text for text in found), found
 
 
 def test_several_mistakes_are_reported_at_once(tmp_path):
-    with pytest.raises(SpecFileError) as caught:
+    with pytest.raises(SpecError) as caught:
         load(
             tmp_path,
             ("[20, 59]", "[59, 20]"),
@@ -122,13 +123,13 @@ def test_several_mistakes_are_reported_at_once(tmp_path):
             ("half-sine", "halfsine"),
             ("loop.force_error", "loop.force_eror"),
         )
-    assert len(caught.value.problems) == 4
+    assert len(caught.value.details["problems"]) == 4
 
 
 def test_a_gait_without_a_cycle_has_nothing_to_average_over(tmp_path):
     hold = 'plugin = "hold"\njoints.tail = { angle_deg = "a + b" }'
     sine = 'plugin = "sine"\njoints.tail = { amplitude_deg = "a", offset_deg = "b", frequency_hz = 1.4 }'
-    with pytest.raises(SpecFileError, match="no cycle to average over"):
+    with pytest.raises(SpecError, match="no cycle to average over"):
         load(tmp_path, (sine, hold))
     assert load(tmp_path, (sine, hold), ('"cycle-average",', '"cycle-average", period_s = 0.7,'))
 
@@ -144,5 +145,5 @@ def test_a_model_file_becomes_part_of_the_experiment(tmp_path):
 
 def test_a_kind_track_needs_its_table(tmp_path):
     text = GOOD.split("[track]", maxsplit=1)[0]
-    with pytest.raises(SpecFileError, match=r'"track" needs a table \[track\]'):
+    with pytest.raises(SpecError, match=r'"track" needs a table \[track\]'):
         loads_experiment(text, "wave")

@@ -12,7 +12,7 @@ from labrun.control.history import History
 from labrun.control.settings import ControlSettings, SettingsType, checked
 from labrun.devices import FloatArray
 from labrun.errors import SpecError
-from labrun.spec.names import UNITS
+from labrun.toml import UNITS
 
 
 class ChannelSettings(ControlSettings):

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 from labrun.control.protocol import Condition
 from labrun.control.settings import ControlSettings, checked
-from labrun.spec.expression import evaluate
+from labrun.toml import evaluate
 
 
 class FormulaSettings(ControlSettings):

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from labrun.control.protocol import Condition
 from labrun.control.settings import ControlSettings, checked
-from labrun.spec.fault import Faults
+from labrun.toml import Faults
 
 
 class RampSettings(ControlSettings):

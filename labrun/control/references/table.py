@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from labrun.control.protocol import Condition, FindFile
 from labrun.control.settings import ControlSettings, checked
 from labrun.errors import SpecError
-from labrun.spec.fault import Faults
+from labrun.toml import Faults
 
 
 class TableSettings(ControlSettings):

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.errors import RequestError
-from labrun.nearest import nearest
+from labrun.toml import nearest
 
 FloatArray = NDArray[np.float64]
 

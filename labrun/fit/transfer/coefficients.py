@@ -26,7 +26,7 @@ import tomli_w
 
 from labrun.errors import RequestError
 from labrun.fit.transfer.transfer import Transfer
-from labrun.nearest import nearest
+from labrun.toml import nearest
 
 _FIRST = ("gain", "lag_s")
 _GENERAL = ("numerator", "denominator")
@@ -145,7 +145,7 @@ class _Reader:
         return str(table[key])
 
     def _wrong(self, key: str, message: str, hint: str | None = None) -> RequestError:
-        from labrun.toml_positions import locate
+        from labrun.toml import locate
 
         at = locate(self._text).of_key((*self._path, key))
         return RequestError(f"{self._name}:{at.line}:{at.column}: {key} {message}", hint=hint)

@@ -9,7 +9,7 @@ from labrun.errors import FitError, RequestError
 from labrun.fit.estimate import Estimate
 from labrun.fit.summary import FitSummary, FittedData
 from labrun.fit.transfer.transfer import Transfer
-from labrun.nearest import nearest
+from labrun.toml import nearest
 
 if TYPE_CHECKING:
     from labrun.fit.method import FitJob

@@ -16,7 +16,7 @@ from labrun.gap.check.result import Checked
 from labrun.gap.check.scoring import score
 from labrun.gap.check.sealing import open_answers, seal_of
 from labrun.gap.check.workers import Pool, cores, pool, spread
-from labrun.nearest import nearest
+from labrun.toml import nearest
 
 _STREAM = 30313
 """Keeps seeds of diagnoses apart from those of the cases."""

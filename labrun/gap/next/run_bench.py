@@ -13,8 +13,8 @@ from labrun.fit.run_dataset import COMMAND
 from labrun.gap.next.trials import PlannedTrial
 from labrun.gap.next.values import beyond, by_hand, reach, rounded
 from labrun.spec.condition import Condition, condition_text
-from labrun.spec.expression import evaluate, names_in
 from labrun.spec.loading import loads_experiment, resolved
+from labrun.toml import evaluate, names_in
 
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset

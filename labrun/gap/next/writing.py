@@ -60,7 +60,7 @@ def write_experiment(path: Path, text: str) -> None:
     ------
     RequestError
         It cannot be written.
-    SpecFileError
+    SpecError
         What was written does not hold.
     """
     from labrun.spec.loading import load_experiment

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from labrun.models.expression import nearest
 from labrun.models.mjcf.attributes import (
     FIRST_UNLESS_TOLD,
     OPTIONS,
@@ -17,6 +16,7 @@ from labrun.models.mjcf.attributes import (
     SPIN,
 )
 from labrun.models.mjcf.place import Place
+from labrun.toml import suggest
 
 if TYPE_CHECKING:
     import mujoco
@@ -106,7 +106,7 @@ class Elements:
         arrays = SETTABLE[kind]
         if attribute not in arrays:
             known = [*arrays, *(SERVO if kind == "actuator" else ())]
-            raise ReferenceProblem(f"a {kind} has no {attribute!r} to set", nearest(attribute, known))
+            raise ReferenceProblem(f"a {kind} has no {attribute!r} to set", suggest(attribute, known))
         array = np.asarray(getattr(self.model, arrays[attribute]))
         width = array.shape[1] if array.ndim == 2 else 1
         column = _component(f"{kind}.{name}.{attribute}", width, index, attribute in FIRST_UNLESS_TOLD)
@@ -149,7 +149,7 @@ class Elements:
             return self.moving(name, attribute)
         element, arrays = self._index(kind, name), SHOWN[kind]
         if attribute not in arrays:
-            raise ReferenceProblem(f"a {kind} shows no {attribute!r}", nearest(attribute, list(arrays)))
+            raise ReferenceProblem(f"a {kind} shows no {attribute!r}", suggest(attribute, list(arrays)))
         width = 3 if attribute == "position" else 1
         column = _component(text, width, index, first=False)
         return Place("data", arrays[attribute], element * width + column)
@@ -166,14 +166,14 @@ class Elements:
         if quantity in accelerations:
             return Place("data", "qacc", dof)
         known = [*positions, *velocities, *accelerations]
-        raise ReferenceProblem(f"joint {name!r} has no {quantity!r}", nearest(quantity, known))
+        raise ReferenceProblem(f"joint {name!r} has no {quantity!r}", suggest(quantity, known))
 
     def _index(self, kind: str, name: str) -> int:
         names = self._names[kind]
         if name in names:
             return names[name]
         what = "mocap body" if kind == "mocap" else kind
-        hint = nearest(name, list(names)) or f"no {what} of it has a name"
+        hint = suggest(name, list(names)) if names else f"no {what} of it has a name"
         raise ReferenceProblem(f"the MJCF model has no {what} {name!r}", hint)
 
     def _rows(self, kind: str, element: int, array: str) -> range:
@@ -204,7 +204,7 @@ class Elements:
 
     def _option(self, name: str, index: int | None) -> Place:
         if name not in OPTIONS:
-            raise ReferenceProblem(f"there is no option {name!r} to set", nearest(name, list(OPTIONS)))
+            raise ReferenceProblem(f"there is no option {name!r} to set", suggest(name, list(OPTIONS)))
         return Place("option", name, _component(f"option.{name}", OPTIONS[name], index, first=False))
 
     def _refuse_balanced(self, body: int, name: str) -> None:
@@ -220,7 +220,7 @@ def _parts(text: str, kinds: Sequence[str]) -> tuple[str, str, int | None]:
     match = _REFERENCE.match(text)
     if match is None or match[1] not in kinds:
         kind = text.partition(".")[0]
-        example = nearest(kind, list(kinds)) if kind not in kinds else "write it as joint.hinge.damping"
+        example = suggest(kind, list(kinds)) if kind not in kinds else "write it as joint.hinge.damping"
         raise ReferenceProblem(f"{text!r} names no part of the MJCF file that fits here", example)
     return match[1], match[2], None if match[3] is None else int(match[3])
 

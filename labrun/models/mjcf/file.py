@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from labrun.models.attaching import read_effects
-from labrun.models.expression import Expression, ExpressionError, nearest
 from labrun.models.fields import Fields
 from labrun.models.mjcf.elements import Elements, ReferenceProblem
 from labrun.models.mjcf.functions import functions
@@ -27,7 +26,7 @@ from labrun.models.tables import (
     read_parameters,
     read_site_quantities,
 )
-from labrun.toml_positions import KeyPath
+from labrun.toml import Expression, ExpressionError, KeyPath, suggest
 
 if TYPE_CHECKING:
     import mujoco
@@ -221,9 +220,12 @@ def _check_settings(fields: Fields, settings: Settings, places: Mapping[str, str
             if not places.get(name, "").startswith("p["):
                 what = "a site's force" if name.startswith("force.") else f"{name!r}, which moves"
                 problem = ExpressionError(
-                    f"the MJCF model cannot depend on {what}", position, "use parameters and conditions"
+                    expression.text,
+                    f"the MJCF model cannot depend on {what}",
+                    position,
+                    "use parameters and conditions",
                 )
-                raise fields.text.equation_error(path, expression.text, problem)
+                raise fields.text.equation_error(path, problem)
 
 
 def _sites(
@@ -242,7 +244,7 @@ def _sites(
         known = [one.name for one in parameters]
         if stiffness and stiffness not in known:
             raise fields.text.error(
-                f"{key}.stiffness", f"there is no parameter {stiffness!r}", nearest(stiffness, known)
+                f"{key}.stiffness", f"there is no parameter {stiffness!r}", suggest(stiffness, known)
             )
         coordinate, rate = (
             states.named(Place("data", "qpos", position)),

@@ -4,10 +4,10 @@ import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from labrun.models.expression import Expression
 from labrun.models.generate import equations, generated
 from labrun.models.model import FloatArray
 from labrun.models.native import NativeFunction
+from labrun.toml import Expression
 
 _IMPORTS = """\
 from labrun.models.calling import kernel

@@ -10,7 +10,7 @@ from labrun.devices import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.fit import Dataset, Estimate, FitJob, FitTrial, is_recording, load_dataset
 from labrun.models import Model
-from labrun.nearest import nearest
+from labrun.toml import nearest
 from labrun_plugins.rigs.hinge.body import FOUND, SpecimenBody, body_of, with_body
 from labrun_plugins.rigs.hinge.free_swings import fit_hinge
 

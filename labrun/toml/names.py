@@ -1,10 +1,43 @@
-"""Names people type: what to suggest for a wrong one, and units at the end of a key."""
+"""Names that people type: the nearest known to a wrong one, and the unit at the end of a key."""
 
+import difflib
 import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from labrun.nearest import nearest
+
+def nearest(name: str, known: Iterable[str], *, cutoff: float = 0.6) -> str | None:
+    """Return the known name most like `name`, whatever its case, or None if none is alike.
+
+    Parameters
+    ----------
+    name
+        What was found.
+    known
+        What there is.
+    cutoff
+        Least likeness, from 0 (anything) to 1 (equal), as in `difflib.get_close_matches`.
+    """
+    candidates = list(known)
+    folded = {candidate.casefold(): candidate for candidate in reversed(candidates)}
+    found = difflib.get_close_matches(name.casefold(), folded, n=1, cutoff=cutoff)
+    if found:
+        return folded[found[0]]
+    # Names of one letter are like nothing: "freq" or "f0" for "f".
+    starts = [known for key, known in folded.items() if key and name.casefold().startswith(key)]
+    return starts[0] if len(starts) == 1 else None
+
+
+def suggest(name: str, known: Iterable[str], *, kind: str = "known names") -> str:
+    """Return "did you mean ...?", or the list of what there is when nothing is alike."""
+    candidates = list(known)
+    near = candidates[0] if len(candidates) == 1 else nearest(name, candidates)
+    if near is not None:
+        return f'did you mean "{near}"?'
+    if not candidates:
+        return "none is installed" if kind == "installed" else f"there are no {kind} here"
+    shown = ", ".join(candidates[:12]) + (", ..." if len(candidates) > 12 else "")
+    return f"{kind}: {shown}"
 
 
 class Unit(NamedTuple):
@@ -51,18 +84,6 @@ KNOWN_UNITS = (
     "N m/rad", "N m s/rad", "kg m^2", "m^2", "cm^2",
 )  # fmt: skip
 """Units that a person may give to conditions, for tables and figures; "1" has none."""
-
-
-def suggest(name: str, known: Iterable[str], *, kind: str = "known names") -> str:
-    """Return "did you mean ...?", or the list of what there is when nothing is alike."""
-    candidates = list(known)
-    near = candidates[0] if len(candidates) == 1 else nearest(name, candidates)
-    if near is not None:
-        return f'did you mean "{near}"?'
-    if not candidates:
-        return "none is installed" if kind == "installed" else f"there are no {kind} here"
-    shown = ", ".join(candidates[:12]) + (", ..." if len(candidates) > 12 else "")
-    return f"{kind}: {shown}"
 
 
 def split_unit(key: str) -> tuple[str, str | None]:

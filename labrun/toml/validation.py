@@ -1,4 +1,4 @@
-"""From pydantic's errors to problems in the words of the file, all of them in one go."""
+"""From pydantic's errors to faults in the words of the file, all of them in one go."""
 
 import copy
 import json
@@ -6,14 +6,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
-from labrun.nearest import nearest
-from labrun.spec.expectation import expectation
-from labrun.spec.names import UNITS, convert, same_quantity, split_unit, suggest, unit_of
-from labrun.spec.problem import Problem
-from labrun.toml_positions import KeyPath
+from labrun.toml.faults import Fault, shown
+from labrun.toml.names import UNITS, convert, nearest, same_quantity, split_unit, suggest, unit_of
+from labrun.toml.positions import KeyPath
+
+
+class Table(BaseModel):
+    """A table of our files: unknown keys are errors, values do not change."""
+
+    # Strict: TOML has types of its own, and `repeats = "3"` is a slip of the pen, not a number.
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
 
 _ROUNDS = 6
 """A table's own rules are read only once its keys hold: so what does not hold is left out, and it is read again."""
@@ -21,7 +27,7 @@ _ROUNDS = 6
 
 def validate(
     model: type[BaseModel], data: Mapping[str, Any], base: KeyPath = (), *, also: Sequence[str] = ()
-) -> tuple[BaseModel | None, list[Problem]]:
+) -> tuple[BaseModel | None, list[Fault]]:
     """Read `data` as a model.
 
     Parameters
@@ -39,13 +45,13 @@ def validate(
     -------
     The model (None if anything is wrong), and everything that is wrong.
     """
-    checked, problems = mend(model, data, base, also=also)
-    return (None if problems else checked), problems
+    checked, faults = mend(model, data, base, also=also)
+    return (None if faults else checked), faults
 
 
 def mend(
     model: type[BaseModel], data: Mapping[str, Any], base: KeyPath = (), *, also: Sequence[str] = ()
-) -> tuple[BaseModel | None, list[Problem]]:
+) -> tuple[BaseModel | None, list[Fault]]:
     """Read `data` as `validate` does, but give the model of what is left once everything wrong is left out.
 
     Only for looking further: nothing may be run with it.
@@ -55,11 +61,11 @@ def mend(
     except ValidationError as error:
         errors = error.errors(include_url=False)
     repair = _Repair(model, copy.deepcopy(dict(data)), also)
-    found: dict[tuple[KeyPath, str], Problem] = {}
+    found: dict[tuple[KeyPath, str], Fault] = {}
     mended: BaseModel | None = None
     for _ in range(_ROUNDS):
-        for problem in repair.problems(errors):
-            found.setdefault((problem.path, problem.message), problem)
+        for fault in repair.faults(errors):
+            found.setdefault((fault.path, fault.message), fault)
         if not repair.apply():
             break
         try:
@@ -67,7 +73,7 @@ def mend(
             break
         except ValidationError as error:
             errors = error.errors(include_url=False)
-    return mended, [Problem((*base, *item.path), item.message, item.at_value) for item in found.values()]
+    return mended, [Fault((*base, *item.path), item.message, item.at_value) for item in found.values()]
 
 
 def _read(model: type[BaseModel], data: Mapping[str, Any]) -> BaseModel:
@@ -104,24 +110,73 @@ def _models(annotation: Any, path: KeyPath) -> Iterator[type[BaseModel]]:
         yield from _models(get_args(annotation)[-1], path[1:])
 
 
-def unknown_key(path: KeyPath, value: object, known: Sequence[str]) -> Problem:
-    """Return the problem of a key that is not one: a wrong unit, or the nearest known key."""
+def unknown_key(path: KeyPath, value: object, known: Sequence[str]) -> Fault:
+    """Return the fault of a key that is not one: a wrong unit, or the nearest known key."""
     key = str(path[-1])
     twin = same_quantity(key, known)
     if twin is None:
-        return Problem(path, f"unknown key; {suggest(key, known, kind='known keys')}")
+        return Fault(path, f"unknown key; {suggest(key, known, kind='known keys')}")
     stem, suffix = split_unit(key)
     converted = convert(value, key, twin)
     write = f"{twin} = {converted:g}" if converted is not None else twin
     if suffix is None:
-        return Problem(path, f"the unit is missing: {stem} is given in {unit_of(twin)}; write {twin}")
-    return Problem(
-        path, f"wrong unit {UNITS[suffix].label}: {stem} is given in {unit_of(twin)}; write {write}"
-    )
+        return Fault(path, f"the unit is missing: {stem} is given in {unit_of(twin)}; write {twin}")
+    return Fault(path, f"wrong unit {UNITS[suffix].label}: {stem} is given in {unit_of(twin)}; write {write}")
+
+
+_EXPECTED = {
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "string_type": "text in quotes",
+    "bool_type": "true or false",
+    "list_type": "a list [...]",
+    "tuple_type": "a list [...]",
+    "dict_type": "a table { ... }",
+    "mapping_type": "a table { ... }",
+    "model_type": "a table { ... }",
+    "model_attributes_type": "a table { ... }",
+    "finite_number": "a finite number",
+    "expression_type": "a number or text in quotes",
+    "none_required": "nothing",
+}
+_BOUNDS = {
+    "greater_than": ("more than", "gt"),
+    "greater_than_equal": ("at least", "ge"),
+    "less_than": ("less than", "lt"),
+    "less_than_equal": ("at most", "le"),
+}
+_LENGTHS = {"too_short": ("at least", "min_length"), "too_long": ("at most", "max_length")}
+_NUMBERS = ("int_type", "float_type", "int_from_float")
+
+
+def _expectation(error: ErrorDetails, path: KeyPath) -> str:
+    """Return what was expected at a key, with bound and unit: "more than 0 s"."""
+    kind, context = error["type"], error.get("ctx", {})
+    key = next((part for part in reversed(path) if isinstance(part, str)), "")
+    unit = unit_of(key)
+    tail = f" {unit}" if unit else ""
+    if kind in _BOUNDS:
+        words, name = _BOUNDS[kind]
+        return f"{words} {context[name]:g}{tail}"
+    if kind == "literal_error":
+        choices = [
+            str(choice) for choice in context["expected"].replace("'", '"').replace(" or ", ", ").split(", ")
+        ]
+        near = nearest(str(error["input"]), [choice.strip('"') for choice in choices])
+        return " or ".join(choices) + (f' (did you mean "{near}"?)' if near else "")
+    if kind in _LENGTHS:
+        words, name = _LENGTHS[kind]
+        return f"{words} {context[name]} " + ("entry" if context[name] == 1 else "entries")
+    if kind in _EXPECTED:
+        return _EXPECTED[kind] + (f" ({unit})" if unit and kind in _NUMBERS else "")
+    if kind == "value_error":  # a plugin's own validator, in its own words
+        return error["msg"].removeprefix("Value error, ")
+    return f"{error['msg'][:1].lower()}{error['msg'][1:]}, not {shown(error['input'])}"
 
 
 class _Repair:
-    """Turns errors into problems, and sets right what they are about so that the next look sees further."""
+    """Turns errors into faults, and sets right what they are about so that the next look sees further."""
 
     def __init__(self, model: type[BaseModel], data: dict[str, Any], also: Sequence[str]) -> None:
         self.data = data
@@ -133,9 +188,9 @@ class _Repair:
         self._removals: set[KeyPath] = set()
         self._unknown_keys: set[KeyPath] = set()
 
-    def problems(self, errors: Sequence[ErrorDetails]) -> list[Problem]:
+    def faults(self, errors: Sequence[ErrorDetails]) -> list[Fault]:
         self._renames, self._removals = {}, set()
-        found: list[Problem] = []
+        found: list[Fault] = []
         expected: dict[KeyPath, list[str]] = {}
         for error in errors:
             path = self._real_path(error)
@@ -143,16 +198,19 @@ class _Repair:
                 continue
             if error["type"] == "extra_forbidden":
                 found.append(self._unknown(path))
-            elif error["type"] == "spec_faults":
+            elif error["type"] == "faults":
                 found += self._faults(path, error)
             elif error["type"] == "too_short" and any(item[: len(path)] == path for item in self._touched):
                 self._removals.add(path)
+            elif error["type"] == "expression":
+                self._removals.add(path)
+                found.append(Fault(path, error["msg"], at_value=True))
             elif error["type"] != "missing":
-                expected.setdefault(path, []).append(expectation(error, path))
+                expected.setdefault(path, []).append(_expectation(error, path))
         found += self._missing(errors)
         for path, texts in expected.items():
             self._removals.add(path)
-            found.append(Problem(path, "expected " + " or ".join(dict.fromkeys(texts)), at_value=True))
+            found.append(Fault(path, "expected " + " or ".join(dict.fromkeys(texts)), at_value=True))
         return found
 
     def apply(self) -> bool:
@@ -178,7 +236,7 @@ class _Repair:
                 changed = True
         return changed
 
-    def _unknown(self, path: KeyPath) -> Problem:
+    def _unknown(self, path: KeyPath) -> Fault:
         known = keys_at(self._model, path[:-1]) + (self._also if len(path) == 1 else [])
         table = _get(self.data, path[:-1])
         free = [key for key in known if key not in table]
@@ -191,7 +249,7 @@ class _Repair:
             self._unknown_keys.add(path)
         return unknown_key(path, table.get(path[-1]), known)
 
-    def _faults(self, path: KeyPath, error: ErrorDetails) -> Iterator[Problem]:
+    def _faults(self, path: KeyPath, error: ErrorDetails) -> Iterator[Fault]:
         for key, message, of in error["ctx"]["faults"]:
             full = (*path, *key)
             # A rule over several keys says nothing new once one of them, or something inside, has been refused.
@@ -200,17 +258,17 @@ class _Repair:
                 for item in self._refused
             )
             if not refused and not self._follows_from_repair(full):
-                yield Problem(full, message, at_value=bool(key))
+                yield Fault(full, message, at_value=bool(key))
             if key:
                 self._removals.add(full)
 
-    def _missing(self, errors: Sequence[ErrorDetails]) -> Iterator[Problem]:
+    def _missing(self, errors: Sequence[ErrorDetails]) -> Iterator[Fault]:
         renamed = {(*path[:-1], name) for path, name in self._renames.items()}
         for error in errors:
             path = self._real_path(error)
             if error["type"] == "missing" and path not in renamed:
                 if not self._follows_from_repair(path):
-                    yield Problem(path[:-1], f'the key "{path[-1]}" is missing')
+                    yield Fault(path[:-1], f'the key "{path[-1]}" is missing')
                 self._removals.add(path[:-1])
 
     def _follows_from_repair(self, path: KeyPath) -> bool:

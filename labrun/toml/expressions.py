@@ -1,0 +1,233 @@
+"""Expressions of our TOML files: read once, computed many times, or written as source for numba."""
+
+import ast
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import GetCoreSchemaHandler
+from pydantic_core import CoreSchema, PydanticCustomError, PydanticKnownError, core_schema
+
+from labrun.errors import SpecError
+from labrun.toml.evaluation import Compute, compiled
+from labrun.toml.generation import numba_source
+from labrun.toml.grammar import ExpressionError, is_truth, parse
+from labrun.toml.names import suggest
+
+Array = NDArray[Any]
+Operand = float | str | Array
+"""What a name may stand for: a number, a word, or an array, which broadcasts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Expression:
+    """A checked expression.
+
+    A field of a pydantic model may be of this type: it takes numbers and text, and a fault of the text is one of the
+    file.
+
+    Attributes
+    ----------
+    given
+        The number or text as it stands in the file.
+    tree
+        Its checked syntax tree.
+    names : name -> position of its first use
+        What it refers to except constants; the force at a site is ``"force.<site>"``, the time `t`.
+    words
+        Words in quotes, by position of their first use.
+    """
+
+    given: float | str
+    tree: ast.expr = field(repr=False, compare=False)
+    names: Mapping[str, int] = field(compare=False)
+    words: Mapping[str, int] = field(compare=False)
+    _compute: Compute = field(repr=False, compare=False)
+
+    @classmethod
+    def of(cls, given: "float | str | Expression") -> "Expression":
+        """Return the expression of a number or a text, read once for each text.
+
+        Raises
+        ------
+        ExpressionError
+            The text is not of the language; see `labrun.toml.grammar`.
+        """
+        if isinstance(given, Expression):
+            return given
+        return _read(given) if isinstance(given, str) else _constant(given)
+
+    @property
+    def text(self) -> str:
+        """As it was typed."""
+        return str(self.given)
+
+    @property
+    def is_name(self) -> bool:
+        """Whether it is one bare name."""
+        return isinstance(self.tree, ast.Name)
+
+    @property
+    def is_comparison(self) -> bool:
+        """Whether it says yes or no: comparisons, alone or joined by ``and``, ``or``, ``not``."""
+        return _is_comparison(self.tree)
+
+    def __call__(self, names: Mapping[str, Operand]) -> float | Array:
+        """Compute it.
+
+        Parameters
+        ----------
+        names
+            What the names stand for; more than it needs do no harm.
+
+        Returns
+        -------
+        float or ndarray
+            A float if everything was scalar (a comparison gives 1 or 0), else an array (of bool for a comparison).
+
+        Raises
+        ------
+        ExpressionError
+            An unknown name (with the nearest known), or a result that is not a finite number.
+        """
+        if not isinstance(self.given, str):
+            return float(self.given)
+        for name in self.names:
+            if name not in names:
+                hint = suggest(name, names, kind="names")
+                raise ExpressionError(self.text, f'unknown name "{name}"; {hint}', self.names[name])
+        try:
+            with np.errstate(
+                all="ignore"
+            ):  # what is not finite is found in the result, and said with its names
+                result = self._compute(names)
+        except (TypeError, ValueError, ArithmeticError) as error:
+            raise ExpressionError(self.text, f"cannot be computed: {error}{self._values(names)}") from error
+        if isinstance(result, float) and math.isfinite(result):
+            return float(result)
+        return self._finite(result, names)
+
+    def source(self, variables: Mapping[str, str]) -> str:
+        """Return Python source for numba, all numbers floats, with each name replaced by its variable's."""
+        return numba_source(self.tree, variables)
+
+    def _finite(self, result: Any, names: Mapping[str, Operand]) -> float | Array:
+        array = np.asarray(result)
+        if array.dtype.kind not in "fiub":
+            raise ExpressionError(self.text, f"gives {result!r}, which is not a number")
+        bad = ~np.isfinite(array)
+        if bad.any():
+            first = np.unravel_index(int(np.argmax(bad)), bad.shape)
+            there = {name: _element(value, array.shape, first) for name, value in names.items()}
+            raise ExpressionError(self.text, f"gives {array[first]}{self._values(there)}")
+        if array.ndim == 0:
+            return float(array)
+        return array if array.dtype.kind == "b" else array.astype(float, copy=False)
+
+    def _values(self, names: Mapping[str, Operand]) -> str:
+        used = sorted(name for name in self.names if not isinstance(names[name], np.ndarray))
+        return f" (with {', '.join(f'{name} = {names[name]}' for name in used)})" if used else ""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Let fields of pydantic models be expressions."""
+        return core_schema.no_info_plain_validator_function(
+            _validated, serialization=core_schema.plain_serializer_function_ser_schema(lambda one: one.given)
+        )
+
+
+@functools.lru_cache(maxsize=4096)
+def _read(text: str) -> Expression:
+    parsed = parse(text)
+    try:
+        return Expression(text, parsed.tree, parsed.names, parsed.words, compiled(parsed.tree))
+    except RecursionError:
+        raise ExpressionError(text, "it is nested too deeply") from None
+
+
+def _constant(value: float) -> Expression:
+    return Expression(value, ast.Constant(value), {}, {}, lambda _: float(value))
+
+
+def _validated(value: Any) -> Expression:
+    if isinstance(value, bool) or not isinstance(value, int | float | str | Expression):
+        raise PydanticCustomError("expression_type", "a number or text in quotes")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise PydanticKnownError("finite_number")
+    try:
+        return Expression.of(value)
+    except ExpressionError as error:
+        raise PydanticCustomError("expression", "{text}", {"text": fault_of(error)}) from None
+
+
+def fault_of(error: ExpressionError) -> str:
+    """Return what is wrong with an expression, for a line that shows the expression already."""
+    return error.reason + (f"; {error.hint}" if error.hint else "")
+
+
+def _element(value: Operand, shape: tuple[int, ...], index: tuple[Any, ...]) -> Operand:
+    """Return what a name stood for where an element of the result was computed."""
+    if not isinstance(value, np.ndarray):
+        return value
+    try:
+        element: Operand = np.broadcast_to(value, shape)[index].item()
+    except ValueError:  # reduced on the way to the result
+        return value
+    return element
+
+
+def _is_comparison(node: ast.expr) -> bool:
+    match node:
+        case ast.BoolOp(values=values):
+            return all(_is_comparison(value) for value in values)
+        case ast.UnaryOp(op=ast.Not(), operand=operand):
+            return _is_comparison(operand)
+    return is_truth(node)
+
+
+def evaluate(expression: float | str | Expression, names: Mapping[str, Operand]) -> float | Array:
+    """Compute a number, a text, or an expression; see `Expression`."""
+    return Expression.of(expression)(names)
+
+
+def names_in(expression: float | str | Expression) -> frozenset[str]:
+    """Return the names an expression needs, without functions and constants."""
+    return frozenset(Expression.of(expression).names)
+
+
+def in_order(let: Mapping[str, float | str | Expression]) -> tuple[str, ...]:
+    """Return the names of parts that may use each other such that each comes after those it uses.
+
+    Raises
+    ------
+    ExpressionError
+        One that cannot be read.
+    SpecError
+        Names that depend on each other in a circle.
+    """
+    graph = {name: names_in(expression) & let.keys() for name, expression in let.items()}
+    try:
+        return tuple(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        raise SpecError(f"let: {' -> '.join(error.args[1])} go round in a circle") from error
+
+
+def resolve(
+    let: Mapping[str, float | str | Expression], names: Mapping[str, Operand]
+) -> dict[str, Operand | Array]:
+    """Return `names` extended by the values of parts that may use each other.
+
+    Raises
+    ------
+    SpecError
+        As `in_order` and `Expression`.
+    """
+    known = dict(names)
+    for name in in_order(let):
+        known[name] = evaluate(let[name], known)
+    return known
