@@ -94,7 +94,7 @@ def export(
         )
         return
     for item in removed:
-        from labrun.report.words import interval_text
+        from labrun.report.text import interval_text
 
         slope = interval_text(item.slope_per_h, item.ci95, f"{item.unit}/h")
         doubt = "" if item.visible else ", which cannot be told from none"

@@ -9,8 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from labrun.report.conditions import ConditionResult, standard_error, varying
-from labrun.report.html_words import decimal_text, decimals_for
-from labrun.report.words import label, value_text
+from labrun.report.text import decimal_text, decimals_for, label, value_text
 
 if TYPE_CHECKING:
     from labrun.report.findings import Findings

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.report.data import RunView
-from labrun.report.html_words import slope_words
 from labrun.report.statistics import Drift
 from labrun.report.style import COLOURS, SOFT, new_figure
 from labrun.report.svg import as_svg
+from labrun.report.text import slope_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

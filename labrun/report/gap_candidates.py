@@ -3,16 +3,7 @@
 from collections.abc import Sequence
 
 from labrun.gap.diagnosis import Candidate, Diagnosis
-from labrun.report.gap_words import (
-    VERDICTS,
-    bound_words,
-    listed,
-    name_words,
-    number,
-    ranked,
-    removes_words,
-    value_words,
-)
+from labrun.report.gap_places import ranked
 from labrun.report.html_elements import (
     Content,
     Html,
@@ -23,6 +14,14 @@ from labrun.report.html_elements import (
     section,
     share_bar,
     table,
+)
+from labrun.report.text import (
+    VERDICTS,
+    bound_words,
+    listed,
+    number,
+    removes_words,
+    value_words,
 )
 
 _SHOWN = 10
@@ -73,7 +72,7 @@ def _rows(candidates: Sequence[Candidate], start: int) -> Html:
 
 
 def _row(one: Candidate, rank: int) -> list[Content]:
-    name: Content = name_words(one.name)
+    name: Content = one.name.words
     return [
         str(rank),
         element("b", name) if one.verdict == "cause" else name,
@@ -85,7 +84,7 @@ def _row(one: Candidate, rank: int) -> list[Content]:
 
 
 def _verdict(one: Candidate) -> Content:
-    same = listed([name_words(name) for name in one.same_as], "or")
+    same = listed([name.words for name in one.same_as], "or")
     verdict = VERDICTS[one.verdict]
     return (
         f"{verdict}; cannot be told from {same}" if same else verdict.replace("ruled out", "ruled\u00a0out")

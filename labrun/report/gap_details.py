@@ -4,9 +4,8 @@ import math
 from collections.abc import Sequence
 
 from labrun.gap.diagnosis import Diagnosis
-from labrun.report.gap_words import data_words, number, took_words
 from labrun.report.html_elements import Content, Html, element, paragraph, section, table
-from labrun.report.html_words import scatter_text, spaced
+from labrun.report.text import data_words, number, scatter_text, short_time_text, spaced
 
 _FAR = 3.0
 """Of more than so many stated tolerances a parameter is not just recalibrated, it was wrong."""
@@ -100,7 +99,7 @@ def origin_section(diagnosis: Diagnosis) -> Html:
         ["model", diagnosis.model],
         ["guard against false alarms", diagnosis.guard],
         ["seed", str(diagnosis.seed)],
-        ["computing took", took_words(diagnosis.seconds)],
+        ["computing took", short_time_text(diagnosis.seconds)],
     ]
     return section("origin", "Where this comes from", table(("", ""), rows, words=(0, 1)))
 

@@ -8,8 +8,8 @@ from labrun.report.gap_canvas import plain_figure
 from labrun.report.gap_how_far_figure import draw_how_far
 from labrun.report.gap_places import panels
 from labrun.report.gap_where_figure import WIDTH_IN, draw_where, height_in
-from labrun.report.gap_words import confidence_words, data_words
 from labrun.report.style import heading, save
+from labrun.report.text import data_words, percent
 
 FIGURE = "gap_figure.png"
 _HOW_FAR_IN = 2.2
@@ -43,6 +43,6 @@ def draw_gap(diagnosis: Diagnosis, path: Path) -> Path:
 def _subtitle(diagnosis: Diagnosis) -> str:
     told = diagnosis.sentence.rstrip()
     if diagnosis.causes:
-        sure = ", ".join(confidence_words(cause) for cause in diagnosis.causes)
+        sure = ", ".join(percent(cause.confidence) for cause in diagnosis.causes)
         told += f" Confidence {sure}."
     return f"{told} From {data_words(diagnosis)}."

@@ -1,18 +1,16 @@
 """The top of a diagnosis: the verdict in a sentence, how sure it is, and the numbers that carry it."""
 
 from labrun.gap.diagnosis import Cause, Diagnosis
-from labrun.report.gap_words import (
+from labrun.report.html_elements import Html, element, joined, paragraph
+from labrun.report.text import (
     HEADLINES,
-    confidence_words,
     data_words,
     listed,
-    name_words,
     never_seen,
     percent,
     times_noise,
     value_words,
 )
-from labrun.report.html_elements import Html, element, joined, paragraph
 
 
 def gap_head(diagnosis: Diagnosis) -> Html:
@@ -52,7 +50,7 @@ def _numbers(diagnosis: Diagnosis) -> list[Html]:
         found.append(
             _fact(
                 "confidence in this cause",
-                confidence_words(diagnosis.causes[0]),
+                percent(diagnosis.causes[0].confidence),
                 "learned from cases with known causes",
             )
         )
@@ -82,9 +80,9 @@ def _fact(title: str, value: str, below: str) -> Html:
 def _cause_line(cause: Cause, several: bool) -> Html:
     values = "; ".join(value_words(cause.values))
     told = f": {values} (95 % interval)" if values else ""
-    told += f", confidence {confidence_words(cause)}" if several else ""
+    told += f", confidence {percent(cause.confidence)}" if several else ""
     told += f". {_sentence(cause.remark)}" if cause.remark else ""
-    return element("div", element("strong", name_words(cause.name)), told, class_="at")
+    return element("div", element("strong", cause.name.words), told, class_="at")
 
 
 def _sentence(text: str) -> str:
@@ -93,9 +91,9 @@ def _sentence(text: str) -> str:
 
 
 def _doubt(cause: Cause, has_next: bool) -> Html:
-    others = listed([name_words(name) for name in cause.indistinguishable_from], "or")
+    others = listed([name.words for name in cause.indistinguishable_from], "or")
     return paragraph(
-        f"These data cannot tell {name_words(cause.name)} from {others}: any of them explains what was measured as "
+        f"These data cannot tell {cause.name.words} from {others}: any of them explains what was measured as "
         "well. ",
         element("a", "What to measure next", href="#next") if has_next else None,
         class_="stop",

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 
 from labrun.gap.diagnosis import Diagnosis
 from labrun.report.gap_canvas import plain_figure
-from labrun.report.gap_words import listed, name_words, never_seen, percent, times_noise
 from labrun.report.style import COLOURS, INK
 from labrun.report.svg import as_svg
+from labrun.report.text import listed, never_seen, percent, times_noise
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -105,7 +105,7 @@ def _scale_note(axes: "Axes") -> str:
 
 
 def _with_causes(diagnosis: Diagnosis) -> str:
-    names = listed([name_words(cause.name) for cause in diagnosis.causes])
+    names = listed([cause.name.words for cause in diagnosis.causes])
     label = f"with {names}"
     if len(label) <= _LONGEST_LABEL:
         return label

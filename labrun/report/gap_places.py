@@ -1,12 +1,13 @@
 """Which parts of the data tell where the gap is: chosen from all that were looked at, and put into words."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from labrun.gap.diagnosis import By, Place
-from labrun.report.gap_words import SIGNIFICANT
+from labrun.gap.diagnosis import By, Candidate, CandidateVerdict, Place
 
+SIGNIFICANT = 0.05
+_RANK: Mapping[CandidateVerdict, int] = {"cause": 0, "indistinguishable": 1, "ruled-out": 2, "not-visible": 3}
 _MOST_BARS = 6
 _STANDS_OUT = 1.5
 """A part whose share is so many times the mean of its kind is worth a sentence."""
@@ -143,3 +144,13 @@ def located(place: Place) -> str:
         return text
     # "the torque at 0.3 Hz" is a part of a channel under a condition
     return f"in {text}" if first == "the" and place.by != "frequency" else f"{_PREPOSITIONS[place.by]} {text}"
+
+
+def ranked(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return candidates by verdict, then by what they remove on data their fit did not see, then by evidence."""
+
+    def key(one: Candidate) -> tuple[int, float, float]:
+        # what was not tried by itself and what makes matters worse are in order of their evidence
+        return _RANK[one.verdict], -max(one.held_out_share or 0.0, 0.0), -one.evidence
+
+    return sorted(candidates, key=key)

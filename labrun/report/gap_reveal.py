@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from labrun.gap.diagnosis import Estimate, Name
 from labrun.report.gap_store import read_stored
-from labrun.report.gap_words import estimate_words, listed, number
-from labrun.report.html_words import spaced
+from labrun.report.text import estimate_words, listed, number, spaced
 
 if TYPE_CHECKING:
     from labrun.gap.seal import Hidden, Revealed

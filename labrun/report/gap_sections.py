@@ -8,12 +8,6 @@ from labrun.report.gap_how_far_figure import how_far_svg
 from labrun.report.gap_places import hot_spots, place_words
 from labrun.report.gap_traces_figure import shown_traces, traces_svg, worst_outputs
 from labrun.report.gap_where_figure import where_svg
-from labrun.report.gap_words import (
-    never_seen,
-    p_words,
-    percent,
-    times_noise,
-)
 from labrun.report.html_elements import (
     Content,
     Html,
@@ -24,6 +18,12 @@ from labrun.report.html_elements import (
     picture,
     section,
     table,
+)
+from labrun.report.text import (
+    never_seen,
+    p_words,
+    percent,
+    times_noise,
 )
 from labrun.spec.condition import condition_key
 

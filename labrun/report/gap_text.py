@@ -6,20 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labrun.gap.diagnosis import Candidate, Diagnosis
-from labrun.report.gap_places import hot_spots
-from labrun.report.gap_words import (
+from labrun.report.gap_places import hot_spots, ranked
+from labrun.report.text import (
     VERDICTS,
     bound_words,
-    confidence_words,
     data_words,
     listed,
-    name_words,
     p_words,
     percent,
-    ranked,
     removes_words,
+    short_time_text,
     times_noise,
-    took_words,
     value_words,
 )
 
@@ -56,7 +53,9 @@ def gap_lines(diagnosis: Diagnosis, width: int, files: Mapping[str, Path] | None
         ("where", [_cut(line, room) for line in _where(diagnosis)]),
     ]
     written = [(label, [str(path)]) for label, path in (files or {}).items()]
-    data = [_cut(f"{data_words(diagnosis)}; {took_words(diagnosis.seconds)}, seed {diagnosis.seed}", room)]
+    data = [
+        _cut(f"{data_words(diagnosis)}; {short_time_text(diagnosis.seconds)}, seed {diagnosis.seed}", room)
+    ]
     left = MOST_LINES - len(head) - sum(len(lines) for _, lines in fixed) - len(written) - len(data)
     which = _which(diagnosis, room, left - 2 * _LEAST_FOR_SENTENCES)
     limits, then = _shared(diagnosis, room, left - len(which))
@@ -96,8 +95,8 @@ def _which(diagnosis: Diagnosis, room: int, most: int) -> list[str]:
     """Return the causes, the rivals next to them as far as there is room, and how many there are besides."""
     lines: list[str] = []
     for cause in diagnosis.causes:
-        same = [name_words(name) for name in cause.indistinguishable_from]
-        told = f"{name_words(cause.name)}, confidence {confidence_words(cause)}"
+        same = [name.words for name in cause.indistinguishable_from]
+        told = f"{cause.name.words}, confidence {percent(cause.confidence)}"
         told += f", or {listed(same, 'or')}" if same else ""
         values = "; ".join(value_words(cause.values))
         lines += _fitted([f"{told}: {values}" if values else told], room, 2)
@@ -117,7 +116,7 @@ def _which(diagnosis: Diagnosis, room: int, most: int) -> list[str]:
 
 
 def _rival(one: Candidate, room: int) -> str:
-    text = f"{name_words(one.name)}: {VERDICTS[one.verdict]}"
+    text = f"{one.name.words}: {VERDICTS[one.verdict]}"
     if one.held_out_share is not None:
         removes = removes_words(one.held_out_share)
         text += f", removes {removes}" if removes[0].isdigit() or removes[0] == "<" else f", {removes}"

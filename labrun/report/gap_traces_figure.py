@@ -11,10 +11,9 @@ from labrun.gap.diagnosis import Diagnosis, Trace
 from labrun.report.gap_canvas import plain_figure
 from labrun.report.gap_how_far_figure import AFTER, RECALIBRATED, STATED
 from labrun.report.gap_window import telling_window
-from labrun.report.gap_words import listed, name_words
-from labrun.report.html_words import spaced
 from labrun.report.style import FAINT, INK, zero_line
 from labrun.report.svg import as_svg
+from labrun.report.text import listed, spaced
 from labrun.spec.condition import condition_key
 
 if TYPE_CHECKING:
@@ -193,7 +192,7 @@ def _legend(figure: Any, axes: "Axes") -> None:
 
 
 def _with(diagnosis: Diagnosis) -> str:
-    names = listed([name_words(cause.name) for cause in diagnosis.causes])
+    names = listed([cause.name.words for cause in diagnosis.causes])
     return f"with {names}" if len(names) <= 2 * _NARROW else "with all causes"
 
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 from labrun.gap.diagnosis import By, Diagnosis, Place
 from labrun.report.gap_canvas import plain_figure
 from labrun.report.gap_places import Panel, beyond_chance, panels, place_words
-from labrun.report.gap_words import p_words, percent
 from labrun.report.style import COLOURS
 from labrun.report.svg import as_svg
+from labrun.report.text import p_words, percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.report.data import Point
-from labrun.report.words import value_text
+from labrun.report.text import value_text
 from labrun.spec.experiment import Value
 
 FloatArray = NDArray[np.float64]

@@ -11,9 +11,8 @@ from labrun.report.conditions import (
 )
 from labrun.report.data import Point, RunView
 from labrun.report.html_elements import Content, Html, element, joined, paragraph, section, table
-from labrun.report.html_words import condition_with_units, counted, decimal_text, decimals_for, spaced
 from labrun.report.report_source import ReportSource
-from labrun.report.words import label, value_text
+from labrun.report.text import counted, decimal_text, decimals_for, label, named_condition, spaced, value_text
 from labrun.spec.condition import condition_key
 from labrun.spec.experiment import Value
 
@@ -142,7 +141,7 @@ def _all(source: ReportSource) -> Html:
     left = len(results) - len(rows)
     more = f"{counted(left, 'more condition')} in labrun export {source.run.path} --to csv" if left else None
     alike = {name: value for name, value in results[0].condition.items() if name not in keys}
-    same = f"The same in all: {condition_with_units(alike, view.experiment.units)}." if alike else None
+    same = f"The same in all: {named_condition(alike, view.experiment.units)}." if alike else None
     notes = [paragraph(text, class_="note") for text in (same, more) if text]
     return joined([table(columns, rows, words=()), *notes])
 

@@ -5,9 +5,9 @@ from typing import Any
 
 from labrun.fit.estimate import Estimate, rounded
 from labrun.report.html_elements import Content, Html, element, joined, paragraph, picture, section, table
-from labrun.report.html_words import spaced
 from labrun.report.report_source import ReportSource
 from labrun.report.stored_fits import StoredFit, as_list, as_table, is_number, stored_fits
+from labrun.report.text import spaced
 
 _SHOWN_ELSEWHERE = frozenset(
     {

@@ -3,11 +3,10 @@
 from labrun.report.bench_time import STEPS, BenchTime
 from labrun.report.command_health import command_health
 from labrun.report.html_elements import Content, Html, element, joined, paragraph, section, share_bar, table
-from labrun.report.html_words import counted, share_text
 from labrun.report.loop_health import loop_words
 from labrun.report.report_source import ReportSource
-from labrun.report.statistics import LEAST_JITTER_S
-from labrun.report.words import clock_text, duration_text
+from labrun.report.statistics import LEAST_JITTER_S, clock_text
+from labrun.report.text import counted, duration_text, share_text
 
 
 def timing_section(source: ReportSource) -> Html | None:

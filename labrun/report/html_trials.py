@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from labrun.report.html_elements import Content, Html, element, folded, joined, paragraph, section, table
-from labrun.report.html_words import condition_with_units, counted, share_text
 from labrun.report.report_source import ReportSource
+from labrun.report.text import counted, named_condition, share_text
 from labrun.store.trial import TrialOutcome
 
 _TRIALS_SHOWN = 200
@@ -55,7 +55,7 @@ def _trials(source: ReportSource) -> Html | None:
             str(outcome.index),
             outcome.status,
             outcome.reason,
-            condition_with_units(outcome.condition, units),
+            named_condition(outcome.condition, units),
             outcome.role,
             str(outcome.repeat + 1),
             str(outcome.attempt + 1),

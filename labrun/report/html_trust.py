@@ -3,10 +3,9 @@
 import math
 
 from labrun.report.html_elements import Content, Html, paragraph, picture, section, table
-from labrun.report.html_words import counted, scatter_text, share_text, slope_words, spaced
 from labrun.report.report_source import ReportSource
 from labrun.report.statistics import Drift, Repeatability, Settling, settling
-from labrun.report.words import duration_text
+from labrun.report.text import counted, duration_text, scatter_text, share_text, slope_words, spaced
 
 
 def repeatability_section(source: ReportSource) -> Html | None:

@@ -6,17 +6,18 @@ from typing import Literal
 from labrun.report.conditions import varying
 from labrun.report.html_elements import Content, Html, element, joined, paragraph
 from labrun.report.html_trust import most_hidden
-from labrun.report.html_words import (
-    condition_with_units,
+from labrun.report.report_source import ReportSource
+from labrun.report.stored_fits import stored_fits
+from labrun.report.text import (
     counted,
+    duration_text,
     interval_words,
+    named_condition,
+    quantity_text,
     scatter_text,
     share_text,
     spaced,
 )
-from labrun.report.report_source import ReportSource
-from labrun.report.stored_fits import stored_fits
-from labrun.report.words import duration_text, quantity_text
 from labrun.search.result import Best, resume_line
 from labrun.spec.condition import condition_key
 
@@ -110,7 +111,7 @@ def what_came_out(source: ReportSource) -> str:
         return (
             f"No best can be named yet: the leaders were not measured again. The most promising mean so far is "
             f"{goal[0]} = {quantity_text(top.mean, view.unit)} ({counted(len(top.values), 'trial')}) at "
-            f"{condition_with_units(top.condition, experiment.units)}; being picked from {len(points)}, it is likely "
+            f"{named_condition(top.condition, experiment.units)}; being picked from {len(points)}, it is likely "
             "too good."
         )
     sentences = [text for name in experiment.objectives if (text := _range(source, name))]
@@ -236,7 +237,7 @@ def _best(source: ReportSource, best: Best) -> Html:
                 element("span", below)),
         element("div", element("span", "luckiest single trial"), element("b", quantity_text(best.luckiest, best.unit)),
                 element("span", "not what to expect"), class_="lucky"),
-        element("div", f"at {condition_with_units(best.parameters, source.experiment.units)}", class_="at"),
+        element("div", f"at {named_condition(best.parameters, source.experiment.units)}", class_="at"),
         class_="best",
     )  # fmt: skip
 
@@ -256,7 +257,7 @@ def _range(source: ReportSource, objective: str) -> str:
     units = source.experiment.units
     differing = varying(point.condition for point in points)
     lowest, highest = (
-        condition_with_units({n: v for n, v in point.condition.items() if n in differing}, units)
+        named_condition({n: v for n, v in point.condition.items() if n in differing}, units)
         for point in (low, high)
     )
     return (

@@ -3,7 +3,7 @@
 import shutil
 from pathlib import Path
 
-from labrun.report.words import duration_text
+from labrun.report.text import duration_text
 from labrun.runner.plan import JointPeak, Plan, percent
 
 _NO_LIMIT = "no limit set"

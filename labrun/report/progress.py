@@ -9,7 +9,7 @@ from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 from rich.text import Text
 
-from labrun.report.words import condition_text, duration_text, quantity_text
+from labrun.report.text import condition_text, duration_text, quantity_text
 
 if TYPE_CHECKING:
     from labrun.spec.experiment import Value

@@ -10,7 +10,7 @@ import numpy as np
 from labrun.report.conditions import in_order, varying
 from labrun.report.data import Point, RunView
 from labrun.report.style import COLOURS, SOFT, heading, new_figure, save, zero_line
-from labrun.report.words import condition_text, interval_text, label, value_text, value_with_unit
+from labrun.report.text import condition_text, interval_text, label, value_text
 from labrun.spec.condition import condition_key
 from labrun.store.trial import TrialOutcome
 
@@ -110,9 +110,7 @@ def _traces(axes: "Axes", view: RunView, trials: Sequence[TrialOutcome], channel
 def condition_title(view: RunView, trial: TrialOutcome) -> str:
     """Return a trial's condition with units, folded to fit over a panel."""
     units = view.experiment.units
-    parts = (
-        f"{name} = {value_with_unit(value, units.get(name, ''))}" for name, value in trial.condition.items()
-    )
+    parts = (f"{name} = {value_text(value, units.get(name, ''))}" for name, value in trial.condition.items())
     whole = [part.replace(" ", "\u00a0") for part in parts]  # a line never ends within a value
     return textwrap.fill(", ".join(whole), _TITLE_WIDTH)
 

@@ -21,8 +21,8 @@ from labrun.report.style import (
     save,
     zero_line,
 )
+from labrun.report.text import condition_text, interval_text
 from labrun.report.traces import draw_cycle, draw_traces
-from labrun.report.words import condition_text, interval_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -195,3 +195,12 @@ def _clock_drift_ppm(streams: Sequence[Stream], reports: Sequence[StreamReport])
         return float(np.polyfit(starts_s - starts_s[0], offsets_s, 1)[0] * 1e6)
     within = [report.drift_ppm for report in reports if report.drift_ppm is not None]
     return float(np.median(within)) if within else None
+
+
+def clock_text(stream: StreamHealth) -> tuple[str, str]:
+    """Return a device's clock offset and drift: ``12.03 s``, ``5.2 ppm``; empty where they are not known."""
+    offset_s, drift_ppm = stream.clock_offset_s, stream.clock_drift_ppm
+    return (
+        "" if offset_s is None else f"{offset_s:.4g} s",
+        "" if drift_ppm is None else f"{drift_ppm:.3g} ppm",
+    )

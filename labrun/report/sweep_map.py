@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from labrun.report.data import Point, RunView
 from labrun.report.grid_axes import Axis, axes_of, best_over_others, most_telling
 from labrun.report.style import BEST, COLOURS, DIVERGING, SOFT, heading, new_figure, save, zero_line
+from labrun.report.text import condition_text, interval_text, label
 from labrun.report.traces import draw_cycle, draw_traces
-from labrun.report.words import condition_text, interval_text, label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

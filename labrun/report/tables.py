@@ -10,9 +10,9 @@ from rich.text import Text
 from labrun.fit.estimate import rounded
 from labrun.report.condition_table import print_conditions
 from labrun.report.loop_health import loop_words
-from labrun.report.statistics import LEAST_JITTER_S
+from labrun.report.statistics import LEAST_JITTER_S, clock_text
 from labrun.report.stored_fits import StoredFit
-from labrun.report.words import clock_text, condition_text, duration_text, interval_text, quantity_text
+from labrun.report.text import condition_text, duration_text, interval_text, quantity_text
 from labrun.search.result import unsettled_text
 
 if TYPE_CHECKING:

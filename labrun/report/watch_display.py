@@ -12,8 +12,8 @@ from rich.text import Text
 
 from labrun.report.braille import braille_curve
 from labrun.report.snapshot import Snapshot, State
+from labrun.report.text import condition_text, duration_text, interval_text, quantity_text, value_text
 from labrun.report.watching import Watcher
-from labrun.report.words import condition_text, duration_text, interval_text, quantity_text, value_text
 from labrun.store.watched_trials import Trace
 
 if TYPE_CHECKING:

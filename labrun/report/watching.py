@@ -8,7 +8,7 @@ import numpy as np
 
 from labrun.errors import LabrunError, RequestError
 from labrun.report.snapshot import BestYet, Snapshot, State, event_text
-from labrun.report.words import duration_text
+from labrun.report.text import duration_text
 from labrun.search.result import Best, resume_line, stored_result
 from labrun.spec.condition import condition_key
 from labrun.spec.experiment import Experiment

@@ -8,7 +8,8 @@ Value = float | str
 Condition = Mapping[str, Value]
 """Values of one trial, by name, in the units of the file."""
 
-_NO_UNITS: Mapping[str, str] = MappingProxyType({})
+NO_UNITS: Mapping[str, str] = MappingProxyType({})
+"""Where the units of a condition are not known, or stand elsewhere."""
 
 
 def condition_key(condition: Condition) -> tuple[tuple[str, Value], ...]:
@@ -16,7 +17,7 @@ def condition_key(condition: Condition) -> tuple[tuple[str, Value], ...]:
     return tuple(sorted(condition.items(), key=lambda item: item[0]))
 
 
-def condition_text(condition: Condition, units: Mapping[str, str] = _NO_UNITS, *, digits: int = 6) -> str:
+def condition_text(condition: Condition, units: Mapping[str, str] = NO_UNITS, *, digits: int = 6) -> str:
     """Return ``a = 20 deg, f = 1.2 Hz, fin = soft``; without units where they are not known."""
     return ", ".join(
         f"{name} = {value_text(value, units.get(name, ''), digits=digits)}"

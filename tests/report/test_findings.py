@@ -13,7 +13,7 @@ from labrun.report.data import RunView
 from labrun.report.findings import Findings, findings
 from labrun.report.progress import LiveProgress
 from labrun.report.statistics import drift, repeatability, settling, stream_health
-from labrun.report.words import duration_text, label
+from labrun.report.text import duration_text, label
 from labrun.spec.loading import loads_experiment
 from labrun.store.folder import RunFolder
 from labrun.store.reading import open_run

@@ -6,7 +6,7 @@ import pytest
 
 from labrun.gap.diagnosis import Estimate, Name
 from labrun.gap.numbers import significant
-from labrun.report.gap_words import bound_words, removes_words
+from labrun.report.text import bound_words, removes_words
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from labrun.report.html_elements import Html, element, escaped, joined, share_bar, table
 from labrun.report.html_page import page
-from labrun.report.html_words import decimal_text, decimals_for, share_text
+from labrun.report.text import decimal_text, decimals_for, share_text
 
 WORDS = st.text(alphabet=st.characters(blacklist_categories=("Cs", "Cc")), min_size=1)
 

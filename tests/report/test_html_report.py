@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 from labrun.app.run import execute
 from labrun.cli.app import app
 from labrun.report.html import write_report
-from labrun.report.html_words import interval_words
 from labrun.report.report_source import read_source
+from labrun.report.text import interval_words
 from labrun.runner.progress import SilentProgress
 from labrun.search.result import stored_result
 from labrun.spec.named import load_named

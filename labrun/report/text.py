@@ -1,0 +1,318 @@
+"""Numbers, units, conditions and verdicts in words: every table, page, figure and live display takes them from here."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+from labrun.fit import Estimate, rounded
+from labrun.gap.diagnosis import CandidateVerdict, Diagnosis
+from labrun.gap.diagnosis import Estimate as GapEstimate
+from labrun.gap.numbers import significant
+from labrun.spec import condition as plain
+from labrun.spec.condition import Condition, Value
+from labrun.toml import UNITS, split_unit
+
+VERDICTS: Mapping[CandidateVerdict, str] = {
+    "cause": "cause",
+    "indistinguishable": "explains these data as well",
+    "ruled-out": "ruled out",
+    "not-visible": "not visible in these data",
+}
+HEADLINES = {
+    "no-gap": "no gap",
+    "parameter": "a parameter",
+    "explained": "explained",
+    "partly-explained": "explained in part",
+    "not-in-library": "not in the library",
+}
+_DIGITS = 4
+_NO_BREAK = "\u00a0"
+_TAKE_PREFIX = ("N", "m", "s", "rad", "V", "A", "W", "Pa")
+_SMALL = 2e-3
+_WORSE = 0.005
+
+# Units and names
+
+
+def unit_text(unit: str) -> str:
+    """Return a unit as it is written after a number; "1" is none."""
+    return "" if unit == "1" else unit
+
+
+def with_unit(text: str, unit: str) -> str:
+    """Return ``thrust (N)``; without a unit the text alone."""
+    return f"{text} ({unit})" if unit_text(unit) else text
+
+
+def spaced(name: str) -> str:
+    """Return a name of a file as words."""
+    return name.replace("_", " ")
+
+
+def label(name: str, units: Mapping[str, str]) -> str:
+    """Return an axis label: the name with its unit, as the file states it or as the name's ending says."""
+    if name in units:
+        return with_unit(spaced(name), units[name])
+    stem, suffix = split_unit(name)
+    unit = "" if suffix is None else UNITS[suffix].label
+    return with_unit(spaced(stem), "°C" if unit == "degC" else unit)
+
+
+def counted(number: int, word: str) -> str:
+    """Return ``1 trial`` or ``12 trials``."""
+    return f"{number:,} {word}{'' if number == 1 else 's'}".replace(",", "\u202f")
+
+
+def listed(parts: Sequence[str], last: str = "and") -> str:
+    """Return ``a``, ``a and b``, ``a, b and c``."""
+    return f"{', '.join(parts[:-1])} {last} {parts[-1]}" if len(parts) > 1 else "".join(parts)
+
+
+def capital(text: str) -> str:
+    """Return a text that begins with a capital."""
+    return text[:1].upper() + text[1:]
+
+
+# Conditions
+
+
+def value_text(value: Value, unit: str = "") -> str:
+    """Return a condition's value with as many digits as a person can use."""
+    return plain.value_text(value, unit, digits=_DIGITS)
+
+
+def condition_text(
+    condition: Condition, units: Mapping[str, str] = plain.NO_UNITS, *, unbroken: bool = False
+) -> str:
+    """Return ``a = 60 deg, f = 1.4 Hz, fin = soft``.
+
+    Parameters
+    ----------
+    condition
+        Its values.
+    units
+        Of the values; none where they stand elsewhere.
+    unbroken
+        Whether a line must never end within a value.
+    """
+    if not unbroken:
+        return plain.condition_text(condition, units, digits=_DIGITS)
+    parts = (
+        plain.condition_text({name: value}, units, digits=_DIGITS).replace(" ", _NO_BREAK)
+        for name, value in condition.items()
+    )
+    return ", ".join(parts)
+
+
+def named_condition(condition: Condition, units: Mapping[str, str]) -> str:
+    """Return a condition as a part of a sentence; one without values is the only one there is."""
+    return condition_text(condition, units, unbroken=True) or "the only condition"
+
+
+# Numbers
+
+
+def quantity_text(value: float, unit: str, digits: int = _DIGITS) -> str:
+    """Return a number with its unit; "1" is none."""
+    return f"{value:.{digits}g} {unit_text(unit)}".rstrip()
+
+
+def scatter_text(value: float, unit: str) -> str:
+    """Return a standard deviation, of which more than two digits are never known."""
+    return quantity_text(value, unit, 2)
+
+
+def interval_text(value: float, ci95: tuple[float, float] | None, unit: str) -> str:
+    """Return ``0.412 [0.398, 0.426] N``."""
+    if ci95 is None:
+        return quantity_text(value, unit)
+    return f"{value:.4g} [{ci95[0]:.4g}, {ci95[1]:.4g}] {unit_text(unit)}".rstrip()
+
+
+def interval_words(value: float, ci95: tuple[float, float] | None, unit: str) -> tuple[str, str]:
+    """Return a value and its interval, both with their unit and with the digits the interval supports."""
+    if ci95 is None:
+        return quantity_text(value, unit), ""
+    middle, low, high = rounded(Estimate(value, ci95, unit))
+    return f"{middle} {unit}".rstrip(), f"{low} to {high} {unit}".rstrip()
+
+
+def slope_words(value: float, ci95: tuple[float, float], unit: str) -> str:
+    """Return ``-0.012 N/h (95 % interval -0.106 to 0.083)``."""
+    middle, low, high = rounded(Estimate(value, ci95, unit))
+    return (
+        f"{middle} {unit}/h (95 % interval {low} to {high})"
+        if unit
+        else f"{middle} per hour ({low} to {high})"
+    )
+
+
+def decimals_for(errors: Iterable[float | None]) -> int | None:
+    """Return how many decimals a column of means deserves: two digits of its typical standard error."""
+    known = sorted(error for error in errors if error is not None and math.isfinite(error) and error > 0)
+    if not known:
+        return None
+    return min(max(0, 1 - math.floor(math.log10(known[len(known) // 2]))), 9)
+
+
+def decimal_text(value: float | None, decimals: int | None) -> str:
+    """Return a number of a column with its decimals; four digits where nothing says how many it deserves."""
+    if value is None:
+        return ""
+    if decimals is None or abs(value) >= 1e6 or decimals > 6:
+        return f"{value:.4g}"
+    text = f"{value:.{decimals}f}"
+    return text if float(text) != 0.0 or value == 0.0 else f"{value:.1g}"
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Return a number with so many digits; what has no limit says so."""
+    if math.isnan(value):
+        return "not known"
+    if math.isinf(value):
+        return "no limit" if value > 0 else "no lower limit"
+    return significant(value, digits)
+
+
+def share_text(part: float, whole: float = 1.0) -> str:
+    """Return a share in per cent, with a digit more where it is small."""
+    share = 100 * part / whole if whole else 0.0
+    return f"{share:.2g} %" if 0 < share < 10 else f"{share:.0f} %"
+
+
+def percent(share: float) -> str:
+    """Return a share in per cent; what rounds to nothing or to all without being it says so."""
+    if not math.isfinite(share):
+        return number(share)
+    if 0 < share < 0.005:
+        return "< 1\u00a0%"
+    if 0.995 <= share < 1:
+        return f"{math.floor(1000 * share) / 10:g}\u00a0%"
+    text = f"{100 * share:.0f}" if abs(share) < 1e4 else f"{100 * share:.2g}"
+    return f"{'0' if text == '-0' else text}\u00a0%"
+
+
+def p_words(p: float | None) -> str:
+    """Return ``p = 0.002``; nothing where it cannot be told."""
+    if p is None:
+        return ""
+    level = "< 0.001" if p < 0.001 else f"= {p:.2g}" if p < 0.1 else f"= {p:.1f}"
+    return f"p {level}".replace(" ", _NO_BREAK)
+
+
+def bytes_text(count: float) -> str:
+    """Return a number of bytes in a unit that suits it."""
+    for unit in ("B", "kB", "MB", "GB"):
+        if count < 1000:
+            return f"{count:.3g} {unit}"
+        count /= 1000
+    return f"{count:.3g} TB"
+
+
+# Times
+
+
+def duration_text(duration_s: float) -> str:
+    """Return ``12 s``, ``3 min 20 s``, ``5 h 07 min`` or ``2 d 4 h``."""
+    seconds = round(duration_s)
+    if seconds < 60:
+        return f"{seconds} s"
+    minutes, seconds = divmod(seconds, 60)
+    if minutes < 60:
+        return f"{minutes} min {seconds:02d} s"
+    hours, minutes = divmod(minutes, 60)
+    if hours < 48:
+        return f"{hours} h {minutes:02d} min"
+    return f"{hours // 24} d {hours % 24} h"
+
+
+def short_time_text(duration_s: float) -> str:
+    """Return a time of seconds with its fractions, ``0.8 s`` or ``12.3 s``; longer ones as `duration_text` does."""
+    return f"{duration_s:.3g} s" if duration_s < 60 else duration_text(duration_s)
+
+
+def milliseconds_text(time_s: float) -> str:
+    """Return ``1.25 ms``."""
+    return f"{1000 * time_s:.3g} ms"
+
+
+# What a diagnosis found
+
+
+def times_noise(value: float) -> str:
+    """Return a size in units of one trial's noise: one decimal where that is enough, more where it is small."""
+    if not math.isfinite(value):
+        return number(value)
+    if value == 0.0 or abs(value) >= 10:
+        return f"{value:.0f}" if abs(value) < 1e5 else f"{value:.2g}"
+    return f"{value:.1f}" if abs(value) >= 0.95 else f"{value:.2g}" if abs(value) >= 0.01 else f"{value:.1g}"
+
+
+def removes_words(share: float) -> str:
+    """Return how much of the excess a candidate removes, ``97 %``; of one that adds to it, that it does."""
+    return "makes it worse" if share <= -_WORSE else percent(max(min(share, 1.0), 0.0))
+
+
+def estimate_words(estimate: GapEstimate, *, prefix: bool = True) -> str:
+    """Return ``0.0120 [0.0110, 0.0130] N m``, with the digits that the interval supports.
+
+    A small number is given in thousandths or millionths of its unit, unless without a `prefix`.
+    """
+    factor, unit = _prefixed(estimate) if prefix else (1.0, _after(estimate.unit))
+    value, low, high = (factor * end for end in (estimate.value, estimate.low, estimate.high))
+    if not all(math.isfinite(end) for end in (value, low, high)):
+        return f"{number(value)} [{number(low)}, {number(high)}]{unit}"
+    middle, least, most = rounded(Estimate(value, (low, high), estimate.unit))
+    return f"{middle} [{least}, {most}]{unit}"
+
+
+def value_words(values: Mapping[str, GapEstimate]) -> list[str]:
+    """Return ``torque 0.0120 [0.0110, 0.0130] N m`` of every value."""
+    return [f"{spaced(name)} {estimate_words(estimate)}" for name, estimate in values.items()]
+
+
+def bound_words(bounds: Mapping[str, GapEstimate]) -> list[str]:
+    """Return ``torque at most 0.0012 N m`` of every bound; one with different ends to either side says both.
+
+    A least level, whose value is its near end, says ``level at least 0.8 N m``.
+    """
+    found = []
+    for name, bound in bounds.items():
+        factor, unit = _prefixed(bound)
+        value, low, high = (factor * end for end in (bound.value, bound.low, bound.high))
+        if value == low < high or not (low < 0 < high != -low or math.isfinite(high)):
+            told = f"at least {number(low, 2)}"
+        elif low < 0 < high != -low:
+            told = f"between {number(low, 2)} and {number(high, 2)}"
+        else:
+            told = f"at most {number(max(value, high), 2)}"
+        found.append(f"{spaced(name)} {told}{unit}")
+    return found
+
+
+def _prefixed(estimate: GapEstimate) -> tuple[float, str]:
+    """Return what a small number is multiplied by, where a prefix is usual, and the unit to write after it."""
+    finite = [abs(end) for end in (estimate.value, estimate.low, estimate.high) if math.isfinite(end)]
+    largest = max(finite, default=0.0)
+    if estimate.unit.split(" ")[0].split("/")[0] not in _TAKE_PREFIX or not 0 < largest < _SMALL:
+        return 1.0, _after(estimate.unit)
+    factor, prefix = (1e3, "m") if largest >= _SMALL**2 else (1e6, "\u00b5")
+    return factor, f" {prefix}{estimate.unit}"
+
+
+def _after(unit: str) -> str:
+    return f" {unit}" if unit_text(unit) else ""
+
+
+def never_seen(diagnosis: Diagnosis) -> str:
+    """Return on what data the sizes after recalibration were found."""
+    if diagnosis.conditions > 1:
+        return "on conditions the fit never saw"
+    return "on the data it was fitted to, as there is only one condition"
+
+
+def data_words(diagnosis: Diagnosis) -> str:
+    """Return ``24 trials at 8 conditions, each measured at least 3 times``."""
+    repeats = (
+        "none repeated" if diagnosis.repeats < 2 else f"each measured at least {diagnosis.repeats} times"
+    )
+    return f"{counted(diagnosis.trials, 'trial')} at {counted(diagnosis.conditions, 'condition')}, {repeats}"
