@@ -8,8 +8,7 @@ from labrun.control.feedforward import FeedforwardPid
 from labrun.control.plant import PlantModel, read_plant
 from labrun.control.protocol import LoopContext, Step
 from labrun.errors import SpecError
-from labrun.fit.transfer.coefficients import responses_toml, to_table
-from labrun.fit.transfer.transfer import Transfer
+from labrun.fit.transfer import TransferFunction
 
 CONTEXT = LoopContext(0.05, 0.0, 60.0, 20.0)
 MODEL = {"gain": 0.00912, "lag_s": 0.34, "dead_s": 0.28}
@@ -88,9 +87,11 @@ def test_the_only_response_of_a_file_needs_no_name(tmp_path):
 
 
 def test_what_the_fit_writes_is_what_the_feedforward_reads(tmp_path):
-    fitted = Transfer.first_order(0.009, 0.3, 0.2, input_name="gait.a", input_unit="deg", output_unit="N")
+    fitted = TransferFunction.first_order(
+        0.009, 0.3, 0.2, input_name="gait.a", input_unit="deg", output_unit="N"
+    )
     path = tmp_path / "fopdt.toml"
-    path.write_text(responses_toml({"magnitude": to_table(fitted)}, "labrun fit"))
+    path.write_text(f"# labrun fit\n\n[magnitude]\n{fitted.to_toml()}")
     assert read_plant(path, "magnitude") == {"gain": 0.009, "lag_s": 0.3, "dead_s": 0.2}
 
 

@@ -6,9 +6,9 @@ from hypothesis import strategies as st
 
 from labrun.errors import FitError, RequestError
 from labrun.fit.signals import trailing_mean
-from labrun.fit.transfer.fitting import fit_fopdt
-from labrun.fit.transfer.transfer import Transfer
-from labrun.fit.transfer.trials import ResponseTrial
+from labrun.fit.transfer import TransferFunction
+from labrun.fit.transfer.estimation import ResponseTrial, Shape
+from labrun.fit.transfer.fitting import fit_transfer
 
 TIME_S = np.arange(0.0, 12.0, 0.02)
 STEP = np.where(TIME_S < 2.0, 0.0, 40.0)
@@ -33,7 +33,7 @@ def trials_of(transfer, rng, *, count=6, noise=0.02, averaged=1):
 )
 @settings(max_examples=40, deadline=None)
 def test_a_step_is_answered_by_the_closed_form_of_a_lag_and_a_dead_time(gain, lag_s, dead_s):
-    transfer = Transfer.first_order(gain, lag_s, dead_s)
+    transfer = TransferFunction.first_order(gain, lag_s, dead_s)
     after = TIME_S - dead_s
     expected = np.where(after >= 0, gain * (1 - np.exp(-np.maximum(after, 0) / lag_s)), 0)
     assert transfer.step_response(TIME_S) == pytest.approx(expected, abs=1e-9 * gain)
@@ -47,36 +47,40 @@ def test_a_step_is_answered_by_the_closed_form_of_a_lag_and_a_dead_time(gain, la
 def test_any_input_is_answered_as_by_python_control(dead_s, seed):
     values = np.cumsum(np.random.default_rng(seed).standard_normal(200))
     time_s = np.arange(200) * 0.05
-    transfer = Transfer((0.3, 1.0), (0.1, 0.4, 1.0), dead_s)
+    transfer = TransferFunction((0.3, 1.0), (0.1, 0.4, 1.0), dead_s)
     early = control.forced_response(transfer.to_control(), time_s, values).outputs
-    assert Transfer((0.3, 1.0), (0.1, 0.4, 1.0)).simulate(time_s, values) == pytest.approx(early, abs=1e-7)
+    assert TransferFunction((0.3, 1.0), (0.1, 0.4, 1.0)).simulate(time_s, values) == pytest.approx(
+        early, abs=1e-7
+    )
     whole = round(dead_s / 0.05)
-    late = Transfer((0.3, 1.0), (0.1, 0.4, 1.0), whole * 0.05).simulate(time_s, values)
+    late = TransferFunction((0.3, 1.0), (0.1, 0.4, 1.0), whole * 0.05).simulate(time_s, values)
     assert late[whole:] == pytest.approx(early[: 200 - whole], abs=1e-7)
 
 
 def test_gain_lag_and_dead_time_come_back_without_noise():
-    truth = Transfer.first_order(0.00912, 0.34, 0.287)
-    fit = fit_fopdt(trials_of(truth, np.random.default_rng(0), noise=0.0), rng=np.random.default_rng(0))
+    truth = TransferFunction.first_order(0.00912, 0.34, 0.287)
+    fit = fit_transfer(
+        trials_of(truth, np.random.default_rng(0), noise=0.0), Shape(1, 0), rng=np.random.default_rng(0)
+    )
     assert fit.transfer.gain == pytest.approx(0.00912, rel=1e-5)
     assert fit.transfer.lag_s == pytest.approx(0.34, rel=1e-4)
     assert fit.transfer.dead_s == pytest.approx(0.287, abs=1e-4)
 
 
 def test_an_average_over_the_cycle_is_taken_out_of_lag_and_dead_time():
-    truth = Transfer.first_order(0.00912, 0.34, 0.28)
+    truth = TransferFunction.first_order(0.00912, 0.34, 0.28)
     trials = trials_of(truth, np.random.default_rng(0), noise=0.0, averaged=36)
-    fit = fit_fopdt(trials, rng=np.random.default_rng(0))
+    fit = fit_transfer(trials, Shape(1, 0), rng=np.random.default_rng(0))
     assert fit.transfer.lag_s == pytest.approx(0.34, rel=1e-3)
     assert fit.transfer.dead_s == pytest.approx(0.28, abs=1e-3)
 
 
 def test_intervals_hold_the_truth_about_as_often_as_they_say():
-    truth = Transfer.first_order(0.00912, 0.34, 0.28)
+    truth = TransferFunction.first_order(0.00912, 0.34, 0.28)
     held = np.zeros(3)
     for seed in range(30):
         rng = np.random.default_rng(seed)
-        fit = fit_fopdt(trials_of(truth, rng), rng=rng, starts=1)
+        fit = fit_transfer(trials_of(truth, rng), Shape(1, 0), rng=rng, starts=1)
         for place, (quantity, value) in enumerate(
             [(lambda one: one.gain, 0.00912), (lambda one: one.lag_s, 0.34), (lambda one: one.dead_s, 0.28)]
         ):
@@ -91,16 +95,18 @@ def test_an_input_that_never_moves_is_refused():
         ResponseTrial("trial 0", TIME_S, np.zeros(len(TIME_S)), rng.standard_normal(len(TIME_S)), TIME_S >= 0)
     ]
     with pytest.raises(FitError, match="input does not change"):
-        fit_fopdt(still, rng=rng)
+        fit_transfer(still, Shape(1, 0), rng=rng)
 
 
 def test_coefficients_survive_toml_and_a_response_is_chosen_by_name():
-    one = Transfer.first_order(0.0091, 0.34, 0.28, input_name="gait.a", input_unit="deg", output_unit="N")
-    other = Transfer((1.0, 2.0), (1.0, 0.3, 4.0), 0.1)
-    assert Transfer.from_toml(one.to_toml()) == one
+    one = TransferFunction.first_order(
+        0.0091, 0.34, 0.28, input_name="gait.a", input_unit="deg", output_unit="N"
+    )
+    other = TransferFunction((1.0, 2.0), (1.0, 0.3, 4.0), 0.1)
+    assert TransferFunction.from_toml(one.to_toml()) == one
     text = f"[magnitude]\n{one.to_toml()}\n[angle]\n{other.to_toml()}"
-    assert Transfer.from_toml(text, "angle") == other
+    assert TransferFunction.from_toml(text, "angle") == other
     with pytest.raises(RequestError, match="did you mean 'magnitude'"):
-        Transfer.from_toml(text, "magnitud")
+        TransferFunction.from_toml(text, "magnitud")
     with pytest.raises(RequestError, match=r"fit\.toml:2:1: lag .*did you mean 'lag_s'|lag_s"):
-        Transfer.from_toml("gain = 1\nlag = 2\n", name="fit.toml")
+        TransferFunction.from_toml("gain = 1\nlag = 2\n", name="fit.toml")

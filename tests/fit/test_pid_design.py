@@ -20,8 +20,8 @@ from labrun.errors import FitError, RequestError
 from labrun.fit.estimate import Estimate
 from labrun.fit.run_fit import fit
 from labrun.fit.summary import FitSummary, FittedData
+from labrun.fit.transfer import TransferFunction
 from labrun.fit.transfer.summary import TransferSummary
-from labrun.fit.transfer.transfer import Transfer
 from labrun.fit.tuning.closed_loop import run_loop, steady_error
 from labrun.fit.tuning.controller import Gains
 from labrun.fit.tuning.design import Design, HalfSine
@@ -41,8 +41,8 @@ from labrun.spec.named import load_named
 CYCLE_S = 1 / 1.4
 GAIN = 0.00912
 UNITS = {"input_name": "a", "output_name": "force", "input_unit": "deg", "output_unit": "N"}
-MAGNITUDE = Transfer.first_order(GAIN, 0.34, 0.28, **UNITS)  # (5.5)
-ANGLE = Transfer.first_order(-0.866, 0.13, 0.12)  # (5.6)
+MAGNITUDE = TransferFunction.first_order(GAIN, 0.34, 0.28, **UNITS)  # (5.5)
+ANGLE = TransferFunction.first_order(-0.866, 0.13, 0.12)  # (5.6)
 BENCH = Loop(MAGNITUDE, 20.0, 0.0, CYCLE_S)
 
 
@@ -54,7 +54,7 @@ def product(*factors):
 
 
 plants = st.builds(
-    Transfer.first_order,
+    TransferFunction.first_order,
     gain=st.floats(0.01, 100.0).flatmap(lambda size: st.sampled_from([size, -size])),
     lag_s=st.floats(0.05, 5.0),
     dead_s=st.floats(0.05, 2.0),
@@ -65,10 +65,10 @@ plants = st.builds(
 
 def test_the_half_rule_reduces_the_published_examples():
     # E1: 1/((s+1)(0.2s+1))
-    first = reduce_order(Transfer((1.0,), product([1, 1], [0.2, 1])), 1)
+    first = reduce_order(TransferFunction((1.0,), product([1, 1], [0.2, 1])), 1)
     assert (first.lag_s, first.dead_s) == pytest.approx((1.1, 0.1))
     # E2: (-0.3s+1)(0.08s+1) / ((2s+1)(s+1)(0.4s+1)(0.2s+1)(0.05s+1)^3)
-    second = Transfer(
+    second = TransferFunction(
         product([-0.3, 1], [0.08, 1]),
         product([2, 1], [1, 1], [0.4, 1], [0.2, 1], [0.05, 1], [0.05, 1], [0.05, 1]),
     )
@@ -76,7 +76,7 @@ def test_the_half_rule_reduces_the_published_examples():
     assert (one.lag_s, one.dead_s) == pytest.approx((2.5, 1.47), rel=1e-3)
     assert (two.lag_s, two.second_lag_s, two.dead_s) == pytest.approx((2.0, 1.2, 0.77), rel=1e-3)
     # E3: 2(15s+1)/((20s+1)(s+1)(0.1s+1)^2)
-    third = Transfer(product([2.0], [15, 1]), product([20, 1], [1, 1], [0.1, 1], [0.1, 1]))
+    third = TransferFunction(product([2.0], [15, 1]), product([20, 1], [1, 1], [0.1, 1], [0.1, 1]))
     one, two = reduce_order(third, 1), reduce_order(third, 2)
     assert (one.gain, one.lag_s, one.dead_s) == pytest.approx((1.5, 1.05, 0.15), rel=1e-3)
     assert (two.gain, two.lag_s, two.second_lag_s, two.dead_s) == pytest.approx(
@@ -112,7 +112,7 @@ def test_sampling_and_averaging_count_as_dead_time():
 
 def test_swinging_plants_are_refused_by_the_half_rule_and_said_so():
     with pytest.raises(FitError, match="complex poles"):
-        simc(Loop(Transfer((1.0,), (1.0, 0.2, 1.0)), 20.0), "PI")
+        simc(Loop(TransferFunction((1.0,), (1.0, 0.2, 1.0)), 20.0), "PI")
 
 
 # --- margins
@@ -121,7 +121,7 @@ def test_swinging_plants_are_refused_by_the_half_rule_and_said_so():
 @given(st.floats(0.2, 20.0), st.floats(0.1, 10.0), st.floats(0.05, 2.0))
 @settings(max_examples=25, deadline=None)
 def test_margins_are_those_of_python_control_without_dead_time(p, i_per_s, lag_s):
-    plant = Transfer((3.0,), product([lag_s, 1], [0.4, 1], [0.1, 1]))
+    plant = TransferFunction((3.0,), product([lag_s, 1], [0.4, 1], [0.1, 1]))
     found = margins(Gains(p, i_per_s), Loop(plant))
     s = control.tf("s")
     open_loop = (p + i_per_s / s) * control.tf(plant.numerator, plant.denominator)
@@ -138,7 +138,7 @@ def test_margins_are_those_of_python_control_without_dead_time(p, i_per_s, lag_s
 
 def test_an_integral_on_a_dead_time_has_the_margins_of_the_closed_form():
     # L = k exp(-s)/s: crossover k, phase 90 deg - k, oscillates at pi/2 with k = pi/2
-    loop = Loop(Transfer((1.0,), (1.0,), 1.0))
+    loop = Loop(TransferFunction((1.0,), (1.0,), 1.0))
     found = margins(Gains(0.0, 0.5), loop)
     assert found.gain == pytest.approx(math.pi, rel=1e-9)
     assert found.phase_deg == pytest.approx(90 - math.degrees(0.5), rel=1e-9)
@@ -233,7 +233,7 @@ def test_the_error_of_the_optimum_is_the_one_that_a_simulation_finds():
 
 def test_a_plant_that_does_not_settle_is_refused():
     with pytest.raises(FitError, match="right half plane or at 0"):
-        optimum(Loop(Transfer((1.0,), (1.0, 0.0), 0.1), 20.0), "PI")
+        optimum(Loop(TransferFunction((1.0,), (1.0, 0.0), 0.1), 20.0), "PI")
 
 
 # --- the closed loop in time
@@ -342,7 +342,7 @@ def fin() -> Study:
         "i_per": "sample",
     }
     others = [
-        Transfer.first_order(GAIN * (1 + 0.02 * k), 0.34, 0.28 * (1 - 0.02 * k), **UNITS)
+        TransferFunction.first_order(GAIN * (1 + 0.02 * k), 0.34, 0.28 * (1 - 0.02 * k), **UNITS)
         for k in range(-3, 4)
     ]
     return study(MAGNITUDE, others, PidSettings.model_validate(keys), CYCLE_S)
@@ -390,7 +390,7 @@ def test_an_integral_per_sample_is_the_rate_th_of_one_per_second(fin):
 
 
 def test_a_margin_lost_within_the_fits_interval_is_told_and_the_design_not_taken():
-    others = [Transfer.first_order(GAIN * factor, 0.34, 0.28) for factor in np.linspace(0.3, 3.0, 40)]
+    others = [TransferFunction.first_order(GAIN * factor, 0.34, 0.28) for factor in np.linspace(0.3, 3.0, 40)]
     keys = {"structure": "P", "method": "optimum", "feedforward": False}
     found = study(MAGNITUDE, others, PidSettings.model_validate(keys), CYCLE_S)
     told = " ".join(summary_of(found, others).warnings)
@@ -400,7 +400,7 @@ def test_a_margin_lost_within_the_fits_interval_is_told_and_the_design_not_taken
 
 
 @pytest.mark.parametrize("structure", ["P", "PI", "PID", "all"])
-@pytest.mark.parametrize("plant", [MAGNITUDE, ANGLE, Transfer.first_order(2.0, 3.0, 0.1)])
+@pytest.mark.parametrize("plant", [MAGNITUDE, ANGLE, TransferFunction.first_order(2.0, 3.0, 0.1)])
 def test_without_a_reference_no_design_is_taken_that_overshoots_a_step_by_a_quarter(plant, structure):
     found = study(plant, (), PidSettings(structure=structure), CYCLE_S)
     # there are such designs, and the least error is that of one of them or near it
@@ -467,16 +467,16 @@ def test_settings_that_do_not_fit_together_are_refused():
 
 def fitted_summary(**changes):
     """Responses whose names are parts of each other's names and of their parameters' names."""
-    force = Transfer.first_order(0.009, 0.34, 0.28, **UNITS)
-    angle = Transfer((-0.87,), (0.01, 0.2, 1.0), 0.1)
+    force = TransferFunction.first_order(0.009, 0.34, 0.28, **UNITS)
+    angle = TransferFunction((-0.87,), (0.01, 0.2, 1.0), 0.1)
     keys = {
         "transfers": {"a": force, "angle": angle, "a_gain": force},
         "resampled": {
             "a": [
-                Transfer.first_order(0.009, 0.34, 0.26),
-                Transfer.first_order(0.009, -0.1, 0.28),
-                Transfer.first_order(0.0, 0.34, 0.28),
-                Transfer.first_order(0.0091, 0.34, 0.30),
+                TransferFunction.first_order(0.009, 0.34, 0.26),
+                TransferFunction.first_order(0.009, -0.1, 0.28),
+                TransferFunction.first_order(0.0, 0.34, 0.28),
+                TransferFunction.first_order(0.0091, 0.34, 0.30),
             ]
         },
         "estimates": {

@@ -7,15 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lsim
 
-from labrun.fit.methods.transfer_function import TransferFunctionFit, TransferFunctionSettings
 from labrun.fit.run_fit import fit as run_fit
-from labrun.fit.transfer.findings import warnings_of
-from labrun.fit.transfer.fitting import fit_transfer
-from labrun.fit.transfer.orders import compare_orders, unconverged
+from labrun.fit.transfer import TransferFunction
+from labrun.fit.transfer.estimation import ResponseTrial, Shape
+from labrun.fit.transfer.fitting import compare_orders, fit_transfer, unconverged
+from labrun.fit.transfer.method import TransferFunctionFit, TransferFunctionSettings
 from labrun.fit.transfer.picture import draw_responses
-from labrun.fit.transfer.shape import Shape
-from labrun.fit.transfer.transfer import Transfer
-from labrun.fit.transfer.trials import ResponseTrial
+from labrun.fit.transfer.summary import warnings_of
 
 TIME_S = np.arange(0.0, 10.0, 0.02)
 SILVERBOX = Path(__file__).parents[3] / "shared" / "data" / "silverbox"
@@ -34,7 +32,7 @@ def trials_of(transfer, rng, count=4, noise=0.02):
 @given(speed=st.floats(1, 20), damping=st.floats(0.05, 2), zero=st.sampled_from([-0.5, 0.0, 0.5]))
 @settings(max_examples=20, deadline=None)
 def test_a_second_order_system_answers_as_scipy_says(speed, damping, zero):
-    transfer = Transfer((zero, 2.0), (1 / speed**2, 2 * damping / speed, 1.0))
+    transfer = TransferFunction((zero, 2.0), (1 / speed**2, 2 * damping / speed, 1.0))
     values = np.sin(3 * TIME_S) + 0.3 * TIME_S
     _, expected, _ = lsim((transfer.numerator, transfer.denominator), values, TIME_S)
     assert transfer.simulate(TIME_S, values) == pytest.approx(expected, abs=1e-6)
@@ -43,7 +41,7 @@ def test_a_second_order_system_answers_as_scipy_says(speed, damping, zero):
 @given(speed=st.floats(1, 10), damping=st.floats(0.1, 1.0), seed=st.integers(0, 9))
 @settings(max_examples=5, deadline=None)
 def test_poles_and_dead_time_come_back(speed, damping, seed):
-    truth = Transfer((2.0,), (1 / speed**2, 2 * damping / speed, 1.0), 0.11)
+    truth = TransferFunction((2.0,), (1 / speed**2, 2 * damping / speed, 1.0), 0.11)
     rng = np.random.default_rng(seed)
     fit = fit_transfer(
         trials_of(truth, rng, count=2, noise=1e-4), Shape(2, 0, initial="free"), rng=rng, starts=1
@@ -54,7 +52,7 @@ def test_poles_and_dead_time_come_back(speed, damping, seed):
 
 
 def test_the_interval_of_the_gain_holds_the_truth_about_as_often_as_it_says():
-    truth = Transfer((1.5,), (0.04, 0.2, 1.0))
+    truth = TransferFunction((1.5,), (0.04, 0.2, 1.0))
     held = 0
     for seed in range(20):
         rng = np.random.default_rng(seed)
@@ -66,7 +64,9 @@ def test_the_interval_of_the_gain_holds_the_truth_about_as_often_as_it_says():
 
 def test_a_pole_that_a_zero_cancels_is_warned_of():
     rng = np.random.default_rng(1)
-    fit = fit_transfer(trials_of(Transfer((1.0,), (0.3, 1.0)), rng), Shape(2, 1, dead_time=False), rng=rng)
+    fit = fit_transfer(
+        trials_of(TransferFunction((1.0,), (0.3, 1.0)), rng), Shape(2, 1, dead_time=False), rng=rng
+    )
     assert any("nearly cancel" in one or "do not determine" in one for one in warnings_of(fit, "y"))
 
 
@@ -74,7 +74,8 @@ def test_what_is_simulated_leaves_what_the_search_minimised_with_poles_far_apart
     # the free answers of such poles differ by rounding only, and late samples see next to nothing of them
     rng = np.random.default_rng(3)
     trials = [
-        replace(one, used=TIME_S >= 3.0) for one in trials_of(Transfer.first_order(-0.8, 0.3), rng, noise=0.1)
+        replace(one, used=TIME_S >= 3.0)
+        for one in trials_of(TransferFunction.first_order(-0.8, 0.3), rng, noise=0.1)
     ]
     fit = fit_transfer(trials, Shape(2, 0, dead_time=False, initial="free"), rng=rng)
     assert sum(float(part @ part) for part in fit.residuals()) == pytest.approx(fit.point.squares, rel=1e-3)
@@ -83,7 +84,9 @@ def test_what_is_simulated_leaves_what_the_search_minimised_with_poles_far_apart
 
 def test_the_picture_shows_an_answer_from_where_it_is_fitted_on():
     rng = np.random.default_rng(0)
-    trials = [replace(one, used=TIME_S >= 3.0) for one in trials_of(Transfer((1.5,), (0.04, 0.2, 1.0)), rng)]
+    trials = [
+        replace(one, used=TIME_S >= 3.0) for one in trials_of(TransferFunction((1.5,), (0.04, 0.2, 1.0)), rng)
+    ]
     fit = fit_transfer(trials, Shape(2, 0, dead_time=False, initial="free"), rng=rng, starts=1)
     overlay = draw_responses({"force": fit}, "a fit").axes[0]
     fitted = [line for line in overlay.lines if len(line.get_xdata()) < len(TIME_S)]
@@ -99,7 +102,7 @@ def test_an_order_that_left_more_than_one_it_contains_did_not_converge():
 def test_in_the_comparison_of_orders_a_fit_that_did_not_converge_is_marked_and_not_spoken_for():
     rng = np.random.default_rng(2)
     fit = fit_transfer(
-        trials_of(Transfer((1.5,), (0.04, 0.2, 1.0)), rng), Shape(2, 0, dead_time=False), rng=rng
+        trials_of(TransferFunction((1.5,), (0.04, 0.2, 1.0)), rng), Shape(2, 0, dead_time=False), rng=rng
     )
     table, said = compare_orders(fit, "y")
     assert not any("converge" in cell for row in table.rows for cell in row)

@@ -1,25 +1,183 @@
 """Output error in continuous time: the transfer function whose simulated answer comes nearest to the measured one.
 
+The denominator is a product of sections ``a2 s^2 + a1 s + 1`` (and one ``a1 s + 1`` if the order is odd) whose
+coefficients are powers of e: every point of the search is stable, and every stable denominator is one of its points.
 The numerator, the offsets and the initial states enter linearly, so the search moves the denominator and the dead time
 only, and the others follow by least squares at every point (variable projection, Golub and Pereyra 1973).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.fit.transfer.shape import Shape
-from labrun.fit.transfer.transfer import Transfer
-from labrun.fit.transfer.trials import SAME_DIRECTION, Answers, ResponseTrial, basis, total_s, without
+from labrun.arrays import FloatArray
+from labrun.fit.signals import trailing_mean
+from labrun.fit.transfer.response import Hold, free_answers, powers
+from labrun.fit.transfer.transfer_function import TransferFunction
 
-FloatArray = NDArray[np.float64]
+Initial = Literal["steady", "free"]
+_SAME_DIRECTION = 1e-6
+"""What adds less than this share of the largest direction is rounding: the free answers of poles far apart."""
 _STEP = 1e-5
 _MOST_DEAD = 0.3
 """A dead time is looked for up to this share of the longest trial."""
 _DECADES_BEYOND = 1.5
 """Time constants are looked for this many decades beyond the sampling step and the longest trial."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """What is looked for.
+
+    Attributes
+    ----------
+    poles, zeros
+        How many.
+    dead_time
+        Whether there is one.
+    initial
+        What each trial starts from: the steady state of its first input, or anything.
+    """
+
+    poles: int
+    zeros: int
+    dead_time: bool = True
+    initial: Initial = "steady"
+
+    @property
+    def moved(self) -> int:
+        """How many numbers the search moves: the denominator's, and the dead time."""
+        return self.poles + int(self.dead_time)
+
+    @property
+    def linear(self) -> int:
+        """How many follow from those by linear least squares: the numerator's."""
+        return self.zeros + 1
+
+    @property
+    def size(self) -> int:
+        """How many numbers describe it."""
+        return self.moved + self.linear
+
+    def denominator(self, moved: FloatArray) -> tuple[float, ...]:
+        """Return the denominator, its last coefficient 1."""
+        product = np.ones(1)
+        for place in range(0, self.poles - 1, 2):
+            product = np.polymul(product, [np.exp(moved[place]), np.exp(moved[place + 1]), 1.0])
+        if self.poles % 2:
+            product = np.polymul(product, [np.exp(moved[self.poles - 1]), 1.0])
+        return tuple(float(one) for one in product)
+
+    def dead_s(self, moved: FloatArray) -> float:
+        """Return the dead time, s."""
+        return max(float(moved[self.poles]), 0.0) if self.dead_time else 0.0
+
+    def at(self, poles: NDArray[np.complex128], dead_s: float) -> FloatArray:
+        """Return the point of a set of poles, unstable ones mirrored to the left, and of a dead time."""
+        left = -np.abs(poles.real) + 1j * poles.imag
+        left = np.where(left.real == 0.0, left - 1e-3 * np.abs(left) - 1e-9, left)
+        pairs = sorted(left[left.imag > 1e-12], key=abs)
+        single = sorted(left[np.abs(left.imag) <= 1e-12].real, key=abs)
+        sections = [(abs(one) ** 2, -2.0 * one.real) for one in pairs]
+        while len(single) > 1:
+            one, other = single.pop(0), single.pop(0)
+            sections.append((one * other, -one - other))
+        point = [np.log(value) for c, b in sections for value in (1.0 / c, b / c)]
+        if single:
+            point.append(np.log(-1.0 / single[0]))
+        return np.array([*point, dead_s] if self.dead_time else point)
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseTrial:
+    """One trial: evenly spaced input and output.
+
+    Attributes
+    ----------
+    label
+        Names it in figures and messages.
+    time_s, given, measured : (n,)
+        `given` is the input, `measured` the output.
+    used : (n,)
+        Which samples the fit is made on.
+    averaged
+        Samples over which the output was averaged, each with those before it; 1 if it was not.
+    hold
+        How the input runs between its samples.
+    """
+
+    label: str
+    time_s: FloatArray
+    given: FloatArray
+    measured: FloatArray
+    used: NDArray[np.bool_]
+    averaged: int = 1
+    hold: Hold = "linear"
+
+    @property
+    def step_s(self) -> float:
+        """Time between two samples."""
+        return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
+
+
+@dataclass(slots=True)
+class Answers:
+    """Answers of one candidate to every input, each computed once however many trials share it."""
+
+    shape: Shape
+    moved: FloatArray
+    _shared: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
+    _own: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
+
+    def shared(self, trial: ResponseTrial) -> FloatArray:
+        """Return what the numerator's coefficients (lowest power first) weigh, (n, linear)."""
+        key = (id(trial.given), trial.averaged)
+        if key not in self._shared:
+            denominator, dead_s = self.shape.denominator(self.moved), self.shape.dead_s(self.moved)
+            before = float(trial.given[0])
+            columns = powers(denominator, dead_s, trial.step_s, trial.given, trial.hold, before)
+            columns = columns[:, : self.shape.zeros + 1]
+            self._shared[key] = _averaged(columns, trial.averaged)
+        return self._shared[key]
+
+    def own(self, trial: ResponseTrial) -> FloatArray:
+        """Return what each trial's own numbers weigh: its offset and its initial state, (n, own)."""
+        key = (len(trial.time_s), trial.averaged)
+        if key not in self._own:
+            columns = np.ones((len(trial.time_s), 1))
+            if self.shape.initial == "free":
+                free = free_answers(self.shape.denominator(self.moved), trial.step_s, len(trial.time_s))
+                columns = np.column_stack([columns, _averaged(free, trial.averaged)])
+            self._own[key] = columns
+        return self._own[key]
+
+
+def basis(columns: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of the columns' span."""
+    if columns.shape[1] == 0:
+        return columns
+    sizes = np.linalg.norm(columns, axis=0)
+    u, singular, _ = np.linalg.svd(columns / np.where(sizes > 0, sizes, 1.0), full_matrices=False)
+    return np.asarray(u[:, singular > _SAME_DIRECTION * singular[0]])
+
+
+def without(columns: FloatArray, span: FloatArray) -> FloatArray:
+    """Return columns less their part in an orthonormal basis."""
+    return columns - span @ (span.T @ columns)
+
+
+def total_s(trials: Sequence[ResponseTrial]) -> float:
+    """Return the longest trial's duration."""
+    return max(float(trial.time_s[-1] - trial.time_s[0]) for trial in trials)
+
+
+def _averaged(columns: FloatArray, samples: int) -> FloatArray:
+    if samples <= 1:
+        return columns
+    return np.column_stack([trailing_mean(column, samples) for column in columns.T])
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +217,11 @@ class Point:
         ]
 
 
-def transfer_of(shape: Shape, numbers: FloatArray, **names: str) -> Transfer:
+def transfer_of(shape: Shape, numbers: FloatArray, **names: str) -> TransferFunction:
     """Return the transfer function that numbers as of `Point.numbers` describe."""
     moved, linear = numbers[: shape.moved], numbers[shape.moved :]
     numerator = tuple(float(one) for one in linear[: shape.zeros + 1][::-1])
-    return Transfer(numerator, shape.denominator(moved), shape.dead_s(moved), **names)
+    return TransferFunction(numerator, shape.denominator(moved), shape.dead_s(moved), **names)
 
 
 def evaluate(shape: Shape, trials: Sequence[ResponseTrial], moved: FloatArray) -> Point:
@@ -96,7 +254,7 @@ def _solved(columns: FloatArray, aim: FloatArray) -> FloatArray:
         return np.zeros(0)
     sizes = np.linalg.norm(columns, axis=0)
     sizes[sizes == 0.0] = 1.0
-    return np.asarray(np.linalg.lstsq(columns / sizes, aim, rcond=SAME_DIRECTION)[0] / sizes)
+    return np.asarray(np.linalg.lstsq(columns / sizes, aim, rcond=_SAME_DIRECTION)[0] / sizes)
 
 
 def descend(shape: Shape, trials: Sequence[ResponseTrial], start: FloatArray, evaluations: int = 60) -> Point:

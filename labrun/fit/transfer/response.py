@@ -5,39 +5,16 @@ exponential (Van Loan 1978, *IEEE Trans. Autom. Control* 23:395). The dead time 
 the output between two samples follows from the state at the earlier one by the exponential of the part step.
 """
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
 from labrun.errors import RequestError
 
-if TYPE_CHECKING:
-    from labrun.fit.transfer.transfer import Transfer
-
-FloatArray = NDArray[np.float64]
 Hold = Literal["linear", "constant"]
-_EVEN = 1e-6
 _WHOLE = 1e-9
 """A dead time this close to a whole number of samples is one."""
-
-
-def simulate(
-    transfer: "Transfer", time_s: FloatArray, values: FloatArray, *, hold: Hold, before: float
-) -> FloatArray:
-    """Return the output at the input's times; see `Transfer.simulate`."""
-    if time_s.ndim != 1 or time_s.shape != values.shape:
-        raise RequestError(f"times and input must be of one length, not {time_s.shape} and {values.shape}")
-    if len(time_s) < 2:
-        raise RequestError("an input needs two samples or more to be simulated")
-    steps = np.diff(time_s)
-    step_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
-    if step_s <= 0 or np.max(np.abs(steps - step_s)) > _EVEN * step_s * len(time_s):
-        raise RequestError(
-            "the times of an input to be simulated must be evenly spaced and rising",
-            hint="resample it: np.interp(even_time_s, time_s, values)",
-        )
-    return evenly(transfer.numerator, transfer.denominator, transfer.dead_s, step_s, values, hold, before)
 
 
 def evenly(
@@ -49,7 +26,7 @@ def evenly(
     hold: Hold = "linear",
     before: float = 0.0,
 ) -> FloatArray:
-    """Return the output to an input of even steps; the numbers as of `Transfer`."""
+    """Return the output to an input of even steps; the numbers as of `TransferFunction`."""
     system = StateSpace(numerator, denominator, step_s)
     whole, part_s = _delay(dead_s, step_s)
     early = system.steady(before)
@@ -102,12 +79,14 @@ def _delay(dead_s: float, step_s: float) -> tuple[int, float]:
     return whole, part_s if part_s > _WHOLE * step_s else 0.0
 
 
-def step_response(transfer: "Transfer", time_s: FloatArray) -> FloatArray:
+def step_response(
+    numerator: tuple[float, ...], denominator: tuple[float, ...], dead_s: float, time_s: FloatArray
+) -> FloatArray:
     """Return the unit step's answer at any times."""
     from scipy.linalg import expm
 
-    system = StateSpace(transfer.numerator, transfer.denominator, 1.0)
-    after_s = time_s - transfer.dead_s
+    system = StateSpace(numerator, denominator, 1.0)
+    after_s = time_s - dead_s
     size = system.size
     if size == 0:
         return np.where(after_s >= 0.0, system.through, 0.0)

@@ -1,17 +1,23 @@
-"""Fitted transfer functions as a fit's result: estimates, sentences, TOML and picture."""
+"""Fitted transfer functions as a fit's result: estimates, what is left unexplained, what the data cannot tell, TOML."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import tomli_w
 
-from labrun.fit.estimate import Estimate
+from labrun.arrays import FloatArray
+from labrun.fit.correlation import correlation_length
+from labrun.fit.estimate import Estimate, rounded
 from labrun.fit.signals import SignalSet
 from labrun.fit.summary import FitSummary, FittedData, TextTable
-from labrun.fit.transfer.coefficients import responses_toml, to_table
-from labrun.fit.transfer.findings import leftovers, warnings_of
 from labrun.fit.transfer.fitting import TransferFit
-from labrun.fit.transfer.transfer import Transfer
+from labrun.fit.transfer.transfer_function import TransferFunction
+
+_CLOSE = 0.1
+_LOOSE = 3.0
+"""A lag whose interval spans more than this factor is not known by itself."""
+_LAGS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +34,12 @@ class TransferSummary(FitSummary):
         Which of `parameters` are whose.
     """
 
-    transfers: Mapping[str, Transfer] = field(default_factory=dict)
-    resampled: Mapping[str, Sequence[Transfer]] = field(default_factory=dict)
+    transfers: Mapping[str, TransferFunction] = field(default_factory=dict)
+    resampled: Mapping[str, Sequence[TransferFunction]] = field(default_factory=dict)
     estimates: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
 
     @property
-    def transfer(self) -> Transfer:
+    def transfer(self) -> TransferFunction:
         """The one transfer function; the first of several."""
         return next(iter(self.transfers.values()))
 
@@ -56,7 +62,7 @@ def summarise(
     for name, fit in fits.items():
         mine = _estimates(fit)
         estimates[name] = {f"{name}_{key}": estimate for key, estimate in mine.items()}
-        table = to_table(fit.transfer)
+        table = fit.transfer.to_table()
         keys = {"gain": "gain", "lag": "lag_s", "dead_time": "dead_s"}
         table |= {f"{keys[key]}_ci95": list(one.ci95) for key, one in mine.items() if key in keys}
         written[name] = table
@@ -84,7 +90,7 @@ def summarise(
         findings=tuple(said),
         warnings=tuple(warned),
         details={"transfer": written},
-        files={f"{method}.toml": responses_toml(written, f"labrun fit: {title}")},
+        files={f"{method}.toml": f"# labrun fit: {title}\n\n{tomli_w.dumps(written)}"},
         picture=lambda: draw_responses(fits, title),
         transfers={name: fit.transfer for name, fit in fits.items()},
         resampled={name: fit.resampled() for name, fit in fits.items()},
@@ -107,11 +113,11 @@ def _estimates(fit: TransferFit) -> dict[str, Estimate]:
     return found
 
 
-def _above(power: int) -> Callable[[Transfer], float]:
+def _above(power: int) -> Callable[[TransferFunction], float]:
     return lambda one: one.numerator[-1 - power] if len(one.numerator) > power else 0.0
 
 
-def _below(power: int) -> Callable[[Transfer], float]:
+def _below(power: int) -> Callable[[TransferFunction], float]:
     return lambda one: one.denominator[-1 - power]
 
 
@@ -135,3 +141,110 @@ def _roots(name: str, fit: TransferFit) -> TextTable:
                 )
             )
     return TextTable(f"{name}: poles and zeros", ("", "rad/s", "Hz", "damping ratio"), tuple(rows))
+
+
+def leftovers(fit: TransferFit, name: str, unit: str) -> list[str]:
+    """Return in words how large the residual is, whether it is white, and whether it still follows the input."""
+    residuals = fit.residuals()
+    spread = np.sqrt(np.mean(np.concatenate([_centred(t.measured[t.used]) for t in fit.trials]) ** 2))
+    share = 100.0 * fit.rmse / spread if spread > 0 else 0.0
+    step_s = fit.trials[0].step_s
+    length = correlation_length(residuals)
+    white = (
+        "neighbouring samples of it are unrelated (white)"
+        if length < 3.0
+        else f"it stays correlated for {length * step_s:.2g} s: slow disturbance or dynamics that the model lacks"
+    )
+    found = [
+        f"{name}: what is left is {fit.rmse:.3g} {unit} RMS, {share:.2g} % of the output's variation; {white}"
+    ]
+    strongest, limit = _input_correlation(fit, residuals, length)
+    if strongest > limit:
+        found.append(
+            f"{name}: the residual still follows the input (correlation {strongest:.2f}, chance gives {limit:.2f}): "
+            "more poles or zeros, or a nonlinearity, would explain more"
+        )
+    else:
+        found.append(
+            f"{name}: the residual does not follow the input (correlation {strongest:.2f}, chance {limit:.2f})"
+        )
+    return found
+
+
+def warnings_of(fit: TransferFit, name: str) -> list[str]:
+    """Return what to know before trusting the numbers."""
+    said = []
+    if fit.blocks:
+        said.append(
+            f"{name}: one trial: intervals rest on {fit.blocks} parts of it, not on independent repeats"
+        )
+    elif len(fit.trials) < 4:
+        said.append(
+            f"{name}: only {len(fit.trials)} trials: the intervals rest on their differences, and are wide"
+        )
+    step_s = fit.trials[0].step_s
+    if fit.shape.dead_time and fit.transfer.dead_s < step_s:
+        said.append(
+            f"{name}: the dead time is below a sample ({step_s:.2g} s): it cannot be told from none at this rate"
+        )
+    for pole in fit.transfer.poles:
+        slow_s = 1.0 / max(abs(pole), 1e-300)
+        if slow_s < step_s:
+            said.append(
+                f"{name}: a time constant of {slow_s:.2g} s is below a sample ({step_s:.2g} s): not determined, and "
+                "the intervals of the coefficients hold for this one only; fit a pole less"
+            )
+        said += [
+            f"{name}: a pole and a zero nearly cancel at {abs(pole):.3g} rad/s: one of each fewer fits as well"
+            for zero in fit.transfer.zeros
+            if abs(pole - zero) < _CLOSE * abs(pole)
+        ]
+    spread = np.std(fit.draws, axis=0)
+    if np.any(spread[: fit.shape.poles] > 1.0):
+        said.append(
+            f"{name}: the data do not determine {fit.shape.poles} poles: a coefficient of the denominator varies by "
+            "more than its value between resamples; record a faster input, more trials, or fit fewer poles"
+            if fit.shape.poles > 1
+            else f"{name}: the data do not determine the lag: it varies by more than its value between resamples; "
+            "record a faster input, or more trials"
+        )
+    return said + _told_apart(fit, name)
+
+
+def _told_apart(fit: TransferFit, name: str) -> list[str]:
+    """Return a warning where the data know the sum of lag and dead time much better than either."""
+    if not (fit.transfer.is_first_order and fit.shape.dead_time and len(fit.draws)):
+        return []
+    lag = fit.estimate(lambda transfer: transfer.lag_s, "s")
+    dead = fit.estimate(lambda transfer: transfer.dead_s, "s")
+    if dead.ci95[0] > fit.trials[0].step_s and lag.ci95[1] < _LOOSE * lag.ci95[0]:
+        return []
+    value, low, high = rounded(fit.estimate(lambda transfer: transfer.lag_s + transfer.dead_s, "s"))
+    return [
+        f"{name}: the data hardly tell lag from dead time; their sum is {value} s ({low} ... {high}); a faster step, "
+        "less averaging or more trials would tell them apart"
+    ]
+
+
+def _centred(values: FloatArray) -> FloatArray:
+    return values - np.mean(values)
+
+
+def _input_correlation(fit: TransferFit, residuals: list[FloatArray], length: float) -> tuple[float, float]:
+    """Return the largest correlation of residual and earlier input, and what chance gives in 1 of 20 fits."""
+    total = np.zeros(_LAGS)
+    inputs = outputs = 0.0
+    count = 0
+    for trial, residual in zip(fit.trials, residuals, strict=True):
+        given = _centred(trial.given[trial.used])
+        rest = _centred(residual)
+        lags = min(_LAGS, len(rest) // 2)
+        for lag in range(lags):
+            total[lag] += rest[lag:] @ given[: len(given) - lag]
+        inputs += float(given @ given)
+        outputs += float(rest @ rest)
+        count += len(rest)
+    if inputs == 0.0 or outputs == 0.0:
+        return 0.0, 0.0
+    largest = float(np.max(np.abs(total)) / np.sqrt(inputs * outputs))
+    return largest, float(min(3.5 * np.sqrt(max(length, 1.0) / count), 1.0))

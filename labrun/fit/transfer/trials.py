@@ -1,104 +1,145 @@
-"""Input and output of one trial, and what a candidate transfer function answers to it."""
+"""From recorded signals to the trials of a response: inputs, and outputs that may be the length or turn of a force."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.fit.signals import trailing_mean
-from labrun.fit.transfer.response import Hold, free_answers, powers
-from labrun.fit.transfer.shape import Shape
+from labrun.arrays import FloatArray
+from labrun.errors import FitError, RequestError
+from labrun.fit.signal_table import SignalTable
+from labrun.fit.signals import SignalSet, SignalTrial, load_signals
+from labrun.fit.transfer.estimation import ResponseTrial
+from labrun.fit.transfer.response import Hold
+from labrun.store.recording import is_recording, read_recording
 
-FloatArray = NDArray[np.float64]
-SAME_DIRECTION = 1e-6
-"""What adds less than this share of the largest direction is rounding: the free answers of poles far apart."""
+_DEFINED = 0.25
+"""A direction counts where the force is at least this share of its median in the trial."""
 
 
 @dataclass(frozen=True, slots=True)
-class ResponseTrial:
-    """One trial: evenly spaced input and output.
+class Response:
+    """The trials of one response, and the units of what went in and came out."""
 
-    Attributes
-    ----------
-    label
-        Names it in figures and messages.
-    time_s, given, measured : (n,)
-        `given` is the input, `measured` the output.
-    used : (n,)
-        Which samples the fit is made on.
-    averaged
-        Samples over which the output was averaged, each with those before it; 1 if it was not.
-    hold
-        How the input runs between its samples.
+    signals: SignalSet
+    trials: tuple[ResponseTrial, ...]
+    input_unit: str
+    output_unit: str
+
+
+def load_response(
+    target: Path,
+    given: SignalTable,
+    output: SignalTable,
+    *,
+    where: Mapping[str, float | str] | None = None,
+    from_s: float = 0.0,
+    to_s: float | None = None,
+    rate_hz: float | None = None,
+) -> Response:
+    """Load input and output of every trial that `where` admits.
+
+    The magnitude of a force at rest is that of its noise, never zero. So what is loaded as magnitude is the force along
+    the mean direction of the trial, with its sign: where there is force, it is the same, and where there is none,
+    it is zero on average. A direction is left out where there is too little force to have one.
+
+    Raises
+    ------
+    RequestError, FitError
+        As `load_signals`; an input that is a vector; no sample between `from_s` and `to_s`.
     """
-
-    label: str
-    time_s: FloatArray
-    given: FloatArray
-    measured: FloatArray
-    used: NDArray[np.bool_]
-    averaged: int = 1
-    hold: Hold = "linear"
-
-    @property
-    def step_s(self) -> float:
-        """Time between two samples."""
-        return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
-
-
-@dataclass(slots=True)
-class Answers:
-    """Answers of one candidate to every input, each computed once however many trials share it."""
-
-    shape: Shape
-    moved: FloatArray
-    _shared: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
-    _own: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
-
-    def shared(self, trial: ResponseTrial) -> FloatArray:
-        """Return what the numerator's coefficients (lowest power first) weigh, (n, linear)."""
-        key = (id(trial.given), trial.averaged)
-        if key not in self._shared:
-            denominator, dead_s = self.shape.denominator(self.moved), self.shape.dead_s(self.moved)
-            before = float(trial.given[0])
-            columns = powers(denominator, dead_s, trial.step_s, trial.given, trial.hold, before)
-            columns = columns[:, : self.shape.zeros + 1]
-            self._shared[key] = _averaged(columns, trial.averaged)
-        return self._shared[key]
-
-    def own(self, trial: ResponseTrial) -> FloatArray:
-        """Return what each trial's own numbers weigh: its offset and its initial state, (n, own)."""
-        key = (len(trial.time_s), trial.averaged)
-        if key not in self._own:
-            columns = np.ones((len(trial.time_s), 1))
-            if self.shape.initial == "free":
-                free = free_answers(self.shape.denominator(self.moved), trial.step_s, len(trial.time_s))
-                columns = np.column_stack([columns, _averaged(free, trial.averaged)])
-            self._own[key] = columns
-        return self._own[key]
+    if given.take != "value":
+        raise RequestError(f"an input is one channel, not the {given.take} of two")
+    wanted = {"input": given}
+    if output.take == "value":
+        wanted["output"] = output
+    else:
+        wanted["output"] = SignalTable(
+            channel=output.channel,
+            scale=output.scale,
+            divide_by_m=output.divide_by_m,
+            average=output.average,
+        )
+        wanted["side"] = SignalTable(
+            channel=str(output.side_channel),
+            scale=output.side_scale,
+            divide_by_m=output.divide_by_m,
+            average=output.average,
+        )
+    signals = load_signals(target, wanted, where=where, rate_hz=rate_hz)
+    hold = _stated_hold(target, given.channel)
+    same: dict[bytes, FloatArray] = {}
+    trials = []
+    for trial in signals.trials:
+        column = same.setdefault(trial.values["input"].tobytes(), trial.values["input"])
+        trials.append(_trial(trial, column, output, hold, from_s, to_s))
+    unit = "deg" if output.take == "direction" else signals.units["output"]
+    return Response(signals, tuple(trials), signals.units["input"], unit)
 
 
-def basis(columns: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of the columns' span."""
-    if columns.shape[1] == 0:
-        return columns
-    sizes = np.linalg.norm(columns, axis=0)
-    u, singular, _ = np.linalg.svd(columns / np.where(sizes > 0, sizes, 1.0), full_matrices=False)
-    return np.asarray(u[:, singular > SAME_DIRECTION * singular[0]])
+def _trial(
+    trial: SignalTrial,
+    given: FloatArray,
+    output: SignalTable,
+    hold: Hold | None,
+    from_s: float,
+    to_s: float | None,
+) -> ResponseTrial:
+    time_s, measured = trial.time_s, trial.values["output"]
+    since = time_s - time_s[0]
+    used = (since >= from_s) & (since <= (np.inf if to_s is None else to_s))
+    averaged = 1
+    if output.average == "cycle" and trial.period_s is not None:
+        averaged = max(1, round(trial.period_s / trial.step_s))
+    if output.take != "value":
+        main, side = measured, trial.values["side"]
+        if output.take == "magnitude":
+            measured = _along(main, side, used)
+            used &= ~_straddling(given, averaged)
+        else:
+            size = np.hypot(main, side)
+            used &= size > _DEFINED * np.median(size[used]) if np.any(used) else False
+            measured = np.degrees(np.unwrap(np.arctan2(side, main)))
+            turns = np.round(np.median(measured[used]) / 360.0) if np.any(used) else 0.0
+            measured = measured - 360.0 * turns
+    if np.count_nonzero(used) < 10:
+        raise FitError(
+            f"{trial.label} has fewer than 10 samples to fit between {from_s:g} s and its end",
+            hint="widen from_s and to_s",
+        )
+    return ResponseTrial(trial.label, time_s, given, measured, used, averaged, hold or jumps_or_runs(given))
 
 
-def without(columns: FloatArray, span: FloatArray) -> FloatArray:
-    """Return columns less their part in an orthonormal basis."""
-    return columns - span @ (span.T @ columns)
+def jumps_or_runs(given: FloatArray) -> Hold:
+    """Return how an input of unknown kind runs between samples: one that only ever jumps is held."""
+    moving = np.flatnonzero(np.diff(given) != 0.0)
+    if len(moving) and (len(moving) == 1 or np.all(np.diff(moving) > 1)):
+        return "constant"
+    return "linear"
 
 
-def total_s(trials: Sequence[ResponseTrial]) -> float:
-    """Return the longest trial's duration."""
-    return max(float(trial.time_s[-1] - trial.time_s[0]) for trial in trials)
+def _straddling(given: FloatArray, averaged: int) -> NDArray[np.bool_]:
+    """Return the samples whose average is over a stroke that was not the same all along.
+
+    The force within a stroke is far larger than its mean, and cancels over whole strokes of one amplitude only.
+    """
+    changed = np.concatenate([[0], np.cumsum(np.diff(given) != 0.0)])
+    earlier = np.concatenate([np.full(min(averaged, len(given)), changed[0]), changed[:-averaged]])
+    return np.asarray((changed != earlier[: len(given)]) & (averaged > 1))
 
 
-def _averaged(columns: FloatArray, samples: int) -> FloatArray:
-    if samples <= 1:
-        return columns
-    return np.column_stack([trailing_mean(column, samples) for column in columns.T])
+def _along(main: FloatArray, side: FloatArray, used: NDArray[np.bool_]) -> FloatArray:
+    size = np.hypot(main, side)
+    strong = used & (size > 0.5 * np.max(size[used], initial=0.0))
+    x, y = float(np.sum(main[strong])), float(np.sum(side[strong]))
+    length = float(np.hypot(x, y)) or 1.0
+    return (main * x + side * y) / length
+
+
+def _stated_hold(target: Path, channel: str) -> Hold | None:
+    if not is_recording(target):
+        return None
+    between = {info.name: info.between for info in read_recording(target).inputs}.get(channel)
+    return "constant" if between == "hold" else "linear"

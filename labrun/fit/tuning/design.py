@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.fit.transfer.transfer import Transfer
+from labrun.fit.transfer import TransferFunction
 from labrun.fit.tuning.closed_loop import (
     StepFigures,
     Track,
@@ -169,7 +169,7 @@ class HalfSine:
         return self.low + (self.high - self.low) * abs(float(np.sin(np.pi * time_s / self.period_s)))
 
 
-def scaled_plant(plant: Transfer, factor: float) -> Transfer:
+def scaled_plant(plant: TransferFunction, factor: float) -> TransferFunction:
     """Return a plant of `factor` times the gain."""
     return replace(plant, numerator=tuple(factor * value for value in plant.numerator))
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labrun.errors import FitError
-from labrun.fit.transfer.transfer import Transfer
+from labrun.fit.transfer import TransferFunction
 
 _REAL = 1e-3
 """Imaginary part, relative to the root, below which it counts as real: equal lags split so far by rounding."""
@@ -23,7 +23,7 @@ class Reduced:
     dead_s: float
 
 
-def reduce_order(plant: Transfer, order: int, extra_delay_s: float = 0.0) -> Reduced:
+def reduce_order(plant: TransferFunction, order: int, extra_delay_s: float = 0.0) -> Reduced:
     """Return a plant of first or second order in place of one of any order.
 
     The largest lag that is left out is halved between the dead time and the smallest lag that is kept; smaller ones and

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.fit.transfer.transfer import Transfer
+from labrun.fit.transfer import TransferFunction
 from labrun.fit.tuning.sampled import SampledPlant, sample_plant
 
 FloatArray = NDArray[np.float64]
@@ -37,7 +37,7 @@ class Loop:
         The feedback is the output's mean over so long, a gait cycle; 0 is the output itself.
     """
 
-    plant: Transfer
+    plant: TransferFunction
     rate_hz: float | None = None
     compute_s: float = 0.0
     average_s: float = 0.0
@@ -63,7 +63,7 @@ class Loop:
         sizes = np.abs(np.atleast_1d(np.asarray(self.plant.poles)))
         return np.sort(1.0 / sizes[sizes > 0])[::-1]
 
-    def with_plant(self, plant: Transfer) -> "Loop":
+    def with_plant(self, plant: TransferFunction) -> "Loop":
         """Return the same loop around another plant."""
         return replace(self, plant=plant)
 

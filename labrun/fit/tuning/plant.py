@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from labrun.errors import FitError, RequestError
 from labrun.fit.estimate import Estimate
 from labrun.fit.summary import FitSummary, FittedData
-from labrun.fit.transfer.transfer import Transfer
+from labrun.fit.transfer import TransferFunction
 from labrun.toml import nearest
 
 if TYPE_CHECKING:
@@ -39,9 +39,9 @@ class Plant:
     """
 
     response: str
-    transfer: Transfer
+    transfer: TransferFunction
     data: FittedData
-    plants: tuple[Transfer, ...] = ()
+    plants: tuple[TransferFunction, ...] = ()
     parameters: Mapping[str, Estimate] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     rmse: float | None = None
@@ -63,7 +63,7 @@ def find_plant(job: "FitJob", settings: "PidSettings") -> Plant:
     if settings.given_plant is not None:
         given = settings.given_plant
         units = {"input_unit": given.input_unit, "output_unit": given.output_unit}
-        transfer = Transfer.first_order(given.gain, given.lag_s, given.dead_s, **units)
+        transfer = TransferFunction.first_order(given.gain, given.lag_s, given.dead_s, **units)
         return Plant(settings.response or "given", transfer, FittedData(Path(job.target).stem, "run", 0))
     plan = plan_of(job.target, Path(), need_model=False)
     keys = {**plan.settings_of(settings.plant), **settings.plant_settings}
@@ -144,6 +144,6 @@ def cycle_of(job: "FitJob") -> float | None:
     return values[0] if values and values[-1] <= values[0] * (1 + 1e-6) else None
 
 
-def _settling(resampled: Sequence[Transfer]) -> tuple[Transfer, ...]:
+def _settling(resampled: Sequence[TransferFunction]) -> tuple[TransferFunction, ...]:
     """Return those of a fit's resamples that can be controlled: their numbers belong together."""
     return tuple(one for one in resampled if one.is_stable and one.gain and one.dead_s >= 0)

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from labrun.errors import RequestError
 from labrun.fit.summary import FitSummary
-from labrun.fit.transfer.transfer import Transfer
+from labrun.fit.transfer import TransferFunction
 from labrun.fit.tuning import words
 from labrun.fit.tuning.design import as_json
 from labrun.fit.tuning.plant import Plant, cycle_of, find_plant
@@ -124,7 +124,7 @@ def _picture(plant: Plant, found: Study) -> "Figure":
     return draw_designs(found, title)
 
 
-def _plant_json(transfer: Transfer) -> dict[str, Any]:
+def _plant_json(transfer: TransferFunction) -> dict[str, Any]:
     return {
         "numerator": list(transfer.numerator),
         "denominator": list(transfer.denominator),

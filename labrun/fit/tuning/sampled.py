@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.fit.transfer.transfer import Transfer
+from labrun.fit.transfer import TransferFunction
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -77,7 +77,12 @@ class SampledPlant:
 
 
 def sample_plant(
-    plant: Transfer, step_s: float, *, extra_s: float = 0.0, average_s: float = 0.0, ahead_s: float = 0.0
+    plant: TransferFunction,
+    step_s: float,
+    *,
+    extra_s: float = 0.0,
+    average_s: float = 0.0,
+    ahead_s: float = 0.0,
 ) -> SampledPlant:
     """Return a plant whose drive is held for `step_s` and whose output is sampled as often.
 
@@ -121,7 +126,7 @@ def _tap(whole: FloatArray, row: FloatArray, late_s: float, step_s: float) -> Ta
     return Tap(steps, seen[:-1], float(seen[-1]))
 
 
-def _state_space(plant: Transfer) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+def _state_space(plant: TransferFunction) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Return A, B, C, D of the plant without its dead time, in controllable form."""
     denominator = np.atleast_1d(np.asarray(plant.denominator, dtype=float))
     numerator = np.atleast_1d(np.asarray(plant.numerator, dtype=float))

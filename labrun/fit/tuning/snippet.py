@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from labrun.fit.transfer.transfer import Transfer
+from labrun.fit.transfer import TransferFunction
 from labrun.fit.tuning.design import Design
 
 _DIGITS = 5
@@ -49,7 +49,7 @@ def controller_table(design: Design, i_per: str) -> dict[str, Any]:
     return {"plugin": gains.plugin, **{key: _rounded(value) for key, value in keys.items()}}
 
 
-def model_keys(plant: Transfer) -> dict[str, Any]:
+def model_keys(plant: TransferFunction) -> dict[str, Any]:
     """Return the keys of a controller's model: gain, lag and dead time, or coefficients."""
     if plant.is_first_order:
         keys: dict[str, Any] = {"gain": plant.gain, "lag_s": plant.lag_s}

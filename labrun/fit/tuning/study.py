@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from labrun.fit.transfer.transfer import Transfer
+from labrun.fit.transfer import TransferFunction
 from labrun.fit.tuning.design import Design, HalfSine, Spread
 from labrun.fit.tuning.designs import design_all, wanted_of
 from labrun.fit.tuning.loop import Loop
@@ -60,7 +60,9 @@ class Study:
         return next(one for one in self.designs if one.name == name)
 
 
-def study(plant: Transfer, plants: Sequence[Transfer], settings: PidSettings, average_s: float) -> Study:
+def study(
+    plant: TransferFunction, plants: Sequence[TransferFunction], settings: PidSettings, average_s: float
+) -> Study:
     """Design and judge.
 
     Parameters

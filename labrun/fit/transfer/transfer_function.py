@@ -1,25 +1,49 @@
-"""A transfer function with a dead time: what a fit hands over and a controller is designed on."""
+"""A transfer function with a dead time: what a fit hands over, what a controller is designed on, and its TOML.
 
+As TOML it is one table for each response, or the keys alone::
+
+    [magnitude]
+    gain = 0.0091         # first order: gain, lag_s, dead_s
+    lag_s = 0.34
+    dead_s = 0.28
+    input_unit = "deg"
+    output_unit = "N"
+
+    [angle]
+    numerator = [-0.87]   # any other: highest power of s first
+    denominator = [0.01, 0.2, 1.0]
+    dead_s = 0.1
+
+Keys that end in ``_ci95`` are read over: a fit writes its 95 % intervals so.
+"""
+
+import math
+import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from labrun.arrays import FloatArray
 from labrun.errors import RequestError
+from labrun.fit.transfer.response import Hold, evenly, step_response
+from labrun.toml import locate, nearest
 
-if TYPE_CHECKING:
-    from labrun.fit.transfer.response import Hold
-
+ComplexArray = NDArray[np.complex128]
+_FIRST = ("gain", "lag_s")
+_GENERAL = ("numerator", "denominator")
+_NAMES = ("input_name", "output_name", "input_unit", "output_unit")
+_KEYS = (*_FIRST, *_GENERAL, "dead_s", *_NAMES)
+_INTERVAL = "_ci95"
+_EVEN = 1e-6
 _SOME_S = 1e-9
 """A shorter dead time is none to a reader: rounding of a search that ended at zero."""
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-
 
 @dataclass(frozen=True, slots=True)
-class Transfer:
+class TransferFunction:
     """``numerator(s) / denominator(s) * exp(-dead_s s)``, proper, of one input and one output.
 
     Attributes
@@ -69,7 +93,7 @@ class Transfer:
         object.__setattr__(self, "dead_s", float(self.dead_s))
 
     @classmethod
-    def first_order(cls, gain: float, lag_s: float, dead_s: float = 0.0, **names: str) -> "Transfer":
+    def first_order(cls, gain: float, lag_s: float, dead_s: float = 0.0, **names: str) -> "TransferFunction":
         """Return ``gain exp(-dead_s s) / (lag_s s + 1)``; `names` are names and units as of the class."""
         return cls((gain,), (lag_s, 1.0), dead_s, **names)
 
@@ -157,12 +181,10 @@ class Transfer:
 
     def step_response(self, time_s: ArrayLike) -> FloatArray:
         """Return the answer at any times to an input that is 0 before t = 0 and 1 from then on."""
-        from labrun.fit.transfer.response import step_response
-
-        return step_response(self, np.asarray(time_s, dtype=float))
+        return step_response(self.numerator, self.denominator, self.dead_s, np.asarray(time_s, dtype=float))
 
     def simulate(
-        self, time_s: ArrayLike, values: ArrayLike, *, hold: "Hold" = "linear", before: float = 0.0
+        self, time_s: ArrayLike, values: ArrayLike, *, hold: Hold = "linear", before: float = 0.0
     ) -> FloatArray:
         """Return the output at the input's evenly spaced times; exact, dead time included.
 
@@ -181,22 +203,42 @@ class Transfer:
         RequestError
             Times that are not evenly spaced; a steady state that does not exist.
         """
-        from labrun.fit.transfer.response import simulate
+        time_s, values = np.asarray(time_s, dtype=float), np.asarray(values, dtype=float)
+        if time_s.ndim != 1 or time_s.shape != values.shape:
+            raise RequestError(
+                f"times and input must be of one length, not {time_s.shape} and {values.shape}"
+            )
+        if len(time_s) < 2:
+            raise RequestError("an input needs two samples or more to be simulated")
+        steps = np.diff(time_s)
+        step_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
+        if step_s <= 0 or np.max(np.abs(steps - step_s)) > _EVEN * step_s * len(time_s):
+            raise RequestError(
+                "the times of an input to be simulated must be evenly spaced and rising",
+                hint="resample it: np.interp(even_time_s, time_s, values)",
+            )
+        return evenly(self.numerator, self.denominator, self.dead_s, step_s, values, hold, before)
 
-        return simulate(
-            self, np.asarray(time_s, dtype=float), np.asarray(values, dtype=float), hold=hold, before=before
-        )
+    def to_table(self) -> dict[str, Any]:
+        """Return it as the keys of a TOML table."""
+        table: dict[str, Any] = {}
+        if self.is_first_order:
+            table |= {"gain": self.gain, "lag_s": self.lag_s}
+        else:
+            table |= {"numerator": list(self.numerator), "denominator": list(self.denominator)}
+        table["dead_s"] = self.dead_s
+        return table | {key: getattr(self, key) for key in _NAMES if getattr(self, key)}
 
     def to_toml(self) -> str:
-        """Return it as the keys of a TOML table; see `labrun.fit.transfer.coefficients`."""
-        from labrun.fit.transfer.coefficients import to_toml
+        """Return it as TOML, its keys at the top."""
+        import tomli_w
 
-        return to_toml(self)
+        return tomli_w.dumps(self.to_table())
 
     @classmethod
     def from_toml(
         cls, text: str, response: str | None = None, *, name: str = "transfer function"
-    ) -> "Transfer":
+    ) -> "TransferFunction":
         """Read one of a TOML text.
 
         Parameters
@@ -213,9 +255,19 @@ class Transfer:
         RequestError
             Not TOML, no such response, a key that is missing, unknown or of the wrong kind; with line and column.
         """
-        from labrun.fit.transfer.coefficients import from_toml
-
-        return from_toml(text, response, name=name)
+        try:
+            data = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise RequestError(f"{name}: not TOML: {error}") from None
+        path: tuple[str, ...] = ()
+        alone = any(not isinstance(value, dict) for value in data.values())
+        tables = {key: value for key, value in data.items() if isinstance(value, dict)}
+        if alone and response is None:
+            table = data
+        else:
+            chosen = _chosen(tables, response, name)
+            table, path = tables[chosen], (chosen,)
+        return _Reader(text, name, path).read(table)
 
     def __str__(self) -> str:
         """Return it as people write it."""
@@ -246,3 +298,80 @@ def _polynomial(coefficients: tuple[float, ...]) -> str:
         number = "" if s and abs(value) == 1.0 else f"{abs(value):.4g}"
         terms.append(f"{sign}{(number + s).strip()}")
     return "".join(terms) or "0"
+
+
+def _chosen(tables: Mapping[str, Any], response: str | None, name: str) -> str:
+    if response is not None and response in tables:
+        return response
+    known = ", ".join(tables)
+    if not tables:
+        raise RequestError(f"{name}: holds no transfer function", hint="give it gain, lag_s and dead_s")
+    if response is not None:
+        near = nearest(response, tables)
+        hint = f"did you mean {near!r}?" if near else f"it has {known}"
+        raise RequestError(f"{name}: has no response {response!r}", hint=hint)
+    if len(tables) > 1:
+        raise RequestError(f"{name}: holds several transfer functions", hint=f"say which one: {known}")
+    return next(iter(tables))
+
+
+class _Reader:
+    """Reads one table, and says where in the text something is wrong."""
+
+    def __init__(self, text: str, name: str, path: tuple[str, ...]) -> None:
+        self._text, self._name, self._path = text, name, path
+
+    def read(self, table: Mapping[str, Any]) -> TransferFunction:
+        for key in table:
+            if key not in _KEYS and not key.endswith(_INTERVAL):
+                near = nearest(key, _KEYS)
+                expected = f"did you mean {near!r}?" if near else f"known are {', '.join(_KEYS)}"
+                raise self._wrong(key, "is not a key of a transfer function", expected)
+        names = {key: self._text_of(table, key) for key in _NAMES if key in table}
+        dead_s = self._number(table, "dead_s", 0.0)
+        if dead_s < 0:
+            raise self._wrong("dead_s", f"must be 0 or more, s, not {dead_s:g}")
+        first, general = ([key for key in keys if key in table] for keys in (_FIRST, _GENERAL))
+        if first and general:
+            raise self._wrong(
+                general[0],
+                f"and {first[0]} are two ways to write one: keep gain and lag_s, or both polynomials",
+            )
+        if general:
+            above, below = self._numbers(table, "numerator"), self._numbers(table, "denominator")
+            if not any(below):
+                raise self._wrong("denominator", "must not be all zeros")
+            if len(TransferFunction(above, (1.0,) * len(above)).numerator) > len(
+                TransferFunction((0.0,), below).denominator
+            ):
+                raise self._wrong("numerator", "must not be of higher order than the denominator")
+            return TransferFunction(above, below, dead_s, **names)
+        lag_s = self._number(table, "lag_s")
+        if lag_s <= 0:
+            raise self._wrong("lag_s", f"must be above 0 s, not {lag_s:g}")
+        return TransferFunction.first_order(self._number(table, "gain"), lag_s, dead_s, **names)
+
+    def _number(self, table: Mapping[str, Any], key: str, default: float | None = None) -> float:
+        value = table.get(key, default)
+        if value is None:
+            raise self._wrong(key, "is missing", "a first-order one has gain, lag_s and dead_s")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise self._wrong(key, f"must be a finite number, not {value!r}")
+        return float(value)
+
+    def _numbers(self, table: Mapping[str, Any], key: str) -> tuple[float, ...]:
+        value = table.get(key)
+        if value is None:
+            raise self._wrong(key, "is missing", "a transfer function has a numerator and a denominator")
+        if not isinstance(value, list) or not value:
+            raise self._wrong(key, f"must be a list of numbers, highest power of s first, not {value!r}")
+        return tuple(self._number({key: one}, key) for one in value)
+
+    def _text_of(self, table: Mapping[str, Any], key: str) -> str:
+        if not isinstance(table[key], str):
+            raise self._wrong(key, f"must be a text, not {table[key]!r}")
+        return str(table[key])
+
+    def _wrong(self, key: str, message: str, hint: str | None = None) -> RequestError:
+        at = locate(self._text).of_key((*self._path, key))
+        return RequestError(f"{self._name}:{at.line}:{at.column}: {key} {message}", hint=hint)
