@@ -73,6 +73,13 @@ class DeviceError(ExperimentError):
     def __init__(self, device: str, message: str, *, hint: str | None = None) -> None:
         super().__init__(f"device {device}: {message}", hint=hint)
         self.device = device
+        self.clock_s: float | None = None
+        """When it was seen, by the run's clock."""
+
+    def happened(self, during: str, start_s: float) -> None:
+        """Say in the message when it was seen, counted from the start of what was going on."""
+        if self.clock_s is not None:
+            self.args = (f"{self.args[0]} {during}, {self.clock_s - start_s:.3f} s after its start",)
 
 
 class LimitExceededError(DeviceError):

@@ -1,6 +1,7 @@
 """From a trial's streams to its objectives."""
 
 import math
+import traceback
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,17 @@ Streams = Mapping[str, "Stream | SpilledStream"]
 
 
 class ObjectiveError(LabrunError):
-    """An objective has no finite value for a trial."""
+    """An objective has no finite value for a trial.
+
+    Attributes
+    ----------
+    raised
+        What its plugin raised, and at which line of which file; empty if it raised nothing.
+    """
+
+    def __init__(self, message: str, *, raised: str = "") -> None:
+        super().__init__(message)
+        self.raised = raised
 
 
 class Judging:
@@ -55,12 +66,26 @@ class Judging:
             except LabrunError as error:
                 raise ObjectiveError(f"objective {name} of {channel}: {error}") from error
             except Exception as error:  # a third party's own: it costs the trial, never what was recorded
-                cause = f"{type(error).__name__}: {error}"
-                raise ObjectiveError(f"objective {name} of {channel}: {cause}") from error
+                place = _place(objective, error)
+                cause = f"{type(error).__name__}: {error} ({place})"
+                raised = f"{name}: {type(error).__name__} ({place})"
+                raise ObjectiveError(f"objective {name} of {channel}: {cause}", raised=raised) from error
             if not math.isfinite(value):
                 raise ObjectiveError(f"objective {name} of {channel} is {value}, not a finite number")
             values[name] = value
         return values
+
+
+def _place(objective: Objective, error: Exception) -> str:
+    """Return file and line where a plugin raised; where it begins, if what it returned was no number."""
+    code = getattr(type(objective).__call__, "__code__", None)
+    frames = traceback.extract_tb(error.__traceback__)[1:]
+    if code is None or not frames:
+        where = (code.co_filename, code.co_firstlineno) if code is not None else ("a compiled plugin", 0)
+    else:
+        own = [frame for frame in frames if frame.filename == code.co_filename] or frames
+        where = (own[-1].filename, own[-1].lineno or 0)
+    return f"{where[0]}, line {where[1]}"
 
 
 def trial_signals(

@@ -123,24 +123,26 @@ class SensorWatch:
         if bad.any():
             row, column = (int(i) for i in np.argwhere(bad)[0])
             channel = self.sensor.channels[column]
-            raise NonsenseError(
+            nonsense = NonsenseError(
                 self.name,
-                f"answered nonsense: {channel.name} = {block.values[row, column]:g} {channel.unit} "
-                f"at {block.host_time_s[row]:.3f} s on the run's clock",
+                f"answered nonsense: {channel.name} = {block.values[row, column]:g} {channel.unit}",
                 hint="check its wiring, its supply and its driver's settings",
             )
+            nonsense.clock_s = float(block.host_time_s[row])
+            raise nonsense
         for excess in self._limits.sample_excess(self.sensor.channels, block.host_time_s, block.values):
             raise limit_error(self.name, excess)
 
 
 def limit_error(device: str, excess: Excess, *, time_s: float | None = None) -> LimitExceededError:
     """Return the error for a limit that was left while the rig was moving."""
-    at_s = excess.time_s if time_s is None else time_s
-    return LimitExceededError(
+    error = LimitExceededError(
         device,
-        f"{excess} at {at_s:.3f} s on the run's clock",
+        str(excess),
         hint="actuators are stopped; look at the bench before labrun resume, or change the limit in the file",
     )
+    error.clock_s = excess.time_s if time_s is None else time_s
+    return error
 
 
 def loss_share(samples: int, lost: int) -> float:

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from labrun.devices import Clock
-from labrun.errors import DeviceError, LimitExceededError, RecordingError
+from labrun.errors import DeviceError, ExperimentError, LimitExceededError, RecordingError
 from labrun.runner.bench import Bench
 from labrun.runner.clock import RealClock
 from labrun.runner.faults import LimitReached
@@ -31,6 +31,8 @@ _COME_BACK_S = 10.0
 _TRY_AGAIN_S = 0.5
 _MOST_FAILURES = 10
 """So many failed trials in a row end a run that skips or repeats each: a night is not worn out in minutes."""
+_MOST_RAISED = 5
+"""So many trials in a row for which an objective's plugin raises the same at the same line end the run."""
 
 
 class Session:
@@ -103,6 +105,7 @@ class Session:
         self._expected: int | None = None
         self._warned = False
         self._failures = 0
+        self._raised = ("", 0)
         self.index = 0
         """Index of the next trial."""
         self.new_trials = 0
@@ -229,7 +232,18 @@ class Session:
             self._after_fault(result.fault)
         else:
             self._failures = 0
+            self._count_raised(result.raised, outcome.reason)
         return outcome
+
+    def _count_raised(self, raised: str, reason: str) -> None:
+        """End the run where an objective raises the same again and again: more trials would raise it, too."""
+        before, count = self._raised
+        self._raised = (raised, count + 1 if raised == before else 1) if raised else ("", 0)
+        if self._raised[1] >= _MOST_RAISED:
+            raise ExperimentError(
+                f"{_MOST_RAISED} trials failed one after the other in the same way; the last: {reason}",
+                hint="everything recorded is kept; mend the objective before the run goes on",
+            )
 
     def _warn_unsettled(self, outcome: TrialOutcome) -> None:
         """Journal every trial on a restless bench; tell the person of the first, the run's end tells their share."""

@@ -37,10 +37,11 @@ class TrialRequest:
 
 @dataclass(frozen=True, slots=True)
 class TrialResult:
-    """A stored trial, and the device's fault that ended it early, if one did."""
+    """A stored trial; the device's fault that ended it early, and what an objective's plugin raised, if any did."""
 
     outcome: TrialOutcome
     fault: DeviceError | None = None
+    raised: str = ""
 
 
 class _Draft:
@@ -127,6 +128,7 @@ class TrialRunner:
             self._measure(request, draft)
         except DeviceError as fault:
             self._stop(request.index, fault)
+            fault.happened(f"in trial {request.index}", draft.outcome.started_s)
             draft.know(status="failed", reason=str(fault).splitlines()[0])
             return TrialResult(self._store(draft, writer), fault)
         except BaseException as error:
@@ -134,11 +136,11 @@ class TrialRunner:
             self._keep_unfinished(draft, writer, error)
             raise
         try:
-            self._judge(draft, writer)
+            raised = self._judge(draft, writer)
         except BaseException as error:
             self._keep_unfinished(draft, writer, error)
             raise
-        return TrialResult(self._store(draft, writer))
+        return TrialResult(self._store(draft, writer), raised=raised)
 
     def _measure(self, request: TrialRequest, draft: _Draft) -> None:
         """Do everything that moves or waits."""
@@ -216,18 +218,21 @@ class TrialRunner:
             self._journal("safe-pose", index=index)
             self._bench.move(self._safe_pose, self._speed_rad_s)
 
-    def _judge(self, draft: _Draft, writer: TrialWriter) -> None:
-        outcome, motion = draft.outcome, draft.motion
+    def _judge(self, draft: _Draft, writer: TrialWriter) -> str:
+        """Compute the objectives; return what a plugin raised."""
+        outcome, motion, raised = draft.outcome, draft.motion, ""
         if motion is None or not draft.recorded:
-            return
+            return raised
         try:
             streams = writer.streams(outcome.started_s)
             draft.know(objectives=self._judging.judge(streams, outcome.tare, motion, outcome.condition))
         except ObjectiveError as error:
             draft.know(status="failed", reason=str(error).splitlines()[0])
+            raised = error.raised
         fault = draft.recorder.fault(self._table.max_lost_share) or draft.fault
         if fault:
             draft.know(status="rejected", reason=fault)
+        return raised
 
     def _stop(self, index: int, error: BaseException) -> None:
         """Stop everything that moves, before anything else; then end the streams."""

@@ -2,6 +2,7 @@
 
 import pytest
 
+from labrun.errors import ExperimentError
 from labrun.runner.judging import Judging
 from labrun.store.reading import open_run
 
@@ -23,6 +24,16 @@ def test_an_objective_that_raises_anything_fails_its_trial_by_name_and_keeps_the
     assert f"objective lift of cell.force_x: {cause}" in outcome.reason
     with open_run(lab.folder.path) as run:
         assert len(run.stream(0, "cell").values) >= 300
+
+
+def test_an_objective_that_raises_the_same_again_and_again_ends_the_run_with_its_file_and_line(lab):
+    lab = lab(
+        trial__repeats=1,
+        objectives__lift={"plugin": "bad_objectives:Raising", "channel": "cell.force_x"},
+    )
+    with pytest.raises(ExperimentError, match=r"5 trials failed.*the same way.*bad_objectives.py, line 16"):
+        lab.session.measure([{"a": a, "f": 1.0} for a in range(1, 9)])
+    assert [outcome.status for outcome in lab.folder.outcomes().values()] == ["failed"] * 5
 
 
 def test_a_judgement_that_breaks_altogether_keeps_the_recording(lab, monkeypatch):

@@ -51,7 +51,8 @@ def test_a_hot_servo_is_not_driven(lab):
         rig__devices__tail__limits={"temperature_c": 65.0},
     )
     with pytest.raises(
-        LimitExceededError, match="device tail: temperature 72 degC is above the limit of 65 degC"
+        LimitExceededError,
+        match="device tail: temperature 72 degC is above the limit of 65 degC in trial 0, ",
     ):
         lab.session.measure(ONE)
     assert not any(line.startswith("follow") for line in lab.stops())
