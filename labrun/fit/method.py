@@ -1,6 +1,6 @@
 """What a way of fitting is: a plugin that turns recorded data into numbers with intervals."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, cast
@@ -39,6 +39,8 @@ class FitJob:
         How many; None is what the method takes by itself.
     note
         Called with what is being done.
+    settings_of
+        What the experiment of the target says of another fit, for a fit that is made on it.
     """
 
     target: Path
@@ -48,6 +50,7 @@ class FitJob:
     signals: Mapping[str, str] = field(default_factory=dict)
     starts: int | None = None
     note: Note = silent
+    settings_of: Callable[[str], Mapping[str, Any]] = lambda _: {}
 
 
 class Fitted(Protocol):

@@ -112,6 +112,7 @@ def fit(
         {**plan.signals, **(signals or {})},
         starts,
         note,
+        plan.settings_of,
     )
     result = way(job)
     note("drawing")

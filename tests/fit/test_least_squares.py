@@ -5,8 +5,14 @@ import pytest
 
 from labrun.app.run import execute
 from labrun.errors import RequestError
-from labrun.fit.baskets.solving import collinear, condition, fit_basket, solve
-from labrun.fit.baskets.terms import BASKETS, column
+from labrun.fit.regression.least_squares import (
+    BASKETS,
+    collinear,
+    condition,
+    regress,
+    solve,
+    term_values,
+)
 from labrun.fit.run_fit import fit
 from labrun.runner.progress import SilentProgress
 from labrun.spec.named import load_named
@@ -22,7 +28,7 @@ def inputs():
 
 
 def matrix(terms):
-    return np.column_stack([column(term, inputs(), STEP_S) for term in terms])
+    return np.column_stack([term_values(term, inputs(), STEP_S) for term in terms])
 
 
 @pytest.mark.parametrize(
@@ -54,7 +60,7 @@ def test_errors_shared_by_a_block_widen_the_interval_beyond_that_of_single_sampl
     values = matrix(["a", "b"])
     groups = np.arange(len(values)) // 500
     noise = 0.05 * rng.standard_normal(groups[-1] + 1)[groups]
-    found = fit_basket(values, values @ np.array([0.009, -0.004]) + noise, groups, rng)
+    found = regress(values, values @ np.array([0.009, -0.004]) + noise, groups, rng)
     naive = 1.96 * 0.05 * np.sqrt(np.diag(np.linalg.inv(values.T @ values)))
     assert np.all(found.high - found.low > 5 * naive)
     assert np.all((found.low < [0.009, -0.004]) & (found.high > [0.009, -0.004]))
@@ -63,7 +69,7 @@ def test_errors_shared_by_a_block_widen_the_interval_beyond_that_of_single_sampl
 @pytest.mark.parametrize("term", ["c", "a^", "sin(a)"])
 def test_a_term_that_cannot_be_made_is_refused(term):
     with pytest.raises(RequestError):
-        column(term, inputs(), STEP_S)
+        term_values(term, inputs(), STEP_S)
 
 
 def test_a_dry_run_has_the_order_of_merit_of_table_5_3(tmp_path):

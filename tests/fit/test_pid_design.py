@@ -22,18 +22,15 @@ from labrun.fit.run_fit import fit
 from labrun.fit.summary import FitSummary, FittedData
 from labrun.fit.transfer import TransferFunction
 from labrun.fit.transfer.summary import TransferSummary
-from labrun.fit.tuning.closed_loop import run_loop, steady_error
-from labrun.fit.tuning.controller import Gains
-from labrun.fit.tuning.design import Design, HalfSine
+from labrun.fit.tuning.closed_loop import Gains, run_loop, steady_error
+from labrun.fit.tuning.designs import Design, HalfSine
 from labrun.fit.tuning.figure import shown_designs
-from labrun.fit.tuning.half_rule import Reduced, reduce_order
 from labrun.fit.tuning.loop import Loop
 from labrun.fit.tuning.margins import margins, ultimate
-from labrun.fit.tuning.optimum import Wanted, optimum, worth
-from labrun.fit.tuning.plant import Plant, plant_of
-from labrun.fit.tuning.result import summary
+from labrun.fit.tuning.method import Plant, plant_of, summary
+from labrun.fit.tuning.optimum import Wanted, loop_error, optimum
+from labrun.fit.tuning.rules import Reduced, reduce_order, rules, simc
 from labrun.fit.tuning.settings import PidSettings
-from labrun.fit.tuning.simc import rules, simc
 from labrun.fit.tuning.study import Study, study
 from labrun.runner.progress import SilentProgress
 from labrun.spec.named import load_named
@@ -216,11 +213,11 @@ def test_an_optimum_keeps_the_margins_that_were_asked_for(plant, structure, gain
 def test_an_optimum_has_less_error_than_simc_and_than_its_neighbours():
     wanted = Wanted(2.0, 45.0)
     best = optimum(BENCH, "PI", wanted)
-    least = worth(BENCH, best, wanted)
-    assert least < worth(BENCH, simc(BENCH, "PI"), wanted)
+    least = loop_error(BENCH, best, wanted)
+    assert least < loop_error(BENCH, simc(BENCH, "PI"), wanted)
     for factor_p, factor_i in ((0.9, 1.0), (1.1, 1.0), (1.0, 0.9), (1.0, 1.1)):
         other = Gains(best.p * factor_p, best.i_per_s * factor_i)
-        assert worth(BENCH, other, wanted) > 0.9999 * least
+        assert loop_error(BENCH, other, wanted) > 0.9999 * least
 
 
 def test_the_error_of_the_optimum_is_the_one_that_a_simulation_finds():
@@ -228,7 +225,7 @@ def test_the_error_of_the_optimum_is_the_one_that_a_simulation_finds():
     step = run_loop(gains, BENCH, lambda _: 1.0, 30.0)
     load = run_loop(gains, BENCH, lambda _: 0.0, 30.0, load=lambda _: 1.0 / GAIN)
     area = (np.sum(np.abs(1.0 - step.output)) + np.sum(np.abs(load.output))) * BENCH.step_s
-    assert worth(BENCH, gains, Wanted()) * (BENCH.delay_s + 0.34) == pytest.approx(area, rel=0.01)
+    assert loop_error(BENCH, gains, Wanted()) * (BENCH.delay_s + 0.34) == pytest.approx(area, rel=0.01)
 
 
 def test_a_plant_that_does_not_settle_is_refused():
@@ -329,6 +326,18 @@ TABLE_5_4 = {
 }
 
 
+def pulse_response(plant, count):
+    """The samples after a drive of 1 for one step."""
+    response = np.zeros(count)
+    for tap in plant.taps:
+        response[tap.whole] += tap.from_drive
+        state = plant.input
+        for k in range(tap.whole + 1, count):
+            response[k] += tap.from_state @ state
+            state = plant.transition @ state
+    return response
+
+
 def summary_of(found: Study, others=()):
     return summary(Plant("magnitude", MAGNITUDE, FittedData("fin-step", "run", 3), tuple(others)), found)
 
@@ -372,7 +381,7 @@ def test_the_toml_file_makes_controllers_that_do_what_was_predicted(fin):
         controller = plugin(keys, LoopContext(0.05, -1e9, 1e9, 0.0))
         predicted = fin.named(name).step
         # the plant by convolution with its sampled pulse, apart from the stepper
-        pulse = fin.loop.sampled.pulse_response(200)
+        pulse = pulse_response(fin.loop.sampled, 200)
         drives = np.zeros(200)
         for k in range(200):
             seen = float(pulse[1 : k + 1] @ drives[:k][::-1]) if k else 0.0

@@ -17,29 +17,62 @@ As TOML it is one table for each response, or the keys alone::
 Keys that end in ``_ci95`` are read over: a fit writes its 95 % intervals so.
 """
 
-import math
-import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from labrun.arrays import FloatArray
 from labrun.errors import RequestError
 from labrun.fit.transfer.response import Hold, evenly, step_response
-from labrun.toml import locate, nearest
+from labrun.toml import Faults, Places, Table, nearest, parsed, refusal, validate
 
 ComplexArray = NDArray[np.complex128]
-_FIRST = ("gain", "lag_s")
-_GENERAL = ("numerator", "denominator")
 _NAMES = ("input_name", "output_name", "input_unit", "output_unit")
-_KEYS = (*_FIRST, *_GENERAL, "dead_s", *_NAMES)
 _INTERVAL = "_ci95"
 _EVEN = 1e-6
 _SOME_S = 1e-9
 """A shorter dead time is none to a reader: rounding of a search that ended at zero."""
+
+
+class _Keys(Table):
+    """A transfer function in TOML."""
+
+    gain: float | None = None
+    lag_s: PositiveFloat | None = None
+    dead_s: NonNegativeFloat = 0.0
+    numerator: Annotated[list[float], Field(min_length=1)] | None = None
+    denominator: Annotated[list[float], Field(min_length=1)] | None = None
+    input_name: str = ""
+    output_name: str = ""
+    input_unit: str = "1"
+    output_unit: str = "1"
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        first = [key for key in ("gain", "lag_s") if getattr(self, key) is not None]
+        general = [key for key in ("numerator", "denominator") if getattr(self, key) is not None]
+        with Faults() as faults:
+            if first and general:
+                faults.add(
+                    general[0],
+                    f"and {first[0]} are two ways to write one: keep gain and lag_s, or both polynomials",
+                )
+            elif len(general) == 1:
+                faults.add(None, "a transfer function has a numerator and a denominator")
+            elif not general and len(first) < 2:
+                faults.add(None, "a first-order transfer function has gain, lag_s and dead_s")
+            elif self.numerator is not None and self.denominator is not None:
+                if not any(self.denominator):
+                    faults.add("denominator", "must not be all zeros")
+                elif len(_without_leading_zeros(self.numerator)) > len(
+                    _without_leading_zeros(self.denominator)
+                ):
+                    faults.add("numerator", "must not be of higher order than the denominator")
+        return self
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,19 +288,20 @@ class TransferFunction:
         RequestError
             Not TOML, no such response, a key that is missing, unknown or of the wrong kind; with line and column.
         """
-        try:
-            data = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise RequestError(f"{name}: not TOML: {error}") from None
-        path: tuple[str, ...] = ()
-        alone = any(not isinstance(value, dict) for value in data.values())
+        data = parsed(text, name)
         tables = {key: value for key, value in data.items() if isinstance(value, dict)}
-        if alone and response is None:
-            table = data
-        else:
-            chosen = _chosen(tables, response, name)
-            table, path = tables[chosen], (chosen,)
-        return _Reader(text, name, path).read(table)
+        alone = response is None and len(tables) < len(data)
+        chosen = "" if alone else _chosen(tables, response, name)
+        table, path = (data, ()) if alone else (tables[chosen], (chosen,))
+        keys, faults = validate(
+            _Keys, {key: one for key, one in table.items() if not key.endswith(_INTERVAL)}, path
+        )
+        if not isinstance(keys, _Keys):
+            raise refusal(RequestError, name, Places(name, text, data).of_all(faults))
+        names = {key: getattr(keys, key) for key in _NAMES}
+        if keys.numerator is not None and keys.denominator is not None:
+            return cls(tuple(keys.numerator), tuple(keys.denominator), keys.dead_s, **names)
+        return cls.first_order(float(keys.gain or 0.0), float(keys.lag_s or 0.0), keys.dead_s, **names)
 
     def __str__(self) -> str:
         """Return it as people write it."""
@@ -276,7 +310,7 @@ class TransferFunction:
         return f"({top}){dead} / ({bottom})"
 
 
-def _without_leading_zeros(coefficients: tuple[float, ...]) -> tuple[float, ...]:
+def _without_leading_zeros(coefficients: Sequence[float]) -> tuple[float, ...]:
     kept = [float(one) for one in coefficients]
     while len(kept) > 1 and kept[0] == 0.0:
         del kept[0]
@@ -313,65 +347,3 @@ def _chosen(tables: Mapping[str, Any], response: str | None, name: str) -> str:
     if len(tables) > 1:
         raise RequestError(f"{name}: holds several transfer functions", hint=f"say which one: {known}")
     return next(iter(tables))
-
-
-class _Reader:
-    """Reads one table, and says where in the text something is wrong."""
-
-    def __init__(self, text: str, name: str, path: tuple[str, ...]) -> None:
-        self._text, self._name, self._path = text, name, path
-
-    def read(self, table: Mapping[str, Any]) -> TransferFunction:
-        for key in table:
-            if key not in _KEYS and not key.endswith(_INTERVAL):
-                near = nearest(key, _KEYS)
-                expected = f"did you mean {near!r}?" if near else f"known are {', '.join(_KEYS)}"
-                raise self._wrong(key, "is not a key of a transfer function", expected)
-        names = {key: self._text_of(table, key) for key in _NAMES if key in table}
-        dead_s = self._number(table, "dead_s", 0.0)
-        if dead_s < 0:
-            raise self._wrong("dead_s", f"must be 0 or more, s, not {dead_s:g}")
-        first, general = ([key for key in keys if key in table] for keys in (_FIRST, _GENERAL))
-        if first and general:
-            raise self._wrong(
-                general[0],
-                f"and {first[0]} are two ways to write one: keep gain and lag_s, or both polynomials",
-            )
-        if general:
-            above, below = self._numbers(table, "numerator"), self._numbers(table, "denominator")
-            if not any(below):
-                raise self._wrong("denominator", "must not be all zeros")
-            if len(TransferFunction(above, (1.0,) * len(above)).numerator) > len(
-                TransferFunction((0.0,), below).denominator
-            ):
-                raise self._wrong("numerator", "must not be of higher order than the denominator")
-            return TransferFunction(above, below, dead_s, **names)
-        lag_s = self._number(table, "lag_s")
-        if lag_s <= 0:
-            raise self._wrong("lag_s", f"must be above 0 s, not {lag_s:g}")
-        return TransferFunction.first_order(self._number(table, "gain"), lag_s, dead_s, **names)
-
-    def _number(self, table: Mapping[str, Any], key: str, default: float | None = None) -> float:
-        value = table.get(key, default)
-        if value is None:
-            raise self._wrong(key, "is missing", "a first-order one has gain, lag_s and dead_s")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise self._wrong(key, f"must be a finite number, not {value!r}")
-        return float(value)
-
-    def _numbers(self, table: Mapping[str, Any], key: str) -> tuple[float, ...]:
-        value = table.get(key)
-        if value is None:
-            raise self._wrong(key, "is missing", "a transfer function has a numerator and a denominator")
-        if not isinstance(value, list) or not value:
-            raise self._wrong(key, f"must be a list of numbers, highest power of s first, not {value!r}")
-        return tuple(self._number({key: one}, key) for one in value)
-
-    def _text_of(self, table: Mapping[str, Any], key: str) -> str:
-        if not isinstance(table[key], str):
-            raise self._wrong(key, f"must be a text, not {table[key]!r}")
-        return str(table[key])
-
-    def _wrong(self, key: str, message: str, hint: str | None = None) -> RequestError:
-        at = locate(self._text).of_key((*self._path, key))
-        return RequestError(f"{self._name}:{at.line}:{at.column}: {key} {message}", hint=hint)

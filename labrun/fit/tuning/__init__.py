@@ -1,1 +1,1 @@
-"""Controllers from a fitted transfer function: design, margins of the loop as it runs, predicted closed loop."""
+"""Controllers for a fitted response: rules, optimum under margins, and the closed loop predicted before it runs."""

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from labrun.fit.figure import _STYLE
-from labrun.fit.tuning.design import Design, HalfSine
+from labrun.fit.tuning.designs import Design, HalfSine
 from labrun.fit.tuning.study import Study
 
 if TYPE_CHECKING:

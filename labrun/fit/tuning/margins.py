@@ -5,13 +5,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labrun.fit.tuning.controller import Gains
-from labrun.fit.tuning.loop import Loop
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from labrun.arrays import FloatArray
+from labrun.fit.tuning.closed_loop import Gains
+from labrun.fit.tuning.loop import ComplexArray, Loop
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,18 +5,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
 from labrun.errors import FitError
-from labrun.fit.tuning.closed_loop import horizon_s
-from labrun.fit.tuning.controller import Gains
-from labrun.fit.tuning.loop import Loop
+from labrun.fit.tuning.closed_loop import Gains, horizon_s
+from labrun.fit.tuning.loop import ComplexArray, Loop, sample_plant
 from labrun.fit.tuning.margins import allowed_gain, margins
-from labrun.fit.tuning.sampled import sample_plant
-from labrun.fit.tuning.simc import Structure
+from labrun.fit.tuning.rules import Structure
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Criterion = Literal["iae", "itae"]
 
 _TIME_FACTORS = (0.02, 50.0)
@@ -91,7 +87,7 @@ def optimum(
 
     wanted = wanted or Wanted()
     require_stable(loop)
-    worth = _Worth(loop, wanted, feedforward, lead_s, gain_error)
+    error = _Error(loop, wanted, feedforward, lead_s, gain_error)
     size = {"P": 1, "PI": 2, "PID": 3}[structure]
     times = [(math.log(low), math.log(high)) for low, high in [_TIME_FACTORS] * 2]
     bounds = [(_LEAST_SHARE, 1.0), *times][:size]
@@ -99,7 +95,7 @@ def optimum(
     for integral, share in _STARTS[: 1 if structure == "P" else None]:
         start = np.array([share, math.log(integral), math.log(0.15)][:size])
         found = minimize(  # type: ignore[call-overload]
-            lambda x: worth(worth.gains(x)),
+            lambda x: error(error.gains(x)),
             start,
             method="Nelder-Mead",
             bounds=bounds,
@@ -108,12 +104,12 @@ def optimum(
         if best is None or found.fun < best[0]:
             best = (float(found.fun), np.asarray(found.x))
     assert best is not None  # noqa: S101  (there is a start)
-    return kept(worth.gains(best[1]), loop, wanted, 1.0 + gain_error)
+    return kept(error.gains(best[1]), loop, wanted, 1.0 + gain_error)
 
 
-def worth(loop: Loop, gains: Gains, wanted: Wanted, gain_error: float = 0.0) -> float:
+def loop_error(loop: Loop, gains: Gains, wanted: Wanted, gain_error: float = 0.0) -> float:
     """Return the error that `optimum` minimises, relative to the loop's own time; the loop must be stable."""
-    return _Worth(loop, wanted, gains.feedforward, gains.lead_s, gain_error)(gains)
+    return _Error(loop, wanted, gains.feedforward, gains.lead_s, gain_error)(gains)
 
 
 def kept(gains: Gains, loop: Loop, wanted: Wanted, factor: float = 1.0) -> Gains:
@@ -169,7 +165,7 @@ def _simplex(start: FloatArray) -> FloatArray:
     return np.array(corners)
 
 
-class _Worth:
+class _Error:
     """Error of a loop by its frequency response; everything that does not depend on the gains is computed once."""
 
     def __init__(

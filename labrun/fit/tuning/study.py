@@ -4,10 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from labrun.fit.transfer import TransferFunction
-from labrun.fit.tuning.design import Design, HalfSine, Spread
-from labrun.fit.tuning.designs import design_all, wanted_of
+from labrun.fit.tuning.designs import Design, HalfSine, Spread, design_all, wanted_of
 from labrun.fit.tuning.loop import Loop
-from labrun.fit.tuning.optimum import keeps, worth
+from labrun.fit.tuning.optimum import keeps, loop_error
 from labrun.fit.tuning.settings import PidSettings
 
 _UNBOUNDED = (-1e12, 1e12)
@@ -107,7 +106,7 @@ def _errors(designs: Sequence[Design], settings: PidSettings) -> dict[str, Error
 def _score(design: Design, errors: Errors | None, settings: PidSettings) -> float:
     if errors is not None:
         return max(0.5 * (first + second) for first, second in errors.values())
-    return worth(design.loop, design.gains, wanted_of(settings))
+    return loop_error(design.loop, design.gains, wanted_of(settings))
 
 
 def _best(

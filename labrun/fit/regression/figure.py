@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.fit.baskets.solving import Solved
 from labrun.fit.figure import _STYLE
+from labrun.fit.regression.least_squares import Regression
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,7 +19,7 @@ _MEASURED, _BEST, _TAKEN = "#9aa5b1", "#1d4e89", "#c2410c"
 def draw_baskets(
     time_s: FloatArray,
     measured: Mapping[str, FloatArray],
-    solved: Mapping[str, Mapping[str, Solved]],
+    solved: Mapping[str, Mapping[str, Regression]],
     conditions: Mapping[str, float],
     taken: str,
     best: str,

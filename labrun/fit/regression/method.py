@@ -1,29 +1,88 @@
-"""Every basket fitted to every output, and which one to take."""
+"""The fit ``least-squares``: every set of terms regressed on every output, and which one to take."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat
 
+from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
-from labrun.fit.baskets.solving import Solved, collinear, condition, fit_basket
-from labrun.fit.baskets.terms import column, unit
 from labrun.fit.estimate import Estimate
+from labrun.fit.method import FitJob
+from labrun.fit.regression.figure import draw_baskets
+from labrun.fit.regression.least_squares import (
+    BASKETS,
+    Regression,
+    coefficient_unit,
+    collinear,
+    condition,
+    regress,
+    term_values,
+)
+from labrun.fit.signal_table import SignalTable
 from labrun.fit.signals import SignalSet, SignalTrial, load_signals, trailing_mean
 from labrun.fit.summary import FitSummary, FittedData, TextTable
 
-if TYPE_CHECKING:
-    from labrun.fit.method import FitJob
-    from labrun.fit.methods.least_squares import LeastSquaresSettings
-
-FloatArray = NDArray[np.float64]
 _ENDS = 4
 _FEW = 3
 """Fewer trials than this are cut into blocks of time."""
 
 
-def fit_baskets(job: "FitJob", settings: "LeastSquaresSettings") -> FitSummary:
+class LeastSquaresSettings(BaseModel):
+    """Keys of ``[fit.settings]``.
+
+    Attributes
+    ----------
+    inputs, outputs
+        Signals by the names that terms and results have.
+    baskets
+        Lists of terms; those of Table 5.3 if none are given.
+    units
+        Of inputs whose unit is not recorded.
+    intercept
+        Whether each basket has a constant too.
+    delay_s
+        Regressors are taken from this long ago.
+    average
+        ``"cycle"``: each term is averaged over the last gait cycle, like cycle-averaged outputs are.
+    rate_hz
+        Of the time base.
+    block_s
+        Length of the blocks that are left out and resampled where there are fewer than three trials.
+    largest_condition
+        Of X'X: a basket above it is not taken.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    inputs: Annotated[dict[str, SignalTable], Field(min_length=1)]
+    outputs: Annotated[dict[str, SignalTable], Field(min_length=1)]
+    baskets: Annotated[dict[str, Annotated[list[str], Field(min_length=1)]], Field(min_length=1)] = BASKETS
+    units: dict[str, str] = {}
+    intercept: bool = False
+    delay_s: NonNegativeFloat = 0.0
+    average: Literal["none", "cycle"] = "cycle"
+    rate_hz: PositiveFloat = 20.0
+    block_s: PositiveFloat = 25.0
+    largest_condition: PositiveFloat = 1e4
+
+
+class LeastSquaresFit:
+    """Eq. (5.4) for each basket; see `fit_least_squares`."""
+
+    Settings: ClassVar[type[BaseModel]] = LeastSquaresSettings
+
+    def __init__(self, settings: LeastSquaresSettings) -> None:
+        self._settings = settings
+
+    def __call__(self, job: FitJob) -> FitSummary:
+        """Fit every basket to every output."""
+        return fit_least_squares(job, self._settings)
+
+
+def fit_least_squares(job: FitJob, settings: LeastSquaresSettings) -> FitSummary:
     """Fit eq. (5.4) with each basket, and recommend one.
 
     The basket taken is, among those whose X'X is conditioned no worse than `largest_condition`, the one of fewest
@@ -53,7 +112,7 @@ def fit_baskets(job: "FitJob", settings: "LeastSquaresSettings") -> FitSummary:
         o: np.concatenate([t.values[o][_skip(t, settings) :] for t in data.trials]) for o in settings.outputs
     }
     solved = {
-        output: {name: fit_basket(matrices[name], values, groups, job.rng) for name in matrices}
+        output: {name: regress(matrices[name], values, groups, job.rng) for name in matrices}
         for output, values in measured.items()
     }
     conditions = {name: condition(values) for name, values in raw.items()}
@@ -62,12 +121,12 @@ def fit_baskets(job: "FitJob", settings: "LeastSquaresSettings") -> FitSummary:
     return _summary(data, settings, solved, measured, conditions, ranks, taken, best)
 
 
-def _skip(trial: SignalTrial, settings: "LeastSquaresSettings") -> int:
+def _skip(trial: SignalTrial, settings: LeastSquaresSettings) -> int:
     """Return how many samples at the beginning have no full history."""
     return round(settings.delay_s / trial.step_s) + _cycle(trial, settings)
 
 
-def _cycle(trial: SignalTrial, settings: "LeastSquaresSettings") -> int:
+def _cycle(trial: SignalTrial, settings: LeastSquaresSettings) -> int:
     if settings.average == "none":
         return 1
     if trial.period_s is None:
@@ -78,13 +137,13 @@ def _cycle(trial: SignalTrial, settings: "LeastSquaresSettings") -> int:
 
 
 def _matrix(
-    data: SignalSet, terms: Sequence[str], settings: "LeastSquaresSettings"
+    data: SignalSet, terms: Sequence[str], settings: LeastSquaresSettings
 ) -> tuple[FloatArray, FloatArray]:
     """Return the terms as they are, and as regressors: delayed, averaged, without the beginning of each trial."""
     plain, ready = [], []
     for trial in data.trials:
         signals = {name: trial.values[name] for name in settings.inputs}
-        columns = [column(term, signals, trial.step_s) for term in terms]
+        columns = [term_values(term, signals, trial.step_s) for term in terms]
         late, cycle = round(settings.delay_s / trial.step_s), _cycle(trial, settings)
         skip = _skip(trial, settings)
         if len(trial.time_s) <= skip + 2:
@@ -98,7 +157,7 @@ def _matrix(
     return np.concatenate(plain), np.concatenate(ready)
 
 
-def _groups(data: SignalSet, settings: "LeastSquaresSettings") -> NDArray[np.int64]:
+def _groups(data: SignalSet, settings: LeastSquaresSettings) -> NDArray[np.int64]:
     numbers: list[NDArray[np.int64]] = []
     used = 0
     for trial in data.trials:
@@ -119,8 +178,8 @@ def _groups(data: SignalSet, settings: "LeastSquaresSettings") -> NDArray[np.int
 
 
 def _choice(
-    settings: "LeastSquaresSettings",
-    solved: Mapping[str, Mapping[str, Solved]],
+    settings: LeastSquaresSettings,
+    solved: Mapping[str, Mapping[str, Regression]],
     conditions: Mapping[str, float],
 ) -> tuple[str, str]:
     names = list(settings.baskets)
@@ -144,16 +203,14 @@ def _choice(
 
 def _summary(
     data: SignalSet,
-    settings: "LeastSquaresSettings",
-    solved: Mapping[str, Mapping[str, Solved]],
+    settings: LeastSquaresSettings,
+    solved: Mapping[str, Mapping[str, Regression]],
     measured: Mapping[str, FloatArray],
     conditions: Mapping[str, float],
     ranks: Mapping[str, tuple[int, list[str]]],
     taken: str,
     best: str,
 ) -> FitSummary:
-    from labrun.fit.baskets.figure import draw_baskets
-
     first = data.trials[0]
     start = _skip(first, settings)
     output_units = {name: data.units[name] for name in solved}
@@ -163,7 +220,9 @@ def _summary(
     for output, of in solved.items():
         for place, term in enumerate(terms):
             one = of[taken]
-            named = output_units[output] if term == "1" else unit(term, output_units[output], units)
+            named = (
+                output_units[output] if term == "1" else coefficient_unit(term, output_units[output], units)
+            )
             ends = (float(one.low[place]), float(one.high[place]))
             parameters[f"{output}: {term}"] = Estimate(float(one.coefficients[place]), ends, named)
         span = float(np.max(np.abs(measured[output])))
@@ -226,8 +285,8 @@ def _summary(
 
 
 def _reason(
-    settings: "LeastSquaresSettings",
-    solved: Mapping[str, Mapping[str, Solved]],
+    settings: LeastSquaresSettings,
+    solved: Mapping[str, Mapping[str, Regression]],
     conditions: Mapping[str, float],
     taken: str,
     best: str,

@@ -1,0 +1,273 @@
+"""The fit ``pid``: controllers for a response that is fitted first, or given."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from pydantic import BaseModel
+
+from labrun.errors import FitError, RequestError
+from labrun.fit.estimate import Estimate
+from labrun.fit.method import FitJob, Fitted, make_method
+from labrun.fit.summary import FitSummary, FittedData
+from labrun.fit.transfer import TransferFunction, TransferSummary
+from labrun.fit.tuning import summary as words
+from labrun.fit.tuning.designs import as_json, controllers_toml
+from labrun.fit.tuning.settings import PidSettings
+from labrun.fit.tuning.study import Study, study
+from labrun.store.reading import open_run
+from labrun.store.recording import is_recording
+from labrun.toml import nearest
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_LOOP_NAMES = {"magnitude": "force"}
+"""What the loop around a response is called in the experiments that labrun brings along."""
+
+
+class PidDesign:
+    """P, PI and PID, also with a feed-forward, by SIMC and by optimum under margins; predicted before they run."""
+
+    Settings: ClassVar[type[BaseModel]] = PidSettings
+
+    def __init__(self, settings: PidSettings) -> None:
+        self._settings = settings
+
+    def __call__(self, job: FitJob) -> FitSummary:
+        """Fit the plant, design controllers for it, and judge them.
+
+        Raises
+        ------
+        RequestError
+            No such response; an average over a cycle without one.
+        FitError
+            The plant cannot be fitted, or is one that does not settle.
+        """
+        plant = find_plant(job, self._settings)
+        average_s = averaged_over(job, self._settings)
+        job.note(f"designing controllers for {plant.response}")
+        return summary(plant, study(plant.transfer, plant.plants, self._settings, average_s))
+
+
+@dataclass(frozen=True, slots=True)
+class Plant:
+    """A plant, and how well it is known.
+
+    Attributes
+    ----------
+    response
+        Its name.
+    transfer
+        What the controller is designed on.
+    data
+        What it was fitted to.
+    plants
+        Others that the data do not tell apart from it; none if it was given.
+    parameters
+        Its numbers with their intervals, as the fit names them.
+    warnings
+        Of the fit.
+    rmse
+        Of the response, in the output's unit; None if it was given.
+    """
+
+    response: str
+    transfer: TransferFunction
+    data: FittedData
+    plants: tuple[TransferFunction, ...] = ()
+    parameters: Mapping[str, Estimate] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    rmse: float | None = None
+
+
+def find_plant(job: FitJob, settings: PidSettings) -> Plant:
+    """Return the plant that settings name: given, or fitted by another fit, whose settings the run's experiment has.
+
+    Raises
+    ------
+    RequestError
+        No such response, or settings of the fit that do not hold.
+    FitError
+        The response cannot be fitted.
+    """
+    if settings.given_plant is not None:
+        given = settings.given_plant
+        units = {"input_unit": given.input_unit, "output_unit": given.output_unit}
+        transfer = TransferFunction.first_order(given.gain, given.lag_s, given.dead_s, **units)
+        return Plant(settings.response or "given", transfer, FittedData(Path(job.target).stem, "run", 0))
+    keys = {**job.settings_of(settings.plant), **settings.plant_settings}
+    fitted = make_method(settings.plant, keys)(job)
+    return plant_of(fitted, settings.response, settings.resamples)
+
+
+def plant_of(fitted: Fitted, response: str | None, resamples: int) -> Plant:
+    """Return a response of a fit as a plant, with others that its data do not rule out.
+
+    Parameters
+    ----------
+    fitted
+        Of fit ``fopdt`` or ``transfer-function``.
+    response
+        Which; the first, if None.
+    resamples
+        How many other plants, at most.
+
+    Raises
+    ------
+    RequestError
+        There is no such response.
+    FitError
+        The fit gave none at all.
+    """
+    if not isinstance(fitted, TransferSummary) or not fitted.transfers:
+        raise FitError(f"the fit {fitted.method} gave no transfer function to design a controller on")
+    name = chosen(list(fitted.transfers), response)
+    # warnings that begin with another response say nothing about this one
+    others = tuple(f"{one}:" for one in fitted.transfers if one != name)
+    told = [one for one in fitted.warnings if not one.startswith(others)]
+    plants = _settling(fitted.resampled.get(name, ()))[:resamples]
+    if not plants:
+        told.append(
+            "the fit gives no resampled plants that settle: margins are those of the fitted plant only"
+        )
+    return Plant(
+        name,
+        fitted.transfers[name],
+        fitted.data,
+        plants,
+        fitted.estimates.get(name, {}),
+        tuple(told),
+        fitted.rmse.get(name),
+    )
+
+
+def chosen(names: Sequence[str], wanted: str | None) -> str:
+    """Return which response is meant.
+
+    Raises
+    ------
+    RequestError
+        There is none of that name.
+    """
+    if wanted is None:
+        return names[0]
+    if wanted in names:
+        return wanted
+    near = nearest(wanted, list(names))
+    hint = f"did you mean response={near}?" if near else f"fitted were {', '.join(names)}"
+    raise RequestError(f"no response {wanted!r} was fitted", hint=hint)
+
+
+def cycle_of(job: FitJob) -> float | None:
+    """Return the length of the gait's cycle in a run's trials, s; None if it has none or they differ."""
+    if is_recording(job.target):
+        return None
+    values = sorted({one.period_s for one in open_run(job.target).outcomes if one.period_s})
+    return values[0] if values and values[-1] <= values[0] * (1 + 1e-6) else None
+
+
+def _settling(resampled: Sequence[TransferFunction]) -> tuple[TransferFunction, ...]:
+    """Return those of a fit's resamples that can be controlled: their numbers belong together."""
+    return tuple(one for one in resampled if one.is_stable and one.gain and one.dead_s >= 0)
+
+
+def averaged_over(job: FitJob, settings: PidSettings) -> float:
+    """Return the time over which the feedback is a mean, s.
+
+    Raises
+    ------
+    RequestError
+        It is not known.
+    """
+    if settings.feedback == "latest":
+        return 0.0
+    if settings.period_s is not None:
+        return settings.period_s
+    cycle_s = cycle_of(job) if settings.feedback == "cycle-average" else None
+    if cycle_s is None:
+        raise RequestError(
+            f'feedback = "{settings.feedback}" is a mean, and it is not known over how long',
+            hint="say it: --set period_s=0.714, or --set feedback=latest if nothing is averaged",
+        )
+    return cycle_s
+
+
+def summary(plant: Plant, found: Study) -> FitSummary:
+    """Return what is printed and stored."""
+    settings = found.settings
+    rate_hz = settings.rate_hz
+    details: dict[str, Any] = {
+        "response": plant.response,
+        "plant": _plant_json(plant.transfer),
+        "loop": {
+            "rate_hz": rate_hz,
+            "compute_s": settings.compute_s,
+            "feedback": settings.feedback,
+            "average_s": found.loop.average_s,
+            "effective_dead_s": found.loop.delay_s,
+        },
+        "recommended": found.best,
+        "designs": {one.name: as_json(one, rate_hz) for one in found.designs},
+        "spreads": {
+            name: {
+                "gain_margin_ci95": _finite(spread.gain),
+                "phase_margin_deg_ci95": _finite(spread.phase_deg),
+                "unstable_share": spread.unstable_share,
+            }
+            for name, spread in found.spreads.items()
+        },
+        "tracking": {
+            name: {f"{factor:g}": list(pair) for factor, pair in errors.items()}
+            for name, errors in found.errors.items()
+        },
+    }
+    loop_name = _LOOP_NAMES.get(plant.response, plant.response)
+    heading = (
+        f"Controllers for {plant.response}, designed on {plant.transfer}, fitted to {plant.data.name}.\n"
+        f"For a loop at {rate_hz:g} Hz with feedback {settings.feedback}"
+        + (f" over {found.loop.average_s:.4g} s" if found.loop.average_s else "")
+        + f"; gains in {words.drive_per_output(found)}."
+    )
+    file = controllers_toml(found.designs, found.best, settings.i_per, loop_name, heading)
+    return FitSummary(
+        method="pid",
+        model_name=f"controllers for {plant.response}",
+        data=plant.data,
+        parameters=plant.parameters,
+        rmse={} if plant.rmse is None else {plant.response: plant.rmse},
+        rmse_units={plant.response: plant.transfer.output_unit},
+        tables=words.tables(found),
+        findings=tuple(words.findings(found)),
+        warnings=(*plant.warnings, *words.warnings(found)),
+        details=details,
+        files={"pid.toml": file},
+        picture=lambda: _picture(plant, found),
+    )
+
+
+def _picture(plant: Plant, found: Study) -> "Figure":
+    from labrun.fit.tuning.figure import draw_designs
+
+    loop = found.loop
+    feedback = f"mean over {loop.average_s:.3g} s" if loop.average_s else "latest sample"
+    title = (
+        f"Controllers for {plant.response} of {plant.data.name}, at {loop.rate_hz:g} Hz, feedback: {feedback}"
+        + (f"; * recommended: {found.best}" if found.best else "")
+    )
+    return draw_designs(found, title)
+
+
+def _plant_json(transfer: TransferFunction) -> dict[str, Any]:
+    return {
+        "numerator": list(transfer.numerator),
+        "denominator": list(transfer.denominator),
+        "dead_s": transfer.dead_s,
+        "input_unit": transfer.input_unit,
+        "output_unit": transfer.output_unit,
+    }
+
+
+def _finite(pair: tuple[float, float]) -> list[float | None]:
+    return [value if abs(value) < float("inf") else None for value in pair]
