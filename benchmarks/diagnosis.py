@@ -24,8 +24,7 @@ from labrun.gap.problem import GapProblem, own_states
 from labrun.gap.recalibration import recalibrate
 from labrun.gap.scales import site_scales
 from labrun.gap.units import gather
-from labrun.models import Model, simulate
-from labrun.models.toml_model import parse_model
+from labrun.models import Model, parse_model, simulate
 from labrun.store.recording import SignalInfo
 
 MODEL = """

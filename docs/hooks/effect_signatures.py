@@ -15,8 +15,7 @@ import numpy as np
 from PIL import Image
 
 from labrun.effects import AttachedEffect, Effect, Scale
-from labrun.models import FloatArray, Model, parse_model, simulate
-from labrun.models.sites import site_course
+from labrun.models import FloatArray, Model, parse_model, simulate, site_course
 from labrun.report.gap_canvas import plain_figure
 from labrun.report.style import COLOURS, SOFT
 

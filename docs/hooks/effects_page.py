@@ -1,19 +1,16 @@
-"""The entries of effects.md, made from the effects that are installed, so that the page says what the code does.
+"""The entries of effects.md, made from the same TOML files as the effects, so that the page says what is simulated.
 
     python docs/hooks/effects_page.py
 
 writes the entries and their pictures anew; the tests compare page and pictures with what is installed.
 """
 
-import importlib
 import math
 import sys
 import textwrap
-from importlib.metadata import entry_points
 from pathlib import Path
 
-from labrun.effects import Effect, effects
-from labrun.effects.effect import EffectParameter
+from labrun.effects import Effect, EffectParameter, effects
 
 DOCS = Path(__file__).parents[1]
 PAGE = DOCS / "effects.md"
@@ -36,15 +33,14 @@ def pictures() -> dict[str, Effect]:
 def entries() -> str:
     """Return the entries of the page as Markdown, by kind of site."""
     parts = []
-    said = _first_lines()
     for kind, (title, rig) in KINDS.items():
         parts += [f"## {title}", rig]
         for effect in sorted((one for one in effects() if one.kind == kind), key=lambda one: one.id):
-            parts.append(entry(effect, said[effect.id]))
+            parts.append(entry(effect))
     return "\n\n".join(parts)
 
 
-def entry(effect: Effect, said: str) -> str:
+def entry(effect: Effect) -> str:
     """Return the entry of one effect: what it is, its equation, parameters, source and picture."""
     heading = f"### {effect.id}" + (f" ({effect.kind})" if effect.kind in ("input", "output") else "")
     needs = [f"the site's `{need}`" for need in effect.needs]
@@ -54,7 +50,7 @@ def entry(effect: Effect, said: str) -> str:
     return "\n\n".join(
         [
             heading,
-            said + (f" Needs {' and '.join(needs)}." if needs else ""),
+            effect.title + (f" Needs {' and '.join(needs)}." if needs else ""),
             "```text\n" + textwrap.fill(effect.form, _WIDTH, break_on_hyphens=False) + "\n```",
             "| parameter | unit | bounds | times typical | neutral | starts |\n|---|---|---|---|---|---|\n"
             + rows,
@@ -96,14 +92,6 @@ def _typical(one: EffectParameter) -> str:
 def _number(value: float) -> str:
     text = ("\u221e" if value > 0 else "-\u221e") if math.isinf(value) else f"{value:g}"
     return text.replace("-", "\N{MINUS SIGN}")
-
-
-def _first_lines() -> dict[str, str]:
-    """Return the first line of every effect's module, by its id."""
-    return {
-        point.name: (importlib.import_module(point.module).__doc__ or "").strip().splitlines()[0]
-        for point in entry_points(group="labrun.effects")
-    }
 
 
 if __name__ == "__main__":

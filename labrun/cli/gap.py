@@ -37,9 +37,9 @@ Workers = Annotated[
 
 
 def _effect_ids(incomplete: str) -> list[str]:
-    from labrun import registry
+    from labrun.effects import effects
 
-    return [name for name in registry.names("labrun.effects") if name.startswith(incomplete)]
+    return sorted({effect.id for effect in effects() if effect.id.startswith(incomplete)})
 
 
 def diagnose(

@@ -1,8 +1,19 @@
 """Physics a model may lack, each attachable to a site of any model."""
 
-from labrun.effects.effect import AttachedEffect, Effect, EffectParameter, force_law, signal_filter
+from labrun.effects.effect import (
+    AttachedEffect,
+    Effect,
+    EffectParameter,
+    Quantity,
+    Scale,
+    Site,
+    SiteKind,
+    force_law,
+    signal_filter,
+    unit_of,
+)
 from labrun.effects.library import effects, load_effect
-from labrun.effects.quantities import Quantity, Scale
+from labrun.effects.reading import read_effects
 
 __all__ = [
     "AttachedEffect",
@@ -10,8 +21,12 @@ __all__ = [
     "EffectParameter",
     "Quantity",
     "Scale",
+    "Site",
+    "SiteKind",
     "effects",
     "force_law",
     "load_effect",
+    "read_effects",
     "signal_filter",
+    "unit_of",
 ]

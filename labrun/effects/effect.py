@@ -3,15 +3,152 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
-from labrun.effects.quantities import Quantity, Scale, unit_of
+from labrun.compiled import NativeFunction, native
 from labrun.errors import ModelError
-from labrun.models.model import Model, Site, SiteKind
-from labrun.models.native import NativeFunction, native
 from labrun.toml import suggest
 
+SiteKind = Literal["joint", "body", "input", "output"]
 Need = Literal["load", "stiffness"]
+
+Quantity = Literal[
+    "force",
+    "coordinate",
+    "rate",
+    "damping",
+    "drag",
+    "stiffness",
+    "cubic-stiffness",
+    "inertia",
+    "signal",
+    "signal-rate",
+    "time",
+    "time-per-coordinate",
+    "ratio",
+]
+
+_ROTARY = {
+    "force": "N m",
+    "damping": "N m s/rad",
+    "drag": "N m s^2/rad^2",
+    "stiffness": "N m/rad",
+    "cubic-stiffness": "N m/rad^3",
+    "inertia": "kg m^2",
+}
+_LINEAR = {
+    "force": "N",
+    "damping": "N s/m",
+    "drag": "N s^2/m^2",
+    "stiffness": "N/m",
+    "cubic-stiffness": "N/m^3",
+    "inertia": "kg",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Typical magnitudes at a site: peak excursion, speed, acceleration and force of the data, SI.
+
+    The default 1 everywhere leaves an effect's numbers as they stand.
+    """
+
+    coordinate: float = 1.0
+    rate: float = 1.0
+    acceleration: float = 1.0
+    force: float = 1.0
+    signal: float = 1.0
+    time_s: float = 1.0
+
+    def of(self, quantity: Quantity) -> float:
+        """Return the typical magnitude of a quantity, SI."""
+        return {
+            "force": self.force,
+            "coordinate": self.coordinate,
+            "rate": self.rate,
+            "damping": self.force / self.rate,
+            "drag": self.force / self.rate**2,
+            "stiffness": self.force / self.coordinate,
+            "cubic-stiffness": self.force / self.coordinate**3,
+            "inertia": self.force / self.acceleration,
+            "signal": self.signal,
+            "signal-rate": self.signal / self.time_s,
+            "time": self.time_s,
+            "time-per-coordinate": 1.0 / self.rate,
+            "ratio": 1.0,
+        }[quantity]
+
+
+def unit_of(quantity: Quantity, coordinate_unit: str = "rad", signal_unit: str = "1") -> str:
+    """Return the unit of a quantity at a site whose coordinate (or whose signal) has that unit."""
+    simple = {
+        "time": "s",
+        "ratio": "1",
+        "signal": signal_unit,
+        "signal-rate": f"{signal_unit}/s",
+        "coordinate": coordinate_unit,
+        "rate": f"{coordinate_unit}/s",
+        "time-per-coordinate": f"s/{coordinate_unit}",
+    }
+    if quantity in simple:
+        return simple[quantity]
+    if coordinate_unit == "rad":
+        return _ROTARY[quantity]
+    if coordinate_unit == "m":
+        return _LINEAR[quantity]
+    c = coordinate_unit  # neither: the force is whatever the model's equation makes it
+    other = {
+        "damping": f" s/{c}",
+        "drag": f" s^2/{c}^2",
+        "stiffness": f"/{c}",
+        "cubic-stiffness": f"/{c}^3",
+        "inertia": f" s^2/{c}",
+    }
+    return f"force{other.get(quantity, '')}"
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """A place of a model where physics can be missing.
+
+    Attributes
+    ----------
+    kind
+        ``joint`` and ``body`` sites take forces; every input and every output is a site of its own kind.
+    coordinate, rate
+        Expressions of a joint's or body's coordinate and of its time derivative.
+    load
+        Expression of the load the joint carries; "" where a model gives none.
+    stiffness
+        Name of the parameter that is the site's own spring, or an expression where a condition exchanges it; "" where
+        there is none.
+    """
+
+    name: str
+    kind: SiteKind
+    coordinate: str = ""
+    rate: str = ""
+    load: str = ""
+    stiffness: str = ""
+
+
+class HasSites(Protocol):
+    """A model, as far as an effect has to know it: see `labrun.models.Model`."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+
+    @property
+    def inputs(self) -> Sequence[object]:
+        """One for each signal that drives it."""
+
+    @property
+    def outputs(self) -> Sequence[object]:
+        """One for each signal it gives."""
+
+    def place(self, name: str, kind: SiteKind | None = None, /) -> Site:
+        """Return the site of that name and kind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +208,9 @@ class Effect:
     kind
         The kind of site it belongs to. Effects of different kinds may share an id (``delay``).
     function
-        The compiled force law (joint, body) or filter (input, output); see `labrun.models.native.Signature`.
+        The compiled force law (joint, body) or filter (input, output); see `labrun.compiled.Signature`.
     form
-        Its equation, for people.
+        Its equations.
     source
         Where the form comes from.
     states
@@ -90,6 +227,10 @@ class Effect:
         What to know wherever it is named; empty if nothing.
     compound
         Whether simpler effects together look nearly the same: where they explain as much, they are preferred.
+    title
+        What it is, in a sentence.
+    origin
+        The TOML file it was read from, as it was named; "" for those that ship and those written in Python.
     contains
         Ids of simpler effects that it becomes at some sizes. A library without one of them is without this one, too.
     """
@@ -108,6 +249,8 @@ class Effect:
     contains: tuple[str, ...] = ()
     caution: str = ""
     compound: bool = False
+    title: str = ""
+    origin: str = ""
 
     def fits(self, site: Site) -> bool:
         """Tell whether it can sit at a site: the kind is right, and the site declares what it needs."""
@@ -146,7 +289,7 @@ class AttachedEffect:
         """Return the same with other values."""
         return AttachedEffect(self.effect, self.site, tuple(float(value) for value in values))
 
-    def check(self, model: Model) -> Site:
+    def check(self, model: HasSites) -> Site:
         """Return the site it sits at.
 
         Raises

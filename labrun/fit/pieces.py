@@ -12,8 +12,7 @@ from labrun.errors import FitError
 from labrun.fit.dataset import Dataset, FitTrial
 
 if TYPE_CHECKING:
-    from labrun.models import Model
-    from labrun.models.inputs import Drive
+    from labrun.models import Drive, Model
 
 FloatArray = NDArray[np.float64]
 

@@ -20,8 +20,7 @@ from labrun.fit.pieces import (
 
 if TYPE_CHECKING:
     from labrun.effects import AttachedEffect
-    from labrun.models import Model
-    from labrun.models.inputs import Drive
+    from labrun.models import Drive, Model
 
 FloatArray = NDArray[np.float64]
 

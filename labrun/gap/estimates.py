@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.effects.quantities import unit_of
+from labrun.effects import unit_of
 from labrun.gap import criteria
 from labrun.gap.bounds import least_levels
 from labrun.gap.diagnosis import Estimate, Shrinkage

@@ -3,8 +3,7 @@
 # ruff: noqa: ARG001 - the signature is fixed, whatever of it a form uses
 
 from labrun.effects import AttachedEffect, Effect, EffectParameter, force_law
-from labrun.models import Model
-from labrun.models.native import Pointer
+from labrun.models import Model, Pointer
 
 
 def law(

@@ -20,8 +20,7 @@ from labrun.gap.workers import stop_if_told
 
 if TYPE_CHECKING:
     from labrun.effects import AttachedEffect, Scale
-    from labrun.models import Model
-    from labrun.models.inputs import Drive
+    from labrun.models import Drive, Model
 
 FloatArray = NDArray[np.float64]
 
@@ -206,7 +205,7 @@ class GapProblem(Problem):
         self, parameters: FloatArray, trial: int, start: FloatArray, effects: "tuple[AttachedEffect, ...]"
     ) -> FloatArray | None:
         """Return the outputs of one unit behind effects at outputs, which share what is before them."""
-        from labrun.models.simulation import filtered, simulate_unfiltered
+        from labrun.models import filtered, simulate_unfiltered
 
         drive = self._drives[trial]
         inside = tuple(one for one in effects if one.effect.kind != "output")

@@ -7,7 +7,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from labrun.models.simulation import Unfiltered
+    from labrun.models import Unfiltered
 
 _MOST_BYTES = 128_000_000
 

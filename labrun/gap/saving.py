@@ -25,8 +25,7 @@ def save_model(diagnosis: Diagnosis, source: str | Path, path: Path) -> None:
     ModelError
         A value that the model does not allow.
     """
-    from labrun.models import load_model
-    from labrun.models.writing import corrected_model_text
+    from labrun.models import corrected_model_text, load_model
 
     if path.exists():
         raise RequestError(f"{path} is there already", hint="name another file, or move that one away")

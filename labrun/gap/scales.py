@@ -131,8 +131,7 @@ def _answers(
     problem: "GapProblem", z: FloatArray, effects: "Sequence[AttachedEffect]" = ()
 ) -> "list[_Answer] | None":
     """Return the course of the sites and the outputs of every unit; None if any is not finite."""
-    from labrun.models import simulate
-    from labrun.models.sites import site_course
+    from labrun.models import simulate, site_course
 
     parameters = problem.model_parameters(z)
     attached = (*problem.attached(problem.parameters(z)), *effects)

@@ -2,21 +2,19 @@
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from labrun.effects import AttachedEffect, Effect, EffectParameter, SiteKind, load_effect
 from labrun.errors import ModelError, PluginError
 from labrun.models.fields import Fields
-from labrun.models.model import Model, SiteKind
+from labrun.models.model import Model
 from labrun.toml import KeyPath, suggest
-
-if TYPE_CHECKING:
-    from labrun.effects.effect import AttachedEffect, Effect, EffectParameter
 
 _KEYS = ("effect", "site", "kind", "values")
 _KINDS = ("joint", "body", "input", "output")
 
 
-def read_effects(fields: Fields, model: Model) -> "tuple[AttachedEffect, ...]":
+def read_effects(fields: Fields, model: Model) -> tuple[AttachedEffect, ...]:
     """Return the effects a file puts at sites of its model, in its order.
 
     Raises
@@ -33,7 +31,7 @@ def read_effects(fields: Fields, model: Model) -> "tuple[AttachedEffect, ...]":
     return tuple(_attached(fields, ("effects", index), one, model) for index, one in enumerate(tables))
 
 
-def _attached(fields: Fields, path: KeyPath, entry: Mapping[str, Any], model: Model) -> "AttachedEffect":
+def _attached(fields: Fields, path: KeyPath, entry: Mapping[str, Any], model: Model) -> AttachedEffect:
     fields.check_keys(path, entry, _KEYS)
     for key in ("effect", "site"):
         if key not in entry:
@@ -64,10 +62,8 @@ def _kinds(fields: Fields, path: KeyPath, model: Model, site: str, kind: SiteKin
     raise fields.text.error((*path, "site"), f"model {model.name} has no {what} {site!r}", hint)
 
 
-def _effect(fields: Fields, path: KeyPath, name: str, kinds: list[SiteKind]) -> "Effect":
+def _effect(fields: Fields, path: KeyPath, name: str, kinds: list[SiteKind]) -> Effect:
     """Return the one effect of that name that sits at one of the kinds of sites."""
-    from labrun.effects.library import load_effect
-
     fitting, refusals = [], []
     for kind in dict.fromkeys(kinds):
         try:
@@ -85,7 +81,7 @@ def _effect(fields: Fields, path: KeyPath, name: str, kinds: list[SiteKind]) -> 
     return fitting[0]
 
 
-def _values(fields: Fields, path: KeyPath, effect: "Effect", table: Any) -> dict[str, float]:
+def _values(fields: Fields, path: KeyPath, effect: Effect, table: Any) -> dict[str, float]:
     path = (*path, "values")
     fields.check_keys(path, table, tuple(one.name for one in effect.parameters))
     values = {name: fields.number((*path, name), value) for name, value in table.items()}
@@ -99,7 +95,7 @@ def _values(fields: Fields, path: KeyPath, effect: "Effect", table: Any) -> dict
     return values
 
 
-def _check_range(fields: Fields, path: KeyPath, parameter: "EffectParameter", value: float) -> None:
+def _check_range(fields: Fields, path: KeyPath, parameter: EffectParameter, value: float) -> None:
     """Refuse what is impossible at any site: a bound of 0 holds whatever the site's typical magnitudes are."""
     if value == parameter.neutral:
         return

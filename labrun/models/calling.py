@@ -2,32 +2,15 @@
 
 # ruff: noqa: ARG001 - numba reads the arguments of an intrinsic from its signature
 
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from labrun.models.freshness import fresh
-
-Function = TypeVar("Function", bound=Callable[..., Any])
-
 _DOUBLE = ir.DoubleType()
 _POINTER = _DOUBLE.as_pointer()
-
-
-def kernel(function: Function) -> Function:
-    """Compile a function on its first call, without the GIL, and keep it on disk."""
-    return cast("Function", njit(cache=True, nogil=True, error_model="numpy")(fresh(function)))
-
-
-def inlined(function: Function) -> Function:
-    """Compile a function into the kernels that call it: for what is called at every step, where a call costs most."""
-    return cast(
-        "Function", njit(cache=True, nogil=True, error_model="numpy", forceinline=True)(fresh(function))
-    )
 
 
 def _data(context: Any, builder: Any, array_type: Any, array: Any, offset: Any) -> Any:

@@ -1,7 +1,7 @@
 """Compiled: laws that depend on acceleration, solved together with the model. Importing this imports numba."""
 
-from labrun.models.calling import beyond, call_law, call_model, few, kernel
-from labrun.models.native import Pointer
+from labrun.compiled import Pointer, kernel
+from labrun.models.calling import beyond, call_law, call_model, few
 from labrun.models.system import System
 
 _PROBE_S = 1e-4

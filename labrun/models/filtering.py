@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from labrun.models.calling import call_filter, kernel
+from labrun.arrays import FloatArray
+from labrun.compiled import kernel
+from labrun.models.calling import call_filter
 from labrun.models.layout import IntArray
-from labrun.models.model import FloatArray
 
 
 @kernel

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labrun.arrays import FloatArray
 from labrun.errors import ModelError
-from labrun.models.model import Between, FloatArray
+from labrun.models.model import Between
 
 _REACH = 64
 """Samples on each side that a band-limited value is made from: flat up to 96 % of the Nyquist frequency."""

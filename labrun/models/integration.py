@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from labrun.models.calling import beyond, call_model, few, inlined, kernel, pointer
+from labrun.arrays import FloatArray
+from labrun.compiled import Pointer, inlined, kernel
+from labrun.models.calling import beyond, call_model, few, pointer
 from labrun.models.coupling import couple
 from labrun.models.layout import IntArray
-from labrun.models.model import FloatArray
-from labrun.models.native import Pointer
 from labrun.models.slopes import load
 from labrun.models.steps import fifth_order, fourth_order
 from labrun.models.system import System

@@ -1,23 +1,18 @@
 """Model and effects as the flat arrays the kernels take."""
 
-import dis
-import functools
 import math
 import weakref
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from types import FunctionType
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.models.generate import is_generated
-from labrun.models.model import FloatArray, Model, Site
-
-if TYPE_CHECKING:
-    from labrun.effects.effect import AttachedEffect, Effect
+from labrun.arrays import FloatArray
+from labrun.compiled import is_generated
+from labrun.effects import AttachedEffect, Effect, Site
+from labrun.models.model import Model
 
 IntArray = NDArray[np.int64]
 
@@ -96,10 +91,10 @@ class Layout:
     acting: tuple[int, ...]
     before: tuple[int, ...]
     after: tuple[int, ...]
-    effects: "tuple[Effect, ...]"
+    effects: tuple[Effect, ...]
 
 
-def layout(model: Model, effects: "Sequence[AttachedEffect]") -> Layout:
+def layout(model: Model, effects: Sequence[AttachedEffect]) -> Layout:
     """Return the layout, made once for each combination of effects and sites of a model.
 
     Raises
@@ -125,7 +120,7 @@ def layout(model: Model, effects: "Sequence[AttachedEffect]") -> Layout:
     return found
 
 
-def law_values(found: Layout, effects: "Sequence[AttachedEffect]") -> FloatArray:
+def law_values(found: Layout, effects: Sequence[AttachedEffect]) -> FloatArray:
     """Return the values of all laws, one behind the other."""
     if not found.acting:
         return _NO_NUMBERS
@@ -133,7 +128,7 @@ def law_values(found: Layout, effects: "Sequence[AttachedEffect]") -> FloatArray
 
 
 def filters(
-    model: Model, effects: "Sequence[AttachedEffect]", chosen: Sequence[int], shortest_s: float
+    model: Model, effects: Sequence[AttachedEffect], chosen: Sequence[int], shortest_s: float
 ) -> Filters:
     """Lay out the chosen input or output effects; `shortest_s` is the shortest piece of signal they will see."""
     if not chosen:
@@ -154,7 +149,7 @@ def filters(
     )
 
 
-def _laid_out(model: Model, effects: "Sequence[AttachedEffect]") -> Layout:
+def _laid_out(model: Model, effects: Sequence[AttachedEffect]) -> Layout:
     for one in effects:
         one.check(model)
     kinds = [one.effect.kind for one in effects]
@@ -170,7 +165,7 @@ def _laid_out(model: Model, effects: "Sequence[AttachedEffect]") -> Layout:
     )
 
 
-def _forces(model: Model, chosen: "Sequence[AttachedEffect]") -> Forces:
+def _forces(model: Model, chosen: Sequence[AttachedEffect]) -> Forces:
     order = [site.name for site in model.sites]
     rows = [_read(model, site) for site in model.sites]
     states = [one.effect.states for one in chosen]
@@ -210,7 +205,7 @@ def _read(model: Model, site: Site) -> tuple[int, int, int]:
     )
 
 
-def _all_read(model: Model, rows: Sequence[tuple[int, int, int]], chosen: "Sequence[AttachedEffect]") -> bool:
+def _all_read(model: Model, rows: Sequence[tuple[int, int, int]], chosen: Sequence[AttachedEffect]) -> bool:
     """Tell whether the site function, which a load may make as costly as the equations, need not be called.
 
     A site function that is written by hand is always called: it may do other than the site's expressions say.
@@ -219,28 +214,12 @@ def _all_read(model: Model, rows: Sequence[tuple[int, int, int]], chosen: "Seque
         coordinate >= 0 and rate >= 0 and (stiffness >= 0 or not site.stiffness)
         for site, (coordinate, rate, stiffness) in zip(model.sites, rows, strict=True)
     )
-    return (
-        plain
-        and is_generated(model.site_values)
-        and not any(_reads_load(one.effect.function.python) for one in chosen)
-    )
+    return plain and is_generated(model.site_values) and not any(_may_read_load(one.effect) for one in chosen)
 
 
-@functools.cache
-def _reads_load(law: Callable[..., float]) -> bool:
-    """Tell whether a law reads its argument `load`, whatever it says that it needs."""
-    if not isinstance(law, FunctionType) or law.__code__.co_argcount < _LOAD + 1:
-        return True
-    name = law.__code__.co_varnames[_LOAD]
-    # newer Pythons read two variables with one instruction
-    return any(
-        instruction.argval == name or (isinstance(instruction.argval, tuple) and name in instruction.argval)
-        for instruction in dis.get_instructions(law)
-    )
-
-
-_LOAD = 4
-"""Place of `load` among the arguments of a law."""
+def _may_read_load(effect: Effect) -> bool:
+    """Tell whether a law may read the load: one in Python need not say so."""
+    return "load" in effect.needs or not is_generated(effect.function)
 
 
 @dataclass

@@ -3,22 +3,18 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
+from labrun.compiled import NativeFunction
+from labrun.effects import AttachedEffect, Site, SiteKind
 from labrun.errors import ModelError
-from labrun.models.native import NativeFunction
 from labrun.toml import suggest
 
-if TYPE_CHECKING:
-    from labrun.effects.effect import AttachedEffect
-
-FloatArray = NDArray[np.float64]
 Between = Literal["linear", "hold", "band-limited"]
 """How an input runs between its samples."""
-SiteKind = Literal["joint", "body", "input", "output"]
 Condition = Mapping[str, float | str]
 
 
@@ -59,31 +55,6 @@ class Output:
 
     name: str
     unit: str = "1"
-
-
-@dataclass(frozen=True, slots=True)
-class Site:
-    """A place where physics can be missing.
-
-    Attributes
-    ----------
-    kind
-        ``joint`` and ``body`` sites take forces; every input and every output is a site of its own kind.
-    coordinate, rate
-        Expressions of a joint's or body's coordinate and of its time derivative.
-    load
-        Expression of the load the joint carries; "" where a model gives none.
-    stiffness
-        Name of the parameter that is the site's own spring, or an expression where a condition exchanges it; "" where
-        there is none.
-    """
-
-    name: str
-    kind: SiteKind
-    coordinate: str = ""
-    rate: str = ""
-    load: str = ""
-    stiffness: str = ""
 
 
 @dataclass(frozen=True)
@@ -129,7 +100,7 @@ class Model:
     constants: FloatArray = field(default_factory=lambda: np.empty(0), compare=False)
     source: str = ""
     notes: tuple[str, ...] = ()
-    effects: "tuple[AttachedEffect, ...]" = ()
+    effects: tuple[AttachedEffect, ...] = ()
 
     @property
     def places(self) -> tuple[Site, ...]:
@@ -213,7 +184,7 @@ class Model:
         ]
         return dataclasses.replace(self, parameters=tuple(parameters))
 
-    def with_effects(self, effects: "Sequence[AttachedEffect]") -> "Model":
+    def with_effects(self, effects: Sequence[AttachedEffect]) -> "Model":
         """Return the model with these effects behind those it carries already.
 
         Raises

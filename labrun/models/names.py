@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 
+from labrun.effects import Site
 from labrun.models.fields import Fields
-from labrun.models.model import Input, Parameter, Site
+from labrun.models.model import Input, Parameter
 from labrun.toml import Expression, ExpressionError, KeyPath, suggest
 
 

@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from labrun.arrays import FloatArray
+from labrun.compiled import NativeFunction, equations, generated, native
+from labrun.effects import Site
 from labrun.errors import ModelError
-from labrun.models.generate import equations, generated
-from labrun.models.model import FloatArray, Input, Model, Output, Parameter, Site
-from labrun.models.native import NativeFunction, native
+from labrun.models.model import Input, Model, Output, Parameter
 from labrun.toml import Expression, ExpressionError, suggest
 
 

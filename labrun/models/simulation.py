@@ -2,18 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect
 from labrun.errors import ModelError
 from labrun.models.inputs import Drive, drive
 from labrun.models.layout import filters, law_values, layout
-from labrun.models.model import Condition, FloatArray, Model
-
-if TYPE_CHECKING:
-    from labrun.effects.effect import AttachedEffect
+from labrun.models.model import Condition, Model
 
 _MOST_SUBSTEPS = 256
 
@@ -47,7 +45,7 @@ def simulate(
     parameters: FloatArray | Mapping[str, float] | None = None,
     condition: Condition | None = None,
     initial_state: ArrayLike | None = None,
-    effects: "Sequence[AttachedEffect]" = (),
+    effects: Sequence[AttachedEffect] = (),
     substeps: int | None = None,
 ) -> Simulation:
     """Simulate a model over one trial.
@@ -136,7 +134,7 @@ def simulate_unfiltered(
     parameters: FloatArray | Mapping[str, float] | None = None,
     condition: Condition | None = None,
     initial_state: ArrayLike,
-    effects: "Sequence[AttachedEffect]" = (),
+    effects: Sequence[AttachedEffect] = (),
 ) -> Unfiltered:
     """Simulate one trial up to the effects at its outputs, which `filtered` adds; arguments as for `simulate`."""
     p = model.vector(parameters, condition or {})
@@ -144,7 +142,7 @@ def simulate_unfiltered(
     return _integrated(model, driven, p, _checked_state(model, initial_state), effects, every=1)
 
 
-def filtered(model: Model, before: Unfiltered, effects: "Sequence[AttachedEffect]") -> Simulation:
+def filtered(model: Model, before: Unfiltered, effects: Sequence[AttachedEffect]) -> Simulation:
     """Return what `simulate` gives with these effects, from the simulation before those at the outputs."""
     effects = (*model.effects, *effects)
     return _filtered(model, before, effects, every=1)
@@ -163,7 +161,7 @@ def suggest_substeps(
     parameters: FloatArray | Mapping[str, float] | None = None,
     condition: Condition | None = None,
     initial_state: ArrayLike | None = None,
-    effects: "Sequence[AttachedEffect]" = (),
+    effects: Sequence[AttachedEffect] = (),
     tolerance: float = 1e-4,
     most: int = _MOST_SUBSTEPS,
 ) -> int:
@@ -202,7 +200,7 @@ def _checked_state(model: Model, initial_state: ArrayLike) -> FloatArray:
 
 
 def _run(
-    model: Model, driven: Drive, p: FloatArray, initial_state: FloatArray, effects: "Sequence[AttachedEffect]"
+    model: Model, driven: Drive, p: FloatArray, initial_state: FloatArray, effects: Sequence[AttachedEffect]
 ) -> Simulation:
     effects = (*model.effects, *effects)
     every = 1 if layout(model, effects).after else driven.substeps
@@ -216,7 +214,7 @@ def _integrated(
     driven: Drive,
     p: FloatArray,
     initial_state: FloatArray,
-    effects: "Sequence[AttachedEffect]",
+    effects: Sequence[AttachedEffect],
     *,
     every: int,
 ) -> Unfiltered:
@@ -254,7 +252,7 @@ def _integrated(
 
 
 def _filtered(
-    model: Model, before: Unfiltered, effects: "Sequence[AttachedEffect]", *, every: int
+    model: Model, before: Unfiltered, effects: Sequence[AttachedEffect], *, every: int
 ) -> Simulation:
     driven, outputs, states = before.driven, before.outputs, before.states
     chosen = layout(model, effects).after

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from labrun.models.calling import call_model, kernel
-from labrun.models.model import FloatArray
+from labrun.arrays import FloatArray
+from labrun.compiled import kernel
+from labrun.models.calling import call_model
 
 
 @kernel

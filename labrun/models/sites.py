@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from labrun.models.model import Condition, FloatArray, Model
+from labrun.arrays import FloatArray
+from labrun.models.model import Condition, Model
 
 
 def site_course(

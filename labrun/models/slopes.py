@@ -1,8 +1,8 @@
 """Compiled: the derivative of a model with force laws at its sites. Importing this imports numba."""
 
-from labrun.models.calling import beyond, call_law, call_model, few, inlined
+from labrun.compiled import Pointer, inlined
+from labrun.models.calling import beyond, call_law, call_model, few
 from labrun.models.coupling import couple
-from labrun.models.native import Pointer
 from labrun.models.system import System
 
 

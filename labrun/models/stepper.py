@@ -2,17 +2,16 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect
 from labrun.errors import ModelError
 from labrun.models.layout import filters, law_values, layout
-from labrun.models.model import Condition, FloatArray, Model
-
-if TYPE_CHECKING:
-    from labrun.effects.effect import AttachedEffect
+from labrun.models.model import Condition, Model
 
 
 class Stepper:
@@ -43,7 +42,7 @@ class Stepper:
         model: Model,
         parameters: FloatArray | Mapping[str, float] | None = None,
         condition: Condition | None = None,
-        effects: "Sequence[AttachedEffect]" = (),
+        effects: Sequence[AttachedEffect] = (),
         step_s: float = 1e-3,
         *,
         initial_state: ArrayLike | None = None,

@@ -1,7 +1,7 @@
 """Compiled: one Runge-Kutta step. Importing this imports numba."""
 
-from labrun.models.calling import beyond, few, inlined
-from labrun.models.native import Pointer
+from labrun.compiled import Pointer, inlined
+from labrun.models.calling import beyond, few
 from labrun.models.slopes import slopes
 from labrun.models.system import System
 

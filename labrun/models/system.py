@@ -1,14 +1,8 @@
 """What the kernels integrate: a model with its laws, as numbers and pointers."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
-from labrun.models.native import Pointer
-
-
-class IntPointer(Protocol):
-    """What compiled functions see of an array of integers: by index, no length."""
-
-    def __getitem__(self, index: int, /) -> int: ...
+from labrun.compiled import IntPointer, Pointer
 
 
 class System(NamedTuple):

@@ -4,8 +4,9 @@ import math
 from collections.abc import Mapping
 from typing import Any, Literal, cast, get_args
 
+from labrun.effects import Site, SiteKind
 from labrun.models.fields import Fields, is_name
-from labrun.models.model import Between, Input, Output, Parameter, Site, SiteKind
+from labrun.models.model import Between, Input, Output, Parameter
 from labrun.toml import Expression, suggest
 
 _PARAMETER_KEYS = ("value", "tolerance", "unit", "lower", "upper")

@@ -1,15 +1,12 @@
 """Changes to the text of a model file that leave its comments and its layout alone."""
 
 import re
+import sys
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
-from labrun import registry
+from labrun.effects import AttachedEffect, Effect, effects
 from labrun.errors import ModelError
 from labrun.toml import KeyPath, locate
-
-if TYPE_CHECKING:
-    from labrun.effects.effect import AttachedEffect, Effect
 
 
 def quoted(text: str) -> str:
@@ -67,7 +64,7 @@ def with_values(text: str, values: Mapping[str, float]) -> str:
     return "\n".join([*rows[:place], *lines, *rows[place:]]) + "\n"
 
 
-def with_effects(text: str, effects: "Sequence[AttachedEffect]") -> str:
+def with_effects(text: str, effects: Sequence[AttachedEffect]) -> str:
     """Add effects behind those the text has."""
     found = locate(text).spans
     if ("effects",) not in found:
@@ -86,7 +83,7 @@ def _behind(text: str, place: int, more: str) -> str:
     return (encoded[:place] + more.encode() + encoded[place:]).decode()
 
 
-def _rows(attached: "AttachedEffect") -> str:
+def _rows(attached: AttachedEffect) -> str:
     effect = attached.effect
     values = ", ".join(f"{name} = {value!r}" for name, value in attached.named_values.items())
     return (
@@ -97,12 +94,12 @@ def _rows(attached: "AttachedEffect") -> str:
     )
 
 
-def _name_of(effect: "Effect") -> str:
-    """Return what `labrun.effects.load_effect` takes for it: its id, or where its module keeps it."""
-    import sys
-
-    if registry.is_installed("labrun.effects", effect.id):
+def _name_of(effect: Effect) -> str:
+    """Return what `labrun.effects.load_effect` takes for it: its id, its file, or where its module keeps it."""
+    if any(one.id == effect.id and one.kind == effect.kind for one in effects(without=())):
         return effect.id
+    if effect.origin:
+        return f"{effect.origin}:{effect.id}"
     module = sys.modules[effect.function.python.__module__]
     for name, value in vars(module).items():
         if value == effect or (isinstance(value, tuple) and effect in value):

@@ -3,11 +3,11 @@
 import dataclasses
 import tomllib
 
+from labrun.compiled import equations, generated
 from labrun.errors import ModelError
 from labrun.models.attaching import read_effects
 from labrun.models.based import based_model
 from labrun.models.fields import Fields
-from labrun.models.generate import equations, generated
 from labrun.models.model import Model
 from labrun.models.names import (
     check_forces,

@@ -5,23 +5,20 @@ import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from labrun.effects import AttachedEffect
 from labrun.errors import ModelError
 from labrun.models.loading import model_file
 from labrun.models.model import Model
 from labrun.models.toml_edits import quoted, replaced, with_effects, with_parameters, with_values
 from labrun.toml import suggest
 
-if TYPE_CHECKING:
-    from labrun.effects.effect import AttachedEffect
-
 
 def corrected_model_text(
     model: Model,
     text_or_path: str | Path,
     values: Mapping[str, float],
-    effects: "Sequence[AttachedEffect]" = (),
+    effects: Sequence[AttachedEffect] = (),
     remarks: str | Sequence[str] = (),
     *,
     folder: Path | None = None,

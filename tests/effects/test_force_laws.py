@@ -3,7 +3,7 @@ import pytest
 from rig import MODEL, named
 from scipy.integrate import solve_ivp
 
-from labrun.effects.quantities import Scale
+from labrun.effects import Scale
 from labrun.models import parse_model, simulate
 
 TIME = np.linspace(0, 3, 151)

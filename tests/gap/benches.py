@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from labrun.fit.dataset import Dataset, FitTrial
-from labrun.models.toml_model import parse_model
+from labrun.models import parse_model
 from labrun.store.recording import SignalInfo
 
 FloatArray = NDArray[np.float64]

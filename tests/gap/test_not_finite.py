@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import labrun.effects
-from labrun.effects.effect import Effect, EffectParameter, force_law
-from labrun.effects.quantities import Scale
+from labrun.effects import Effect, EffectParameter, Scale, force_law
 from labrun.errors import FitError
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnose import Options, diagnose_dataset
@@ -16,7 +15,7 @@ from labrun.gap.problem import GapProblem
 from labrun.gap.recalibration import unsearched
 from labrun.gap.screening import Base, screen_all, survey
 from labrun.gap.units import gather
-from labrun.models.toml_model import parse_model
+from labrun.models import parse_model
 
 from .benches import CONDITIONS, PENDULUM, dry_friction, pendulum, recorded
 

@@ -10,8 +10,7 @@ from labrun.gap.problem import GapProblem
 from labrun.gap.recent import Recent
 from labrun.gap.scales import site_scales
 from labrun.gap.units import gather
-from labrun.models import simulate
-from labrun.models.simulation import Unfiltered, filtered, prepare, simulate_unfiltered
+from labrun.models import Unfiltered, filtered, prepare, simulate, simulate_unfiltered
 
 from .benches import TRUE, pendulum, recorded
 

@@ -18,10 +18,10 @@ from labrun.models import load_model, simulate
 import numpy as np
 model = load_model(sys.argv[1])
 assert "numba" not in sys.modules, "loading must stay cheap"
-friction = labrun.effects.load_effect("labrun.effects.coulomb_friction:EFFECT").attach("hinge", torque=0.1)
+friction = labrun.effects.load_effect("coulomb-friction").attach("hinge", torque=0.1)
 time_s, torque = np.arange(50) * 0.01, np.ones((50, 1))
 out = simulate(model, time_s, torque, initial_state=[0, 0], effects=[friction], substeps=2).outputs
-from labrun.models.native import compiled
+from labrun.compiled import compiled
 from labrun.models.integration import integrate
 functions = [model.derivative, model.output, model.site_values, friction.effect.function]
 hits = [compiled(one.signature, one.python).cache_hits for one in functions]
@@ -49,19 +49,19 @@ def test_a_second_process_compiles_nothing(tmp_path):
     path = tmp_path / "model.toml"
     path.write_text(OSCILLATOR)
     first, again = (json.loads(_run(_PROGRAM, str(path), cache=tmp_path / "cache")) for _ in range(2))
-    assert first[0][:3] == [0, 0, 0]
+    assert first[0][:4] == [0, 0, 0, 0]
     assert again[0] == [1, 1, 1, 1, 1]
     assert first[1] == again[1]
-    (module,) = (tmp_path / "cache" / "models").glob("*.py")
-    assert "def derivative(t, x, u, p, force, out):" in module.read_text()
+    written = [module.read_text() for module in (tmp_path / "cache" / "models").glob("*.py")]
+    assert sum("def derivative(t, x, u, p, force, out):" in text for text in written) == 1
 
 
 def test_a_cache_that_was_tampered_with_is_written_anew(tmp_path):
     path = tmp_path / "model.toml"
     path.write_text(OSCILLATOR)
     first = _run(_PROGRAM, str(path), cache=tmp_path / "cache")
-    (module,) = (tmp_path / "cache" / "models").glob("*.py")
-    module.write_text("raise SystemExit('not ours')")
+    for module in (tmp_path / "cache" / "models").glob("*.py"):
+        module.write_text("raise SystemExit('not ours')")
     assert _run(_PROGRAM, str(path), cache=tmp_path / "cache").split("], [")[1] == first.split("], [")[1]
 
 
@@ -74,7 +74,7 @@ def test_a_cache_directory_that_cannot_be_made_only_costs_time(tmp_path):
 
 def test_compiled_code_follows_changes_of_the_functions_it_calls(tmp_path):
     (tmp_path / "other_physics.py").write_text(
-        "from labrun.models.calling import kernel\nGAIN = 2.0\n@kernel\ndef twice(a):\n    return 2.0 * a\n"
+        "from labrun.models import kernel\nGAIN = 2.0\n@kernel\ndef twice(a):\n    return 2.0 * a\n"
     )
     (tmp_path / "top_physics.py").write_text(
         "from labrun.models import python_model\nfrom other_physics import GAIN, twice\n"
@@ -96,7 +96,7 @@ def test_compiled_code_follows_changes_of_the_functions_it_calls(tmp_path):
 
 def test_models_and_effects_can_be_sent_to_another_process():
     model = parse_model(OSCILLATOR, "o.toml")
-    effect = load_effect("labrun.effects.coulomb_friction:EFFECT").attach("hinge", torque=0.1)
+    effect = load_effect("coulomb-friction").attach("hinge", torque=0.1)
     there_model, there_effect = pickle.loads(pickle.dumps((model, effect)))
     given = (np.arange(9) * 0.1, np.ones((9, 1)))
     here = simulate(model, *given, initial_state=[0, 0], effects=[effect], substeps=3)
@@ -108,8 +108,8 @@ def test_no_combination_of_effects_compiles_anything_new():
     from labrun.models.integration import integrate
 
     model = parse_model(OSCILLATOR, "o.toml")
-    names = ("coulomb_friction", "viscous_damping", "quadratic_drag", "added_inertia", "rest_offset")
-    effects = [load_effect(f"labrun.effects.{name}:EFFECT").attach("hinge") for name in names]
+    names = ("coulomb-friction", "viscous-damping", "quadratic-drag", "added-inertia", "rest-offset")
+    effects = [load_effect(name).attach("hinge") for name in names]
     for count in range(len(effects)):
         simulate(
             model,

@@ -18,11 +18,11 @@ DRIVE = np.sin(np.arange(COUNT + 1) * STEP_S * 9.0)[:, None]
 
 def _effects():
     return [
-        load_effect("labrun.effects.coulomb_friction:EFFECT").attach("hinge", torque=0.2),
-        load_effect("labrun.effects.added_inertia:EFFECT").attach("hinge", inertia=0.4),
-        load_effect("labrun.effects.delay:EFFECT", "input").attach("torque", delay=0.0337),
-        load_effect("labrun.effects.lag:EFFECT", "output").attach("angle", time_constant=0.05),
-        load_effect("labrun.effects.delay:EFFECT", "output").attach("angle", delay=0.0123),
+        load_effect("coulomb-friction").attach("hinge", torque=0.2),
+        load_effect("added-inertia").attach("hinge", inertia=0.4),
+        load_effect("delay", "input").attach("torque", delay=0.0337),
+        load_effect("lag", "output").attach("angle", time_constant=0.05),
+        load_effect("delay", "output").attach("angle", delay=0.0123),
     ]
 
 

@@ -8,17 +8,15 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from labrun.effects import Effect, EffectParameter, force_law, load_effect
-from labrun.models import parse_model, prepare, python_model, simulate
-from labrun.models.inputs import Drive
-from labrun.models.model import Input, Output, Parameter, Site
+from labrun.models import Drive, Input, Output, Parameter, Site, parse_model, prepare, python_model, simulate
 
 PENDULUM_MODEL = parse_model(PENDULUM, "pendulum.toml")
 MODEL = parse_model(OSCILLATOR, "oscillator.toml")
 TIME = np.linspace(0.0, 4.0, 81)
 DRIVE = np.sin(5.0 * TIME)[:, None]
-DRAG = load_effect("labrun.effects.quadratic_drag:EFFECT")
-LAG = load_effect("labrun.effects.lag:EFFECT", "output")
-GAIN = load_effect("labrun.effects.gain_error:EFFECT", "output")
+DRAG = load_effect("quadratic-drag")
+LAG = load_effect("lag", "output")
+GAIN = load_effect("gain-error", "output")
 
 
 def pull(t, q, rate, acceleration, load, stiffness, values, z, dz):

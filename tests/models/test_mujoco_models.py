@@ -184,7 +184,7 @@ def test_threads_and_processes_get_the_same_numbers(tmp_path):
 _PROGRAM = """
 import json, sys
 from labrun.models import load_model, simulate
-from labrun.models.native import compiled
+from labrun.compiled import compiled
 import numpy as np
 model = load_model(sys.argv[1])
 out = simulate(model, np.arange(50) * 0.01, np.ones((50, 1)), initial_state=[0.1, 0], substeps=2).outputs

@@ -52,7 +52,7 @@ def test_a_model_of_functions_reads_a_large_table_behind_its_parameters():
 
 
 def test_effects_attach_to_a_model_of_functions():
-    heavier = load_effect("labrun.effects.added_inertia:EFFECT").attach("hinge", inertia=0.5)
+    heavier = load_effect("added-inertia").attach("hinge", inertia=0.5)
     given = {"condition": {"unused": 0.0}, "initial_state": [1.0, 0.0], "substeps": 4}
     time_s, u = np.linspace(0, 2, 101), np.zeros((101, 1))
     with_effect = simulate(MODEL, time_s, u, effects=[heavier], **given)

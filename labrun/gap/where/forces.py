@@ -94,7 +94,7 @@ def _at(difference: Difference, site: Site, place: int) -> MissingForce | None:
     course = search.course()
     if course is None:
         return None
-    from labrun.models.sites import site_course
+    from labrun.models import site_course
 
     trials = difference.units.dataset.trials
     motion = [

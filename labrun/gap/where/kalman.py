@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from labrun.models.calling import kernel
+from labrun.arrays import FloatArray
+from labrun.models import kernel
 from labrun.models.layout import IntArray
-from labrun.models.model import FloatArray
 
 
 @kernel

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from labrun.fit.dataset import FitTrial
 from labrun.gap.where.difference import Difference
-from labrun.models.sites import site_course
+from labrun.models import site_course
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

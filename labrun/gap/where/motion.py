@@ -81,8 +81,7 @@ def site_movers(difference: Difference, pieces: Sequence[Piece]) -> tuple[Mover,
 
 def unit_courses(difference: Difference) -> list[FloatArray] | None:
     """Return coordinate, rate, load and stiffness at every site, (n, sites, 4) per unit; None if not finite."""
-    from labrun.models import simulate
-    from labrun.models.sites import site_course
+    from labrun.models import simulate, site_course
 
     found = []
     for index, unit in enumerate(difference.units.units):

@@ -6,9 +6,7 @@ import functools
 from collections.abc import Sequence
 
 from labrun.effects import AttachedEffect, Effect, EffectParameter, force_law
-from labrun.models import Site
-from labrun.models.model import SiteKind
-from labrun.models.native import Pointer
+from labrun.models import Pointer, Site, SiteKind
 
 
 def law(

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from labrun.effects.quantities import unit_of
+from labrun.effects import unit_of
 from labrun.models import Model, Site
 
 _COORDINATE_OF_FORCE = {"N m": "rad", "N": "m"}

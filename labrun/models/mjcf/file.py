@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from labrun.effects import Site
 from labrun.models.attaching import read_effects
 from labrun.models.fields import Fields
 from labrun.models.mjcf.elements import Elements, ReferenceProblem
@@ -16,7 +17,7 @@ from labrun.models.mjcf.model import MujocoModel
 from labrun.models.mjcf.place import Place
 from labrun.models.mjcf.plant import Layout, imported, pack
 from labrun.models.mjcf.states import States, read_states
-from labrun.models.model import Input, Output, Parameter, Site
+from labrun.models.model import Input, Output, Parameter
 from labrun.models.names import conditions_of, only_in_loads, places_of, refuse_unused
 from labrun.models.problems import Key
 from labrun.models.tables import (

@@ -4,9 +4,8 @@ import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from labrun.models.generate import equations, generated
-from labrun.models.model import FloatArray
-from labrun.models.native import NativeFunction
+from labrun.arrays import FloatArray
+from labrun.compiled import NativeFunction, equations, generated
 from labrun.toml import Expression
 
 _IMPORTS = """\

@@ -13,7 +13,7 @@ from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic
 
-from labrun.models.calling import kernel
+from labrun.compiled import Pointer, kernel
 from labrun.models.mjcf.table import (
     DATA,
     FORCES,
@@ -44,7 +44,6 @@ from labrun.models.mjcf.table import (
     VALUES_COUNT,
     WARNINGS,
 )
-from labrun.models.native import Pointer
 
 
 @intrinsic  # type: ignore[untyped-decorator]

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from labrun.arrays import FloatArray
 from labrun.errors import ModelError
 from labrun.models.mjcf.plant import Layout, plant
-from labrun.models.model import Condition, FloatArray, Model
+from labrun.models.model import Condition, Model
 
 
 @dataclass(frozen=True)

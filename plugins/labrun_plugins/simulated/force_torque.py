@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.devices import Channel, DeviceContext, FloatArray
-from labrun.models.calling import kernel
+from labrun.models import kernel
 from labrun_plugins.simulated.sensor import SimulatedSensor
 from labrun_plugins.simulated.settings import SimulatedSettings
 from labrun_plugins.simulated.stream import Timing

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labrun.devices import FloatArray, Trajectory
-from labrun.models.calling import kernel
+from labrun.models import kernel
 
 _SUBSTEP_S = 0.005
 

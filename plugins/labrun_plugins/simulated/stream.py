@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.devices import FloatArray
-from labrun.models.calling import kernel
+from labrun.models import kernel
 
 IntArray = NDArray[np.int64]
 

@@ -8,8 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from labrun.cli.app import app
-from labrun.models.loading import load_model
-from labrun.models.simulation import simulate
+from labrun.models import load_model, simulate
 from labrun.spec.loading import load_experiment
 from labrun.spec.workspace import shipped_experiments
 from labrun.store.opening import open_run

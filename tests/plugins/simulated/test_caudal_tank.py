@@ -136,7 +136,7 @@ def test_after_a_trial_the_water_comes_to_rest_within_a_minute():
 def test_a_hidden_delay_of_the_servo_shifts_the_joint():
     plain, hidden = (
         _tank(),
-        _tank(hide=[{"effect": "labrun.effects.delay:EFFECT", "site": "tail", "values": {"delay": 0.1}}]),
+        _tank(hide=[{"effect": "delay", "site": "tail", "values": {"delay": 0.1}}]),
     )
     time_s = np.arange(1.5, 4.0, 0.01)
     angles = []

@@ -5,7 +5,7 @@ import pytest
 from simulated_bench import line, sine
 
 from labrun import registry
-from labrun.effects.library import effects
+from labrun.effects import effects
 from labrun.errors import SpecError
 from labrun.runner.clock import SimulatedClock
 from labrun.runner.rig import Rig

@@ -176,7 +176,7 @@ def test_a_bench_taken_back_after_a_change_of_specimen_goes_on_the_same():
 
 
 def test_a_hidden_effect_works_on_the_bench_and_is_told_by_its_truth():
-    hidden = {"effect": "labrun.effects.coulomb_friction:EFFECT", "site": "hinge", "values": {"torque": 1e-3}}
+    hidden = {"effect": "coulomb-friction", "site": "hinge", "values": {"torque": 1e-3}}
     with_friction = _released({"noise": 0, "hide": [hidden]})
     without = _released({"noise": 0})
     late = TIME_S[-300:]
@@ -195,10 +195,10 @@ def test_a_parameter_error_is_relative():
     ("settings", "words"),
     [
         (
-            {"hide": [{"effect": "labrun.effects.coulomb_friction:EFFECT", "site": "elbow"}]},
+            {"hide": [{"effect": "coulomb-friction", "site": "elbow"}]},
             "no site 'elbow'",
         ),
-        ({"hide": [{"effect": "labrun.effects.delay:EFFECT", "site": "hinge"}]}, "not at a joint site"),
+        ({"hide": [{"effect": "delay", "site": "hinge"}]}, "not at a joint site"),
         ({"hide": [{"effect": "coulomb-frction", "site": "hinge"}]}, "coulomb-frction"),
         ({"parameters": {"stifness": 0.1}}, "no parameter 'stifness'"),
         ({"widht_mm": 3.0}, "widht_mm"),

@@ -13,17 +13,11 @@ from labrun.devices import Scene
 from labrun.errors import ExperimentError
 
 SCENES = {
-    "hinge-bench": {"hide": [{"effect": "labrun.effects.coulomb_friction:EFFECT", "site": "hinge"}]},
-    "caudal-tank": {
-        "hide": [{"effect": "labrun.effects.delay:EFFECT", "site": "tail", "values": {"delay": 0.05}}]
-    },
-    "fire-tank": {
-        "hide": [
-            {"effect": "labrun.effects.lag:EFFECT", "site": "torque_z", "values": {"time_constant": 0.05}}
-        ]
-    },
-    "driven-joint": {"hide": [{"effect": "labrun.effects.lag:EFFECT", "site": "horn"}]},
-    "spm-stabiliser": {"hide": [{"effect": "labrun.effects.coulomb_friction:EFFECT", "site": "axis_1"}]},
+    "hinge-bench": {"hide": [{"effect": "coulomb-friction", "site": "hinge"}]},
+    "caudal-tank": {"hide": [{"effect": "delay", "site": "tail", "values": {"delay": 0.05}}]},
+    "fire-tank": {"hide": [{"effect": "lag", "site": "torque_z", "values": {"time_constant": 0.05}}]},
+    "driven-joint": {"hide": [{"effect": "lag", "site": "horn"}]},
+    "spm-stabiliser": {"hide": [{"effect": "coulomb-friction", "site": "axis_1"}]},
 }
 
 

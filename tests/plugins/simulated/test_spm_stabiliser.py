@@ -8,7 +8,7 @@ from simulated_bench import HandClock, device, line
 
 from labrun import registry
 from labrun.devices import Trajectory
-from labrun.effects.library import effects
+from labrun.effects import effects
 from labrun.errors import SpecError
 from labrun.models import spm
 

@@ -7,10 +7,9 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from labrun.devices import FloatArray, Trajectory
-from labrun.effects.hysteresis import EFFECT as HYSTERESIS
-from labrun.effects.quantities import Scale
+from labrun.effects import Scale, load_effect
 from labrun.errors import ExperimentError, SpecError
-from labrun.models.stepper import Stepper
+from labrun.models import Stepper
 from labrun_plugins.simulated.scenes.beam_model import STIFFNESS_N_M, Beam, beam_model
 from labrun_plugins.simulated.scenes.bench import Bench
 from labrun_plugins.simulated.scenes.hidden import described, hidden_effects
@@ -129,7 +128,9 @@ class BeamBench(Bench):
         self._model = self._with_errors(model.with_values(mounted))
         share = 0.0 if self._settings.as_modelled else self._settings.hysteresis
         limit = float(self._model.values[names.index("equal_limit")])
-        self._loop = HYSTERESIS.attach("beam", force=share * limit, yield_displacement=_YIELD_RAD)
+        self._loop = load_effect("hysteresis").attach(
+            "beam", force=share * limit, yield_displacement=_YIELD_RAD
+        )
         at_beam = [one for one in self._settings.hide if one.site not in (*self.joints, *self.sensed)]
         self._hidden = hidden_effects(at_beam, self._model, _SCALE)
         self._stepper = Stepper(self._model, effects=[self._loop, *self._hidden], step_s=self.step_s)

@@ -7,8 +7,7 @@ Functions of the model signature ``(t, x, u, p, force, out)``; see `labrun.model
 
 from typing import Any, Literal
 
-from labrun.models.model import Input, Model, Output, Parameter, Site
-from labrun.models.native import native
+from labrun.models import Input, Model, Output, Parameter, Site, native
 
 Beam = Literal["long", "short"]
 

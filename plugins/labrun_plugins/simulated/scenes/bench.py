@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.devices import FloatArray, Trajectory
-from labrun.effects.quantities import Scale
+from labrun.effects import Scale
 from labrun.errors import ExperimentError, SpecError
-from labrun.models.model import Model, Site
+from labrun.models import Model, Site
 from labrun_plugins.simulated.scenes.drive import JointDrive
 from labrun_plugins.simulated.scenes.history import History
 from labrun_plugins.simulated.scenes.memory import (

@@ -10,8 +10,7 @@ amplitude (Table 5.3). The rest is chosen for the simulation, and said so.
 import math
 from typing import Any
 
-from labrun.models.model import Input, Model, Output, Parameter, Site
-from labrun.models.native import native
+from labrun.models import Input, Model, Output, Parameter, Site, native
 
 BEST_HZ = 1.4
 """Frequency at which the returning wave meets the tail in phase (best gait of section 5.2)."""

@@ -8,10 +8,9 @@ import numpy as np
 from pydantic import PositiveFloat
 
 from labrun.devices import FloatArray
-from labrun.effects.quantities import Scale
+from labrun.effects import Scale
 from labrun.errors import ExperimentError
-from labrun.models.calling import kernel
-from labrun.models.stepper import Stepper
+from labrun.models import Stepper, kernel
 from labrun_plugins.simulated.scenes.bench import Bench
 from labrun_plugins.simulated.scenes.caudal_model import (
     AMPLITUDE_DEAD_S,

@@ -7,9 +7,9 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat
 
 from labrun.devices import FloatArray
-from labrun.effects.quantities import Scale
+from labrun.effects import Scale
 from labrun.errors import ExperimentError, SpecError
-from labrun.models.stepper import Stepper
+from labrun.models import Stepper
 from labrun_plugins.simulated.scenes.bench import Bench
 from labrun_plugins.simulated.scenes.driven_joint_model import driven_joint_model
 from labrun_plugins.simulated.scenes.hidden import described, hidden_effects

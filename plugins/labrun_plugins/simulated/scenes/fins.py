@@ -22,7 +22,7 @@ import math
 import numpy as np
 
 from labrun.devices import FloatArray
-from labrun.models.calling import kernel
+from labrun.models import kernel
 from labrun_plugins.simulated.scenes.five_bar import ARC_RAD, link_axes, reached
 from labrun_plugins.simulated.scenes.plates import plate_force
 

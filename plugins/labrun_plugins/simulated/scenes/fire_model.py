@@ -6,8 +6,7 @@ Functions of the model signature ``(t, x, u, p, force, out)``; see `labrun.model
 import math
 from typing import Any
 
-from labrun.models.model import Input, Model, Output, Parameter, Site
-from labrun.models.native import native
+from labrun.models import Input, Model, Output, Parameter, Site, native
 
 # First sloshing modes of water 0.5 m deep in the 1.22 x 0.61 m tank: omega^2 = g k tanh(k h), k = pi / length.
 _ALONG = 4.66

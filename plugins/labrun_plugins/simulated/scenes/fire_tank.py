@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import PositiveFloat
 
 from labrun.devices import FloatArray
-from labrun.effects.quantities import Scale
+from labrun.effects import Scale
 from labrun.errors import ExperimentError
-from labrun.models.stepper import Stepper
+from labrun.models import Stepper
 from labrun_plugins.simulated.scenes.bench import Bench
 from labrun_plugins.simulated.scenes.fins import JOINTS, fin_loads, motion_at
 from labrun_plugins.simulated.scenes.fire_model import OUTPUTS, fire_model

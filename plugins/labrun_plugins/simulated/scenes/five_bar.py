@@ -30,7 +30,7 @@ import math
 import numpy as np
 
 from labrun.devices import FloatArray
-from labrun.models.calling import kernel
+from labrun.models import kernel
 
 ARC_RAD = 2.0 * math.pi / 5.0
 _C = math.cos(ARC_RAD)

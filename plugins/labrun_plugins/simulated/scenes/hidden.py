@@ -3,11 +3,9 @@
 from collections.abc import Iterable
 from typing import Any
 
-from labrun.effects.effect import AttachedEffect
-from labrun.effects.library import load_effect
-from labrun.effects.quantities import Scale
+from labrun.effects import AttachedEffect, Scale, load_effect
 from labrun.errors import ModelError, PluginError, SpecError
-from labrun.models.model import Model
+from labrun.models import Model
 from labrun_plugins.simulated.scenes.settings import HiddenEffect
 
 

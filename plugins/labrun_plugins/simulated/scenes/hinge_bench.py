@@ -8,13 +8,10 @@ import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat
 
 from labrun.devices import FloatArray
-from labrun.effects.quadratic_drag import EFFECT as QUADRATIC_DRAG
-from labrun.effects.quantities import Scale
+from labrun.effects import Scale, load_effect
 from labrun.errors import ExperimentError
+from labrun.models import Model, Site, Stepper, load_model
 from labrun.models.hinge_maps import damping, stiffness
-from labrun.models.loading import load_model
-from labrun.models.model import Model, Site
-from labrun.models.stepper import Stepper
 from labrun_plugins.simulated.scenes.bench import Bench
 from labrun_plugins.simulated.scenes.hidden import described, hidden_effects
 from labrun_plugins.simulated.scenes.hinge_model import hinge_model
@@ -201,7 +198,7 @@ class HingeBench(Bench):
         if self._settings.model is not None:
             model, drag = _swinging(self._settings.model), 0.0
         self._model = self._with_errors(model)
-        self._drag = QUADRATIC_DRAG.attach("hinge", coefficient=drag)
+        self._drag = load_effect("quadratic-drag").attach("hinge", coefficient=drag)
         at_hinge = [one for one in self._settings.hide if one.site not in self.sensed]
         self._hidden = hidden_effects(at_hinge, self._model, _SCALE)
         self._stepper = Stepper(self._model, effects=[self._drag, *self._hidden], step_s=self.step_s)

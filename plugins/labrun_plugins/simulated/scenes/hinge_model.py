@@ -7,8 +7,7 @@ Functions of the model signature ``(t, x, u, p, force, out)``; see `labrun.model
 import math
 from typing import Any
 
-from labrun.models.model import Input, Model, Output, Parameter, Site
-from labrun.models.native import native
+from labrun.models import Input, Model, Output, Parameter, Site, native
 
 
 def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from labrun.devices import FloatArray
 from labrun.errors import ExperimentError
-from labrun.models.calling import kernel
+from labrun.models import kernel
 from labrun_plugins.simulated.scenes.memory import packed, unpacked
 
 IntArray = NDArray[np.int64]

@@ -6,7 +6,7 @@ and the lift (7.10). With the sign written out for motion that goes to and fro, 
 ``F = -rho A |u| (u . n) n``, whichever way the normal n points.
 """
 
-from labrun.models.calling import kernel
+from labrun.models import kernel
 
 WATER_KG_M3 = 1000.0
 

@@ -4,10 +4,8 @@ import functools
 from collections.abc import Sequence
 from typing import Any
 
-from labrun.effects.effect import AttachedEffect
-from labrun.models.model import Input, Model, Output
-from labrun.models.native import native
-from labrun.models.stepper import Stepper
+from labrun.effects import AttachedEffect
+from labrun.models import Input, Model, Output, Stepper, native
 
 
 def _nothing(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None:

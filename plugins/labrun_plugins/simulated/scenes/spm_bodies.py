@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from labrun.devices import FloatArray
-from labrun.models.calling import kernel
+from labrun.models import kernel
 
 BODIES = ("base", "end_effector")
 SIGNALS = (

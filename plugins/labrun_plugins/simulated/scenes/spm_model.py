@@ -15,8 +15,7 @@ Butterworth low pass of fourth order, a stand-in for a hand that shakes it at ra
 import math
 from typing import Any
 
-from labrun.models.model import Input, Model, Output, Parameter, Site
-from labrun.models.native import native
+from labrun.models import Input, Model, Output, Parameter, Site, native
 
 _SLOW = 2.0 * math.cos(math.pi / 8.0)
 _SHARP = 2.0 * math.sin(math.pi / 8.0)

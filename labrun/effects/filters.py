@@ -1,43 +1,17 @@
-"""Filters that serve inputs and outputs alike: how each treats one straight piece of a signal."""
+"""Effects that no equation says: delay, exact lag, rate limit of a signal, and an echo from walls."""
 
 # ruff: noqa: ARG001 - the signature is fixed, whatever of it a form uses
 
 import math
 from collections.abc import Sequence
 
-from labrun.models.native import Pointer
+from labrun.compiled import Pointer
 
 _HEADER = 4
 _PIECE = 4
 _LONG_AGO_S = -1e300
-
-
-def gain_error(
-    before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer
-) -> None:
-    """Write ``(1 + error) * signal``."""
-    out[0] = (1.0 + values[0]) * before[0]
-    out[1] = (1.0 + values[0]) * after[0]
-
-
-def bias(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer) -> None:
-    """Write ``signal + offset``."""
-    out[0] = before[0] + values[0]
-    out[1] = after[0] + values[0]
-
-
-def saturation(
-    before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer
-) -> None:
-    """Write the signal, cut at plus and minus the level; the knee rounds the corner."""
-    level, reach = values[0], values[0] * values[1]
-    for end in range(2):
-        signal = before[0] if end == 0 else after[0]
-        beyond = abs(signal) - level
-        size = min(abs(signal), level)
-        if abs(beyond) < reach < math.inf:
-            size = abs(signal) - (beyond + reach) ** 2 / (4.0 * reach)
-        out[end] = math.copysign(size, signal)
+_SECTIONS = 4
+"""Pade approximations of an echo's delay."""
 
 
 def rate_limit(
@@ -60,31 +34,6 @@ def rate_limit(
             caught = abs(ahead) / closing
             out[2] = 0.5 * ahead * (1.0 - caught / dt)
     out[1] = memory[0]
-
-
-def dead_band(
-    before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer
-) -> None:
-    """Write how far the signal is beyond the band."""
-    out[0] = before[0] - min(max(before[0], -values[0]), values[0])
-    out[1] = after[0] - min(max(after[0], -values[0]), values[0])
-
-
-def drift(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer) -> None:
-    """Write ``signal + slope * t``; `memory` holds the time."""
-    if dt == 0.0:
-        memory[0] = 0.0
-    out[0] = before[0] + values[0] * memory[0]
-    memory[0] += dt
-    out[1] = after[0] + values[0] * memory[0]
-
-
-def cross_talk(
-    before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer
-) -> None:
-    """Write ``signal + share * other``, where the other is the model's next signal of the same kind."""
-    out[0] = before[0] + values[0] * before[1]
-    out[1] = after[0] + values[0] * after[1]
 
 
 def lag(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer) -> None:
@@ -161,3 +110,22 @@ def delay(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: P
 def delay_memory(values: Sequence[float], shortest_s: float) -> int:
     """Return how many numbers `delay` keeps: a slot for each piece within the delay, and some to spare."""
     return _HEADER + _PIECE * (int(max(values[0], 0.0) / shortest_s) + 4)
+
+
+def wall_echo(
+    t: float, q: float, rate: float, acceleration: float, load: float, stiffness: float,
+    values: Pointer, z: Pointer, dz: Pointer,
+) -> float:  # fmt: skip
+    """Return ``coefficient`` times what ``|rate| rate`` was `delay` ago.
+
+    Four Pade approximations of second order, each of a quarter of the delay, one behind the other: right to 1 % of the
+    phase up to an angular frequency of 7 / delay.
+    """
+    part = values[1] / _SECTIONS
+    signal = abs(rate) * rate
+    for section in range(_SECTIONS):
+        place = 2 * section
+        dz[place] = z[place + 1]
+        dz[place + 1] = signal - 12.0 / (part * part) * z[place] - 6.0 / part * z[place + 1]
+        signal -= 12.0 / part * z[place + 1]
+    return values[0] * signal

@@ -1,0 +1,29 @@
+"""Functions as machine code: of Python, or of checked equations; called through their address, kept on disk."""
+
+from labrun.compiled.equations import equations, generated, is_generated, law, signal_step
+from labrun.compiled.native import (
+    IntPointer,
+    NativeFunction,
+    Pointer,
+    Signature,
+    compiled,
+    inlined,
+    kernel,
+    native,
+)
+
+__all__ = [
+    "IntPointer",
+    "NativeFunction",
+    "Pointer",
+    "Signature",
+    "compiled",
+    "equations",
+    "generated",
+    "inlined",
+    "is_generated",
+    "kernel",
+    "law",
+    "native",
+    "signal_step",
+]

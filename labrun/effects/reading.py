@@ -1,0 +1,189 @@
+"""TOML files of effects: an entry says in equations what is simulated."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import ConfigDict, Field
+
+from labrun import registry
+from labrun.compiled import NativeFunction, law, native, signal_step
+from labrun.effects.effect import Effect, EffectParameter, Need, Quantity, SiteKind
+from labrun.errors import ModelError
+from labrun.toml import Expression, Fault, Places, Table, parsed, refusal, suggest, text_of, validate
+
+_SITE = ("t", "q", "rate", "acceleration", "load", "stiffness")
+_SIGNAL = ("t", "signal", "other")
+
+
+class _Parameter(Table):
+    """A parameter of an effect; as `EffectParameter`."""
+
+    model_config = ConfigDict(allow_inf_nan=True)
+
+    quantity: Quantity
+    neutral: float | None = None
+    lower: float
+    upper: float
+    starts: tuple[float, ...] = Field(min_length=1)
+    held: bool = False
+
+
+class _Entry(Table):
+    """An effect: its equation is `F` at joints and bodies, `y` at inputs and outputs, or a `function` in Python."""
+
+    title: str
+    kind: SiteKind | tuple[SiteKind, ...]
+    F: Expression | None = None
+    y: Expression | None = None
+    where: dict[str, Expression] = Field(default_factory=dict)
+    states: dict[str, Expression] | int = Field(default_factory=dict)
+    function: str = ""
+    memory: str = ""
+    form: str = ""
+    remark: str = ""
+    source: str
+    contains: tuple[str, ...] = ()
+    caution: str = ""
+    compound: bool = False
+    parameters: dict[str, _Parameter] = Field(default_factory=dict)
+
+    @property
+    def kinds(self) -> tuple[SiteKind, ...]:
+        """The kinds of sites it is for."""
+        return (self.kind,) if isinstance(self.kind, str) else self.kind
+
+    @property
+    def rates(self) -> Mapping[str, Expression]:
+        """The derivatives of its states."""
+        return {} if isinstance(self.states, int) else self.states
+
+    @property
+    def equations(self) -> str:
+        """Its equations as one reads them."""
+        if self.form:
+            return self.form
+        text = f"F = {self.F.text}" if self.F else f"y = {self.y.text}" if self.y else ""
+        text += "".join(f", d{name}/dt = {one.text}" for name, one in self.rates.items())
+        text += "".join(f", {name} = {one.text}" for name, one in self.where.items())
+        return text + (f"; {self.remark}" if self.remark else "")
+
+    def faults(self) -> Iterator[tuple[tuple[str, ...], str]]:
+        """Return what does not fit together, by key."""
+        force = self.kinds[:1] in (("joint",), ("body",))
+        if any((kind in ("joint", "body")) != force for kind in self.kinds):
+            yield ("kind",), "an effect is either for joints and bodies or for inputs and outputs"
+            return
+        name, equation, stray = ("F", self.F, self.y) if force else ("y", self.y, self.F)
+        if (equation is None) == (not self.function) or stray is not None:
+            yield (), f"an effect at {self.kinds[0]} sites needs either {name}, its equation, or a function"
+            return
+        known = [*(_SITE if force else _SIGNAL), *self.parameters, *self.rates]
+        for helper, one in self.where.items():
+            yield from _strangers(("where", helper), one, known)
+            known.append(helper)
+        for state, one in self.rates.items():
+            yield from _strangers(("states", state), one, known)
+        if equation is not None:
+            yield from _strangers((name,), equation, [*known, *(f"d{state}" for state in self.rates)])
+
+    def compiled(self) -> NativeFunction:
+        """Return the force law or the filter."""
+        force = self.kinds[0] in ("joint", "body")
+        if self.F is not None:
+            return law(self.F, self.rates, self.where, list(self.parameters))
+        if self.y is not None:
+            return signal_step(self.y, self.where, list(self.parameters))
+        return native("law" if force else "filter", _imported(self.function))
+
+    def used(self) -> set[str]:
+        """Return what of the site or of the signals its equations use."""
+        names = {
+            name
+            for one in (self.F, self.y, *self.where.values(), *self.rates.values())
+            if one
+            for name in one.names
+        }
+        return names - {*self.parameters, *self.where, *self.rates}
+
+
+def read_effects(path: str | Path, *, origin: str | None = None) -> tuple[Effect, ...]:
+    """Return the effects of a TOML file, one for each entry and kind of site.
+
+    Parameters
+    ----------
+    path
+        The file; see docs/add-a-model.md and ``labrun/effects/*.toml``.
+    origin
+        How files of models are to name it; None for its path.
+
+    Raises
+    ------
+    ModelError
+        All that does not hold, each with file, line and key.
+    """
+    path = Path(path)
+    text = text_of(path, kind=ModelError)
+    data = parsed(text, str(path), kind=ModelError)
+    shared, found, faults = data.get("shared", {}), [], []
+    for id_, table in data.items():
+        if id_ == "shared":
+            continue
+        filled = _filled(table, shared)
+        entry, wrong = validate(_Entry, filled, (id_,))
+        faults += wrong
+        if isinstance(entry, _Entry):
+            faults += [Fault((id_, *key), message, at_value=bool(key)) for key, message in entry.faults()]
+            found.append((id_, entry))
+    if faults:
+        raise refusal(ModelError, str(path), Places(str(path), text, data).of_all(faults))
+    where = str(path) if origin is None else origin
+    return tuple(effect for id_, entry in found for effect in _effects(id_, entry, where))
+
+
+def _filled(table: Any, shared: Mapping[str, Any]) -> Any:
+    """Return an entry in which parameters that are "shared" are what the file's table [shared] says."""
+    if not isinstance(table, dict) or not isinstance(table.get("parameters"), dict):
+        return table if isinstance(table, dict) else {}
+    own = table["parameters"]
+    return {
+        **table,
+        "parameters": {name: shared.get(name, one) if one == "shared" else one for name, one in own.items()},
+    }
+
+
+def _effects(id_: str, entry: _Entry, origin: str) -> Iterator[Effect]:
+    used, function = entry.used(), entry.compiled()
+    needs: tuple[Need, ...] = tuple(one for one in get_args(Need) if one in used)
+    parameters = tuple(EffectParameter(name=name, **dict(one)) for name, one in entry.parameters.items())
+    for kind in entry.kinds:
+        yield Effect(
+            id=id_,
+            kind=kind,
+            parameters=parameters,
+            function=function,
+            form=entry.equations,
+            source=entry.source,
+            states=entry.states if isinstance(entry.states, int) else len(entry.states),
+            memory=_imported(entry.memory) if entry.memory else None,
+            needs=needs,
+            needs_acceleration="acceleration" in used,
+            signals=1 + ("other" in used),
+            contains=entry.contains,
+            caution=entry.caution,
+            compound=entry.compound,
+            title=entry.title,
+            origin=origin,
+        )
+
+
+def _strangers(
+    key: tuple[str, ...], one: Expression, known: list[str]
+) -> Iterator[tuple[tuple[str, ...], str]]:
+    for name in one.names:
+        if name not in known:
+            yield key, f"there is no {name!r}; {suggest(name, known)}"
+
+
+def _imported(name: str) -> Any:
+    return registry.load("labrun.effects", name)
