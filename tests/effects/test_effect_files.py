@@ -74,7 +74,7 @@ def test_a_model_saved_with_it_names_its_file(file):
         ),
         ('kind   = "joint"', 'kind   = ["joint", "input"]', "either for joints and bodies or for inputs"),
         ('"force", neutral', '"forces", neutral', r"stiction.parameters.torque.quantity"),
-        ("where  =", "wher   =", 'stiction.wher .*did you mean "where"'),
+        ("where  =", "wher   =", 'stiction.wher: .*did you mean "where"'),
     ],
 )
 def test_a_fault_of_an_entry_is_told_with_its_key(file, line, instead, message):
