@@ -6,16 +6,15 @@ from typing import Any
 
 from labrun.app.carry_out import carry_out, require_answer
 from labrun.app.run import behind_the_drivers, connected
+from labrun.blind import concealed, is_sealed, read_seal
 from labrun.errors import LabrunError, RequestError
 from labrun.runner.clock import RealClock, SimulatedClock
-from labrun.runner.concealment import concealed
 from labrun.runner.progress import Progress
 from labrun.runner.rig import Rig
 from labrun.search.result import RunResult, resume_line, stored_result
 from labrun.spec.loading import load_experiment, loads_experiment
 from labrun.store.folder import RunFolder
 from labrun.store.locate import is_finished
-from labrun.store.seal import is_sealed, read_seal
 
 _MOST_CHANGES = 8
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from labrun.app.carry_out import carry_out
 from labrun.app.check import whole_plan
+from labrun.blind import SEALED, hidden_bench, redacted, write_seal
 from labrun.errors import RequestError, SpecError
 from labrun.runner.clock import RealClock, SimulatedClock
 from labrun.runner.emulated.bench import EmulatedBench, has_emulator
 from labrun.runner.ports import ports_of
 from labrun.runner.progress import Progress, SilentProgress
 from labrun.runner.rig import Rig
-from labrun.search.hidden import bench_of, sealed_choice
 from labrun.search.result import RunResult
 from labrun.spec.experiment import Experiment
 from labrun.spec.loading import LoadedExperiment
@@ -23,7 +23,6 @@ from labrun.spec.named import load_named
 from labrun.store.folder import RunFolder
 from labrun.store.provenance import collect
 from labrun.store.rig_lock import lock_ports
-from labrun.store.seal import SEALED, redacted, write_seal
 
 
 def run(
@@ -122,7 +121,7 @@ def execute(
     draw
         Whether the finished run gets its picture.
     hide
-        Of a dry or emulated run: what its scene hides, see `labrun.runner.hiding.choose_hidden`; sealed with the
+        Of a dry or emulated run: what its scene hides, see `labrun.blind.hidden_bench`; sealed with the
         run, and told nowhere else. Empty hides nothing and seals nothing.
     hide_seed
         Of what is drawn; drawn itself if None, and stored nowhere.
@@ -134,21 +133,15 @@ def execute(
     ExperimentError, Interrupted
         The experiment failed, or was interrupted; the hint says what was saved and how to go on.
     """
-    again = None
+    on_bench, seal = loaded.experiment, None
     if hide:
-        bench = bench_of(hide, results)
-        if bench is not None:
-            # the same bench: what was built from the seed there is built from it here
-            seed, again = (bench[0] if seed is None else seed), bench[1]
+        bench = hidden_bench(loaded, hide, seed=hide_seed, simulated=dry_run or emulate, results=results)
+        on_bench, seal = bench.experiment, bench.seal
+        seed = bench.seed if seed is None else seed
     if seed is None:
         seed = int(np.random.default_rng().integers(2**32))
     clock = SimulatedClock() if dry_run else RealClock()
     progress.phase("checking the plan")
-    on_bench, seal = loaded.experiment, None
-    if hide:
-        on_bench, seal = sealed_choice(
-            loaded, hide, seed=hide_seed, simulated=dry_run or emulate, again=again
-        )
     with behind_the_drivers(on_bench, loaded.path, seed=seed, emulate=emulate, progress=progress) as emulated:
         rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run, emulated=emulated)
         whole_plan(loaded, seed, rig).require_feasible()

@@ -184,7 +184,8 @@ def check(
     Example:  labrun gap check --cases 20 --seed 7
     """
     with reported(as_json):
-        from labrun.gap.check import check as check_cases
+        from labrun.blind import check as check_cases
+        from labrun.report.diagnosis_check import check_text, write_check_page
 
         with status() as note:
             result = check_cases(
@@ -197,10 +198,11 @@ def check(
                 out=out,
                 note=note,
             )
+        write_check_page(result)
         if as_json:
             print_json(result.to_json())
         else:
-            typer.echo(result.to_text())
+            typer.echo(check_text(result))
 
 
 def reveal(
@@ -221,14 +223,19 @@ def reveal(
     Example:  labrun gap reveal hinge
     """
     with reported(as_json):
-        from labrun.report.gap_reveal import compare
+        from labrun.blind import Compared
+        from labrun.blind import reveal as reveal_hidden
+        from labrun.report.gap_reveal import compared_text
+        from labrun.report.gap_store import read_stored
         from labrun.store.locate import find_run
 
-        compared = compare(find_run(target, results))
+        run = find_run(target, results)
+        stored = read_stored(run)  # without a diagnosis the seal stays closed
+        compared = Compared(reveal_hidden(run), stored)
         if as_json:
             print_json(compared.to_json())
         else:
-            typer.echo(compared.to_text())
+            typer.echo(compared_text(compared))
 
 
 def register(app: typer.Typer) -> None:

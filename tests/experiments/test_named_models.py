@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from labrun.app.run import execute
+from labrun.blind import named_model
 from labrun.fit.dataset import load_dataset
 from labrun.fit.output_error import fit_model
 from labrun.runner.progress import SilentProgress
-from labrun.search.hidden import named_model
 from labrun.spec.named import load_named
 
 SMALLER = {

@@ -5,10 +5,10 @@ import json
 import gap_examples as examples
 import pytest
 
+from labrun.blind import Compared, Seal, reveal, write_seal
 from labrun.errors import RecordingError, RequestError
-from labrun.gap.seal import seal
-from labrun.report.gap_reveal import compare
-from labrun.report.gap_store import store
+from labrun.report.gap_reveal import compared_text
+from labrun.report.gap_store import read_stored, store
 
 TRUTH = {
     "effect": "coulomb-friction",
@@ -25,6 +25,17 @@ INERTIA = {
     "values": {"inertia": 5.1e-5},
     "units": {"inertia": "kg m^2"},
 }
+
+
+def seal(folder, hidden):
+    made = Seal.of(hidden)
+    write_seal(folder, made)
+    return made
+
+
+def compare(run):
+    stored = read_stored(run)
+    return Compared(reveal(run), stored)
 
 
 def run_hiding(folder, *hidden, says):
@@ -65,7 +76,9 @@ def test_verdict_and_truth_are_compared_by_effect_and_site(tmp_path, hidden, say
 
 
 def test_said_and_hidden_stand_under_each_other_in_the_same_units(tmp_path):
-    lines = compare(run_hiding(tmp_path / "run", TRUTH, says=examples.explained())).to_text().splitlines()
+    lines = compared_text(
+        compare(run_hiding(tmp_path / "run", TRUTH, says=examples.explained()))
+    ).splitlines()
     assert lines[0].startswith(
         "said      coulomb-friction at hinge: torque = 1.520e-04 [1.440e-04, 1.590e-04] N m"
     )

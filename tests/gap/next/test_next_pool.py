@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from labrun.app.run import execute
+from labrun.blind import named_model
 from labrun.fit.dataset import load_dataset
 from labrun.gap.next.run_bench import RunBench
 from labrun.runner.plan import Planner
 from labrun.runner.progress import SilentProgress
-from labrun.search.hidden import named_model
 from labrun.spec.named import load_named
 from labrun.store.reading import open_run
 

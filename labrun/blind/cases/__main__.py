@@ -1,0 +1,17 @@
+"""Run as ``python -m labrun.blind.cases``, or as a folder: then nothing of the package around it is imported."""
+
+import os
+import sys
+from importlib import import_module
+from pathlib import Path
+
+# one thread of linear algebra per process: the cases run side by side, and come out the same on any machine
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+# however it was started, it is found under its own short name, also by the processes that it starts
+_HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(_HERE.parent))
+
+if __name__ == "__main__":
+    sys.exit(import_module(f"{_HERE.name}.cli").main())

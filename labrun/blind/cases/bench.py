@@ -1,0 +1,185 @@
+"""A plant with its trials and with what is hidden in it: the equations as one integration sees them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .drive import Drive
+from .mechanism import Hidden
+from .plant import FloatArray, Plant, Programme
+
+_FINE_PARTS = 16
+"""Points for each sample of an input that is worked out beforehand."""
+
+
+@dataclass
+class _Parts:
+    joints: list[tuple[Hidden, slice]]
+    inputs: list[tuple[Hidden, slice, int]]
+    outputs: list[tuple[Hidden, slice, int]]
+    states: int
+
+
+class Bench:
+    """A plant, its trials, its parameters, and what is hidden.
+
+    Parameters
+    ----------
+    parameters
+        Of each, a number or one value per trial.
+    start : (states, trials)
+        None for the programme's own.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        programme: Programme,
+        parameters: Mapping[str, FloatArray | float],
+        hidden: Sequence[Hidden] = (),
+        start: FloatArray | None = None,
+    ) -> None:
+        self.plant = plant
+        self.time_s = programme.time_s
+        self.drive = Drive(programme.time_s, programme.inputs, [one.between for one in plant.inputs])
+        self.trials = len(programme.conditions)
+        self.p = plant.values(programme.conditions, parameters)
+        self.start = plant.start(programme.conditions) if start is None else start
+        self.hidden = tuple(hidden)
+        self.parts = self._sort(hidden)
+        self.worked_out = {
+            row: self._work_out(one, row) for one, _, row in self.parts.inputs if one.mechanism.prepare
+        }
+        self.zero = {site.name: np.zeros(self.trials) for site in plant.sites}
+
+    def _sort(self, hidden: Sequence[Hidden]) -> _Parts:
+        parts = _Parts([], [], [], 0)
+        names = {
+            "input": [one.name for one in self.plant.inputs],
+            "output": [one.name for one in self.plant.outputs],
+        }
+        for one in hidden:
+            rows = slice(parts.states, parts.states + one.mechanism.states)
+            parts.states = rows.stop
+            kind = one.mechanism.kind
+            if kind == "input":
+                parts.inputs.append((one, rows, names[kind].index(one.mechanism.site)))
+            elif kind == "output":
+                parts.outputs.append((one, rows, names[kind].index(one.mechanism.site)))
+            else:
+                parts.joints.append((one, rows))
+        return parts
+
+    def _work_out(self, one: Hidden, row: int) -> Drive:
+        assert one.mechanism.prepare is not None
+        step_s, signal = self.drive.fine(row, _FINE_PARTS)
+        prepared = one.mechanism.prepare(one.size, step_s, signal)
+        return Drive(step_s * np.arange(len(prepared), dtype=np.float64), prepared[None], ["linear"])
+
+    def _drive(self, t: float, inside: float, z: FloatArray, dz: FloatArray) -> FloatArray:
+        u = self.drive.at(t, inside)
+        plain = u.copy() if self.parts.inputs else u
+        for one, rows, row in self.parts.inputs:
+            shift = one.mechanism.shift_s(one.size) if one.mechanism.shift_s else 0.0
+            now = self.drive.one(row, t - shift, inside - shift) if shift else u[row]
+            if row in self.worked_out:
+                now = self.worked_out[row].one(0, t, t)
+            u[row], dz[rows] = one.mechanism.law(one.size, t, z[rows], now, plain)
+        return u
+
+    def _forces(
+        self, t: float, x: FloatArray, u: FloatArray, z: FloatArray, dz: FloatArray
+    ) -> Mapping[str, FloatArray]:
+        if not self.parts.joints:
+            return self.zero
+        force = {name: value.copy() for name, value in self.zero.items()}
+        masses: list[tuple[str, FloatArray]] = []
+        for one, rows in self.parts.joints:
+            at = self.plant.at(one.mechanism.site, x, u, self.p)
+            f, dz[rows] = one.mechanism.law(one.size, t, z[rows], at)
+            force[one.mechanism.site] += f
+            if one.mechanism.mass:
+                masses.append((one.mechanism.site, one.mechanism.mass(one.size, at)))
+        for site, mass in masses:
+            row = self.plant.rate_row(site)
+            without = self.plant.rates(t, x, u, self.p, force)[row]
+            pushed = self.plant.rates(t, x, u, self.p, {**force, site: force[site] + 1.0})[row]
+            force[site] -= mass * without / (1.0 + mass * (pushed - without))
+        return force
+
+    def _evaluate(
+        self, t: float, y: FloatArray, inside: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, Mapping[str, FloatArray]]:
+        s = len(self.plant.states)
+        x, z = y[:s], y[s:]
+        dy = np.zeros_like(y)
+        u = self._drive(t, inside, z, dy[s:])
+        force = self._forces(t, x, u, z, dy[s:])
+        return x, u, dy, force
+
+    def rates(self, t: float, y: FloatArray, inside: float) -> FloatArray:
+        """Return the derivative of the plant's and all hidden states (states, trials)."""
+        x, u, dy, force = self._evaluate(t, y, inside)
+        s = len(self.plant.states)
+        if s:
+            dy[:s] = self.plant.rates(t, x, u, self.p, force)
+        lagging = [one for one in self.parts.outputs if one[0].mechanism.states]
+        if lagging:
+            read = self.plant.read(t, x, u, self.p, force)
+            for one, rows, row in lagging:
+                _, dy[s:][rows] = one.mechanism.law(one.size, t, y[s:][rows], read[row], read)
+        return dy
+
+    def read(self, times: FloatArray, states: Mapping[float, FloatArray]) -> FloatArray:
+        """Return the outputs (outputs, samples, trials), as the sensors with all their faults give them."""
+        result = np.empty((len(self.plant.outputs), len(times), self.trials))
+        for index, t in enumerate(times):
+            result[:, index] = self._read_at(float(t), states[round(float(t), 9)])
+        plain = result.copy() if self.parts.outputs else result
+        s = len(self.plant.states)
+        for one, rows, row in self.parts.outputs:
+            shift = one.mechanism.shift_s(one.size) if one.mechanism.shift_s else 0.0
+            for index, t in enumerate(times):
+                state = states[round(float(t), 9)]
+                now = plain[row, index]
+                if shift:
+                    late = max(float(t) - shift, 0.0)
+                    now = self._read_at(late, states[round(late, 9)])[row]
+                result[row, index], _ = one.mechanism.law(
+                    one.size, float(t), state[s:][rows], now, plain[:, index]
+                )
+        return result
+
+    def _read_at(self, t: float, y: FloatArray) -> FloatArray:
+        x, u, _, force = self._evaluate(t, y, t)
+        return self.plant.read(t, x, u, self.p, force)
+
+    def initial(self) -> FloatArray:
+        """Return all states at the begin; filters of signals begin at rest on the first value."""
+        y = np.concatenate([self.start, np.zeros((self.parts.states, self.trials))])
+        s = len(self.plant.states)
+        u = self.drive.at(0.0, 0.0)
+        for _one, rows, row in self.parts.inputs:
+            y[s:][rows] = u[row]
+        if any(one.mechanism.states for one, _, _ in self.parts.outputs):
+            read = self._read_at(0.0, y)
+            for _one, rows, row in self.parts.outputs:
+                y[s:][rows] = read[row]
+        return y
+
+    def corners(self) -> FloatArray:
+        """Return every time at which the integration stops: samples, late samples, readings, jumps."""
+        end = float(self.time_s[-1])
+        times = [self.time_s]
+        for one in self.hidden:
+            if one.mechanism.shift_s:
+                way = 1 if one.mechanism.kind == "input" else -1
+                times.append(self.time_s + way * one.mechanism.shift_s(one.size))
+            times.append(np.array(one.mechanism.jumps_s, dtype=np.float64))
+        joined: FloatArray = np.unique(np.round(np.concatenate(times), 9)).astype(np.float64)
+        return joined[(joined >= 0) & (joined <= round(end, 9))]
+
+    def fastest(self) -> float:
+        """Return the fastest rate of what is hidden, 1/s."""
+        return max([one.mechanism.fastest(one.size) for one in self.hidden], default=0.0)

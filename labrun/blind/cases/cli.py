@@ -1,0 +1,82 @@
+"""The command line: make sealed cases, or check answers against their seal."""
+
+import argparse
+import secrets
+import shutil
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+
+from .case import make_case
+from .mixture import DECK
+from .seal import SEAL, seal, verify
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit code."""
+    parser = argparse.ArgumentParser(prog="labrun.blind.cases", description=__doc__)
+    parser.add_argument("--cases", type=int, default=60, metavar="N", help="how many cases to make")
+    parser.add_argument("--seed", type=int, default=1, metavar="S", help="below 1000: development")
+    parser.add_argument("--first", type=int, default=1, metavar="K", help="number of the first case, from 1")
+    parser.add_argument("--only", choices=tuple(DECK), help="make cases of this kind alone, not the mixture")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="a folder that is new or empty")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes")
+    parser.add_argument(
+        "--salt", default="", metavar="HEX", help="of an earlier seal, to get the same one again"
+    )
+    parser.add_argument(
+        "--verify", type=Path, metavar="DIR", help="check the answers in DIR against their seal"
+    )
+    given = parser.parse_args(arguments)
+    if given.verify:
+        return _verify(given.verify)
+    if given.out is None:
+        parser.error("--out DIR is needed (or --verify DIR)")
+    if given.cases < 1 or given.first < 1 or given.workers < 1 or given.seed < 0:
+        parser.error("--cases, --first and --workers are 1 or more, --seed is 0 or more")
+    if given.out.exists() and any(given.out.iterdir()):
+        parser.error(f"{given.out} is not empty; name a new folder")
+    return _make(given.out, given.seed, range(given.first - 1, given.first - 1 + given.cases), given)
+
+
+def _make(folder: Path, seed: int, indices: range, given: argparse.Namespace) -> int:
+    # nobody sees a case before its seal: everything is made beside, and moved when the seal is printed
+    making = folder.with_name(folder.name + ".making")
+    shutil.rmtree(making, ignore_errors=True)
+    making.mkdir(parents=True)
+    try:
+        make = partial(make_case, seed, folder=making, only=given.only)
+        if given.workers == 1:
+            for index in indices:
+                _tell(make(index), indices)
+        else:
+            with ProcessPoolExecutor(given.workers) as pool:
+                for name in pool.map(make, indices):
+                    _tell(name, indices)
+        content = seal(making, given.salt or secrets.token_hex(16))
+        if folder.exists():
+            folder.rmdir()
+        making.rename(folder)
+    except BaseException:
+        shutil.rmtree(making, ignore_errors=True)
+        raise
+    kinds = f", {given.only} alone" if given.only else ""
+    told = f"{len(indices)} answers, seed {seed}{kinds}; sha256 with salt, one by one in {folder / SEAL}"
+    print(f"seal {content['all']}  ({told})", flush=True)
+    return 0
+
+
+def _tell(name: str, indices: range) -> None:
+    done = int(name.rpartition("-")[2]) - indices.start
+    print(f"made {name} ({done} of {len(indices)})", file=sys.stderr, flush=True)
+
+
+def _verify(folder: Path) -> int:
+    faults = verify(folder)
+    for fault in faults:
+        print(fault)
+    if not faults:
+        print(f"{folder}: every answer is the one that was sealed")
+    return 1 if faults else 0

@@ -1,0 +1,191 @@
+"""Physics that the library does not have."""
+
+# ruff: noqa: ARG001, ARG005 - the signatures are fixed, whatever of them a form uses
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..mechanism import Kind, Measures, Mechanism, no_states
+from ..plant import At, FloatArray
+
+
+def _force(
+    name: str,
+    site: str,
+    kind: Kind,
+    force: Callable[[float, float, At], FloatArray],
+    values: dict[str, float],
+    jumps_s: tuple[float, ...] = (),
+    fastest: float = 0.0,
+) -> Mechanism:
+    def law(size: float, t: float, z: FloatArray, at: At) -> tuple[FloatArray, FloatArray]:
+        return force(size, t, at), no_states(at.rate.size)
+
+    return Mechanism(
+        "", site, kind, name, law, lambda s: {"size": s, **values}, most=1.5, jumps_s=jumps_s,
+        fastest=lambda _s: fastest,
+    )  # fmt: skip
+
+
+def pulsating_stiffness(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
+    """A spring whose stiffness is modulated in time."""
+    pump = 2 * np.pi / m.period_s * rng.uniform(0.5, 1.9)
+    return _force(
+        "pulsating-stiffness", site, kind,
+        lambda s, t, at: -s * m.stiffness * at.coordinate * np.sin(pump * t), {"pump_rad_s": pump},
+    )  # fmt: skip
+
+
+def cogging(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
+    """A torque that repeats several times over the stroke, as of magnets and teeth."""
+    waves, phase = rng.uniform(2.5, 6.0) * np.pi / m.q, rng.uniform(0, 2 * np.pi)
+    return _force(
+        "cogging", site, kind, lambda s, t, at: s * m.force * np.sin(waves * at.coordinate + phase),
+        {"per_coordinate": waves, "phase": phase}, fastest=0.5 * np.sqrt(waves * m.a) + m.v * waves * 0.2,
+    )  # fmt: skip
+
+
+def second_mode(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
+    """A lightly damped mass on a spring that rides on the joint (flexible link)."""
+    omega = 2 * np.pi / m.period_s * rng.uniform(1.4, 3.0)
+    zeta, own = rng.uniform(0.01, 0.04), m.force / m.a
+
+    def law(size: float, t: float, z: FloatArray, at: At) -> tuple[FloatArray, FloatArray]:
+        pull = omega**2 * (z[0] - at.coordinate) + 2 * zeta * omega * (z[1] - at.rate)
+        return 0.5 * size * own * pull, np.array([z[1], -pull])
+
+    return Mechanism(
+        "", site, kind, "second-mode", law,
+        lambda s: {"mass_share": 0.5 * s, "rad_s": omega, "damping_ratio": zeta},
+        most=1.5, states=2, fastest=lambda _s: 2 * omega,
+    )  # fmt: skip
+
+
+def flutter(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
+    """Damping that feeds energy in at small deflections and takes it out at large ones (van der Pol)."""
+    turn = m.q * rng.uniform(0.3, 0.6)
+    return _force(
+        "flutter", site, kind,
+        lambda s, t, at: s * m.force / m.v * at.rate * (1.0 - np.minimum((at.coordinate / turn) ** 2, 4.0)),
+        {"turning_point": turn},
+    )  # fmt: skip
+
+
+def detent(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
+    """A catch at one place of the stroke: attraction within a narrow region."""
+    place, width = m.q * rng.uniform(0.2, 0.6) * rng.choice([-1, 1]), m.q * rng.uniform(0.08, 0.18)
+
+    def force(s: float, t: float, at: At) -> FloatArray:
+        away = (at.coordinate - place) / width
+        return np.asarray(-2.0 * s * m.force * away * np.exp(-(away**2)))
+
+    return _force("detent", site, kind, force, {"place": place, "width": width}, fastest=m.v / width)
+
+
+def shaken_base(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
+    """A machine next door: a force at its own frequency, in step with the start of the trial."""
+    omega, phase = 2 * np.pi / m.period_s * rng.uniform(0.6, 2.7), rng.uniform(0, 2 * np.pi)
+    return _force(
+        "shaken-base", site, kind,
+        lambda s, t, at: np.full_like(at.rate, s * m.force * np.sin(omega * t + phase)), {"rad_s": omega},
+    )  # fmt: skip
+
+
+def slipping(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
+    """A clamp that slips now and then, at random times, either way, and takes the rest position along."""
+    times = np.sort(rng.uniform(0.08, 0.95, 5)) * m.length_s
+    moves = rng.choice([-1.0, 1.0], 5) * rng.uniform(0.5, 1.0, 5)
+    rounded = np.round(times, 4)
+
+    def force(s: float, t: float, at: At) -> FloatArray:
+        # the instants are corners of the integration, each seen from the piece that follows it
+        return np.full_like(at.rate, s * m.stiffness * m.q * float(moves[rounded <= t + 1e-12].sum()))
+
+    return _force(
+        "slipping-clamp", site, kind, force, {f"slip_{index + 1}_s": float(one) for index, one in enumerate(rounded)},
+        jumps_s=tuple(float(one) for one in rounded),
+    )  # fmt: skip
+
+
+def warming(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
+    """Damping that comes and goes with temperature in every trial: large at first, negative in the end."""
+    settle = m.length_s * rng.uniform(0.15, 0.35)
+    return _force(
+        "warming-damper", site, kind,
+        lambda s, t, at: -s * m.force / m.v * at.rate * (2.0 * np.exp(-t / settle) - 0.6), {"settling_s": settle},
+    )  # fmt: skip
+
+
+def gyroscopic(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
+    """A force of position times speed: unbalance that pulls one way."""
+    sign = float(rng.choice([-1, 1]))
+    return _force(
+        "position-times-speed", site, kind,
+        lambda s, t, at: sign * s * m.force * 2.0 * at.coordinate / m.q * np.abs(at.rate) / m.v * np.sign(at.rate)
+        + sign * s * m.force * (at.rate / m.v) ** 2,
+        {"sign": sign},
+    )  # fmt: skip
+
+
+OUTSIDE = {
+    "pulsating-stiffness": pulsating_stiffness,
+    "cogging": cogging,
+    "second-mode": second_mode,
+    "flutter": flutter,
+    "detent": detent,
+    "shaken-base": shaken_base,
+    "slipping-clamp": slipping,
+    "warming-damper": warming,
+    "position-times-speed": gyroscopic,
+}
+
+
+def fifth_order(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
+    """A linkage that turns the command by more, the further it goes, and not the same to both sides."""
+    even = rng.uniform(0.4, 0.9) * float(rng.choice([-1, 1]))
+
+    def law(
+        size: float, t: float, z: FloatArray, now: FloatArray, signals: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        share = now / m.q
+        return now + size * m.q * (share**5 + even * share**2), no_states(now.size)
+
+    return Mechanism(
+        "", site, kind, "fifth-order-linkage", law, lambda s: {"size": s, "even": even}, most=1.0
+    )
+
+
+def resonance(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
+    """A sensor or an amplifier with a weakly damped resonance of its own, mixed in."""
+    omega, zeta = 2 * np.pi / m.period_s * rng.uniform(2.0, 4.0), rng.uniform(0.03, 0.08)
+
+    def law(
+        size: float, t: float, z: FloatArray, now: FloatArray, signals: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        pull = omega**2 * (now - z[0]) - 2 * zeta * omega * z[1]
+        return (1.0 - size) * now + size * z[0], np.array([z[1], pull])
+
+    return Mechanism(
+        "", site, kind, "own-resonance", law, lambda s: {"share": s, "rad_s": omega, "damping_ratio": zeta},
+        most=1.0, states=2, fastest=lambda _s: 2 * omega,
+    )  # fmt: skip
+
+
+def hum(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
+    """Gain that goes up and down in time, in step with the start of the trial."""
+    omega = 2 * np.pi / m.period_s * rng.uniform(0.3, 2.2)
+
+    def law(
+        size: float, t: float, z: FloatArray, now: FloatArray, signals: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        return now * (1.0 + size * np.sin(omega * t)), no_states(now.size)
+
+    return Mechanism("", site, kind, "pulsating-gain", law, lambda s: {"size": s, "rad_s": omega}, most=1.0)
+
+
+OUTSIDE_SIGNALS = {
+    "fifth-order-linkage": fifth_order,
+    "own-resonance": resonance,
+    "pulsating-gain": hum,
+}

@@ -1,0 +1,15 @@
+"""The benches there are."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..plant import Plant
+from .driven import HingeDrive, LinearStage, PayloadArm
+from .swimming import ServoFin, StaticFin, Swimmer
+from .swinging import Chain, FreeDecay
+
+PLANTS: tuple[Callable[[np.random.Generator], Plant], ...] = (
+    HingeDrive, PayloadArm, FreeDecay, ServoFin, Chain, Swimmer, StaticFin, LinearStage,
+)  # fmt: skip
+"""Each draws one bench of its kind."""

@@ -1,0 +1,114 @@
+"""Find how large a hidden effect has to be for the gap that is aimed at."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from .plant import FloatArray, Plant, Programme
+from .refit import Recalibration, size_of
+from .simulate import BlewUpError
+
+_ROUNDS = 7
+_CLOSE = 1.25
+_REACHED = 0.6
+
+
+class OutOfReachError(Exception):
+    """No size gives the gap that is aimed at: recalibration swallows it, or the bench breaks first."""
+
+
+class Projection:
+    """What recalibration would leave of a small change of the outputs."""
+
+    def __init__(self, plant: Plant, programme: Programme, truth: dict[str, float], sd: FloatArray) -> None:
+        bare = Recalibration(plant, programme, truth)
+        count = len(bare.free) + len(bare.starts) * bare.trials
+        z = np.concatenate([np.ones(len(bare.free)), np.zeros(count - len(bare.free))])
+        self.base, slopes = bare.simulate(z)
+        self.sd = sd
+        self._jacobian = (slopes / sd[:, None, None, None]).reshape(self.base.size, count)
+        prior = np.zeros(count)
+        for index, one in enumerate(bare.free):
+            if one.tolerance != "free":
+                prior[index] = 1.0 / float(one.tolerance) ** 2
+        normal = self._jacobian.T @ self._jacobian + np.diag(prior)
+        self._inverse = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) if count else np.zeros((0, 0))
+
+    def signature(self, changed: FloatArray) -> FloatArray:
+        """Return what is left, in units of the noise, of outputs that differ from the bare bench's; flat."""
+        d = ((changed - self.base) / self.sd[:, None, None]).ravel()
+        return np.asarray(d - self._jacobian @ (self._inverse @ (self._jacobian.T @ d)))
+
+    def left(self, changed: FloatArray) -> float:
+        """Return the gap that is left of outputs that differ from the bare bench's."""
+        return float(np.sqrt(np.mean(self.signature(changed) ** 2)))
+
+    def scatter(self, shares: FloatArray) -> FloatArray:
+        """Return the standard deviation of each output when the free parameters scatter by these shares."""
+        p = len(shares)
+        moved = (self._jacobian[:, :p] * shares).reshape(*self.base.shape, p)
+        return np.asarray(np.sqrt(np.mean(np.sum(moved**2, axis=-1), axis=(1, 2))) * self.sd)
+
+
+def alike(first: FloatArray, second: FloatArray) -> float:
+    """Return the cosine between two signatures."""
+    return float(first @ second / np.sqrt((first @ first) * (second @ second)))
+
+
+def sensor_factor(residual: FloatArray, sensor: FloatArray, scattered: FloatArray, aim: float) -> float:
+    """Return the factor on the sensors' noise that makes a residual's gap the one aimed at, to four digits.
+
+    Raises
+    ------
+    OutOfReachError
+        The noise would have to be more than 5 times smaller, or 4 times larger.
+    """
+
+    def gap(factor: float) -> float:
+        return size_of(residual, np.sqrt((factor * sensor) ** 2 + scattered**2))
+
+    low, high = 0.2, 4.0
+    if not gap(high) <= aim <= gap(low):
+        raise OutOfReachError
+    for _ in range(40):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if gap(middle) > aim else (low, middle)
+    return float(f"{np.sqrt(low * high):.4g}")
+
+
+def find_size(gap: Callable[[float], float], aim: float, start: float, most: float) -> float:
+    """Return the size, to four digits, at which `gap` is near `aim`.
+
+    Raises
+    ------
+    OutOfReachError
+        There is none up to `most`.
+    """
+    low, high = 0.0, most
+    size, best, best_miss = min(start, most), 0.0, np.inf
+    for _ in range(_ROUNDS):
+        try:
+            found = gap(size)
+        except BlewUpError:
+            high, size = size, 0.5 * (low + size)
+            continue
+        miss = abs(np.log(max(found, 1e-12) / aim))
+        if miss < best_miss:
+            best, best_miss = size, miss
+        if miss < np.log(_CLOSE):
+            break
+        if found < aim:
+            low = size
+        else:
+            high = size
+        if low >= most:
+            break
+        wanted = size * float(np.clip(aim / max(found, 1e-12), 0.02, 50.0))
+        size = (
+            wanted
+            if low < wanted < high
+            else (most if wanted >= most and high >= most else 0.5 * (low + high))
+        )
+    if best_miss > -np.log(_REACHED):
+        raise OutOfReachError
+    return float(f"{best:.4g}")

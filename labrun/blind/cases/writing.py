@@ -1,0 +1,87 @@
+"""Write recordings and model files, as a person at the bench would have them."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from .plant import Condition, FloatArray, Plant
+
+_DIGITS = 8
+
+
+def write_model(plant: Plant, stated: Mapping[str, float], path: Path) -> None:
+    """Write the model file: stated parameters, equations, sites, and nothing of what is hidden."""
+    lines = [f'name = "{plant.name}"', f"states = {_list(plant.states)}"]
+    lines.append(f"inputs = {_list([one.name for one in plant.inputs])}")
+    lines.append("[parameters]")
+    for one in plant.parameters:
+        tolerance = '"free"' if one.tolerance == "free" else f"{one.tolerance}"
+        lines.append(
+            f'{one.name} = {{ value = {stated[one.name]!r}, tolerance = {tolerance}, unit = "{one.unit}" }}'
+        )
+    lines.append("[equations]")
+    lines += [f'{state} = "{plant.equations[state]}"' for state in plant.states]
+    lines.append("[outputs]")
+    lines += [f'{one.name} = {{ equation = "{one.equation}", unit = "{one.unit}" }}' for one in plant.outputs]
+    for site in plant.sites:
+        lines += [f"[sites.{site.name}]", f'kind = "{site.kind}"']
+        lines += [f'coordinate = "{site.coordinate}"', f'rate = "{site.rate}"']
+        if site.stiffness:
+            lines.append(f'stiffness = "{site.stiffness}"')
+        if site.load:
+            lines.append(f'load = "{site.load}"')
+    if plant.states:
+        lines.append("[initial]")
+        for state in plant.states:
+            rule = plant.initial[state]
+            lines.append(f"{state} = {_toml(rule)}")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def write_recording(
+    plant: Plant,
+    name: str,
+    folder: Path,
+    time_s: FloatArray,
+    trials: Sequence[tuple[Condition, int, FloatArray, FloatArray]],
+) -> None:
+    """Write `recording.toml` and a CSV file for each trial.
+
+    Parameters
+    ----------
+    trials
+        Condition, repeat, inputs (inputs, samples), measured outputs (outputs, samples).
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = [f'experiment = "{name}"']
+    for one in plant.inputs:
+        lines += [
+            f"[channels.{one.name}]",
+            'kind = "input"',
+            f'unit = "{one.unit}"',
+            f'between = "{one.between}"',
+        ]
+    for one in plant.outputs:
+        lines += [f"[channels.{one.name}]", 'kind = "output"', f'unit = "{one.unit}"']
+    header = ",".join(["time_s", *(one.name for one in plant.inputs), *(one.name for one in plant.outputs)])
+    for number, (condition, repeat, inputs, outputs) in enumerate(trials, start=1):
+        file = f"trial{number:03d}.csv"
+        lines += ["", "[[trials]]", f'file = "{file}"', f"repeat = {repeat}"]
+        lines.append(
+            f"condition = {{ {', '.join(f'{key} = {_toml(value)}' for key, value in condition.items())} }}"
+        )
+        rows = [header]
+        for index, t in enumerate(time_s):
+            cells = [f"{t:.9f}"]
+            cells += [f"{value:.{_DIGITS}g}" for value in (*inputs[:, index], *outputs[:, index])]
+            rows.append(",".join(cells))
+        (folder / file).write_text("\n".join(rows) + "\n", encoding="utf-8")
+    (folder / "recording.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _list(names: Sequence[str]) -> str:
+    quoted = [f'"{one}"' for one in names]
+    return f"[{', '.join(quoted)}]"
+
+
+def _toml(value: float | str) -> str:
+    return f'"{value}"' if isinstance(value, str) else repr(float(value))

@@ -1,0 +1,271 @@
+"""The folder of a check: its cases, made and sealed; what was said of each as it came; the scores."""
+
+import hashlib
+import json
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from labrun.blind.jobs import Files, fingerprint
+from labrun.errors import LabrunError, RequestError
+from labrun.fit.notes import Note
+
+SHIPPED_GENERATOR = Path(__file__).parent / "cases"
+"""Code that makes sealed cases and imports nothing of labrun."""
+_ASKED = "asked.json"
+_MODEL = "model.toml"
+_SEAL = "seal.json"
+_SEALED = "sealed"
+_NOT_SCORED = "nothing was scored; have the cases made again in a new folder (--out)"
+_TOLD_LINES = 12
+
+
+@dataclass(frozen=True)
+class CheckFolder:
+    """Where a check is kept.
+
+    ``cases`` is all that a diagnosis sees; ``fresh`` is for what comes after it; ``sealed`` is opened last.
+    """
+
+    path: Path
+
+    @property
+    def made(self) -> bool:
+        """Whether the cases are there."""
+        return (self.path / _SEAL).is_file()
+
+    def ask(self, asked: Mapping[str, Any]) -> str:
+        """Write down what was asked for and the seal, or check that the same was asked before; return the seal.
+
+        Raises
+        ------
+        RequestError
+            The folder holds another check, or its seal is no longer the one that was printed.
+        """
+        path = self.path / _ASKED
+        seal = seal_of(self.path)
+        if not path.is_file():
+            names = sealed_cases(self.path)
+            if names != [f"case-{asked['first'] + number:04d}" for number in range(asked["cases"])]:
+                raise RequestError(
+                    f"{self.path} holds {len(names)} cases from {names[0] if names else 'none'} on; "
+                    f"asked for are {asked['cases']} from case-{asked['first']:04d} on",
+                    hint="ask for what is there, or name a new folder with --out",
+                )
+            _write(path, {**asked, "seal": seal})
+            return seal
+        before = json.loads(path.read_text(encoding="utf-8"))
+        if {key: before.get(key) for key in asked} != dict(asked):
+            raise RequestError(
+                f"{self.path} holds a check of {_words(before)}; asked for is one of {_words(asked)}",
+                hint="name a new folder with --out",
+            )
+        return str(before["seal"])
+
+    def cases(self) -> list[str]:
+        """Return the names of the cases, in order."""
+        return sealed_cases(self.path)
+
+    def seen(self, case: str) -> Files:
+        """Return the files that a diagnosis may see."""
+        return _files(self.path / "cases" / case)
+
+    def fresh(self, case: str) -> Files:
+        """Return the files of the fresh trials."""
+        return _files(self.path / "fresh" / case)
+
+    def model(self, case: str) -> bytes:
+        """Return the model file of a case."""
+        return (self.path / "cases" / case / _MODEL).read_bytes()
+
+    def said(self, case: str) -> dict[str, Any] | None:
+        """Return what was said of a case; None if nothing was yet, or by other code than is here now."""
+        found = _read(self.path / "diagnoses" / f"{case}.json")
+        return found if found is not None and found.get("programme") == fingerprint() else None
+
+    def keep_said(self, case: str, said: Mapping[str, Any]) -> None:
+        """Keep what was said of a case; what its fresh trials showed of an earlier diagnosis goes."""
+        (self.path / "shrinkage" / f"{case}.json").unlink(missing_ok=True)
+        _write(self.path / "diagnoses" / f"{case}.json", said)
+
+    def shown(self, case: str) -> dict[str, Any] | None:
+        """Return what the fresh trials of a case showed; None if they were not looked at yet."""
+        return _read(self.path / "shrinkage" / f"{case}.json")
+
+    def keep_shown(self, case: str, shown: Mapping[str, Any]) -> None:
+        """Keep what the fresh trials of a case showed."""
+        _write(self.path / "shrinkage" / f"{case}.json", shown)
+
+    def keep_scores(self, scores: Mapping[str, Any]) -> None:
+        """Write ``check.json``."""
+        _write(self.path / "check.json", scores)
+
+
+def make_cases(
+    generator: Path,
+    out: Path,
+    *,
+    cases: int,
+    seed: int,
+    first: int,
+    only: str | None,
+    workers: int,
+    note: Note,
+) -> str:
+    """Run the generator; return the line in which it tells the seal.
+
+    Parameters
+    ----------
+    only
+        Kind of all cases; its mixture of kinds if None.
+
+    Raises
+    ------
+    LabrunError
+        It failed, with the last lines of what it said.
+    """
+    command = [sys.executable, str(generator), "--cases", str(cases), "--seed", str(seed)]
+    command += ["--first", str(first), "--workers", str(workers), "--out", str(out)]
+    command += [] if only is None else ["--only", only]
+    told: list[str] = []
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as said:
+        process = subprocess.Popen(command, stdout=said, stderr=subprocess.PIPE, text=True, encoding="utf-8")
+        try:
+            for line in process.stderr or ():
+                told = [*told[1 - _TOLD_LINES :], line.rstrip()]
+                if line.startswith("made "):
+                    note(f"making the cases: {line.strip()}")
+            code = process.wait()
+        except BaseException:
+            _stop(process)
+            raise
+        said.seek(0)
+        seal = said.read().strip()
+    if code != 0 or not seal:
+        raise LabrunError(
+            f"the generator {generator} ended with exit code {code}:\n    " + "\n    ".join(told),
+            hint=f"to see it alone: {' '.join(command)}",
+        )
+    return seal.splitlines()[0]
+
+
+def seal_of(folder: Path) -> str:
+    """Return the hash over all answers, as the folder's seal states it.
+
+    Raises
+    ------
+    RequestError
+        The folder has no seal.
+    """
+    return _stated(folder).over_all
+
+
+def sealed_cases(folder: Path) -> list[str]:
+    """Return the names of the cases that are sealed, in order."""
+    return sorted(_stated(folder).cases)
+
+
+def open_answers(folder: Path, printed: str) -> list[dict[str, Any]]:
+    """Check every answer against the seal that was printed before, then return them in the order of their names.
+
+    Parameters
+    ----------
+    printed
+        Hash over all answers, as it was told before the first diagnosis.
+
+    Raises
+    ------
+    LabrunError
+        The seal is another than the one that was printed, or an answer is not the one that was sealed.
+    """
+    seal = _stated(folder)
+    faults = []
+    if printed != seal.over_all or not seal.holds_together:
+        faults.append(f"{folder / _SEAL} is not the seal that was printed before the diagnosis")
+    sealed = folder / _SEALED
+    try:
+        salt = (sealed / "salt.txt").read_text(encoding="utf-8").strip().encode()
+    except OSError as error:
+        raise LabrunError(f"the salt of the seal is gone: {error}", hint=_NOT_SCORED) from error
+    found = {path.stem: path.read_bytes() for path in sorted(sealed.glob("case-*.json"))}
+    faults += [f"{sealed / name}.json is in no seal" for name in sorted(found.keys() - seal.cases.keys())]
+    for name, expected in sorted(seal.cases.items()):
+        if name not in found:
+            faults.append(f"{sealed / name}.json is missing")
+        elif hashlib.sha256(salt + found[name]).hexdigest() != expected:
+            faults.append(f"{sealed / name}.json was changed after it was sealed")
+    if faults:
+        raise LabrunError("the seal is broken:\n    " + "\n    ".join(faults), hint=_NOT_SCORED)
+    return [json.loads(found[name]) for name in sorted(found)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Seal:
+    over_all: str
+    cases: Mapping[str, str]
+
+    @property
+    def holds_together(self) -> bool:
+        """Whether the hash over all is that of the hashes of the cases."""
+        listed = "".join(f"{name}:{self.cases[name]}\n" for name in sorted(self.cases))
+        return hashlib.sha256(listed.encode()).hexdigest() == self.over_all
+
+
+def _stated(folder: Path) -> _Seal:
+    try:
+        content = json.loads((folder / _SEAL).read_text(encoding="utf-8"))
+        return _Seal(str(content["all"]), {str(name): str(one) for name, one in content["cases"].items()})
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise RequestError(
+            f"{folder} holds no sealed cases ({type(error).__name__}: {error})",
+            hint="name a new folder with --out",
+        ) from error
+
+
+def _stop(process: "subprocess.Popen[str]") -> None:
+    """Interrupt the generator, so that it takes its half-made folder away."""
+    process.send_signal(signal.SIGINT)
+    try:
+        process.communicate(timeout=20.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()
+
+
+def _files(folder: Path) -> Files:
+    try:
+        return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
+    except OSError as error:
+        raise RequestError(
+            f"a case cannot be read: {error}", hint="have the cases made again in a new folder (--out)"
+        ) from error
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def _write(path: Path, content: Mapping[str, Any]) -> None:
+    _replace(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file whole or not at all: an interruption must not leave half an answer."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(path.name + ".part")
+    beside.write_text(text, encoding="utf-8")
+    beside.replace(path)
+
+
+def _words(asked: Mapping[str, Any]) -> str:
+    kinds = f" (only {asked['only']})" if asked.get("only") else ""
+    return f"{asked['cases']} cases{kinds} of seed {asked['seed']}, from case {asked['first']}"

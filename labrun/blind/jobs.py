@@ -1,0 +1,186 @@
+"""What a worker does: it is handed the files it may see, and nothing else.
+
+Files travel by their content, so that a worker on another machine needs no folder in common, and none can look at an
+answer.
+"""
+
+import hashlib
+import json
+import math
+import time
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+import labrun
+from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect, load_effect
+from labrun.errors import FitError
+from labrun.fit.dataset import load_dataset
+from labrun.gap.diagnose import Options, diagnose_dataset
+from labrun.gap.estimates import floor_of
+from labrun.gap.excess import Excess, excess, mean_residuals
+from labrun.gap.loading import load_question
+from labrun.gap.noise import Noise, from_repeats
+from labrun.gap.problem import GapProblem
+from labrun.gap.recalibration import member_residuals, stated
+from labrun.gap.units import Units, gather
+from labrun.models import Model, load_model
+
+Files = Mapping[str, bytes]
+_MADE_OF = ("compiled", "effects", "fit", "gap", "models", "toml")
+_MODEL = "model.toml"
+_COUNTED = 2.0
+"""A fresh gap below so many times what noise alone shows is too small for a share of its square to mean anything."""
+
+
+def diagnose_case(name: str, files: Files, seed: int) -> dict[str, Any]:
+    """Diagnose one case; return what ``labrun gap diagnose --json`` prints, or ``error`` with its reason.
+
+    Parameters
+    ----------
+    files
+        Name and content of the recording's files and of ``model.toml``.
+    seed
+        Of resamples and simulated noise.
+    """
+    began = time.perf_counter()
+    with TemporaryDirectory(prefix="labrun-check-") as made:
+        folder = Path(made)
+        _unpack(files, folder)
+        try:
+            found = _diagnosed(folder, seed)
+        except Exception as error:  # whatever goes wrong is a result of this case, not the end of the others
+            found = {
+                "error": f"{type(error).__name__}: {error}",
+                "seconds": round(time.perf_counter() - began, 2),
+            }
+        return {**_told(found, made, name), "programme": fingerprint()}
+
+
+def shrink_case(name: str, files: Files, model: bytes, said: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """Return the share of the excess that the announced causes remove from fresh trials; see `shown`."""
+    with TemporaryDirectory(prefix="labrun-check-") as made:
+        folder = Path(made)
+        _unpack({**files, _MODEL: model}, folder)
+        try:
+            found = shown(folder, said, seed)
+        except Exception as error:  # a corrected model that fails on other trials is a result too
+            found = {"share": None, "counted": False, "error": f"{type(error).__name__}: {error}"}
+        return _told(found, made, name)
+
+
+def shown(folder: Path, said: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """Simulate the recalibrated and the corrected model on fresh trials; return the share of the excess removed.
+
+    Parameters are what the diagnosis found; only initial states are fitted, where the model leaves them free or
+    lets them begin at the first samples.
+
+    Parameters
+    ----------
+    folder
+        A recording with repeats, with the case's ``model.toml`` beside it.
+    said
+        The diagnosis.
+    seed
+        Of the noise that the smallest gap worth counting is told from.
+
+    Returns
+    -------
+    dict
+        ``share`` removed; ``counted``, whether the fresh gap stands far enough above the noise; ``recalibrated`` and
+        ``after``, the gaps in units of one trial's noise; ``floor``, what noise alone shows in 95 of 100.
+
+    Raises
+    ------
+    FitError
+        No repeats, or no excess at all.
+    LabrunError
+        A corrected model that does not hold, or leaves the finite numbers.
+    """
+    model = load_model(folder / _MODEL)
+    units = gather(load_dataset(folder, model), model)
+    recalibrated = model.with_values(
+        {name: one["recalibrated"] for name, one in said["recalibration"].items()}
+    )
+    problem = GapProblem(recalibrated, units)
+    noise = from_repeats(units, member_residuals(problem, stated(problem, _begin(problem))))
+    if noise is None:
+        raise FitError("fresh trials without repeats cannot tell gap from noise")
+    before = _excess(recalibrated, units, noise)
+    after = _excess(corrected(model, said), units, noise)
+    floor = floor_of(units, noise, np.random.default_rng(seed))
+    if before.total <= 0:
+        return {"share": 0.0, "counted": False, "recalibrated": 0.0, "after": after.gap, "floor": floor}
+    return {
+        "share": 1.0 - after.total / before.total,
+        "counted": bool(before.gap > _COUNTED * floor),
+        "recalibrated": before.gap,
+        "after": after.gap,
+        "floor": floor,
+    }
+
+
+def corrected(model: Model, said: Mapping[str, Any]) -> Model:
+    """Return the model with the parameters and the effects that a diagnosis gives it."""
+    effects = [
+        AttachedEffect(load_effect(one["effect"], one["kind"]), one["site"], tuple(one["values"]))
+        for one in said["effects"]
+    ]
+    return model.with_values(said["corrected"]).with_effects(effects)
+
+
+@cache
+def fingerprint() -> str:
+    """Return a hash of the code that diagnoses: results of different code must not pass as one check."""
+    root = Path(labrun.__file__).parent
+    hashed = hashlib.sha256()
+    for part in _MADE_OF:
+        for path in sorted(file for kind in ("*.py", "*.toml") for file in (root / part).rglob(kind)):
+            hashed.update(path.relative_to(root).as_posix().encode() + b"\n" + path.read_bytes())
+    return hashed.hexdigest()[:16]
+
+
+def _diagnosed(folder: Path, seed: int) -> dict[str, Any]:
+    question = load_question(folder, folder / _MODEL, (), {}, folder)
+    found = diagnose_dataset(question.dataset, question.model, Options(places=False, seed=seed))
+    effects = [
+        {"effect": one.effect.id, "kind": one.effect.kind, "site": one.site, "values": list(one.values)}
+        for one in found.effects
+    ]
+    return {**found.to_json(), "effects": effects}
+
+
+def _excess(model: Model, units: Units, noise: Noise) -> Excess:
+    problem = GapProblem(model, units).with_noise(noise)
+    return excess(units, noise, mean_residuals(problem, stated(problem, _begin(problem))))
+
+
+def _begin(problem: GapProblem) -> FloatArray:
+    return np.concatenate([problem.values[problem.free] / problem.scale, problem.guess(problem.values)])
+
+
+def _unpack(files: Files, folder: Path) -> None:
+    for name, content in files.items():
+        (folder / Path(name).name).write_bytes(content)
+
+
+def _told(found: Mapping[str, Any], made: str, name: str) -> dict[str, Any]:
+    """Return it JSON-ready, with the case in place of the folder that is gone by then."""
+    text = json.dumps(_finite(found), default=str)
+    told: dict[str, Any] = json.loads(text.replace(f"{made}/", f"{name}/").replace(made, name))
+    return told
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value

@@ -1,0 +1,288 @@
+"""One sealed case: its answer, what the diagnosis said, what fresh trials showed, and what became of it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+KINDS = ("control", "effect", "pair", "parameter", "outside")
+"""What a case may be: nothing hidden, one effect, two, a parameter far off, or physics that is not in the library."""
+STRENGTHS = ("below 0.5", "0.5 to 1", "1 to 3", "3 and above")
+"""Classes of the true gap after recalibration, in units of one trial's noise."""
+_BOUNDS = (0.5, 1.0, 3.0)
+ANNOUNCING = ("explained", "partly-explained", "parameter")
+"""Verdicts that blame a cause."""
+Outcome = Literal[
+    "named", "wrong-site", "set-too-large", "not-first", "wrong-cause", "said-unknown", "nothing-said",
+    "both-named", "one-named", "none-named", "quiet", "false-alarm", "recognised", "blamed", "error",
+]  # fmt: skip
+"""What became of a case. Of one hidden cause: named (alone or in a set of two), named at the wrong site, in a set of
+three or more, only behind another cause, not among the causes, called unknown, or nothing was said. Of two: how many
+were named. Of none: quiet, an effect was blamed, or something unknown was. Outside of the library: recognised, a cause
+was blamed, or nothing was said."""
+LARGEST_SET = 2
+GOOD: tuple[Outcome, ...] = ("named", "both-named", "quiet", "recognised")
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """An effect at a site, or a parameter (whose site says nothing)."""
+
+    kind: str
+    effect: str
+    site: str = ""
+
+    def alike(self, other: "Cause") -> bool:
+        """Tell whether both are the same effect or parameter, wherever it sits."""
+        return self.kind == other.kind and self.effect == other.effect
+
+    def same(self, other: "Cause") -> bool:
+        """Tell whether both are the same, site included."""
+        return self.alike(other) and (self.kind == "parameter" or self.site == other.site)
+
+    def __str__(self) -> str:
+        return f"{self.effect} at {self.site}" if self.kind == "effect" else f"parameter {self.effect}"
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """One announced cause with what it could not be told from."""
+
+    top: Cause
+    rivals: tuple[Cause, ...]
+    confidence: float
+
+    @property
+    def members(self) -> tuple[Cause, ...]:
+        """The set that is claimed to hold the true cause."""
+        return (self.top, *(one for one in self.rivals if not one.same(self.top)))
+
+    def __str__(self) -> str:
+        return " or ".join(str(one) for one in self.members)
+
+
+@dataclass(frozen=True, slots=True)
+class Shrunk:
+    """A predicted share of the excess that the causes remove, with its 90 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """A sealed answer.
+
+    Attributes
+    ----------
+    kind
+        One of `KINDS`.
+    gap
+        True systematic residual after recalibration, in units of one trial's noise.
+    forms
+        What was simulated, in words.
+    """
+
+    case: str
+    kind: str
+    causes: tuple[Cause, ...]
+    gap: float
+    bench: str
+    repeats: int
+    seed: int
+    forms: tuple[str, ...]
+
+    @property
+    def strength(self) -> str:
+        """Class of the gap, one of `STRENGTHS`."""
+        return STRENGTHS[sum(self.gap >= bound for bound in _BOUNDS)]
+
+    @classmethod
+    def from_json(cls, answer: Mapping[str, Any]) -> "Truth":
+        """Read an answer as the generator writes it."""
+        causes = tuple(
+            Cause(one.get("kind", "effect"), one["effect"], one.get("site") or "") for one in answer["causes"]
+        )
+        hidden = answer.get("hidden", ())
+        return cls(
+            answer["case"],
+            answer["kind"],
+            causes,
+            float(answer["gap"]["recalibrated"]),
+            answer.get("bench", ""),
+            int(answer.get("repeats", 0)),
+            int(answer["seed"]),
+            tuple(f"{one.get('form', one.get('effect', '?'))} at {one.get('site', '?')}" for one in hidden),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What the diagnosis said of a case; `error` where it said nothing at all."""
+
+    case: str
+    verdict: str
+    named: tuple[Named, ...]
+    shrinkage: Shrunk | None
+    seconds: float
+    error: str = ""
+
+    @property
+    def announced(self) -> tuple[Named, ...]:
+        """The causes it blames; none where the verdict blames none."""
+        return self.named if self.verdict in ANNOUNCING else ()
+
+    @classmethod
+    def from_json(cls, case: str, said: Mapping[str, Any]) -> "Said":
+        """Read what ``labrun gap diagnose --json`` prints, or ``{"error": ...}``."""
+        if "error" in said:
+            return cls(case, "error", (), None, float(said.get("seconds", 0.0)), str(said["error"]))
+        share = (said.get("shrinkage") or {}).get("share_removed")
+        if share is not None and None in (share["value"], *share["ci90"]):
+            share = None
+        unsure = [one["confidence"] for one in said["causes"] if not _is_probability(one["confidence"])]
+        if unsure:
+            return cls(case, "error", (), None, float(said["seconds"]), f"states a confidence of {unsure[0]}")
+        return cls(
+            case,
+            said["verdict"],
+            tuple(_named(one) for one in said["causes"]),
+            None if share is None else Shrunk(share["value"], *share["ci90"]),
+            float(said["seconds"]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What the fresh trials of a case showed of the corrected model.
+
+    Attributes
+    ----------
+    value
+        Share of the recalibrated excess that the causes remove there; None where it could not be computed.
+    counted
+        Whether the fresh excess stands far enough above the noise for a share of it to mean anything.
+    """
+
+    value: float | None
+    counted: bool
+    error: str = ""
+
+    @classmethod
+    def from_json(cls, shown: Mapping[str, Any]) -> "Shown":
+        """Read what `labrun.blind.jobs.shrink_case` returns."""
+        return cls(shown.get("share"), bool(shown.get("counted", False)), str(shown.get("error", "")))
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A case with its answer, what was said, and what became of it.
+
+    Attributes
+    ----------
+    found
+        How many of the true causes were named, alone or in a set of two.
+    sites
+        How many of those at their true site.
+    extra
+        Announced causes of kind effect beyond as many as there are.
+    """
+
+    truth: Truth
+    said: Said
+    shown: Shown | None
+    outcome: Outcome
+    found: int
+    sites: int
+    extra: int
+
+    @property
+    def good(self) -> bool:
+        """Whether it came out as one would wish, with no effect announced beyond those that are there."""
+        return self.outcome in GOOD and not self.extra
+
+
+def judge(truth: Truth, said: Said, shown: Shown | None = None) -> Judged:
+    """Say what became of a case."""
+    effects = sum(one.top.kind == "effect" for one in said.announced)
+    extra = max(0, effects - sum(one.kind == "effect" for one in truth.causes))
+    if said.error:
+        return Judged(truth, said, shown, "error", 0, 0, 0)
+    if truth.kind == "pair":
+        found, sites = _matched(truth.causes, said.announced)
+        outcomes: tuple[Outcome, ...] = ("none-named", "one-named", "both-named")
+        return Judged(truth, said, shown, outcomes[found], found, sites, extra)
+    if truth.kind in ("effect", "parameter"):
+        outcome = _single(truth.causes[0], said)
+        named = outcome in ("named", "wrong-site")
+        return Judged(truth, said, shown, outcome, int(named), int(outcome == "named"), extra)
+    if truth.kind == "outside":
+        return Judged(truth, said, shown, _outside(said), 0, 0, 0)
+    return Judged(truth, said, shown, _control(said, effects), 0, 0, extra)
+
+
+def right(cause: Cause, truth: Truth) -> bool:
+    """Tell whether an announced cause is a true one, site included."""
+    return any(cause.same(one) for one in truth.causes)
+
+
+def held(named: Named, truth: Truth) -> bool:
+    """Tell whether an announced cause, or the first of its rivals, is a true one: what its confidence is about."""
+    return any(right(one, truth) for one in named.members[:2])
+
+
+def _single(true: Cause, said: Said) -> Outcome:
+    if not said.announced:
+        return "said-unknown" if said.verdict == "not-in-library" else "nothing-said"
+    top = said.announced[0]
+    if _holds(top, true, Cause.alike):
+        if len(top.members) > LARGEST_SET:
+            return "set-too-large"
+        return "named" if _holds(top, true, Cause.same) else "wrong-site"
+    behind = any(_holds(one, true, Cause.alike) for one in said.announced[1:])
+    return "not-first" if behind else "wrong-cause"
+
+
+def _control(said: Said, effects: int) -> Outcome:
+    if effects:
+        return "false-alarm"
+    return "said-unknown" if said.verdict == "not-in-library" else "quiet"
+
+
+def _outside(said: Said) -> Outcome:
+    if said.verdict == "not-in-library":
+        return "recognised"
+    return "blamed" if said.announced else "nothing-said"
+
+
+def _holds(named: Named, true: Cause, equal: Callable[[Cause, Cause], bool]) -> bool:
+    return any(equal(one, true) for one in named.members)
+
+
+def _matched(causes: Sequence[Cause], announced: Sequence[Named]) -> tuple[int, int]:
+    """Return how many of two causes were named, each by a set of its own, and how many of those at their site."""
+    small = [one for one in announced if len(one.members) <= LARGEST_SET]
+    best = (0, 0)
+    for first in (*small, None):
+        for second in (*small, None):
+            if first is not None and first is second:
+                continue
+            pairs = [
+                (one, cause) for one, cause in zip((first, second), causes, strict=True) if one is not None
+            ]
+            found = sum(_holds(one, cause, Cause.alike) for one, cause in pairs)
+            best = max(best, (found, sum(_holds(one, cause, Cause.same) for one, cause in pairs)))
+    return best
+
+
+def _is_probability(value: Any) -> bool:
+    return isinstance(value, float | int) and 0.0 <= value <= 1.0
+
+
+def _named(one: Mapping[str, Any]) -> Named:
+    rivals = tuple(
+        Cause(rival.get("kind", "effect"), rival["effect"], rival.get("site") or "")
+        for rival in one["indistinguishable_from"]
+    )
+    top = Cause(one["kind"], one["effect"], one.get("site") or "")
+    return Named(top, rivals, float(one["confidence"]))

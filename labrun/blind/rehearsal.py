@@ -1,0 +1,218 @@
+"""A few trials of a dry run, without sensors and without storing anything, to see what a hidden effect would change."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labrun.arrays import FloatArray
+from labrun.blind.concealment import concealed, hiding_scene
+from labrun.devices import Scene, Trajectory
+from labrun.errors import ExperimentError
+from labrun.models import Model
+from labrun.runner.clock import SimulatedClock
+from labrun.runner.motion import MotionMaker, TrialMotion
+from labrun.runner.moves import smooth_move
+from labrun.runner.rig import Rig
+from labrun.spec.experiment import Experiment, Value
+
+_CONDITIONS = 3
+_RATE_HZ = 100.0
+_QUIET_S = 20.0
+"""Before a trial: for the move to where it begins, and for what the one before left behind."""
+_MOVE_RAD_S = 0.5
+_STEP = 0.01
+"""Relative change of a parameter for its sensitivity."""
+_FARTHEST = 0.5
+"""Greatest relative change of a parameter in one step of a recalibration."""
+_BEGINNINGS = (0.1, 0.2, 0.4, 0.7, 1.0, 1.0)
+_FORCES = ("N", "N m")
+_QUIET = 0.01
+"""The scatter counts as at least this share of a signal: sensors, which are not asked here, have noise of their own."""
+_SWAMPED = 1.0
+"""Greatest root mean square of the change, in units of the signals' spread."""
+
+
+class Rehearsal:
+    """Compares the bench with and without what is to be hidden, over a few conditions.
+
+    What counts of a change is what is left once errors of the model's own parameters, and where a swing begins if the
+    model leaves that free, have explained what they can.
+
+    Parameters
+    ----------
+    experiment
+        With its scene.
+    model
+        Which will be compared with the run; the scene's parameters of the same names count as known only roughly.
+    conditions
+        What the run measures; a few of them are rehearsed.
+    """
+
+    def __init__(
+        self, experiment: Experiment, model: Model, conditions: Sequence[Mapping[str, Value]]
+    ) -> None:
+        self._experiment = experiment
+        count = min(_CONDITIONS, len(conditions))
+        chosen = [conditions[i] for i in np.linspace(0, len(conditions) - 1, count).round().astype(int)]
+        maker = MotionMaker(experiment)
+        self._motions = [(dict(condition), maker.motion(condition)) for condition in chosen]
+        scene = hiding_scene(experiment)
+        outputs = [output.name for output in model.outputs if output.name in scene.signals]
+        self._signals = outputs or [name for name in scene.signals if name not in scene.joints]
+        self._signals = self._signals or list(scene.signals)
+        self._forces = np.array([scene.signals[name] in _FORCES for name in self._signals])
+        self._forces &= experiment.trial.tare is not None
+        self._plain = self._signals_with([])
+        self._spread = np.array([np.std(column) for column in self._stacked(self._plain)])
+        self._moves = self._spread > 0
+        self._noise = self._scatter()
+        known = scene.truth().get("parameters", {})
+        self._loose = [one.name for one in model.parameters if one.tolerance != 0 and known.get(one.name)]
+        self._free_beginning = any(model.initial.get(state, "free") == "free" for state in model.states)
+        self._slopes = self._sensitivities(self._plain, dict.fromkeys(self._loose, 0.0))
+
+    def size(self, hidden: Mapping[str, Any]) -> float:
+        """Return how large an effect shows in the signal that shows it best, in units of the scatter between trials.
+
+        That is the root mean square of its change, less what recalibration can imitate to first order; infinite where
+        the bench blows up or the change swamps what it does.
+        """
+        try:
+            signals = self._signals_with([hidden])
+        except ExperimentError:  # the bench blew up
+            return math.inf
+        change = _difference(signals, self._plain)
+        if not all(np.isfinite(one).all() for one in change):
+            return math.inf
+        sizes = np.array([np.sqrt(np.mean(column**2)) for column in self._stacked(change)])
+        if np.any(sizes[self._moves] > _SWAMPED * self._spread[self._moves]):
+            return math.inf
+        return self._largest(_left(self._whitened(change), self._slopes))
+
+    def recalibrated_size(self, hidden: Mapping[str, Any]) -> float:
+        """Return the same after a real recalibration: Gauss-Newton steps over a growing beginning of each trial.
+
+        Over the whole of a long swing a frequency that is off by a percent is a phase that is off by a turn, which no
+        first step can put right.
+        """
+        signals = self._signals_with([hidden])
+        errors, plain, slopes = dict.fromkeys(self._loose, 0.0), self._plain, self._slopes
+        for share in _BEGINNINGS:
+            seen = self._beginning(share)
+            white = self._whitened(_difference(signals, plain))
+            found = np.linalg.lstsq(slopes[seen], white[seen], rcond=1e-8)[0]
+            steps = np.clip(_STEP * found[: len(errors)], -_FARTHEST, _FARTHEST)
+            errors = {
+                name: (1 + error) * (1 + step) - 1
+                for (name, error), step in zip(errors.items(), steps.tolist(), strict=True)
+            }
+            try:
+                plain = self._signals_with([], errors)
+                slopes = self._sensitivities(plain, errors)
+            except ExperimentError:  # so far off that the bench blew up
+                break
+        return self._largest(_left(self._whitened(_difference(signals, plain)), slopes))
+
+    def _largest(self, white: FloatArray) -> float:
+        """Return the greatest root mean square of any signal that moves."""
+        per_signal = white.reshape(len(self._signals), -1)[self._moves]
+        return float(np.sqrt(np.mean(per_signal**2, axis=1)).max())
+
+    def _beginning(self, share: float) -> NDArray[np.bool_]:
+        """Return which of the whitened numbers belong to the first part of a trial."""
+        counts = [len(one) for one in self._plain]
+        first = np.concatenate([np.arange(count) < share * count for count in counts])
+        return np.tile(first, len(self._signals))
+
+    def _scatter(self) -> FloatArray:
+        """Return the scatter of each signal between two trials of the same condition."""
+        noisy = concealed(self._experiment, [], noise=1.0)
+        pairs = [self._trials(noisy, *motion, 2) for motion in self._motions]
+        between = self._stacked([one - other for one, other in pairs])
+        noise = np.array([np.sqrt(np.mean(column**2) / 2) for column in between])
+        least: FloatArray = np.maximum(np.maximum(noise, _QUIET * self._spread), 1e-12)
+        return least
+
+    def _sensitivities(self, plain: Sequence[FloatArray], errors: Mapping[str, float]) -> FloatArray:
+        """Return what small errors of loose parameters, then of where a swing begins, change; whitened columns."""
+        columns = []
+        for name in self._loose:
+            more = {**errors, name: (1 + errors[name]) * (1 + _STEP) - 1}
+            columns.append(self._whitened(_difference(self._signals_with([], more), plain)))
+        for index, one in enumerate(plain if self._free_beginning else ()):
+            for moved in (np.gradient(one, axis=0), one):
+                alone = [np.zeros_like(other) for other in plain]
+                alone[index] = moved
+                columns.append(self._whitened(alone))
+        found: FloatArray = np.array(columns).reshape(-1, self._whitened(plain).size).T
+        return found
+
+    def _stacked(self, signals: Sequence[FloatArray]) -> FloatArray:
+        """Return the conditions one behind the other, shape (signals, samples)."""
+        return np.concatenate(signals).T
+
+    def _whitened(self, signals: Sequence[FloatArray]) -> FloatArray:
+        flat: FloatArray = (self._stacked(signals) / self._noise[:, None]).ravel()
+        return flat
+
+    def _signals_with(
+        self,
+        hidden: Sequence[Mapping[str, Any]],
+        parameters: Mapping[str, float] | None = None,
+    ) -> list[FloatArray]:
+        """Return the signals of each condition, tared where the experiment tares, shape (samples, signals) each."""
+        changed = concealed(self._experiment, hidden, noise=0.0, parameters=parameters)
+        return [self._trials(changed, *motion, 1)[0] for motion in self._motions]
+
+    def _trials(
+        self,
+        experiment: Experiment,
+        condition: Mapping[str, Value],
+        motion: TrialMotion,
+        repeats: int,
+    ) -> list[FloatArray]:
+        rig = Rig.build(experiment, clock=SimulatedClock(), seed=0, dry_run=True)
+        with rig:
+            scene = rig.scene
+            assert scene is not None  # noqa: S101  (`hiding_scene` would have refused)
+            scene.arrange(condition)
+            scene.observe(self._signals, np.zeros(1))
+            return [self._trial(rig, scene, motion) for _ in range(repeats)]
+
+    def _trial(self, rig: Rig, scene: Scene, motion: TrialMotion) -> FloatArray:
+        trajectory = motion.trajectory
+        first = dict(zip(trajectory.joints, trajectory.angle_rad[0], strict=True))
+        here = {joint: angle for one in rig.actuators.values() for joint, angle in one.pose().items()}
+        move = smooth_move(here, first, _MOVE_RAD_S)
+        if move is not None:
+            _follow(rig, move)
+        rig.clock.sleep(_QUIET_S)
+        start_s = rig.clock.now()
+        before = scene.observe(self._signals, start_s + np.arange(-1.0, 0.0, 1 / _RATE_HZ))
+        _follow(rig, trajectory)
+        if motion.travel is not None:
+            scene.tow(motion.travel.from_m, motion.travel.to_m, motion.travel.speed_m_s, start_s)
+        signals = scene.observe(self._signals, start_s + np.arange(0.0, motion.duration_s, 1 / _RATE_HZ))
+        rig.clock.sleep(motion.duration_s)
+        tared: FloatArray = signals - np.where(self._forces, before.mean(axis=0), 0.0)
+        return tared
+
+
+def _difference(signals: Sequence[FloatArray], plain: Sequence[FloatArray]) -> list[FloatArray]:
+    return [ours - theirs for ours, theirs in zip(signals, plain, strict=True)]
+
+
+def _left(white: FloatArray, slopes: FloatArray) -> FloatArray:
+    """Return what the columns cannot imitate."""
+    left: FloatArray = white - slopes @ np.linalg.lstsq(slopes, white, rcond=1e-8)[0]
+    return left
+
+
+def _follow(rig: Rig, motion: Trajectory) -> None:
+    for actuator in rig.actuators.values():
+        joints = tuple(joint for joint in actuator.joints if joint in motion.joints)
+        if joints:
+            actuator.follow(motion.only(joints), rig.clock.now())

@@ -1,0 +1,88 @@
+"""What the generator writes is what labrun reads; and without anything hidden labrun's simulation is its truth."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from generating_cases import Done
+
+from labrun.blind.cases.bench import Bench
+from labrun.blind.cases.forms import FORMS
+from labrun.blind.cases.plants import PLANTS
+from labrun.blind.cases.simulate import adaptive
+from labrun.blind.cases.writing import write_model, write_recording
+from labrun.effects import effects
+from labrun.models import parse_model, simulate
+from labrun.store.recording import read_recording
+
+QUIETEST_SHARE = 1.4e-4
+"""The least noise of any case, as a share of the signal."""
+
+
+def test_labrun_reads_every_recording_and_every_model(made: tuple[Path, Done]) -> None:
+    folder, _ = made
+    for part in ("cases", "fresh"):
+        for path in sorted((folder / part).iterdir()):
+            recording = read_recording(path)
+            model = parse_model((path / "model.toml").read_text(), str(path / "model.toml"))
+            answer = json.loads((folder / "sealed" / f"{path.name}.json").read_text())
+            assert [one.name for one in recording.inputs] == [one.name for one in model.inputs]
+            assert [(one.name, one.unit) for one in recording.outputs] == [
+                (one.name, one.unit) for one in model.outputs
+            ]
+            conditions = answer["conditions"] if part == "cases" else 3
+            repeats = answer["repeats"] if part == "cases" else 3
+            assert len(recording.trials) == conditions * repeats
+            assert {one.name: one.value for one in model.parameters} == answer["stated_parameters"]
+            assert model.notes == ()
+
+
+def test_fresh_conditions_are_not_among_the_recorded_ones(made: tuple[Path, Done]) -> None:
+    folder, _ = made
+    for path in sorted((folder / "cases").iterdir()):
+        recorded = [dict(one.condition) for one in read_recording(path).trials]
+        for one in read_recording(folder / "fresh" / path.name).trials:
+            assert dict(one.condition) not in recorded
+
+
+def test_causes_are_named_as_labrun_names_them() -> None:
+    library = {(effect.kind, effect.id) for effect in effects()}
+    assert set(FORMS) == library
+
+
+def test_a_hidden_site_is_a_place_of_the_model(made: tuple[Path, Done]) -> None:
+    folder, _ = made
+    for path in sorted((folder / "sealed").glob("case-*.json")):
+        model = parse_model((folder / "cases" / path.stem / "model.toml").read_text(), "model.toml")
+        for one in json.loads(path.read_text())["hidden"]:
+            model.place(one["site"], one["site_kind"])
+
+
+@pytest.mark.parametrize("kind", PLANTS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_controls_are_controls_labrun_simulates_the_same_from_the_true_parameters(
+    kind: type, seed: int, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(seed)
+    plant = kind(rng)
+    programme = plant.programme(rng, 4)
+    truth = adaptive(Bench(plant, programme, plant.truth))
+    trials = [
+        (condition, 1, programme.inputs[:, :, index], truth[:, :, index])
+        for index, condition in enumerate(programme.conditions)
+    ]
+    write_recording(plant, plant.name, tmp_path, programme.time_s, trials)
+    write_model(plant, plant.truth, tmp_path / "model.toml")
+    recording = read_recording(tmp_path)
+    model = parse_model((tmp_path / "model.toml").read_text(), "model.toml")
+    model = model.with_between({one.name: one.between for one in recording.inputs})
+    noise = QUIETEST_SHARE * np.std(truth, axis=(1, 2))
+    for index, trial in enumerate(recording.trials):
+        start = plant.start(programme.conditions)[:, index]
+        ours = simulate(
+            model, trial.time_s, trial.inputs, condition=trial.condition, initial_state=start, substeps=16
+        )
+        difference = np.sqrt(np.mean((ours.outputs - truth[:, :, index].T) ** 2, axis=0))
+        # what is left is rounding in the files, to eight digits, and both integrators' errors
+        assert np.all(difference < 2e-3 * noise)
