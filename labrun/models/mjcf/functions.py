@@ -9,7 +9,7 @@ from labrun.compiled import NativeFunction, equations, generated
 from labrun.toml import Expression
 
 _IMPORTS = """\
-from labrun.models.calling import kernel
+from labrun.compiled import kernel
 from labrun.models.mjcf.kernels import integers, numbers, reading, slope
 from labrun.models.mjcf.table import SCRATCH
 """
