@@ -18,12 +18,12 @@ import numpy as np
 
 from labrun.effects import load_effect
 from labrun.fit.dataset import Dataset, FitTrial
+from labrun.fit.problem import Problem
+from labrun.gap.averaging import averaged
 from labrun.gap.candidates import Candidate, candidates
 from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.gap.problem import GapProblem, own_states
 from labrun.gap.recalibration import recalibrate
 from labrun.gap.scales import site_scales
-from labrun.gap.units import gather
 from labrun.models import Model, parse_model, simulate
 from labrun.store.recording import SignalInfo
 
@@ -82,13 +82,13 @@ def recorded(model: Model) -> Dataset:
     return Dataset("pendulum", Path("pendulum"), "recording", inputs, outputs, tuple(trials))
 
 
-def by_cmaes(problem: GapProblem, z: np.ndarray, candidate: Candidate) -> float:
+def by_cmaes(problem: Problem, z: np.ndarray, candidate: Candidate) -> float:
     """Fit one friction model by CMA-ES; return the sum of squares it ends at."""
     added = candidate.added_to(problem)
     start = np.concatenate([z[: problem.size], candidate.starts[0]])
-    own = own_states(problem, z)
-    low = np.where(np.isfinite(added.lower), added.lower, -10.0)
-    high = np.where(np.isfinite(added.upper), added.upper, 10.0)
+    own = problem.own_states(z)
+    low = np.where(np.isfinite(added.priors.lower), added.priors.lower, -10.0)
+    high = np.where(np.isfinite(added.priors.upper), added.priors.upper, 10.0)
     settings = {"seed": 1, "verbose": -9, "maxfevals": EVALUATIONS, "bounds": [low, high]}
     found = cma.fmin2(
         lambda x: added.squares(np.concatenate([x, own])), np.clip(start, low, high), 0.1, settings
@@ -115,7 +115,7 @@ def main() -> None:
         began = time.perf_counter()
         diagnose_dataset(dataset, model, Options(workers=asked.workers, full_guard=True))
         print(f"diagnosis with the full guard: {time.perf_counter() - began:.1f} s")
-    recalibration = recalibrate(model, gather(dataset, model), np.random.default_rng(0), lambda _: None)
+    recalibration = recalibrate(model, averaged(dataset, model), np.random.default_rng(0), lambda _: None)
     scales = site_scales(recalibration.problem, recalibration.z)
     known = [one for one in candidates(recalibration.problem.model, scales) if one.name.effect in FRICTION]
     began = time.perf_counter()

@@ -17,18 +17,16 @@ from typing import Any
 import numpy as np
 
 import labrun
-from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, load_effect
 from labrun.errors import FitError
-from labrun.fit.dataset import load_dataset
+from labrun.fit.dataset import Dataset, load_dataset
+from labrun.gap.averaging import averaged
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.estimates import floor_of
 from labrun.gap.excess import Excess, excess, mean_residuals
 from labrun.gap.loading import load_question
 from labrun.gap.noise import Noise, from_repeats
-from labrun.gap.problem import GapProblem
-from labrun.gap.recalibration import member_residuals, stated
-from labrun.gap.units import Units, gather
+from labrun.gap.recalibration import in_units_of, member_residuals, stated, stated_problem
 from labrun.models import Model, load_model
 
 Files = Mapping[str, bytes]
@@ -103,12 +101,12 @@ def shown(folder: Path, said: Mapping[str, Any], seed: int) -> dict[str, Any]:
         A corrected model that does not hold, or leaves the finite numbers.
     """
     model = load_model(folder / _MODEL)
-    units = gather(load_dataset(folder, model), model)
+    units = averaged(load_dataset(folder, model), model)
     recalibrated = model.with_values(
         {name: one["recalibrated"] for name, one in said["recalibration"].items()}
     )
-    problem = GapProblem(recalibrated, units)
-    noise = from_repeats(units, member_residuals(problem, stated(problem, _begin(problem))))
+    problem = stated_problem(recalibrated, units)
+    noise = from_repeats(units, member_residuals(problem, stated(problem, problem.begin())))
     if noise is None:
         raise FitError("fresh trials without repeats cannot tell gap from noise")
     before = _excess(recalibrated, units, noise)
@@ -155,13 +153,9 @@ def _diagnosed(folder: Path, seed: int) -> dict[str, Any]:
     return {**found.to_json(), "effects": effects}
 
 
-def _excess(model: Model, units: Units, noise: Noise) -> Excess:
-    problem = GapProblem(model, units).with_noise(noise)
-    return excess(units, noise, mean_residuals(problem, stated(problem, _begin(problem))))
-
-
-def _begin(problem: GapProblem) -> FloatArray:
-    return np.concatenate([problem.values[problem.free] / problem.scale, problem.guess(problem.values)])
+def _excess(model: Model, units: Dataset, noise: Noise) -> Excess:
+    problem = in_units_of(noise, stated_problem(model, units))
+    return excess(units, noise, mean_residuals(problem, stated(problem, problem.begin())))
 
 
 def _unpack(files: Files, folder: Path) -> None:

@@ -2,8 +2,8 @@
 
 from labrun.fit.correlation import correlation_length
 from labrun.fit.dataset import Dataset, FitTrial, load_dataset
-from labrun.fit.descent import NormalEquations, minimise
 from labrun.fit.estimate import Estimate, rounded
+from labrun.fit.levenberg_marquardt import NormalEquations, minimise
 from labrun.fit.method import FitJob, FitMethod, FitPlugin, Fitted, NoSettings
 from labrun.fit.notes import Note, silent
 from labrun.fit.output_error import FEW_TRIALS, fit_model

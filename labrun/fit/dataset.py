@@ -1,7 +1,7 @@
 """Measured trials as a model sees them: its inputs and outputs, on the time base of its outputs."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -65,6 +65,10 @@ class FitTrial:
         In the model's order.
     file
         A table with one header line that it was read from; None if it came from elsewhere.
+    group
+        Number of its condition, in a dataset that knows its conditions.
+    members : per repeat (n, m)
+        Measured outputs of the repeats that `outputs` is the mean of; empty where it is one trial.
     """
 
     label: str
@@ -74,6 +78,22 @@ class FitTrial:
     inputs: FloatArray
     outputs: FloatArray
     file: Path | None = None
+    group: int = 0
+    members: tuple[FloatArray, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Number of repeats it is the mean of."""
+        return max(len(self.members), 1)
+
+    def first(self, samples: int) -> "FitTrial":
+        """Return its beginning."""
+        return replace(
+            self,
+            time_s=self.time_s[:samples],
+            inputs=self.inputs[:samples],
+            outputs=self.outputs[:samples],
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +106,8 @@ class Dataset:
         Where the data came from; `kind` says what that is.
     left_out
         Trials that were rejected or failed.
+    conditions
+        Labels of the conditions that the trials' groups count, where repeats were averaged; else empty.
     """
 
     name: str
@@ -95,7 +117,18 @@ class Dataset:
     outputs: tuple[SignalInfo, ...]
     trials: tuple[FitTrial, ...]
     left_out: int = 0
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+    conditions: tuple[str, ...] = ()
+
+    @property
+    def repeats(self) -> int:
+        """The fewest trials of any condition."""
+        groups = {trial.group for trial in self.trials}
+        return min(sum(trial.count for trial in self.trials if trial.group == group) for group in groups)
+
+    def of_group(self, group: int) -> list[int]:
+        """Return the places of the trials of a condition."""
+        return [index for index, trial in enumerate(self.trials) if trial.group == group]
 
 
 def load_dataset(target: Path, model: Ports, signals: Mapping[str, str] | None = None) -> Dataset:

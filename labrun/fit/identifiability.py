@@ -103,9 +103,12 @@ def interval_warnings(
     """Return warnings on bounds, on intervals wider than their value, and on values that rest on prior knowledge."""
     warnings = []
     for index, (name, estimate) in enumerate(estimates.items()):
-        low, high = problem.lower[index] * problem.scale[index], problem.upper[index] * problem.scale[index]
+        low, high = (
+            problem.priors.lower[index] * problem.priors.scale[index],
+            problem.priors.upper[index] * problem.priors.scale[index],
+        )
         for bound, side in ((low, "lower"), (high, "upper")):
-            if np.isfinite(bound) and abs(estimate.value - bound) <= 1e-4 * problem.scale[index]:
+            if np.isfinite(bound) and abs(estimate.value - bound) <= 1e-4 * problem.priors.scale[index]:
                 warnings.append(
                     f"{name} ended at its {side} bound of {bound:g} {estimate.unit}: "
                     "the data ask for more than it allows"
@@ -123,9 +126,9 @@ def interval_warnings(
             warnings.append(
                 f"the interval of {name} is wider than its value: {ends[0]} ... {ends[1]} {estimate.unit}"
             )
-        sigma = problem.prior_sigma[index]
+        sigma = problem.priors.sigma[index]
         if np.isfinite(sigma):
-            stated = problem.values[problem.free[index]]
+            stated = problem.priors.values[problem.priors.free[index]]
             away = abs(estimate.value - stated) / sigma
             if half > 0.9 * 1.96 * sigma and away <= 3.0:
                 warnings.append(
@@ -145,7 +148,9 @@ def sign_warnings(estimates: Mapping[str, Estimate], problem: Problem) -> list[s
         f"{name} came out {'negative' if estimate.value < 0 else 'positive'} "
         f"({rounded(estimate)[0]} {estimate.unit}), the stated value is not ({stated:g}): a sign convention, or "
         "physics that the model lacks; bounds in the model (lower, upper) would hold it"
-        for (name, estimate), stated in zip(estimates.items(), problem.values[problem.free], strict=True)
+        for (name, estimate), stated in zip(
+            estimates.items(), problem.priors.values[problem.priors.free], strict=True
+        )
         if estimate.value * stated < 0 and not estimate.contains_zero
     ]
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from labrun.errors import FitError
 from labrun.fit.correlation import correlation_length
 from labrun.fit.dataset import Dataset
-from labrun.fit.descent import minimise
 from labrun.fit.estimate import Estimate
 from labrun.fit.identifiability import (
     Curvature,
@@ -19,8 +18,9 @@ from labrun.fit.identifiability import (
     start_warnings,
     undetermined,
 )
+from labrun.fit.levenberg_marquardt import minimise
 from labrun.fit.notes import Note, silent
-from labrun.fit.problem import Problem
+from labrun.fit.problem import OutputNoise, Problem
 from labrun.fit.resampling import resample_trials
 from labrun.fit.result import FitResult, StartOutcome
 from labrun.fit.search import Minimum, search
@@ -40,7 +40,7 @@ _PRIOR_WHILE_SEARCHING = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class ResidualSize:
     """Size of the residual of each output.
 
     Attributes
@@ -89,7 +89,7 @@ def fit_model(
     FitError
         No parameter to fit; a model that does not simulate from its stated values nor from any other start.
     """
-    first = Problem(model, dataset, prior_weight=_PRIOR_WHILE_SEARCHING, effects=effects)
+    first = Problem.of(model, dataset, prior_weight=_PRIOR_WHILE_SEARCHING, effects=effects)
     if not first.size and not first.own_size:
         raise FitError(
             f"model {model.name} has nothing to fit: every parameter has tolerance 0",
@@ -103,17 +103,19 @@ def fit_model(
             hint="check the units of its parameters and inputs, and the sign of forces that should resist motion",
         )
     note("refining, and resampling trials")
-    problem, z, noise = _refine(Problem(model, dataset, effects=effects, substeps=first.substeps), best.z)
+    problem, z, noise = _refine(Problem.of(model, dataset, effects=effects, substeps=first.substeps), best.z)
     return _result(problem, z, noise, minima, rng, method)
 
 
-def _refine(problem: Problem, z: FloatArray) -> tuple[Problem, FloatArray, Noise]:
+def _refine(problem: Problem, z: FloatArray) -> tuple[Problem, FloatArray, ResidualSize]:
     """Weigh each output by its own residual, and the prior against that, until both settle."""
-    if problem.refine_steps(z):
-        z = minimise(problem, z)
+    refined = problem.refined(z)
+    if refined.substeps > problem.substeps:
+        z = minimise(refined, z)
+    problem = refined
     noise = residual_noise(problem, z)
     for _ in range(3):
-        problem = problem.with_weights(1.0 / (noise.sigma * np.sqrt(noise.correlated)))
+        problem = problem.with_noise(OutputNoise(1.0 / (noise.sigma * np.sqrt(noise.correlated))))
         z = minimise(problem, z)
         before, noise = noise, residual_noise(problem, z)
         if np.allclose(noise.sigma, before.sigma, rtol=1e-2) and np.allclose(
@@ -123,28 +125,28 @@ def _refine(problem: Problem, z: FloatArray) -> tuple[Problem, FloatArray, Noise
     return problem, z, noise
 
 
-def residual_noise(problem: Problem, z: FloatArray) -> Noise:
+def residual_noise(problem: Problem, z: FloatArray) -> ResidualSize:
     """Return size and correlation of the residual of each output at `z`."""
     outputs = len(problem.spread)
-    residuals = [part.reshape(-1, outputs) / problem.weights for part in problem.residuals(z)]
+    residuals = [part.reshape(-1, outputs) / problem.noise.weights for part in problem.residuals(z)]
     sigma, correlated = np.empty(outputs), np.empty(outputs)
     for column in range(outputs):
         parts = [part[:, column] for part in residuals]
         # a model that fits to the last digit must not get infinite weight
         sigma[column] = max(_rms(np.concatenate(parts)), 1e-9 * float(problem.spread[column]))
         correlated[column] = correlation_length(parts)
-    return Noise(sigma, correlated)
+    return ResidualSize(sigma, correlated)
 
 
 def _result(
     problem: Problem,
     z: FloatArray,
-    noise: Noise,
+    noise: ResidualSize,
     minima: Sequence[Minimum],
     rng: np.random.Generator,
     method: str,
 ) -> FitResult:
-    dataset, model = problem.dataset, problem.model
+    dataset, model = problem.data, problem.model
     parameters = problem.parameters(z)
     owns = [problem.own(z, index) for index in range(len(dataset.trials))]
     simulated = tuple(_simulated(problem, parameters, index, own) for index, own in enumerate(owns))
@@ -164,22 +166,22 @@ def _result(
     if problem.size:
         information, score, warning = _sums(problem, z, noise)
         warnings += warning
-        sigma = problem.prior_sigma / problem.scale
+        sigma = problem.priors.sigma / problem.priors.scale
         resampled = resample_trials(information, score, rng=rng, prior_sigma=sigma)
         centre = z[: problem.size]
         # directions are told in shares of the estimates; one next to zero has no share
         share = np.maximum(np.abs(centre), _SMALLEST_SHARE)
         precision = np.diag(1.0 / np.square(sigma))
         findings = undetermined(
-            Curvature.of((information.sum(axis=0) + precision) * share[:, None] * share, problem.names)
+            Curvature.of((information.sum(axis=0) + precision) * share[:, None] * share, problem.priors.names)
         )
         low = np.minimum(resampled.low, -findings.least_half_width * share)
         high = np.maximum(resampled.high, findings.least_half_width * share)
-        low = np.clip(centre + low, problem.lower, problem.upper) * problem.scale
-        high = np.clip(centre + high, problem.lower, problem.upper) * problem.scale
-        for index, name in enumerate(problem.names):
-            unit = model.parameters[problem.free[index]].unit
-            value = float(parameters[problem.free[index]])
+        low = np.clip(centre + low, problem.priors.lower, problem.priors.upper) * problem.priors.scale
+        high = np.clip(centre + high, problem.priors.lower, problem.priors.upper) * problem.priors.scale
+        for index, name in enumerate(problem.priors.names):
+            unit = model.parameters[problem.priors.free[index]].unit
+            value = float(parameters[problem.priors.free[index]])
             estimates[name] = Estimate(value, (float(low[index]), float(high[index])), unit)
         named = findings.named
         warnings += findings.warnings
@@ -194,12 +196,14 @@ def _result(
     )
 
 
-def _sums(problem: Problem, z: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray, list[str]]:
+def _sums(problem: Problem, z: FloatArray, noise: ResidualSize) -> tuple[FloatArray, FloatArray, list[str]]:
     """Return J'J and J'r of every unit that is resampled, and what has to be said about the units."""
-    blocks = problem.blocks(z)
-    trials = len(blocks.residual)
+    jacobian = problem.jacobian(z)
+    trials = len(jacobian.residual)
     if trials > 1:
-        pairs = [eliminated(*parts) for parts in zip(blocks.shared, blocks.own, blocks.residual, strict=True)]
+        pairs = [
+            eliminated(*parts) for parts in zip(jacobian.shared, jacobian.own, jacobian.residual, strict=True)
+        ]
         warnings = []
         if trials < FEW_TRIALS:
             warnings.append(
@@ -207,7 +211,7 @@ def _sums(problem: Problem, z: FloatArray, noise: Noise) -> tuple[FloatArray, Fl
             )
     else:
         count = _block_count(problem, noise)
-        pairs = _cut(blocks.shared[0], blocks.own[0], blocks.residual[0], count)
+        pairs = _cut(jacobian.shared[0], jacobian.own[0], jacobian.residual[0], count)
         warnings = [
             f"there is one trial only: intervals come from {count} pieces of it and know nothing of how trials differ"
         ]
@@ -239,15 +243,15 @@ def _cut(
     return [(piece.T @ piece, piece.T @ part) for piece, part in pieces]
 
 
-def _block_count(problem: Problem, noise: Noise) -> int:
-    length = len(problem.dataset.trials[0].time_s)
+def _block_count(problem: Problem, noise: ResidualSize) -> int:
+    length = len(problem.data.trials[0].time_s)
     return int(np.clip(length / (2.0 * float(np.max(noise.correlated))), 3, _BLOCKS))
 
 
 def _simulated(problem: Problem, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray:
     outputs = problem.simulate(parameters, trial, own)
     if outputs is None:
-        label = problem.dataset.trials[trial].label
+        label = problem.data.trials[trial].label
         raise FitError(
             f"model {problem.model.name} leaves the finite numbers in {label}, even where it fits best",
             hint="look at that trial: labrun fit compares every trial with one set of parameters",
@@ -259,7 +263,10 @@ def _outcomes(problem: Problem, minima: Sequence[Minimum]) -> tuple[StartOutcome
     found = []
     for minimum in minima:
         values = problem.parameters(minimum.z)
-        named = {name: float(values[index]) for name, index in zip(problem.names, problem.free, strict=True)}
+        named = {
+            name: float(values[index])
+            for name, index in zip(problem.priors.names, problem.priors.free, strict=True)
+        }
         found.append(StartOutcome(minimum.label, named, minimum.misfit))
     return tuple(found)
 

@@ -1,218 +1,354 @@
-"""Residuals of a model against trials, and their derivatives, in the block structure that trials give."""
+"""A model with effects beside measured trials: residuals in units of the noise, and their derivatives."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect, Scale
+from labrun.errors import FitError
 from labrun.fit.dataset import Dataset, FitTrial
-from labrun.fit.pieces import (
-    FIRST_SAMPLES,
-    beginning,
-    channel_spread,
-    cut_drive,
-    output_of_state,
-    prior_sigma,
-    slope,
-)
+from labrun.fit.initial_states import InitialStates
+from labrun.fit.jacobian import Jacobian, columns, difference_quotient
+from labrun.fit.priors import Priors
+from labrun.fit.simulations import Simulations
+from labrun.fit.workers import stop_if_told
+from labrun.models import Drive, Model, filtered, prepare, simulate, simulate_unfiltered, suggest_substeps
 
-if TYPE_CHECKING:
-    from labrun.effects import AttachedEffect
-    from labrun.models import Drive, Model
-
-FloatArray = NDArray[np.float64]
-
-_STEP = 1e-4
-"""Central differences, in units of each variable's scale: error about 1e-8, well below any residual."""
+FEWEST_SAMPLES = 25
+"""A beginning of a trial is at least this long, if the trial is."""
 _HUGE = 1e3
 """Residual, in units of a channel's own spread, of a simulation that left the finite numbers."""
 _GUESS_SUBSTEPS = 4
 _GUESS_ROUNDS = 3
 _MOST_SUBSTEPS = 64
 _PROBED_TRIALS = 3
-_LOOSE = 1e4
-"""Standard deviation of a free parameter for the search, in units of its stated value."""
+_READ = 0.01
+"""Part of an output's spread that a state read from its first samples is taken to be uncertain by, noise unknown."""
 
 
-@dataclass(frozen=True)
-class Blocks:
-    """Derivatives of the weighted residuals, trial by trial.
+@dataclass(frozen=True, eq=False)
+class OutputNoise:
+    """What residuals are measured in.
 
     Attributes
     ----------
-    shared : per trial (n*m, p)
-        By the free parameters.
-    own : per trial (n*m, q)
-        By the trial's own free initial states.
-    residual : per trial (n*m,)
+    weights : (m,)
+        One over the standard deviation of each output.
+    whiten
+        Makes the weighted residual (n, m) of a trial, the mean of so many, white; left as it is if None.
     """
 
-    shared: list[FloatArray]
-    own: list[FloatArray]
-    residual: list[FloatArray]
+    weights: FloatArray
+    whiten: Callable[[FloatArray, int], FloatArray] | None = None
 
 
+@dataclass(frozen=True, eq=False)
 class Problem:
-    """One model and its trials, in scaled variables.
+    """One model with effects and its trials, in scaled variables; nothing in it changes.
 
-    The vector `z` holds the free parameters, each divided by its scale, then the free initial states of the first
-    trial, of the second, and so on. A trial's initial states change that trial alone, so that their derivatives
+    The vector `z` holds the variables of the priors, then the free initial states of the first trial, of the second,
+    and so on, each divided by its scale. A trial's initial states change that trial alone, so that their derivatives
     cost one pair of simulations of one trial each, whatever the number of trials.
 
-    Parameters
+    Attributes
     ----------
-    weights : (m,)
-        One over the standard deviation that a residual of each output is measured in.
-    prior_weight
-        Factor on the prior's residuals; 0 leaves prior knowledge out.
+    spread : (m,)
+        Size of each output.
+    drives
+        Inputs of every trial on the integrator's steps, laid out once for all simulations of it.
+    read_free
+        Whether a state that begins at the "first" samples is free too, held by what noise they have.
+    short
+        Whether the trials are beginnings only: what is read from the first samples is taken from them then.
     """
 
-    def __init__(
-        self,
-        model: "Model",
-        dataset: Dataset,
+    data: Dataset
+    model: Model
+    effects: tuple[AttachedEffect, ...]
+    priors: Priors
+    noise: OutputNoise
+    spread: FloatArray
+    drives: tuple[Drive, ...]
+    read_free: bool = False
+    short: bool = False
+    simulations: Simulations = field(default_factory=Simulations)
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        data: Dataset,
         *,
-        weights: FloatArray | None = None,
+        effects: Sequence[AttachedEffect] = (),
         prior_weight: float = 1.0,
-        effects: "Sequence[AttachedEffect]" = (),
         substeps: int | None = None,
-    ) -> None:
-        self.model = model.with_between({signal.name: signal.between for signal in dataset.inputs})
-        self.dataset = dataset
-        self.effects = effects
-        self.prior_weight = prior_weight
-        self.values = np.array([parameter.value for parameter in model.parameters], dtype=float)
-        self.free = [index for index, parameter in enumerate(model.parameters) if parameter.tolerance != 0]
-        self.names = [model.parameters[index].name for index in self.free]
-        self.scale = np.array([abs(value) if value != 0 else 1.0 for value in self.values[self.free]])
-        self.prior_sigma = np.array(
-            [prior_sigma(model.parameters[index].tolerance, self.values[index]) for index in self.free]
-        )
-        # the slightest pull to the stated value: where the data say nothing, a search must not wander off
-        self.pull_sigma = np.where(np.isfinite(self.prior_sigma), self.prior_sigma, _LOOSE * self.scale)
-        self.lower = np.array([model.parameters[index].lower for index in self.free]) / self.scale
-        self.upper = np.array([model.parameters[index].upper for index in self.free]) / self.scale
-        self.spread = channel_spread(dataset)
-        self.weights = 1.0 / self.spread if weights is None else weights
-        self.free_states = [
-            state for state, name in enumerate(model.states) if model.initial.get(name, "free") == "free"
-        ]
-        self.state_scale = self._state_scale()
-        self._first = [self._first_values(trial) for trial in dataset.trials]
-        self.substeps = _GUESS_SUBSTEPS if substeps is None else substeps
-        self._drives = self._prepared()
-        if substeps is None:
-            own = self.guess(self.values)
-            self.refine_steps(np.concatenate([self.values[self.free] / self.scale, own]))
+    ) -> Self:
+        """Hold a model against data, each output in units of its own spread.
+
+        Parameters
+        ----------
+        effects
+            Beside the model's own; their sizes are no variables.
+        prior_weight
+            Factor on the prior's residuals; 0 leaves prior knowledge out.
+        substeps
+            Steps of the integrator per sample; as many as the stated parameters ask for if None.
+        """
+        model = model.with_between({signal.name: signal.between for signal in data.inputs})
+        priors = Priors.of(model, weight=prior_weight).with_held(effects)
+        spread = channel_spread(data)
+        drives = _prepared(model, data, _GUESS_SUBSTEPS if substeps is None else substeps)
+        made = cls(data, model, tuple(effects), priors, OutputNoise(1.0 / spread), spread, drives)
+        return made if substeps is not None else made.refined(made.begin())
+
+    @cached_property
+    def _huge(self) -> float:
+        return _HUGE * float(np.max(self.noise.weights * self.spread))
+
+    # --- variables ------------------------------------------------------------------------------------------------
 
     @property
     def size(self) -> int:
-        """Number of free parameters."""
-        return len(self.free)
+        """Number of variables that all trials share."""
+        return self.priors.size
 
     @property
     def own_size(self) -> int:
         """Number of free initial states of one trial."""
-        return len(self.free_states)
+        return len(self.states.free)
 
     @property
-    def samples(self) -> int:
-        """Number of measured numbers in all."""
-        return sum(trial.outputs.size for trial in self.dataset.trials)
+    def substeps(self) -> int:
+        """Steps of the integrator per sample."""
+        return self.drives[0].substeps
 
-    def with_weights(self, weights: FloatArray) -> "Problem":
-        """Return the same problem with other weights of the outputs."""
-        other = object.__new__(Problem)
-        other.__dict__.update(self.__dict__)
-        other.weights = weights
-        return other
+    @cached_property
+    def states(self) -> InitialStates:
+        """How the trials begin."""
+        sd = self.spread * _READ if self.noise.whiten is None else 1.0 / self.noise.weights
+        return InitialStates(self.model, self.data.trials, self.spread, sd, self.read_free, self.short)
 
-    def beginning(self, share: float) -> "Problem":
-        """Return the problem of the first part of every trial."""
-        other = object.__new__(Problem)
-        other.__dict__.update(self.__dict__)
-        trials = tuple(beginning(trial, share) for trial in self.dataset.trials)
-        other.dataset = replace(self.dataset, trials=trials)
-        other._drives = [cut_drive(drive, trial) for drive, trial in zip(self._drives, trials, strict=True)]
-        return other
+    def begin(self) -> FloatArray:
+        """Return `z` of the stated parameters, initial states guessed."""
+        return np.concatenate([self.priors.stated, self.guess(self.priors.values)])
 
     def parameters(self, z: FloatArray) -> FloatArray:
-        """Return all parameters of the model, in its order and units."""
-        values = self.values.copy()
-        values[self.free] = z[: self.size] * self.scale
-        return values
+        """Return all parameters of model and effects, in their order and units."""
+        return self.priors.parameters(z)
+
+    def model_parameters(self, z: FloatArray) -> FloatArray:
+        """Return the parameters of the model alone."""
+        return self.parameters(z)[: len(self.model.parameters)]
+
+    def attached(self, parameters: FloatArray) -> tuple[AttachedEffect, ...]:
+        """Return the effects with their sizes, from the vector that `parameters` gives."""
+        found, at = [], len(self.model.parameters)
+        for one in self.effects:
+            found.append(one.with_values(parameters[at : at + len(one.values)].tolist()))
+            at += len(one.values)
+        return tuple(found)
 
     def own(self, z: FloatArray, trial: int) -> FloatArray:
         """Return the scaled free initial states of one trial."""
         start = self.size + trial * self.own_size
         return z[start : start + self.own_size]
 
+    def own_states(self, z: FloatArray) -> FloatArray:
+        """Return the scaled free initial states of all trials, one after the other."""
+        return z[self.size :]
+
     def initial_state(self, trial: int, own: FloatArray) -> FloatArray:
         """Return the initial state of one trial, shape (k,)."""
-        names = [self.model.states[state] for state in self.free_states]
-        free = dict(zip(names, own * self.state_scale, strict=True))
-        condition = self.dataset.trials[trial].condition
-        return self.model.initial_state(condition, first=self._first[trial], free=free)
+        return self.states.state(trial, own)
+
+    # --- problems made from this one --------------------------------------------------------------------------------
+
+    def with_noise(self, noise: OutputNoise) -> Self:
+        """Return the problem measured in units of another noise."""
+        return replace(self, noise=noise)
+
+    def with_effects(self, effects: Sequence[AttachedEffect], scales: Sequence[Scale]) -> Self:
+        """Return the problem with further effects whose parameters are variables too."""
+        priors = self.priors.with_effects(effects, scales, len(self.effects))
+        return replace(self, effects=(*self.effects, *effects), priors=priors)
+
+    def with_substeps(self, substeps: int) -> Self:
+        """Return the problem with so many of the integrator's steps per sample."""
+        return replace(self, drives=_prepared(self.model, self.data, substeps))
+
+    def with_measured(self, outputs: Sequence[FloatArray]) -> Self:
+        """Return the problem with other measured outputs: the same experiment, had it come out differently."""
+        trials = zip(self.data.trials, outputs, strict=True)
+        data = replace(self.data, trials=tuple(replace(trial, outputs=one) for trial, one in trials))
+        return replace(self, data=data)
+
+    def on(self, data: Dataset) -> Self:
+        """Return the problem of other trials, held against the same prior and in the same units of noise."""
+        return replace(self, data=data, drives=_prepared(self.model, data, self.substeps))
+
+    def part(self, chosen: Sequence[int]) -> Self:
+        """Return the problem of some of the trials."""
+        trials = tuple(self.data.trials[index] for index in chosen)
+        drives = tuple(self.drives[index] for index in chosen)
+        return replace(self, data=replace(self.data, trials=trials), drives=drives)
+
+    def beginning(self, share: float) -> Self:
+        """Return the problem of the first part of every trial, not shorter than a few samples."""
+        trials, drives = [], []
+        for trial, drive in zip(self.data.trials, self.drives, strict=True):
+            length = len(trial.time_s)
+            trials.append(trial.first(min(length, max(round(share * length), FEWEST_SAMPLES))))
+            drives.append(_cut(drive, trials[-1]))
+        data = replace(self.data, trials=tuple(trials))
+        return replace(self, data=data, drives=tuple(drives), short=True, simulations=Simulations())
+
+    def refined(self, z: FloatArray) -> Self:
+        """Return the problem with as many of the integrator's steps as the widest trials ask for at `z`."""
+        parameters = self.parameters(z)
+        trials = self.data.trials
+        widest = sorted(
+            range(len(trials)),
+            key=lambda index: -float(np.max(np.ptp(trials[index].outputs, axis=0) / self.spread)),
+        )
+        needed = max(
+            suggest_substeps(
+                self.model,
+                trials[index].time_s,
+                trials[index].inputs,
+                parameters=parameters[: len(self.model.parameters)],
+                condition=trials[index].condition,
+                initial_state=self.initial_state(index, self.own(z, index)),
+                effects=self.attached(parameters),
+                most=_MOST_SUBSTEPS,
+            )
+            for index in widest[:_PROBED_TRIALS]
+        )
+        return self if needed == self.substeps else self.with_substeps(needed)
+
+    # --- simulation and residuals -----------------------------------------------------------------------------------
 
     def simulate(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray | None:
         """Return the outputs (n, m) of one trial; None where they are not finite."""
-        from labrun.models import simulate
-
-        data = self.dataset.trials[trial]
+        stop_if_told()
+        effects, drive = self.attached(parameters), self.drives[trial]
+        parameters = parameters[: len(self.model.parameters)]
+        condition, start = self.data.trials[trial].condition, self.initial_state(trial, own)
+        if any(one.effect.kind == "output" for one in effects):
+            inside = tuple(one for one in effects if one.effect.kind != "output")
+            same = tuple((id(one.effect), one.site, one.values) for one in inside)
+            before = self.simulations.get(  # effects at outputs share what is before them
+                (id(drive), parameters.tobytes(), start.tobytes(), same),
+                lambda: simulate_unfiltered(
+                    self.model,
+                    drive,
+                    parameters=parameters,
+                    condition=condition,
+                    initial_state=start,
+                    effects=inside,
+                ),
+            )
+            found = filtered(self.model, before, effects)
+            return found.outputs if found.finite else None
         simulation = simulate(
             self.model,
-            data.time_s,
-            self._drives[trial],
+            self.data.trials[trial].time_s,
+            drive,
             parameters=parameters,
-            condition=data.condition,
-            initial_state=self.initial_state(trial, own),
-            effects=self.effects,
+            condition=condition,
+            initial_state=start,
+            effects=effects,
         )
-        outputs: FloatArray | None = simulation.outputs if simulation.finite else None
-        return outputs
+        if not effects:
+            self.simulations.count(finite=simulation.finite)
+        return simulation.outputs if simulation.finite else None
+
+    def simulated(self, z: FloatArray) -> list[FloatArray]:
+        """Return the outputs of every trial.
+
+        Raises
+        ------
+        FitError
+            The model leaves the finite numbers.
+        """
+        parameters = self.parameters(z)
+        found = []
+        for index, trial in enumerate(self.data.trials):
+            outputs = self.simulate(parameters, index, self.own(z, index))
+            if outputs is None:
+                raise FitError(
+                    f"model {self.model.name} leaves the finite numbers in {trial.label}",
+                    hint="check the units of its parameters and inputs, the sign of forces that should resist motion, "
+                    "and how its states begin",
+                )
+            found.append(outputs)
+        return found
+
+    def whiten(self, weighted: FloatArray, trial: int) -> FloatArray:
+        """Return weighted values (n, m) of a trial as multiples of its noise, white."""
+        if self.noise.whiten is None:
+            return weighted
+        return self.noise.whiten(weighted, self.data.trials[trial].count)
 
     def trial_residual(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray | None:
-        """Return weighted measured minus simulated of one trial, flat; None where the simulation is not finite."""
+        """Return measured minus simulated of one trial in units of its noise, white, flat; None where not finite.
+
+        Behind it stand the first samples' residuals, where a state that begins there is free.
+        """
         outputs = self.simulate(parameters, trial, own)
         if outputs is None:
             return None
-        residual = ((self.dataset.trials[trial].outputs - outputs) * self.weights).ravel()
+        residual = (self.data.trials[trial].outputs - outputs) * self.noise.weights
         # a simulation on its way to infinity must not overflow when it is squared
-        limit = _HUGE * float(np.max(self.weights * self.spread))
-        return np.clip(residual, -limit, limit)
+        huge = self._huge
+        residual = self.whiten(np.clip(residual, -huge, huge), trial).ravel()
+        return np.concatenate([residual, self.states.read_residual(trial, own)])
 
-    def residuals(self, z: FloatArray) -> list[FloatArray]:
-        """Return the weighted residual of every trial, huge where the simulation is not finite."""
-        parameters = self.parameters(z)
-        found = []
-        for index, trial in enumerate(self.dataset.trials):
+    def finite_residuals(self, z: FloatArray) -> list[FloatArray] | None:
+        """Return the residual of every trial; None where a simulation is not finite."""
+        parameters, found = self.parameters(z), []
+        for index in range(len(self.data.trials)):
             residual = self.trial_residual(parameters, index, self.own(z, index))
-            found.append(
-                np.full(trial.outputs.size, _HUGE * float(np.max(self.weights * self.spread)))
-                if residual is None
-                else residual
-            )
+            if residual is None:
+                return None
+            found.append(residual)
         return found
 
-    def prior_residual(self, z: FloatArray) -> FloatArray:
-        """Return (stated value - value) / sigma of the free parameters; next to nothing where none was stated."""
-        away: FloatArray = (self.values[self.free] - z[: self.size] * self.scale) / self.pull_sigma
-        return self.prior_weight * away
+    def residuals(self, z: FloatArray) -> list[FloatArray]:
+        """Return the residual of every trial, huge where the simulation is not finite."""
+        parameters, found = self.parameters(z), []
+        for index, trial in enumerate(self.data.trials):
+            own = self.own(z, index)
+            residual = self.trial_residual(parameters, index, own)
+            if residual is None:
+                huge = np.full(trial.outputs.size, self._huge)
+                residual = np.concatenate([huge, self.states.read_residual(index, own)])
+            found.append(residual)
+        return found
+
+    def squares(self, z: FloatArray, residual: Sequence[FloatArray] | None = None) -> float:
+        """Return the sum of squared residuals (or take them as known), prior included."""
+        prior = self.priors.residual(z)
+        residual = self.residuals(z) if residual is None else residual
+        return float(prior @ prior) + sum(float(part @ part) for part in residual)
 
     def misfit(self, z: FloatArray) -> float:
-        """Return the root mean square of the weighted residuals, without prior."""
-        return float(np.sqrt(sum(float(part @ part) for part in self.residuals(z)) / self.samples))
+        """Return the root mean square of the residuals, without prior."""
+        samples = sum(trial.outputs.size for trial in self.data.trials)
+        return float(np.sqrt(sum(float(part @ part) for part in self.residuals(z)) / samples))
 
-    def blocks(
+    def jacobian(
         self,
         z: FloatArray,
         residual: list[FloatArray] | None = None,
         *,
         central: bool = True,
         moving: NDArray[np.bool_] | None = None,
-    ) -> Blocks:
+    ) -> Jacobian:
         """Return residuals (or take them as known) and their derivatives by the scaled variables.
 
         Differences to one side only cost half as much, and are good enough to find the way. Derivatives by shared
@@ -223,19 +359,43 @@ class Problem:
         shared, own = [], []
         for index, base in enumerate(residual):
             start = self.own(z, index)
-            columns = [
+            by_parameter = [
                 self._by_parameter(parameters, index, start, variable, base, central)
                 if moving is None or moving[variable]
                 else np.zeros_like(base)
                 for variable in range(self.size)
             ]
-            shared.append(np.column_stack(columns) if columns else np.empty((len(base), 0)))
-            columns = [
+            by_state = [
                 self._by_state(parameters, index, start, variable, base, central)
                 for variable in range(self.own_size)
             ]
-            own.append(np.column_stack(columns) if columns else np.empty((len(base), 0)))
-        return Blocks(shared, own, residual)
+            shared.append(columns(by_parameter, len(base)))
+            own.append(columns(by_state, len(base)))
+        return Jacobian(shared, own, residual)
+
+    def guess(self, parameters: FloatArray) -> FloatArray:
+        """Return free initial states, scaled, one trial after the other, from the first samples of each trial.
+
+        A few Gauss-Newton steps on a short beginning, where a trial depends almost linearly on how it begins.
+        """
+        short = self.beginning(0.0)
+        guesses = []
+        for index, trial in enumerate(short.data.trials):
+            own = np.zeros(self.own_size)
+            for place, state in enumerate(self.states.free):
+                column = self.states.output_of(state)
+                own[place] = 0.0 if column is None else trial.outputs[0, column] / self.states.scale[place]
+            for _ in range(_GUESS_ROUNDS if self.own_size else 0):
+                base = short.trial_residual(parameters, index, own)
+                if base is None:
+                    break
+                slopes = [
+                    short._by_state(parameters, index, own, place, base, False)
+                    for place in range(self.own_size)
+                ]
+                own = own - np.linalg.lstsq(np.column_stack(slopes), base, rcond=1e-8)[0]
+            guesses.append(own)
+        return np.concatenate(guesses) if guesses else np.empty(0)
 
     def _by_parameter(
         self,
@@ -246,16 +406,18 @@ class Problem:
         base: FloatArray,
         central: bool,
     ) -> FloatArray:
-        place = self.free[variable]
+        priors = self.priors
+        place, scale = priors.free[variable], priors.scale[variable]
 
         def residual(value: float) -> FloatArray | None:
             changed = parameters.copy()
-            changed[place] = value * self.scale[variable]
+            changed[place] = value * scale
             return self.trial_residual(changed, trial, own)
 
-        centre = float(parameters[place] / self.scale[variable])
-        low, high = float(self.lower[variable]), float(self.upper[variable])
-        return slope(residual, centre, base, _STEP, low, high, central=central)
+        low, high = float(priors.lower[variable]), float(priors.upper[variable])
+        return difference_quotient(
+            residual, float(parameters[place] / scale), base, low, high, central=central
+        )
 
     def _by_state(
         self,
@@ -271,79 +433,32 @@ class Problem:
             changed[variable] = value
             return self.trial_residual(parameters, trial, changed)
 
-        return slope(residual, float(own[variable]), base, _STEP, central=central)
+        return difference_quotient(residual, float(own[variable]), base, central=central)
 
-    def guess(self, parameters: FloatArray) -> FloatArray:
-        """Return free initial states, scaled, one trial after the other, from the first samples of each trial.
 
-        A few Gauss-Newton steps on a short beginning, where a trial depends almost linearly on how it begins.
-        """
-        short = self.beginning(0.0)
-        guesses = []
-        for index, trial in enumerate(short.dataset.trials):
-            own = np.zeros(self.own_size)
-            for place, state in enumerate(self.free_states):
-                column = output_of_state(self.model, self.model.states[state])
-                own[place] = 0.0 if column is None else trial.outputs[0, column] / self.state_scale[place]
-            for _ in range(_GUESS_ROUNDS if self.own_size else 0):
-                base = short.trial_residual(parameters, index, own)
-                if base is None:
-                    break
-                slopes = np.column_stack(
-                    [
-                        short._by_state(parameters, index, own, place, base, False)
-                        for place in range(self.own_size)
-                    ]
-                )
-                own = own - np.linalg.lstsq(slopes, base, rcond=1e-8)[0]
-            guesses.append(own)
-        return np.concatenate(guesses) if guesses else np.empty(0)
-
-    def _first_values(self, trial: FitTrial) -> dict[str, float]:
-        means = np.mean(trial.outputs[:FIRST_SAMPLES], axis=0)
-        return {output.name: float(mean) for output, mean in zip(self.model.outputs, means, strict=True)}
-
-    def _state_scale(self) -> FloatArray:
-        """Return a typical size of each free state: of the output it is, or of an output per sample-rate-free time."""
-        sizes = []
-        for state in self.free_states:
-            column = output_of_state(self.model, self.model.states[state])
-            sizes.append(float(np.max(self.spread)) if column is None else float(self.spread[column]))
-        return np.array(sizes)
-
-    def refine_steps(self, z: FloatArray) -> bool:
-        """Shorten the integrator's steps if the widest trials ask for it at `z`; tell whether they did."""
-        from labrun.models import suggest_substeps
-
-        parameters = self.parameters(z)
-        trials = self.dataset.trials
-        widest = sorted(
-            range(len(trials)),
-            key=lambda index: -float(np.max(np.ptp(trials[index].outputs, axis=0) / self.spread)),
-        )
-        needed = max(
-            suggest_substeps(
-                self.model,
-                trials[index].time_s,
-                trials[index].inputs,
-                parameters=parameters,
-                condition=trials[index].condition,
-                initial_state=self.initial_state(index, self.own(z, index)),
-                effects=self.effects,
-                most=_MOST_SUBSTEPS,
+def channel_spread(data: Dataset) -> FloatArray:
+    """Return the standard deviation of each output over all trials, its size where it is constant, (m,)."""
+    spread = []
+    for column, output in enumerate(data.outputs):
+        values = np.concatenate([trial.outputs[:, column] for trial in data.trials])
+        size = float(np.std(values))
+        if size <= 1e-12 * float(np.max(np.abs(values))):
+            size = float(np.max(np.abs(values)))
+        if size == 0.0:
+            raise FitError(
+                f"output {output.name!r} is zero throughout {data.name}: it says nothing about the model",
+                hint="was the sensor connected? leave the output out of the model, or record it again",
             )
-            for index in widest[:_PROBED_TRIALS]
-        )
-        shortened = needed > self.substeps
-        if needed != self.substeps:
-            self.substeps = needed
-            self._drives = self._prepared()
-        return shortened
+        spread.append(size)
+    return np.array(spread)
 
-    def _prepared(self) -> "list[Drive]":
-        """Lay out every trial's inputs on the integrator's steps, once for all simulations of it."""
-        from labrun.models import prepare
 
-        return [
-            prepare(self.model, trial.time_s, trial.inputs, self.substeps) for trial in self.dataset.trials
-        ]
+def _prepared(model: Model, data: Dataset, substeps: int) -> tuple[Drive, ...]:
+    return tuple(prepare(model, trial.time_s, trial.inputs, substeps) for trial in data.trials)
+
+
+def _cut(drive: Drive, trial: FitTrial) -> Drive:
+    """Return the inputs of the first part of a trial."""
+    steps = (len(trial.time_s) - 1) * drive.substeps
+    last = drive.u[steps, 0] if steps < len(drive.u) else drive.u_last
+    return replace(drive, time_s=trial.time_s, steps_s=drive.steps_s[:steps], u=drive.u[:steps], u_last=last)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.fit.descent import minimise
+from labrun.fit.levenberg_marquardt import minimise
 from labrun.fit.notes import Note
 from labrun.fit.problem import Problem
 
@@ -42,9 +42,9 @@ def search(problem: Problem, rng: np.random.Generator, *, starts: int, note: Not
     and that nobody can build, such as a negative resistance. A descent that ends at zero is let go on through it:
     there the data demand the other sign.
     """
-    stated = problem.values[problem.free] / problem.scale
-    lower = np.where(stated > 0, np.maximum(problem.lower, 0.0), problem.lower)
-    upper = np.where(stated < 0, np.minimum(problem.upper, 0.0), problem.upper)
+    stated = problem.priors.stated
+    lower = np.where(stated > 0, np.maximum(problem.priors.lower, 0.0), problem.priors.lower)
+    upper = np.where(stated < 0, np.minimum(problem.priors.upper, 0.0), problem.priors.upper)
 
     def descend(
         part: Problem,
@@ -72,7 +72,10 @@ def search(problem: Problem, rng: np.random.Generator, *, starts: int, note: Not
             z = descend(problem.beginning(share), z, 1e-3, 12, [])
         z = descend(problem, z, 1e-5, 30, minima)
         shared = z[: problem.size]
-        if np.any((shared <= lower) & (lower > problem.lower) | (shared >= upper) & (upper < problem.upper)):
+        if np.any(
+            (shared <= lower) & (lower > problem.priors.lower)
+            | (shared >= upper) & (upper < problem.priors.upper)
+        ):
             z = descend(problem, z, 1e-5, 30, minima, signed=False)
         return ended(label, z, minima)
 
@@ -124,12 +127,12 @@ def _rank(rated: tuple[float, int, FloatArray]) -> tuple[float, int]:
 
 
 def _draw(problem: Problem, rng: np.random.Generator) -> FloatArray:
-    stated: FloatArray = problem.values[problem.free] / problem.scale
+    stated: FloatArray = problem.priors.stated
     start = stated.copy()
-    for index, sigma in enumerate(problem.prior_sigma):
-        low, high = problem.lower[index], problem.upper[index]
+    for index, sigma in enumerate(problem.priors.sigma):
+        low, high = problem.priors.lower[index], problem.priors.upper[index]
         if np.isfinite(sigma):
-            start[index] = stated[index] + sigma / problem.scale[index] * rng.standard_normal()
+            start[index] = stated[index] + sigma / problem.priors.scale[index] * rng.standard_normal()
         elif stated[index] != 0:
             start[index] = stated[index] * 10.0 ** rng.uniform(-_DECADES, _DECADES)
         elif np.isfinite(low) and np.isfinite(high):

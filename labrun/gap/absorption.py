@@ -1,17 +1,12 @@
 """What recalibration can imitate: the directions in which parameters and initial states move the outputs."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
+from labrun.fit.problem import Problem
 from labrun.gap import criteria
-
-if TYPE_CHECKING:
-    from labrun.gap.problem import GapProblem
-
-FloatArray = NDArray[np.float64]
 
 
 class Absorption:
@@ -28,17 +23,17 @@ class Absorption:
         Whitened, of every unit there.
     """
 
-    def __init__(self, problem: "GapProblem", z: FloatArray, residual: list[FloatArray]) -> None:
-        blocks = problem.blocks(z, residual)
-        self._own = [basis(own) for own in blocks.own]
-        prior = -np.diag(problem.prior_weight * problem.scale / problem.pull_sigma)
+    def __init__(self, problem: Problem, z: FloatArray, residual: list[FloatArray]) -> None:
+        jacobian = problem.jacobian(z, residual)
+        self._own = [basis(own) for own in jacobian.own]
+        prior = np.diag(problem.priors.slope)
         # what stands at a bound has given what it can
         shared = z[: problem.size]
-        moving = (shared > problem.lower) & (shared < problem.upper)
-        rows = [_off(own, block[:, moving]) for own, block in zip(self._own, blocks.shared, strict=True)]
+        moving = (shared > problem.priors.lower) & (shared < problem.priors.upper)
+        rows = [_off(own, block[:, moving]) for own, block in zip(self._own, jacobian.shared, strict=True)]
         self._rows, prior = len(prior), prior[:, moving]
         self._shared = basis(np.concatenate([*rows, prior]))
-        self.jacobian = blocks
+        self.jacobian = jacobian
 
     def left(self, parts: Sequence[FloatArray], prior: FloatArray | None = None) -> FloatArray:
         """Return what is left of residuals, or of a change of them (one array per unit), as one vector.

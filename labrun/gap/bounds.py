@@ -1,24 +1,18 @@
 """How near a level may lie that is out of reach without its effect: a stop, a saturation, a limited rate."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
+from labrun.effects import EffectParameter
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Estimate
-from labrun.gap.problem import own_states
-
-if TYPE_CHECKING:
-    from labrun.effects import EffectParameter
-    from labrun.gap.screening import Base, Screened
-
-FloatArray = NDArray[np.float64]
+from labrun.gap.screening import Base, Screened
 
 
 def least_levels(
-    screened: "Screened", base: "Base", dispersion: float, units: Mapping[str, str]
+    screened: Screened, base: Base, dispersion: float, units: Mapping[str, str]
 ) -> dict[str, Estimate]:
     """Return the level below which each parameter that is neutral at infinity would have shown (95 %), in SI.
 
@@ -54,13 +48,11 @@ def least_levels(
 class _Levels:
     """Levels of one effect, and how much of the data is left unexplained with each; in multiples of what is typical."""
 
-    def __init__(
-        self, screened: "Screened", base: "Base", fitted: "list[EffectParameter]", room: float
-    ) -> None:
+    def __init__(self, screened: Screened, base: Base, fitted: list[EffectParameter], room: float) -> None:
         self._base, self._fitted, self._room = base, fitted, room
         self._problem = screened.problem
-        self._shared, self._own = base.z[: base.problem.size], own_states(base.problem, base.z)
-        self._before = base.absorption.left(base.residual, base.problem.prior_residual(base.z))
+        self._shared, self._own = base.z[: base.problem.size], base.problem.own_states(base.z)
+        self._before = base.absorption.left(base.residual, base.problem.priors.residual(base.z))
         self._ended = screened.sizes
         self._starts = screened.candidate.starts
 
@@ -120,5 +112,5 @@ class _Levels:
         return float(np.sum(np.square(self._before + self._base.absorption.left(parts))))
 
 
-def _far(parameter: "EffectParameter") -> float:
+def _far(parameter: EffectParameter) -> float:
     return parameter.upper if parameter.neutral is not None and parameter.neutral > 0 else parameter.lower

@@ -1,21 +1,18 @@
 """The candidates: every effect of the library at every site it fits, and every parameter that could be wrong."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from labrun.effects import AttachedEffect, Effect, Scale
 from labrun.errors import ModelError, RequestError
+from labrun.fit.problem import Problem
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Name
+from labrun.models import Model
 from labrun.toml import nearest
-
-if TYPE_CHECKING:
-    from labrun.effects import AttachedEffect, Effect, Scale
-    from labrun.gap.problem import GapProblem
-    from labrun.models import Model
 
 
 @dataclass(frozen=True)
@@ -31,8 +28,8 @@ class Candidate:
     """
 
     name: Name
-    attached: "AttachedEffect | None"
-    scale: "Scale | None"
+    attached: AttachedEffect | None
+    scale: Scale | None
     starts: tuple[tuple[float, ...], ...]
 
     @property
@@ -42,15 +39,16 @@ class Candidate:
             return 0
         return sum(not parameter.held for parameter in self.attached.effect.parameters)
 
-    def added_to(self, problem: "GapProblem") -> "GapProblem":
+    def added_to(self, problem: Problem) -> Problem:
         """Return the problem with this candidate in it."""
         if self.attached is None or self.scale is None:
-            return problem.releasing(self.name.effect)
+            parameter = next(one for one in problem.model.parameters if one.name == self.name.effect)
+            return replace(problem, priors=problem.priors.releasing(parameter, criteria.FAR_OFF))
         return problem.with_effects([self.attached], [self.scale])
 
 
 def candidates(
-    model: "Model", scales: "dict[tuple[str, str], Scale]", withhold: Collection[str] = ()
+    model: Model, scales: dict[tuple[str, str], Scale], withhold: Collection[str] = ()
 ) -> list[Candidate]:
     """Return all candidates of a model.
 
@@ -94,7 +92,7 @@ def candidates(
     return [*found, *_parameters(model)]
 
 
-def _parameters(model: "Model") -> list[Candidate]:
+def _parameters(model: Model) -> list[Candidate]:
     """Parameters with a stated tolerance; what is free is recalibrated anyway, what is exact is no candidate."""
     return [
         Candidate(Name(one.name, one.name, "parameter"), None, None, ((),))
@@ -103,7 +101,7 @@ def _parameters(model: "Model") -> list[Candidate]:
     ]
 
 
-def _starts(effect: "Effect") -> tuple[tuple[float, ...], ...]:
+def _starts(effect: Effect) -> tuple[tuple[float, ...], ...]:
     """Return combinations of the starts, each at several sizes, within the bounds."""
     fitted = [parameter for parameter in effect.parameters if not parameter.held]
     combined = list(product(*(parameter.starts for parameter in fitted)))

@@ -1,26 +1,18 @@
 """Causes and candidates as a person reads them: sizes with intervals, bounds, what cannot be told apart."""
 
-from typing import TYPE_CHECKING
-
-import numpy as np
-from numpy.typing import NDArray
-
+from labrun.arrays import FloatArray
+from labrun.fit.dataset import Dataset
 from labrun.gap import criteria
+from labrun.gap.candidates import Candidate as Tried
 from labrun.gap.confidence import confidence
 from labrun.gap.diagnosis import Candidate, CandidateVerdict, Cause, Estimate, Name, Verdict
+from labrun.gap.engine import Search
 from labrun.gap.estimates import effect_units, parameter_value, upper_bounds, values_of
 from labrun.gap.identified import information
-
-if TYPE_CHECKING:
-    from labrun.fit.dataset import Dataset
-    from labrun.gap.candidates import Candidate as Tried
-    from labrun.gap.engine import Search
-    from labrun.gap.rating import Rated
-
-FloatArray = NDArray[np.float64]
+from labrun.gap.rating import Rated
 
 
-def causes_of(search: "Search", dataset: "Dataset", moved: FloatArray) -> tuple[Cause, ...]:
+def causes_of(search: Search, dataset: Dataset, moved: FloatArray) -> tuple[Cause, ...]:
     """Return the causes that were chosen, with sizes and 95 % intervals from the final fit."""
     final = search.selection.final
     model = final.problem.model
@@ -47,13 +39,13 @@ def causes_of(search: "Search", dataset: "Dataset", moved: FloatArray) -> tuple[
     return tuple(found)
 
 
-def _caution(one: "Rated") -> str:
+def _caution(one: Rated) -> str:
     attached = one.candidate.attached
     return "" if attached is None else attached.effect.caution
 
 
 def candidate_table(
-    search: "Search", dataset: "Dataset", decided: Verdict, causes: tuple[Cause, ...]
+    search: Search, dataset: Dataset, decided: Verdict, causes: tuple[Cause, ...]
 ) -> tuple[Candidate, ...]:
     """Return what was found about every candidate, the most telling first."""
     first, last = search.selection.rounds[0], search.selection.rounds[-1]
@@ -95,7 +87,7 @@ def candidate_table(
     return tuple(sorted(found, key=lambda one: (rank[one.verdict], -one.evidence)))
 
 
-def _far_off(search: "Search") -> dict[str, float]:
+def _far_off(search: Search) -> dict[str, float]:
     """Return by how much the sum of squares would grow were a parameter as far off as its statement allows."""
     base = search.selection.rounds[0].base
     problem = base.problem
@@ -105,7 +97,7 @@ def _far_off(search: "Search") -> dict[str, float]:
             max(one * (sigma / scale) ** 2 - 1.0, 0.0) * criteria.WITHIN_TOLERANCES**2
         )  # less what is known without data
         for name, one, sigma, scale in zip(
-            problem.names, known, problem.prior_sigma, problem.scale, strict=False
+            problem.priors.names, known, problem.priors.sigma, problem.priors.scale, strict=False
         )
     }
 
@@ -120,7 +112,7 @@ def _judged(
     return "ruled-out" if seen else "not-visible"
 
 
-def _richer_than(one: "Tried", chosen: dict[Name, Cause]) -> str:
+def _richer_than(one: Tried, chosen: dict[Name, Cause]) -> str:
     """Return the cause at its site that a candidate contains; empty if none."""
     contained = () if one.attached is None else one.attached.effect.contains
     return next((str(name) for name in chosen if name.site == one.name.site and name.effect in contained), "")
@@ -138,13 +130,13 @@ def _remark(judged: CandidateVerdict, decided: Verdict, contained: str = "", *, 
     return ""
 
 
-def _place(search: "Search", name: Name) -> int:
+def _place(search: Search, name: Name) -> int:
     effects = search.selection.final.problem.effects
     kinds = [(one.effect.id, one.site) for one in effects]
     return kinds.index((name.effect, name.site))
 
 
-def _bound_remark(search: "Search", place: int) -> str:
+def _bound_remark(search: Search, place: int) -> str:
     final = search.selection.final
     variable = final.problem.size - sum(
         not one.held for other in final.problem.effects[place:] for one in other.effect.parameters

@@ -11,8 +11,6 @@ from labrun.fit.dataset import Dataset, FitTrial
 from labrun.gap import criteria
 from labrun.spec.condition import condition_key
 
-FloatArray = NDArray[np.float64]
-
 _SHOWN = 3
 
 

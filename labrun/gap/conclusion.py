@@ -2,28 +2,26 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from labrun.arrays import FloatArray
 from labrun.fit.notes import Note
+from labrun.fit.problem import Problem
+from labrun.fit.workers import Each, one_by_one
 from labrun.gap import criteria
 from labrun.gap.causes import candidate_table, causes_of
 from labrun.gap.diagnosis import Diagnosis, MissingForce, Place, Shrinkage, Sizes
+from labrun.gap.engine import Search
 from labrun.gap.estimates import floor_of, scatter, shrinkage
 from labrun.gap.excess import excess, mean_residuals
 from labrun.gap.pictures import difference_of, traces_of
-from labrun.gap.problem import named
 from labrun.gap.verdict import Findings, verdict
 from labrun.gap.wording import limitations, sentence, what_next
-from labrun.gap.workers import Each, one_by_one
-
-if TYPE_CHECKING:
-    from labrun.gap.engine import Search
 
 
 def conclude(
-    search: "Search",
+    search: Search,
     rng: np.random.Generator,
     *,
     seed: int,
@@ -82,7 +80,7 @@ def conclude(
             missing = missing_forces(difference)
     rated = selection.rounds[0].rated
     nearest = max(rated, key=lambda one: one.share).candidate.name if rated else None
-    recalibrated, last = named(problem, z), named(selection.final.problem, selection.final.z)
+    recalibrated, last = _named(problem, z), _named(selection.final.problem, selection.final.z)
     repeats = search.units.repeats
     return Diagnosis(
         name=dataset.name,
@@ -133,7 +131,7 @@ def conclude(
     )
 
 
-def _unannounced(search: "Search", found: Findings) -> tuple[str, ...]:
+def _unannounced(search: Search, found: Findings) -> tuple[str, ...]:
     """Return what is said of causes that are not announced."""
     if not found.unproven or found.shrinkage is None:
         return ()
@@ -145,13 +143,13 @@ def _unannounced(search: "Search", found: Findings) -> tuple[str, ...]:
     )
 
 
-def _remaining(search: "Search") -> float:
+def _remaining(search: Search) -> float:
     """Return the gap that the final model leaves, fitted to everything."""
     final = search.selection.final
     return excess(search.units, search.noise, mean_residuals(final.problem, final.z)).gap
 
 
-def _guard_words(search: "Search") -> str:
+def _guard_words(search: Search) -> str:
     """Return what an announced cause had to beat."""
     told = (
         f"{len(search.draws)} draws of noise from the trials' own deviations, the whole library tried on each "
@@ -160,3 +158,9 @@ def _guard_words(search: "Search") -> str:
     return (
         f"{told}; {criteria.FULL_SEARCH_DRAWS} of them searched with all fits" if search.full_guard else told
     )
+
+
+def _named(problem: Problem, z: FloatArray) -> dict[str, float]:
+    """Return the model's parameters by name."""
+    values = problem.model_parameters(z)
+    return {one.name: float(value) for one, value in zip(problem.model.parameters, values, strict=True)}

@@ -1,18 +1,14 @@
 """How sure a cause is: a probability calibrated on cases whose answer is known."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from labrun.gap import criteria
-
-if TYPE_CHECKING:
-    from labrun.gap.engine import Search
-    from labrun.gap.noise import Basis
-    from labrun.gap.rating import Rated
+from labrun.gap.engine import Search
+from labrun.gap.noise import Basis
+from labrun.gap.rating import Rated
 
 
-def confidence(search: "Search", one: "Rated") -> float:
+def confidence(search: Search, one: Rated) -> float:
     """Return the probability that a chosen cause, or the first of its rivals, is the right one.
 
     Their weight among all that explains the data as well, less what even a cause without rivals turned out to be wrong.
@@ -25,7 +21,7 @@ def confidence(search: "Search", one: "Rated") -> float:
     return float(np.clip(most * weight * beyond_chance, criteria.LEAST_CONFIDENCE, most))
 
 
-def ceiling(basis: "Basis", conditions: int) -> float:
+def ceiling(basis: Basis, conditions: int) -> float:
     """Return how sure a diagnosis may be of a cause at most: noise not told by repeats, or nothing withheld, costs."""
     return min(
         criteria.SURE,

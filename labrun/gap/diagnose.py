@@ -4,19 +4,16 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from labrun.fit.dataset import Dataset
 from labrun.fit.notes import Note, silent
+from labrun.fit.workers import workers
 from labrun.gap.conclusion import conclude
 from labrun.gap.diagnosis import Diagnosis
 from labrun.gap.engine import search_causes
-from labrun.gap.workers import workers
-
-if TYPE_CHECKING:
-    from labrun.fit.dataset import Dataset
-    from labrun.models import Model
+from labrun.models import Model
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +78,8 @@ def diagnose(
 
 
 def diagnose_dataset(
-    dataset: "Dataset",
-    model: "Model",
+    dataset: Dataset,
+    model: Model,
     options: Options | None = None,
     *,
     note: Note = silent,

@@ -2,15 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from labrun.effects import AttachedEffect
-
-FloatArray = NDArray[np.float64]
+from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect
 
 Verdict = Literal["no-gap", "parameter", "explained", "partly-explained", "not-in-library"]
 CandidateVerdict = Literal["cause", "ruled-out", "not-visible", "indistinguishable"]
@@ -250,7 +245,7 @@ class Diagnosis:
     shrinkage: Shrinkage | None
     recalibration: Mapping[str, tuple[float, float | str, float]]
     corrected: Mapping[str, float]
-    effects: "tuple[AttachedEffect, ...]"
+    effects: tuple[AttachedEffect, ...]
     limitations: tuple[str, ...]
     notes: tuple[str, ...]
     what_next: tuple[str, ...]

@@ -2,13 +2,15 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
+from labrun.fit.dataset import Dataset
 from labrun.fit.notes import Note, silent
+from labrun.fit.workers import Each, one_by_one
 from labrun.gap import criteria
+from labrun.gap.averaging import averaged
 from labrun.gap.candidates import Candidate, candidates, without
 from labrun.gap.clocks import with_sound_clocks
 from labrun.gap.diagnosis import Name
@@ -28,14 +30,7 @@ from labrun.gap.recalibration import (
 from labrun.gap.scales import site_scales
 from labrun.gap.screening import Base, ends_of, screen_all, survey
 from labrun.gap.selection import Selection, Selector, look
-from labrun.gap.units import Units, gather
-from labrun.gap.workers import Each, one_by_one
-
-if TYPE_CHECKING:
-    from labrun.fit.dataset import Dataset
-    from labrun.models import Model
-
-FloatArray = NDArray[np.float64]
+from labrun.models import Model
 
 
 @dataclass(frozen=True)
@@ -55,10 +50,10 @@ class Search:
         see the condition, with its residuals.
     """
 
-    dataset: "Dataset"
+    dataset: Dataset
     limitations: tuple[str, ...]
     notes: tuple[str, ...]
-    units: Units
+    units: Dataset
     recalibration: Recalibrated
     candidates: list[Candidate]
     draws: list[list[FloatArray]]
@@ -70,7 +65,7 @@ class Search:
     full_guard: bool
 
     @property
-    def model(self) -> "Model":
+    def model(self) -> Model:
         """The model that was searched for."""
         return self.recalibration.problem.model
 
@@ -93,8 +88,8 @@ class Search:
 
 
 def search_causes(
-    dataset: "Dataset",
-    model: "Model",
+    dataset: Dataset,
+    model: Model,
     rng: np.random.Generator,
     *,
     withhold: Collection[str] = (),
@@ -118,7 +113,7 @@ def search_causes(
     """
     require_informative(dataset)
     clocks = with_sound_clocks(dataset)
-    units = gather(clocks.dataset, model)
+    units = averaged(clocks.dataset, model)
     recalibration = recalibrate(model, units, rng, note)
     unfinished = unsearched(recalibration.problem, recalibration.z)
     scales = site_scales(recalibration.problem, recalibration.z)
@@ -172,7 +167,7 @@ def _without_repeats(
     Its colour is believed of that remainder only: where the model is wrong, the gap has a colour of its own. Returned
     with the sizes at which fits of candidates beside the recalibrated model ended.
     """
-    units = recalibration.problem.units
+    units = recalibration.problem.data
     note("no repeats: telling noise from gap by what the best candidates together leave")
     base = Base.of(recalibration.problem, recalibration.z)
     first, known = dict[Name, FloatArray](), dict[Name, FloatArray]()

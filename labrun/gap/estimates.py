@@ -1,38 +1,31 @@
 """Intervals: how sizes of causes, and the share of the gap they remove, would scatter if the trials were run again."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labrun.effects import unit_of
+from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect, unit_of
+from labrun.fit.dataset import Dataset
+from labrun.fit.problem import Problem
 from labrun.gap import criteria
 from labrun.gap.bounds import least_levels
 from labrun.gap.diagnosis import Estimate, Shrinkage
 from labrun.gap.excess import Excess, group_means
-
-if TYPE_CHECKING:
-    from labrun.effects import AttachedEffect
-    from labrun.fit.dataset import Dataset
-    from labrun.gap.noise import Noise
-    from labrun.gap.problem import GapProblem
-    from labrun.gap.screening import Base, Screened
-    from labrun.gap.units import Units
-    from labrun.models import Model
-
-FloatArray = NDArray[np.float64]
+from labrun.gap.noise import Noise
+from labrun.gap.screening import Base, Screened
+from labrun.models import Model
 
 _RIDGE = 1e-10
 
 
-def scatter(base: "Base", draws: Sequence[Sequence[FloatArray]]) -> FloatArray:
+def scatter(base: Base, draws: Sequence[Sequence[FloatArray]]) -> FloatArray:
     """Return how the scaled shared variables move with noise drawn from whole trials, (draws, size), linearly."""
-    blocks = base.absorption.jacobian
+    jacobian = base.absorption.jacobian
     size = base.problem.size
-    prior = -np.diag(base.problem.prior_weight * base.problem.scale / base.problem.pull_sigma)
+    prior = np.diag(base.problem.priors.slope)
     rows, noise = [], []
-    for unit, (shared, own) in enumerate(zip(blocks.shared, blocks.own, strict=True)):
+    for unit, (shared, own) in enumerate(zip(jacobian.shared, jacobian.own, strict=True)):
         stacked = np.column_stack([draw[unit] for draw in draws])
         span = np.linalg.qr(own)[0]  # without columns where no initial state is free
         rows.append(shared - span @ (span.T @ shared))
@@ -47,7 +40,7 @@ def scatter(base: "Base", draws: Sequence[Sequence[FloatArray]]) -> FloatArray:
 
 
 def values_of(
-    problem: "GapProblem", z: FloatArray, place: int, moved: FloatArray, model: "Model", dataset: "Dataset"
+    problem: Problem, z: FloatArray, place: int, moved: FloatArray, model: Model, dataset: Dataset
 ) -> dict[str, Estimate]:
     """Return the sizes of the effect that stands at `place` among those of the problem, with 95 % intervals."""
     attached = problem.attached(problem.parameters(z))[place]
@@ -59,9 +52,9 @@ def values_of(
     for parameter, value in zip(attached.effect.parameters, attached.values, strict=True):
         if parameter.held:
             continue
-        scale = float(problem.scale[variable])
+        scale = float(problem.priors.scale[variable])
         low, high = np.percentile(moved[:, variable], [2.5, 97.5]) * scale
-        bounds = problem.lower[variable] * scale, problem.upper[variable] * scale
+        bounds = problem.priors.lower[variable] * scale, problem.priors.upper[variable] * scale
         found[parameter.name] = Estimate(
             float(value),
             float(max(value + min(low, 0.0), bounds[0])),
@@ -73,18 +66,18 @@ def values_of(
 
 
 def parameter_value(
-    problem: "GapProblem", z: FloatArray, name: str, moved: FloatArray, model: "Model"
+    problem: Problem, z: FloatArray, name: str, moved: FloatArray, model: Model
 ) -> dict[str, Estimate]:
     """Return the value of a parameter with its 95 % interval."""
-    variable = problem.names.index(name)
-    scale = float(problem.scale[variable])
+    variable = problem.priors.names.index(name)
+    scale = float(problem.priors.scale[variable])
     value = float(z[variable]) * scale
     low, high = np.percentile(moved[:, variable], [2.5, 97.5]) * scale
     unit = next(one.unit for one in model.parameters if one.name == name)
     return {name: Estimate(value, value + min(float(low), 0.0), value + max(float(high), 0.0), unit)}
 
 
-def effect_units(attached: "AttachedEffect", model: "Model", dataset: "Dataset") -> dict[str, str]:
+def effect_units(attached: AttachedEffect, model: Model, dataset: Dataset) -> dict[str, str]:
     """Return the units of an effect's parameters at its site."""
     signal, coordinate = "1", "rad"
     if attached.effect.kind in ("input", "output"):
@@ -98,7 +91,7 @@ def effect_units(attached: "AttachedEffect", model: "Model", dataset: "Dataset")
 
 
 def upper_bounds(
-    screened: "Screened", base: "Base", dispersion: float, units: "Mapping[str, str]"
+    screened: Screened, base: Base, dispersion: float, units: Mapping[str, str]
 ) -> dict[str, Estimate]:
     """Return how large an effect can be in these data (95 %), in SI: the largest size of what vanishes at zero.
 
@@ -133,8 +126,8 @@ def upper_bounds(
 
 
 def shrinkage(
-    units: "Units",
-    noise: "Noise",
+    units: Dataset,
+    noise: Noise,
     before: Sequence[FloatArray],
     after: Sequence[FloatArray],
     rng: np.random.Generator,
@@ -178,7 +171,7 @@ def _shaken(mean: FloatArray, drawn: FloatArray, sd: FloatArray, floor: FloatArr
 
 
 def _plain(
-    units: "Units", noise: "Noise", groups: Sequence[tuple[FloatArray, int]]
+    units: Dataset, noise: Noise, groups: Sequence[tuple[FloatArray, int]]
 ) -> tuple[FloatArray, FloatArray]:
     present = [group for group in range(len(units.conditions)) if units.of_group(group)]
     values = [
@@ -190,7 +183,7 @@ def _plain(
 
 
 def floor_of(
-    units: "Units", noise: "Noise", rng: np.random.Generator, draws: int = criteria.FLOOR_DRAWS
+    units: Dataset, noise: Noise, rng: np.random.Generator, draws: int = criteria.FLOOR_DRAWS
 ) -> float:
     """Return the systematic residual that noise alone shows at most in 95 of 100 experiments."""
     found = []

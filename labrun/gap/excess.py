@@ -2,17 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from labrun.gap.noise import Noise
-    from labrun.gap.problem import GapProblem
-    from labrun.gap.units import Units
-
-FloatArray = NDArray[np.float64]
+from labrun.arrays import FloatArray
+from labrun.fit.dataset import Dataset
+from labrun.fit.problem import Problem
+from labrun.gap.noise import Noise
 
 
 @dataclass(frozen=True)
@@ -41,29 +37,29 @@ class Excess:
         return float(np.sqrt(max(self.total, 0.0)))
 
 
-def mean_residuals(problem: "GapProblem", z: FloatArray) -> list[FloatArray]:
+def mean_residuals(problem: Problem, z: FloatArray) -> list[FloatArray]:
     """Return measured mean minus simulated of every unit, (n, m) each, in the units of the outputs."""
     return [
         trial.outputs - outputs
-        for trial, outputs in zip(problem.dataset.trials, problem.simulated(z), strict=True)
+        for trial, outputs in zip(problem.data.trials, problem.simulated(z), strict=True)
     ]
 
 
-def group_means(units: "Units", residual: Sequence[FloatArray]) -> list[tuple[FloatArray, int]]:
+def group_means(units: Dataset, residual: Sequence[FloatArray]) -> list[tuple[FloatArray, int]]:
     """Return the mean residual of every condition and the number of trials behind it."""
     found = []
     for group in range(len(units.conditions)):
         members = units.of_group(group)
         if not members:
             continue
-        counts = np.array([units.units[index].count for index in members], dtype=float)
+        counts = np.array([units.trials[index].count for index in members], dtype=float)
         length = min(len(residual[index]) for index in members)
         stacked = np.stack([residual[index][:length] for index in members])
         found.append((np.tensordot(counts / counts.sum(), stacked, axes=1), int(counts.sum())))
     return found
 
 
-def excess(units: "Units", noise: "Noise", residual: Sequence[FloatArray]) -> Excess:
+def excess(units: Dataset, noise: Noise, residual: Sequence[FloatArray]) -> Excess:
     """Return the excess of mean residuals (one array per unit) over the noise floor."""
     groups = group_means(units, residual)
     present = [group for group in range(len(units.conditions)) if units.of_group(group)]

@@ -2,21 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
+from labrun.fit.problem import Problem
+from labrun.fit.workers import Each, one_by_one
 from labrun.gap import criteria
-from labrun.gap.workers import Each, one_by_one
-
-if TYPE_CHECKING:
-    from labrun.gap.candidates import Candidate
-    from labrun.gap.noise import Noise
-    from labrun.gap.problem import GapProblem
-    from labrun.gap.screening import Base, Survey
-
-FloatArray = NDArray[np.float64]
+from labrun.gap.candidates import Candidate
+from labrun.gap.noise import Noise
+from labrun.gap.screening import Base, Survey
 
 
 @dataclass(frozen=True)
@@ -40,24 +35,26 @@ class Guard:
 
 
 def noise_draws(
-    problem: "GapProblem", noise: "Noise", rng: np.random.Generator, draws: int = criteria.NOISE_DRAWS
+    problem: Problem, noise: Noise, rng: np.random.Generator, draws: int = criteria.NOISE_DRAWS
 ) -> list[list[FloatArray]]:
     """Return whitened noise of the mean of every unit, as the residuals of `problem` see it, for every draw."""
-    rows = [len(part) for part in problem.residual_rows()]
+    behind = np.zeros(
+        len(problem.states.read)
+    )  # what is read of initial states, which noise is not drawn for
     found = []
     for _ in range(draws):
         parts = []
-        for index, drawn in enumerate(noise.draw(problem.units, rng)):
-            white = problem.white(drawn * problem.weights, index).ravel()
-            parts.append(np.concatenate([white, np.zeros(rows[index] - len(white))]))
+        for index, drawn in enumerate(noise.draw(problem.data, rng)):
+            white = problem.whiten(drawn * problem.noise.weights, index).ravel()
+            parts.append(np.concatenate([white, behind]))
         found.append(parts)
     return found
 
 
 def full_strictness(
-    base: "Base",
-    candidates: "Sequence[Candidate]",
-    noise: "Noise",
+    base: Base,
+    candidates: Sequence[Candidate],
+    noise: Noise,
     linear: Guard,
     rng: np.random.Generator,
     *,
@@ -74,7 +71,7 @@ def full_strictness(
     simulated = base.problem.simulated(base.z)
     most = []
     for _ in range(draws):
-        drawn = noise.draw(base.problem.units, rng)
+        drawn = noise.draw(base.problem.data, rng)
         problem = base.problem.with_measured(
             [one + other for one, other in zip(simulated, drawn, strict=True)]
         )
@@ -84,7 +81,7 @@ def full_strictness(
     return max(1.0, float(np.percentile(most, criteria.NOISE_PERCENTILE)) / linear.threshold)
 
 
-def guard(base: "Base", surveys: "Sequence[Survey]", draws: Sequence[Sequence[FloatArray]]) -> Guard:
+def guard(base: Base, surveys: Sequence[Survey], draws: Sequence[Sequence[FloatArray]]) -> Guard:
     """Return the threshold from the linearised search: the whole library against noise drawn from the data's own.
 
     Every candidate is stood for by the changes it makes at several sizes, so that one draw costs a few products of

@@ -1,28 +1,23 @@
 """What data know of a size: the information about one variable once all others have adapted."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.fit.descent import NormalEquations
+from labrun.arrays import FloatArray
+from labrun.fit.jacobian import Jacobian
+from labrun.fit.levenberg_marquardt import NormalEquations
+from labrun.fit.problem import Problem
 from labrun.gap import criteria
-
-if TYPE_CHECKING:
-    from labrun.fit.problem import Blocks
-    from labrun.gap.problem import GapProblem
-
-FloatArray = NDArray[np.float64]
 
 _RIDGE = 1e-12
 
 
-def information(problem: "GapProblem", z: FloatArray, blocks: "Blocks") -> FloatArray:
+def information(problem: Problem, z: FloatArray, jacobian: Jacobian) -> FloatArray:
     """Return the information about every shared variable, parameters and initial states adapting, shape (p,).
 
     It is the inverse of the variance that the variable would have in units of white noise.
     """
-    equations = NormalEquations.of(problem, z, blocks)
+    equations = NormalEquations.of(problem, z, jacobian)
     reduced = equations.shared
     if equations.own.shape[1]:
         own = equations.own + _RIDGE * np.eye(equations.own.shape[1])
@@ -33,7 +28,7 @@ def information(problem: "GapProblem", z: FloatArray, blocks: "Blocks") -> Float
     return found
 
 
-def unseen(problem: "GapProblem", whole: FloatArray, part: FloatArray) -> NDArray[np.bool_]:
+def unseen(problem: Problem, whole: FloatArray, part: FloatArray) -> NDArray[np.bool_]:
     """Tell which variables are sizes of effects that a part of the data knows next to nothing of, shape (p,).
 
     Parameters

@@ -4,7 +4,7 @@ import numpy as np
 
 from labrun.errors import RecordingError
 from labrun.fit.dataset import Dataset
-from labrun.fit.pieces import FEWEST_SAMPLES
+from labrun.fit.problem import FEWEST_SAMPLES
 from labrun.gap import criteria
 
 
@@ -46,7 +46,7 @@ def require_informative(dataset: Dataset) -> None:
         )
 
 
-def _few_steps(levels: "np.ndarray[tuple[int], np.dtype[np.float64]]", span: float) -> bool:
+def _few_steps(levels: np.ndarray[tuple[int], np.dtype[np.float64]], span: float) -> bool:
     """Tell whether different values are a few neighbouring steps of one resolution."""
     return len(levels) <= criteria.FEWEST_LEVELS + 1 and span <= (criteria.FEWEST_LEVELS + 0.01) * float(
         np.min(np.diff(levels))

@@ -3,13 +3,10 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from labrun.errors import RequestError
 from labrun.fit.dataset import Dataset, load_dataset
-
-if TYPE_CHECKING:
-    from labrun.models import Model
+from labrun.models import Model
 
 
 @dataclass(frozen=True)
@@ -17,7 +14,7 @@ class Question:
     """Data, and the model they are held against."""
 
     dataset: Dataset
-    model: "Model"
+    model: Model
 
 
 def load_question(

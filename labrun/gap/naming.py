@@ -3,20 +3,17 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from labrun.errors import RequestError
-
-if TYPE_CHECKING:
-    from labrun.models import Model
-    from labrun.spec.experiment import GapTable
+from labrun.models import Model
+from labrun.spec.experiment import GapTable
 
 
 @dataclass(frozen=True, slots=True)
 class GapPlan:
     """A model, and which recorded channel is which of its inputs and outputs."""
 
-    model: "Model"
+    model: Model
     signals: Mapping[str, str]
 
 
@@ -46,7 +43,7 @@ def plan_for(target: Path, model: str | Path | None, workspace: Path) -> GapPlan
     return GapPlan(found, plan.signals)
 
 
-def _gap_table(target: Path) -> "GapTable | None":
+def _gap_table(target: Path) -> GapTable | None:
     """Return what the experiment of a run says, None for recordings and for experiments that say nothing."""
     from labrun.fit.run_dataset import imported_channels
     from labrun.spec.loading import loads_experiment
@@ -61,7 +58,7 @@ def _gap_table(target: Path) -> "GapTable | None":
     return loads_experiment(run.experiment_toml, run.name, plugins=False).experiment.gap
 
 
-def _named(table: "GapTable", workspace: Path) -> "Model":
+def _named(table: GapTable, workspace: Path) -> Model:
     from labrun.models import load_model
     from labrun.spec.workspace import find_model_file
 

@@ -5,13 +5,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
+from labrun.fit.dataset import Dataset, FitTrial
 from labrun.gap import criteria
-from labrun.gap.units import Unit, Units
 from labrun.gap.whitening import Whitener, fit_whitener, white
 
-FloatArray = NDArray[np.float64]
 Basis = Literal["repeats", "residual"]
 
 _QUANTUM = 1.0 / np.sqrt(12.0)
@@ -67,11 +66,15 @@ class Noise:
         """Return the standard deviation of the mean of `count` trials, in units of `sd`, shape (m,)."""
         return np.asarray(np.sqrt((1.0 - self.systematic) / count + self.systematic))
 
+    def white_mean(self, values: FloatArray, count: int) -> FloatArray:
+        """Return the mean (n, m) of `count` trials, in units of `sd`, as white noise of standard deviation 1."""
+        return np.asarray(self.whitener.white(values) / self.mean_sd(count))
+
     def plain(self) -> "Noise":
         """Return the same noise taken as white: where a large gap is mixed into it, its colour says nothing."""
         return replace(self, whitener=white(len(self.sd)))
 
-    def draw(self, units: Units, rng: np.random.Generator, *, cautious: bool = False) -> list[FloatArray]:
+    def draw(self, units: Dataset, rng: np.random.Generator, *, cautious: bool = False) -> list[FloatArray]:
         """Return noise of the mean of every unit, (n, m) each.
 
         The measured whole-trial deviations, recombined at random within their condition; drawn from the spectrum where
@@ -82,10 +85,10 @@ class Noise:
         cautious
             Let the energy scatter as widely as so few deviations allow: for parts of trials, where each is one of few.
         """
-        return [self._draw_unit(unit, rng, cautious) for unit in units.units]
+        return [self._draw_unit(unit, rng, cautious) for unit in units.trials]
 
-    def _draw_unit(self, unit: Unit, rng: np.random.Generator, cautious: bool) -> FloatArray:
-        shape = unit.trial.outputs.shape
+    def _draw_unit(self, unit: FitTrial, rng: np.random.Generator, cautious: bool) -> FloatArray:
+        shape = unit.outputs.shape
         own = self.deviations[unit.group] if self.freedom >= criteria.ENOUGH_FREEDOM else ()
         own = tuple(one for one in own if one.shape == shape)
         rounding = rng.standard_normal(shape) * np.sqrt(self.systematic) * self.sd
@@ -105,7 +108,7 @@ class Noise:
         return np.asarray(scale * np.tensordot(direction, np.stack(own), axes=1) + rounding)
 
 
-def from_repeats(units: Units, residual: Sequence[Sequence[FloatArray]]) -> Noise | None:
+def from_repeats(units: Dataset, residual: Sequence[Sequence[FloatArray]]) -> Noise | None:
     """Estimate the noise from what repeats do not agree on; None where there are no repeats.
 
     Parameters
@@ -188,7 +191,7 @@ def _common_rounding(deviation: float, step: float) -> float:
     return common(float(brentq(seen, 0.0, 2.0 * step)))
 
 
-def from_residual(units: Units, residual: Sequence[Sequence[FloatArray]]) -> Noise:
+def from_residual(units: Dataset, residual: Sequence[Sequence[FloatArray]]) -> Noise:
     """Estimate the noise from what the best fit leaves, where nothing was repeated.
 
     A slow remainder of a wrong model counts as noise here: the estimate errs to the cautious side.
@@ -201,11 +204,11 @@ def from_residual(units: Units, residual: Sequence[Sequence[FloatArray]]) -> Noi
     return Noise(sd, whitener, "residual", np.zeros_like(sd), groups, 0)
 
 
-def quantum(units: Units) -> FloatArray:
+def quantum(units: Dataset) -> FloatArray:
     """Return the smallest step between different values of each output, the resolution of its sensor, shape (m,)."""
     steps = []
-    for column in range(units.units[0].trial.outputs.shape[1]):
-        values = np.concatenate([one[:, column] for unit in units.units for one in unit.members])
+    for column in range(units.trials[0].outputs.shape[1]):
+        values = np.concatenate([one[:, column] for unit in units.trials for one in unit.members])
         different = np.diff(np.unique(values))
         span = float(np.ptp(values))
         different = different[different > 1e-9 * max(span, 1e-300)]

@@ -2,22 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
 from labrun.gap import criteria
+from labrun.gap.candidates import Candidate
 from labrun.gap.excess import Excess, excess
+from labrun.gap.guard import Guard
 from labrun.gap.held_out import held_out_residuals
-
-if TYPE_CHECKING:
-    from labrun.gap.candidates import Candidate
-    from labrun.gap.guard import Guard
-    from labrun.gap.noise import Noise
-    from labrun.gap.screening import Base, Screened
-
-FloatArray = NDArray[np.float64]
+from labrun.gap.noise import Noise
+from labrun.gap.screening import Base, Screened
 
 
 @dataclass(frozen=True)
@@ -36,7 +31,7 @@ class Rated:
         Part of the recalibrated model's held-out excess that it removes.
     """
 
-    screened: "Screened"
+    screened: Screened
     evidence: float
     score: float
     held_out: Excess
@@ -44,12 +39,12 @@ class Rated:
     share: float
 
     @property
-    def candidate(self) -> "Candidate":
+    def candidate(self) -> Candidate:
         """What was rated."""
         return self.screened.candidate
 
 
-def rate(base: "Base", screened: "Screened", guard: "Guard", noise: "Noise", reference: Excess) -> Rated:
+def rate(base: Base, screened: Screened, guard: Guard, noise: Noise, reference: Excess) -> Rated:
     """Test a screened candidate on conditions its fit did not see.
 
     Parameters
@@ -58,21 +53,21 @@ def rate(base: "Base", screened: "Screened", guard: "Guard", noise: "Noise", ref
         Held-out excess of the recalibrated model without any effect.
     """
     residual = held_out_residuals(screened.problem, screened.z)
-    left = excess(base.problem.units, noise, residual)
+    left = excess(base.problem.data, noise, residual)
     share = 1.0 - left.total / reference.total if reference.total > 0 else 0.0
     return Rated(
         screened, screened.gain / guard.threshold, score(screened, guard), left, residual, max(share, -1.0)
     )
 
 
-def score(screened: "Screened", guard: "Guard") -> float:
+def score(screened: Screened, guard: Guard) -> float:
     """Return the tempered log likelihood that a candidate adds, less a price for its variables."""
     return 0.5 * screened.gain / guard.dispersion - criteria.VARIABLE_PRICE * max(
         screened.candidate.variables, 1
     )
 
 
-def promising(screened: "Sequence[Screened]", guard: "Guard", most: int) -> "list[Screened]":
+def promising(screened: Sequence[Screened], guard: Guard, most: int) -> list[Screened]:
     """Return the candidates worth a closer look, best first: those that beat noise, and the best few in any case."""
     ordered = sorted(screened, key=lambda one: -score(one, guard))
     best = score(ordered[0], guard) if ordered else 0.0

@@ -1,24 +1,19 @@
 """The recalibrated model: what its parameters, within their tolerances, can explain by themselves."""
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labrun.fit.descent import minimise
+from labrun.arrays import FloatArray
+from labrun.fit.dataset import Dataset
+from labrun.fit.levenberg_marquardt import minimise
 from labrun.fit.notes import Note
+from labrun.fit.problem import OutputNoise, Problem
 from labrun.fit.search import search
 from labrun.gap import criteria
 from labrun.gap.noise import Noise, from_repeats, from_residual
-from labrun.gap.problem import GapProblem, own_states
 from labrun.gap.screening import refit
-
-if TYPE_CHECKING:
-    from labrun.gap.units import Units
-    from labrun.models import Model
-
-FloatArray = NDArray[np.float64]
+from labrun.models import Model
 
 
 @dataclass(frozen=True)
@@ -33,61 +28,98 @@ class Recalibrated:
         Recalibrated.
     """
 
-    problem: GapProblem
+    problem: Problem
     noise: Noise
     raw: FloatArray
     z: FloatArray
 
 
-def recalibrate(model: "Model", units: "Units", rng: np.random.Generator, note: Note) -> Recalibrated:
+def recalibrate(model: Model, units: Dataset, rng: np.random.Generator, note: Note) -> Recalibrated:
     """Fit the parameters within their tolerances, find the noise, and fit again in its units."""
-    problem = GapProblem(model, units)
+    problem = stated_problem(model, units)
     note("recalibrating the model within what is known of its parameters")
     z = search(problem, rng, starts=criteria.RECALIBRATION_STARTS, note=lambda _: None)[0].z
-    if problem.refine_steps(z):
-        z = refit(problem, z)
+    refined = problem.refined(z)
+    if refined.substeps > problem.substeps:
+        z = refit(refined, z)
+    problem = refined
     deviations = member_residuals(problem, z)
     noise = from_repeats(units, deviations) or from_residual(units, deviations).plain()
     return in_noise(problem, noise, z)
 
 
-def in_noise(problem: GapProblem, noise: Noise, z: FloatArray) -> Recalibrated:
+def in_noise(problem: Problem, noise: Noise, z: FloatArray) -> Recalibrated:
     """Fit once more in units of a noise."""
-    measured = problem.with_noise(noise)
+    measured = in_units_of(noise, problem)
     z = refit(measured, z)
-    if measured.shorten_steps(z):
-        z = refit(measured, z)
-    return Recalibrated(measured, noise, stated(measured, z), z)
+    finer = with_shorter_steps(measured, z)
+    if finer is not measured:
+        z = refit(finer, z)
+    return Recalibrated(finer, noise, stated(finer, z), z)
 
 
-def stated(problem: GapProblem, z: FloatArray) -> FloatArray:
+def stated_problem(model: Model, data: Dataset) -> Problem:
+    """Hold a model against averaged trials, its parameters within their tolerances, in units of the outputs' spread.
+
+    A state that begins at the "first" samples is free, held by what noise they have.
+    """
+    problem = Problem.of(model, data)
+    return replace(problem, priors=problem.priors.within(criteria.WITHIN_TOLERANCES), read_free=True)
+
+
+def in_units_of(noise: Noise, problem: Problem) -> Problem:
+    """Return the problem in units of a noise."""
+    sd = np.sqrt(noise.sd**2 + (criteria.MODEL_ROUNDING * problem.spread) ** 2)
+    return problem.with_noise(OutputNoise(1.0 / sd, noise.white_mean))
+
+
+def with_shorter_steps(problem: Problem, z: FloatArray) -> Problem:
+    """Halve the integrator's steps until that moves the outputs by a small part of the noise.
+
+    What integration alone differs by must not be taken for physics.
+    """
+    before = problem.simulated(z)
+    while problem.substeps < criteria.MOST_SUBSTEPS:
+        finer = problem.with_substeps(2 * problem.substeps)
+        after = finer.simulated(z)
+        moved = max(
+            float(np.max(np.sqrt(np.mean(np.square((one - two) * problem.noise.weights), axis=0))))
+            for one, two in zip(before, after, strict=True)
+        )
+        if moved <= criteria.INTEGRATION_ERROR:
+            break
+        problem, before = finer, after
+    return problem
+
+
+def stated(problem: Problem, z: FloatArray) -> FloatArray:
     """Return the stated parameters with each unit's own initial states fitted."""
-    shared = problem.values[problem.free] / problem.scale
-    start = np.concatenate([shared, own_states(problem, z)])
+    shared = problem.priors.stated
+    start = np.concatenate([shared, problem.own_states(z)])
     return minimise(problem, start, lower=shared, upper=shared) if problem.own_size else start
 
 
-def member_residuals(problem: GapProblem, z: FloatArray) -> list[list[FloatArray]]:
+def member_residuals(problem: Problem, z: FloatArray) -> list[list[FloatArray]]:
     """Return measured minus simulated of every trial, unit by unit."""
     return [
-        [one - outputs for one in unit.members]
-        for unit, outputs in zip(problem.units.units, problem.simulated(z), strict=True)
+        [one - outputs for one in trial.members]
+        for trial, outputs in zip(problem.data.trials, problem.simulated(z), strict=True)
     ]
 
 
-def unsearched(problem: GapProblem, z: FloatArray) -> tuple[str, ...]:
+def unsearched(problem: Problem, z: FloatArray) -> tuple[str, ...]:
     """Return sentences on what is believed of the parameters and does not simulate.
 
     Each parameter in turn is taken to both ends of what is believed of it, the others where they are; and what left the
     finite numbers on the way of the fits was counted.
     """
-    said, found = problem.tally.remarks, list[str]()
-    for variable, name in enumerate(problem.names[: problem.size]):
-        if not np.isfinite(problem.prior_sigma[variable]):
+    said, found = problem.simulations.remarks, list[str]()
+    for variable, name in enumerate(problem.priors.names[: problem.size]):
+        if not np.isfinite(problem.priors.sigma[variable]):
             continue
-        for end in (problem.lower[variable], problem.upper[variable]):
+        for end in (problem.priors.lower[variable], problem.priors.upper[variable]):
             if np.isfinite(end) and not _simulates(problem, z, variable, float(end)):
-                found.append(f"{name} = {end * problem.scale[variable]:.4g}")
+                found.append(f"{name} = {end * problem.priors.scale[variable]:.4g}")
     if not found:
         return said
     return (
@@ -97,22 +129,24 @@ def unsearched(problem: GapProblem, z: FloatArray) -> tuple[str, ...]:
     )
 
 
-def _simulates(problem: GapProblem, z: FloatArray, variable: int, value: float) -> bool:
+def _simulates(problem: Problem, z: FloatArray, variable: int, value: float) -> bool:
     changed = z.copy()
     changed[variable] = value
     parameters, units = (
         problem.parameters(changed),
-        range(min(criteria.PROBED_UNITS, len(problem.dataset.trials))),
+        range(min(criteria.PROBED_UNITS, len(problem.data.trials))),
     )
     return all(problem.simulate(parameters, unit, problem.own(changed, unit)) is not None for unit in units)
 
 
-def bound_remarks(problem: GapProblem, z: FloatArray) -> tuple[str, ...]:
+def bound_remarks(problem: Problem, z: FloatArray) -> tuple[str, ...]:
     """Return a sentence for every parameter that recalibration took to the end of what is believed of it."""
     found = []
-    for variable, name in enumerate(problem.names[: problem.size]):
-        at_end = z[variable] <= problem.lower[variable] or z[variable] >= problem.upper[variable]
-        if at_end and np.isfinite(problem.prior_sigma[variable]):
+    for variable, name in enumerate(problem.priors.names[: problem.size]):
+        at_end = (
+            z[variable] <= problem.priors.lower[variable] or z[variable] >= problem.priors.upper[variable]
+        )
+        if at_end and np.isfinite(problem.priors.sigma[variable]):
             found.append(
                 f"recalibration took {name} to {criteria.WITHIN_TOLERANCES:g} times its tolerance, "
                 "as far as its statement is believed"

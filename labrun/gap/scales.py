@@ -1,24 +1,19 @@
 """Typical magnitudes at every site, from the recalibrated simulation: what effects are measured in."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect, Scale
+from labrun.fit.problem import Problem
 from labrun.gap import criteria
 from labrun.gap.probe import push
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from labrun.effects import AttachedEffect, Scale
-    from labrun.gap.problem import GapProblem
-
-FloatArray = NDArray[np.float64]
 _Answer = tuple[FloatArray, FloatArray]
 
 
-def site_scales(problem: "GapProblem", z: FloatArray) -> "dict[tuple[str, str], Scale]":
+def site_scales(problem: Problem, z: FloatArray) -> dict[tuple[str, str], Scale]:
     """Return the scale of every site where something happens: (kind, name) -> typical magnitudes.
 
     The typical force at a joint is the constant force that would move it as much as it moves in the data: as far, or,
@@ -34,20 +29,20 @@ def site_scales(problem: "GapProblem", z: FloatArray) -> "dict[tuple[str, str], 
         if scale is not None:
             found[site.kind, site.name] = scale
     for column, one in enumerate(model.inputs):
-        values = np.concatenate([trial.inputs[:, column] for trial in problem.dataset.trials])
+        values = np.concatenate([trial.inputs[:, column] for trial in problem.data.trials])
         size = _peak(values)
         if np.ptp(values) > 0 and size > 0:
             found["input", one.name] = Scale(signal=size, time_s=period)
     for column, output in enumerate(model.outputs):
-        values = np.concatenate([trial.outputs[:, column] for trial in problem.dataset.trials])
+        values = np.concatenate([trial.outputs[:, column] for trial in problem.data.trials])
         size = max(_peak(values), float(problem.spread[column]))
         found["output", output.name] = Scale(signal=size, time_s=period)
     return found
 
 
-def typical_time_s(problem: "GapProblem") -> float:
+def typical_time_s(problem: Problem) -> float:
     """Return the period that the outputs' power is centred at, s; a fifth of a trial where they do not oscillate."""
-    trials = problem.dataset.trials
+    trials = problem.data.trials
     periods = []
     for trial in trials:
         duration = float(trial.time_s[-1] - trial.time_s[0]) if len(trial.time_s) > 1 else 1.0
@@ -69,7 +64,7 @@ def typical_time_s(problem: "GapProblem") -> float:
     return float(np.median(periods))
 
 
-def _joint_scale(problem: "GapProblem", z: FloatArray, place: int, period: float) -> "Scale | None":
+def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> Scale | None:
     from labrun.effects import Scale
 
     still = _answers(problem, z)
@@ -82,7 +77,7 @@ def _joint_scale(problem: "GapProblem", z: FloatArray, place: int, period: float
         return None
     if coordinate <= 0:  # declared as constant: what it would be is how far the rate goes in a period
         coordinate = rate * period / (2.0 * np.pi)
-    times = [trial.time_s for trial in problem.dataset.trials]
+    times = [trial.time_s for trial in problem.data.trials]
     steps = [np.gradient(one[:, 1], time) for one, time in zip(motion, times, strict=True) if len(time) > 2]
     acceleration = _peak(np.concatenate(steps)) if steps else 0.0
     force = _force(problem, z, place, still, (coordinate, rate))
@@ -98,7 +93,7 @@ def _joint_scale(problem: "GapProblem", z: FloatArray, place: int, period: float
 
 
 def _force(
-    problem: "GapProblem", z: FloatArray, place: int, still: "list[_Answer]", peaks: tuple[float, float]
+    problem: Problem, z: FloatArray, place: int, still: list[_Answer], peaks: tuple[float, float]
 ) -> float | None:
     """Return the constant force that moves a site as far, or as fast, as it moves in the data.
 
@@ -127,20 +122,18 @@ def _force(
     return None
 
 
-def _answers(
-    problem: "GapProblem", z: FloatArray, effects: "Sequence[AttachedEffect]" = ()
-) -> "list[_Answer] | None":
+def _answers(problem: Problem, z: FloatArray, effects: Sequence[AttachedEffect] = ()) -> list[_Answer] | None:
     """Return the course of the sites and the outputs of every unit; None if any is not finite."""
     from labrun.models import simulate, site_course
 
     parameters = problem.model_parameters(z)
     attached = (*problem.attached(problem.parameters(z)), *effects)
     found: list[_Answer] = []
-    for index, trial in enumerate(problem.dataset.trials):
+    for index, trial in enumerate(problem.data.trials):
         simulation = simulate(
             problem.model,
             trial.time_s,
-            problem.drive(index),
+            problem.drives[index],
             parameters=parameters,
             condition=trial.condition,
             initial_state=problem.initial_state(index, problem.own(z, index)),

@@ -2,23 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labrun.fit.descent import minimise
+from labrun.arrays import FloatArray
+from labrun.fit.levenberg_marquardt import minimise
+from labrun.fit.problem import Problem
+from labrun.fit.workers import Each, one_by_one
 from labrun.gap import criteria
 from labrun.gap.absorption import Absorption
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnosis import Name
-from labrun.gap.problem import own_states
-from labrun.gap.workers import Each, one_by_one
-
-if TYPE_CHECKING:
-    from labrun.gap.problem import GapProblem
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -35,7 +29,7 @@ class Base:
         What its variables can imitate.
     """
 
-    problem: "GapProblem"
+    problem: Problem
     z: FloatArray
     residual: list[FloatArray]
     squares: float
@@ -43,9 +37,9 @@ class Base:
     added: tuple[Candidate, ...] = ()
 
     @classmethod
-    def of(cls, problem: "GapProblem", z: FloatArray, added: tuple[Candidate, ...] = ()) -> "Base":
+    def of(cls, problem: Problem, z: FloatArray, added: tuple[Candidate, ...] = ()) -> "Base":
         """Take the state of a problem at `z`."""
-        residual, prior = problem.residuals(z), problem.prior_residual(z)
+        residual, prior = problem.residuals(z), problem.priors.residual(z)
         squares = float(prior @ prior) + sum(float(part @ part) for part in residual)
         return cls(problem, z, residual, squares, Absorption(problem, z, residual), added)
 
@@ -67,7 +61,7 @@ class Survey:
     """
 
     candidate: Candidate
-    problem: "GapProblem"
+    problem: Problem
     starts: list[FloatArray]
     directions: FloatArray = field(repr=False)
     whole: FloatArray
@@ -108,7 +102,7 @@ class Screened:
     """
 
     candidate: Candidate
-    problem: "GapProblem"
+    problem: Problem
     z: FloatArray
     squares: float
     gain: float
@@ -142,8 +136,8 @@ def survey(base: Base, candidate: Candidate) -> Survey:
     simulation is not finite says nothing: it is left out, and the survey has no starts if all are.
     """
     problem = candidate.added_to(base.problem)
-    shared, own = base.z[: base.problem.size], own_states(base.problem, base.z)
-    before = base.absorption.left(base.residual, base.problem.prior_residual(base.z))
+    shared, own = base.z[: base.problem.size], base.problem.own_states(base.z)
+    before = base.absorption.left(base.residual, base.problem.priors.residual(base.z))
     rated: list[tuple[float, int, FloatArray, FloatArray, float]] = []
     for number, start in enumerate(candidate.starts):
         z = np.concatenate([shared, start, own])
@@ -183,7 +177,7 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
     problem = surveyed.problem
     starts = surveyed.different(criteria.STARTS_FOLLOWED if known is None else criteria.STARTS_BESIDE_KNOWN)
     if known is not None:
-        shared, own = base.z[: base.problem.size], own_states(base.problem, base.z)
+        shared, own = base.z[: base.problem.size], base.problem.own_states(base.z)
         starts = [np.concatenate([shared, known, own]), *starts]
     ends = [
         minimise(
@@ -271,7 +265,7 @@ def ends_of(screened: Sequence[Screened]) -> dict[Name, FloatArray]:
     }
 
 
-def refit(problem: "GapProblem", z: FloatArray, *, tolerance: float = 1e-6) -> FloatArray:
+def refit(problem: Problem, z: FloatArray, *, tolerance: float = 1e-6) -> FloatArray:
     """Return the minimum that `z` leads to, followed closely."""
     return minimise(problem, z, tolerance=tolerance, evaluations=80, secant=True)
 
@@ -281,13 +275,15 @@ def _screened(base: Base, surveyed: Survey, z: FloatArray, squares: float) -> Sc
     return Screened(surveyed.candidate, surveyed.problem, z, squares, gain, surveyed)
 
 
-def _released(base: Base, problem: "GapProblem") -> tuple[FloatArray, float]:
+def _released(base: Base, problem: Problem) -> tuple[FloatArray, float]:
     """Return the derivative by a parameter, less what the others can imitate, and its norm before that."""
     variable = next(
         index
-        for index, (mine, theirs) in enumerate(zip(base.problem.pull_sigma, problem.pull_sigma, strict=True))
+        for index, (mine, theirs) in enumerate(
+            zip(base.problem.priors.pull, problem.priors.pull, strict=True)
+        )
         if mine != theirs
     )
-    size = base.problem.pull_sigma[variable] / base.problem.scale[variable]
+    size = base.problem.priors.pull[variable] / base.problem.priors.scale[variable]
     parts = [shared[:, variable] * size for shared in base.absorption.jacobian.shared]
     return base.absorption.left(parts), float(np.sqrt(sum(float(part @ part) for part in parts)))

@@ -2,29 +2,22 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from labrun.arrays import FloatArray
 from labrun.fit.notes import Note
+from labrun.fit.workers import Each, one_by_one
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, without
 from labrun.gap.diagnosis import Name
 from labrun.gap.excess import Excess, excess
 from labrun.gap.guard import Guard, guard
 from labrun.gap.held_out import held_out_residuals
-from labrun.gap.problem import own_states
+from labrun.gap.noise import Noise
 from labrun.gap.rating import Rated, promising, rate, weights
 from labrun.gap.screening import Base, Screened, ends_of, refit, screen_all, survey
 from labrun.gap.shaping import shaped
-from labrun.gap.workers import Each, one_by_one
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from labrun.gap.noise import Noise
-
-    FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -36,7 +29,7 @@ class Round:
     guard: Guard
     rated: list[Rated]
 
-    def without(self, names: "set[Name]") -> "Round":
+    def without(self, names: set[Name]) -> "Round":
         """Return the round with fewer candidates."""
         return replace(
             self,
@@ -71,18 +64,18 @@ class Selection:
     weights: tuple[float, ...]
     final: Base
     held_out: Excess
-    residual: "list[FloatArray]"
+    residual: list[FloatArray]
 
 
 def look(
     base: Base,
     candidates: Sequence[Candidate],
-    noise: "Noise",
-    draws: "Sequence[Sequence[FloatArray]]",
+    noise: Noise,
+    draws: Sequence[Sequence[FloatArray]],
     reference: Excess,
     strictness: float = 1.0,
     each: Each = one_by_one,
-    known: "Mapping[Name, FloatArray] | None" = None,
+    known: Mapping[Name, FloatArray] | None = None,
 ) -> Round:
     """Try every candidate beside a base: fit, guard, and the best of them on withheld conditions.
 
@@ -115,14 +108,14 @@ class Selector:
 
     first: Round
     candidates: Sequence[Candidate]
-    noise: "Noise"
-    draws: "Sequence[Sequence[FloatArray]]"
+    noise: Noise
+    draws: Sequence[Sequence[FloatArray]]
     reference: Excess
-    residual: "list[FloatArray]"
+    residual: list[FloatArray]
     note: Note
     strictness: float = 1.0
     each: Each = one_by_one
-    known: "Mapping[Name, FloatArray]" = field(default_factory=dict)
+    known: Mapping[Name, FloatArray] = field(default_factory=dict)
     _rounds: "dict[frozenset[Name], Round]" = field(default_factory=dict, repr=False)
 
     def select(self) -> Selection:
@@ -201,7 +194,7 @@ class Selector:
                 again = again or self._look(self._kept(chosen, set(range(1, len(chosen)))))
                 base = again.base
                 residual = held_out_residuals(base.problem, base.z)
-                left = excess(base.problem.units, self.noise, residual)
+                left = excess(base.problem.data, self.noise, residual)
                 one = self._choose(again, left, further=True)
                 if one is None:  # the others do without it
                     kept = replace(chosen[-1], base=base, held_out=left, residual=residual)
@@ -235,7 +228,7 @@ class Selector:
                 self._kept(chosen, {place})
             )
             residual = held_out_residuals(alone.base.problem, alone.base.z)
-            left = excess(alone.base.problem.units, self.noise, residual)
+            left = excess(alone.base.problem.data, self.noise, residual)
             other = self._choose(alone, left, further=True)
             if other is not None and other.held_out.total < enough:
                 pair, enough = [one, other], other.held_out.total
@@ -276,7 +269,7 @@ class Selector:
                 problem = candidate.added_to(problem)
                 kept.append(candidate)
                 parts.append(variables)
-        z = np.concatenate([*parts, own_states(last.problem, last.z)])
+        z = np.concatenate([*parts, last.problem.own_states(last.z)])
         return Base.of(problem, refit(problem, z), tuple(kept))
 
 
@@ -289,7 +282,7 @@ class _Chosen:
     weight: float
     base: Base
     held_out: Excess
-    residual: "list[FloatArray]"
+    residual: list[FloatArray]
 
 
 def _settled(screened: Screened, added: tuple[Candidate, ...]) -> Base:

@@ -2,25 +2,18 @@
 
 from dataclasses import replace
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from labrun.fit.descent import minimise
+from labrun.arrays import FloatArray
+from labrun.fit.levenberg_marquardt import minimise
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
-from labrun.gap.problem import own_states
+from labrun.gap.guard import Guard
 from labrun.gap.screening import Base, Screened
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
-    from labrun.gap.guard import Guard
-
-    FloatArray = NDArray[np.float64]
-
-
-def shaped(base: Base, screened: Screened, guard: "Guard") -> Screened:
+def shaped(base: Base, screened: Screened, guard: Guard) -> Screened:
     """Return the candidate with its shape fitted, if that explains clearly more; else as it was."""
     rows = sum(len(part) for part in base.residual)
     left = screened.squares - rows
@@ -30,7 +23,7 @@ def shaped(base: Base, screened: Screened, guard: "Guard") -> Screened:
     candidate, choices = found
     problem = candidate.added_to(base.problem)
     size = base.problem.size
-    shared, own = screened.z[:size], own_states(screened.problem, screened.z)
+    shared, own = screened.z[:size], screened.problem.own_states(screened.z)
     ends = [
         minimise(
             problem,
@@ -53,7 +46,7 @@ def shaped(base: Base, screened: Screened, guard: "Guard") -> Screened:
     return Screened(candidate, problem, z, squares, max(base.squares - squares, 0.0), screened.survey)
 
 
-def _with_shape(candidate: Candidate) -> "tuple[Candidate, list[tuple[float, ...]]] | None":
+def _with_shape(candidate: Candidate) -> tuple[Candidate, list[tuple[float, ...]]] | None:
     """Return the candidate with its shapes among what is fitted, and the starts of every variable; None if it has none.
 
     The starts of what is fitted anyway are left open (empty).
@@ -68,7 +61,7 @@ def _with_shape(candidate: Candidate) -> "tuple[Candidate, list[tuple[float, ...
     return replace(candidate, attached=replace(attached, effect=effect)), choices
 
 
-def _starts(choices: list[tuple[float, ...]], sizes: "FloatArray") -> list[tuple[float, ...]]:
+def _starts(choices: list[tuple[float, ...]], sizes: FloatArray) -> list[tuple[float, ...]]:
     """Return the fitted sizes with every combination of the shapes' starts."""
     fitted = iter(sizes.tolist())
     return list(product(*(choice or (next(fitted),) for choice in choices)))

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
 from labrun.gap import criteria
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -329,9 +329,9 @@ def test_an_output_of_zeros_is_an_error() -> None:
 
 def test_derivatives_of_one_trial_do_not_touch_another() -> None:
     dataset = driven(np.random.default_rng(14), 2)
-    problem = Problem(oscillator(), dataset)
-    z = np.concatenate([problem.values[problem.free] / problem.scale, problem.guess(problem.values)])
-    blocks = problem.blocks(z)
+    problem = Problem.of(oscillator(), dataset)
+    z = problem.begin()
+    blocks = problem.jacobian(z)
     changed = z.copy()
     changed[problem.size] += 1e-3
     first, second = problem.residuals(changed)

@@ -8,13 +8,13 @@ import pytest
 import labrun.effects
 from labrun.effects import Effect, EffectParameter, Scale, force_law
 from labrun.errors import FitError
+from labrun.fit.problem import Problem
+from labrun.gap.averaging import averaged
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Name
-from labrun.gap.problem import GapProblem
-from labrun.gap.recalibration import unsearched
+from labrun.gap.recalibration import stated_problem, unsearched
 from labrun.gap.screening import Base, screen_all, survey
-from labrun.gap.units import gather
 from labrun.models import parse_model
 
 from .benches import CONDITIONS, PENDULUM, dry_friction, pendulum, recorded
@@ -40,8 +40,8 @@ NEVER, WHEN_SMALL = effect("no-number", never), effect("breaks-when-large", when
 
 @pytest.fixture(scope="module")
 def base() -> Base:
-    problem = GapProblem(pendulum(), gather(recorded(repeats=1, conditions=CONDITIONS[:2]), pendulum()))
-    return Base.of(problem, problem.values[problem.free] / problem.scale)
+    problem = stated_problem(pendulum(), averaged(recorded(repeats=1, conditions=CONDITIONS[:2]), pendulum()))
+    return Base.of(problem, problem.priors.stated)
 
 
 def candidate(one: Effect) -> Candidate:
@@ -80,28 +80,28 @@ def with_equation(addition: str) -> object:
     return parse_model(PENDULUM.replace("- gravity*sin(angle)", f"- gravity*sin(angle) {addition}"), "m.toml")
 
 
-def problem_of(model) -> GapProblem:
-    return GapProblem(model, gather(recorded(repeats=1, conditions=CONDITIONS[:1]), model))
+def problem_of(model) -> Problem:
+    return stated_problem(model, averaged(recorded(repeats=1, conditions=CONDITIONS[:1]), model))
 
 
 def test_ends_of_what_is_believed_that_do_not_simulate_are_named() -> None:
     problem = problem_of(
         with_equation("+ 0*log(gravity - 0.058)")
     )  # stated 0.06, three tolerances below: 0.0546
-    said = unsearched(problem, problem.values[problem.free] / problem.scale)
+    said = unsearched(problem, problem.priors.stated)
     assert "with gravity = 0.0546," in said[0]
     assert "was not searched" in said[0]
 
 
 def test_simulations_that_left_the_finite_numbers_are_counted() -> None:
     problem = problem_of(pendulum())
-    assert unsearched(problem, problem.values[problem.free] / problem.scale) == ()
-    broken = problem.values.copy()
+    assert unsearched(problem, problem.priors.stated) == ()
+    broken = problem.priors.values.copy()
     broken[0] = 0.0
-    before = problem.tally.made
+    before = problem.simulations.made
     assert problem.simulate(broken, 0, np.empty(0)) is None
-    assert (problem.tally.made, problem.tally.broken) == (before + 1, 1)
-    assert f"1 of {before + 1} simulations of the model" in problem.tally.remarks[0]
+    assert (problem.simulations.made, problem.simulations.broken) == (before + 1, 1)
+    assert f"1 of {before + 1} simulations of the model" in problem.simulations.remarks[0]
 
 
 def test_a_model_that_never_simulates_is_refused_with_a_hint_that_helps() -> None:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from labrun.effects import load_effect
-from labrun.gap.problem import GapProblem
-from labrun.gap.recent import Recent
+from labrun.fit.simulations import Simulations
+from labrun.gap.averaging import averaged
+from labrun.gap.recalibration import stated_problem
 from labrun.gap.scales import site_scales
-from labrun.gap.units import gather
 from labrun.models import Unfiltered, filtered, prepare, simulate, simulate_unfiltered
 
 from .benches import TRUE, pendulum, recorded
@@ -52,13 +52,13 @@ def test_what_blows_up_inside_is_not_finite_behind_its_outputs_either():
 
 def test_candidates_at_an_output_share_one_simulation_per_unit(monkeypatch):
     dataset = recorded(conditions=((0.02, 0.6), (0.03, 0.9)), repeats=1)
-    problem = GapProblem(pendulum(), gather(dataset, pendulum()))
-    z = problem.values[problem.free] / problem.scale
+    problem = stated_problem(pendulum(), averaged(dataset, pendulum()))
+    z = problem.priors.stated
     scale = site_scales(problem, z)["output", "angle"]
     made = []
     simulated = simulate_unfiltered
     monkeypatch.setattr(
-        "labrun.models.simulation.simulate_unfiltered",
+        "labrun.fit.problem.simulate_unfiltered",
         lambda *given, **named: made.append(1) or simulated(*given, **named),
     )
     for one in SHOWN:
@@ -67,17 +67,17 @@ def test_candidates_at_an_output_share_one_simulation_per_unit(monkeypatch):
             value / scale.of(p.quantity) for value, p in zip(one.values, one.effect.parameters, strict=True)
         ]
         outputs = at_output.simulated(np.concatenate([z, sizes]))
-        for index, trial in enumerate(problem.dataset.trials):
+        for index, trial in enumerate(problem.data.trials):
             alone = simulate(
                 problem.model,
                 trial.time_s,
-                problem.drive(index),
+                problem.drives[index],
                 parameters=problem.model_parameters(z),
                 condition=trial.condition,
                 effects=at_output.attached(at_output.parameters(np.concatenate([z, sizes]))),
             )
             np.testing.assert_array_equal(outputs[index], alone.outputs)
-    assert len(made) == len(problem.dataset.trials)
+    assert len(made) == len(problem.data.trials)
 
 
 @dataclass
@@ -93,12 +93,12 @@ class Maker:
 
 
 def test_what_was_used_last_is_kept_and_memory_stays_bounded():
-    recent, often = Recent(), Maker(60_000_000)
-    recent.get("often", often)
+    kept, often = Simulations(), Maker(60_000_000)
+    kept.get("often", often)
     for number in range(5):
-        recent.get(number, Maker(60_000_000))
-        recent.get("often", often)
+        kept.get(number, Maker(60_000_000))
+        kept.get("often", often)
     assert len(often.made) == 1
     again = Maker(60_000_000)
-    recent.get(0, again)
+    kept.get(0, again)
     assert len(again.made) == 1  # it had given way

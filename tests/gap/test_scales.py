@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from labrun.gap.problem import GapProblem
+from labrun.gap.averaging import averaged
+from labrun.gap.recalibration import stated_problem
 from labrun.gap.scales import site_scales
-from labrun.gap.units import gather
 from labrun.models import parse_model
 
 from .benches import PENDULUM, recorded
@@ -16,8 +16,8 @@ DATASET = recorded(conditions=CONDITIONS, repeats=1)
 
 def scales(text):
     model = parse_model(text, "pendulum.toml")
-    problem = GapProblem(model, gather(DATASET, model))
-    return site_scales(problem, problem.values[problem.free] / problem.scale)
+    problem = stated_problem(model, averaged(DATASET, model))
+    return site_scales(problem, problem.priors.stated)
 
 
 def test_an_output_is_measured_in_nearly_the_largest_that_was_recorded_of_it():

@@ -1,21 +1,14 @@
 """The explanations that are left after a diagnosis, each fitted to the data."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
+from labrun.arrays import FloatArray
+from labrun.fit.problem import Problem
 from labrun.gap.diagnosis import Name
+from labrun.gap.engine import Search
+from labrun.gap.rating import Rated
 from labrun.gap.screening import refit
-
-if TYPE_CHECKING:
-    from labrun.gap.engine import Search
-    from labrun.gap.problem import GapProblem
-    from labrun.gap.rating import Rated
-    from labrun.gap.selection import Round
-
-FloatArray = NDArray[np.float64]
+from labrun.gap.selection import Round
 
 _MOST = 6
 NOTHING = "recalibration only"
@@ -39,7 +32,7 @@ class Rival:
 
     name: str
     cause: Name | None
-    problem: "GapProblem"
+    problem: Problem
     z: FloatArray
     variables: int
     squares: float
@@ -52,7 +45,7 @@ class Rival:
     @property
     def own(self) -> FloatArray:
         """Scaled free initial states, shape (units, states)."""
-        return self.z[self.problem.size :].reshape(len(self.problem.units.units), self.problem.own_size)
+        return self.z[self.problem.size :].reshape(len(self.problem.data.trials), self.problem.own_size)
 
     @property
     def sizes(self) -> dict[str, float]:
@@ -94,7 +87,7 @@ class Rivals:
         return [(one, other) for one in self.rivals for other in self.rivals if one is not other]
 
 
-def rivals_of(search: "Search") -> Rivals:
+def rivals_of(search: Search) -> Rivals:
     """Return the explanations that a search leaves, fitted again closely.
 
     Where the diagnosis is in doubt these are the cause and what cannot be told from it. Where it is not, the cause is
@@ -133,12 +126,12 @@ def _as_runner_up(rival: Rival) -> str:
     return f"the runner-up, {rival.name}" if rival.cause is not None else rival.name
 
 
-def _runner_up(look: "Round", cause: "Rated") -> "Rated | None":
+def _runner_up(look: Round, cause: Rated) -> Rated | None:
     others = [one for one in look.rated if one.candidate.name != cause.candidate.name and one.evidence > 1.0]
     return max(others, key=lambda one: one.score, default=None)
 
 
-def _fitted(rated: "Rated") -> Rival:
+def _fitted(rated: Rated) -> Rival:
     screened = rated.screened
     z = refit(screened.problem, screened.z)
     candidate = rated.candidate

@@ -2,20 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labrun.fit.descent import minimise
+from labrun.arrays import FloatArray
+from labrun.fit.dataset import Dataset
+from labrun.fit.levenberg_marquardt import minimise
 from labrun.gap.absorption import basis
-from labrun.gap.next.trials import PlannedTrial, beginnings, joined, units_of
-
-if TYPE_CHECKING:
-    from labrun.fit.dataset import Dataset
-    from labrun.gap.next.rivals import Rival, Rivals
-
-FloatArray = NDArray[np.float64]
+from labrun.gap.next.rivals import Rival, Rivals
+from labrun.gap.next.trials import PlannedTrial, beginnings, joined, planned_data
 
 _CLEAR = 3.0
 """Log likelihood between two explanations at which the weaker one's weight falls below a twentieth."""
@@ -72,7 +67,7 @@ class Evidence:
         return (self.log_likelihood - self.price) / (_CLEAR * softness)
 
 
-def slack(truth: "Rival", null: "Rival") -> float:
+def slack(truth: Rival, null: Rival) -> float:
     """Return how far the form of an explanation is to be believed: as much as it leaves of what it is to explain."""
     gain = null.squares - truth.squares
     rows = sum(part.size for part in truth.problem.residuals(truth.z))
@@ -80,7 +75,7 @@ def slack(truth: "Rival", null: "Rival") -> float:
     return float(np.clip(left, *_FORM_SLACK))
 
 
-def price(truth: "Rival", other: "Rival") -> float:
+def price(truth: Rival, other: Rival) -> float:
     """Return what `truth` must earn for its further variables."""
     return _EACH_VARIABLE * (max(truth.variables, 1) - max(other.variables, 1))
 
@@ -102,9 +97,7 @@ class Separation:
         Of each trial.
     """
 
-    def __init__(
-        self, rivals: "Rivals", dataset: "Dataset", pool: Sequence[PlannedTrial], repeats: int
-    ) -> None:
+    def __init__(self, rivals: Rivals, dataset: Dataset, pool: Sequence[PlannedTrial], repeats: int) -> None:
         self.rivals = rivals
         everyone = _with_null(rivals)
         outputs = {id(one): predict(one, dataset, pool) for one in everyone}
@@ -117,11 +110,11 @@ class Separation:
         self._information = {id(one): information(one) for one in everyone}
         self._slopes: dict[int, tuple[list[FloatArray], list[FloatArray]]] = {}
         self._units = {
-            id(one): units_of(dataset, self.trials, self.predicted[id(one)], repeats) for one in everyone
+            id(one): planned_data(dataset, self.trials, self.predicted[id(one)], repeats) for one in everyone
         }
         for one in everyone:
-            problem = one.problem.at(self._units[id(one)])
-            blocks = problem.blocks(self._z(one), central=False)
+            problem = one.problem.on(self._units[id(one)])
+            blocks = problem.jacobian(self._z(one), central=False)
             spans = [basis(own) for own in blocks.own]
             rows = [_off(span, shared) for span, shared in zip(spans, blocks.shared, strict=True)]
             self._slopes[id(one)] = (spans, rows)
@@ -159,14 +152,14 @@ class Separation:
         )
         return max(1.0, apart / _APART) ** 2 * self.trials[index].reach ** 2
 
-    def _z(self, rival: "Rival") -> FloatArray:
+    def _z(self, rival: Rival) -> FloatArray:
         return np.concatenate([rival.shared, beginnings(rival, self.trials).ravel()])
 
-    def _residual(self, truth: "Rival", other: "Rival") -> list[FloatArray]:
-        parts = other.problem.at(self._units[id(truth)]).residuals(self._z(other))
+    def _residual(self, truth: Rival, other: Rival) -> list[FloatArray]:
+        parts = other.problem.on(self._units[id(truth)]).residuals(self._z(other))
         return [_off(span, part) for span, part in zip(self._slopes[id(other)][0], parts, strict=True)]
 
-    def _squares(self, truth: "Rival", other: "Rival", chosen: Sequence[int]) -> float:
+    def _squares(self, truth: Rival, other: Rival, chosen: Sequence[int]) -> float:
         """Return the least sum of squares that `other` can reach on the chosen trials without spoiling its fit."""
         if truth is other or not chosen:
             return 0.0
@@ -183,21 +176,21 @@ class Separation:
         return max(squares - float(pull * scale @ moved), 0.0)
 
 
-def predict(rival: "Rival", dataset: "Dataset", trials: Sequence[PlannedTrial]) -> list[FloatArray | None]:
+def predict(rival: Rival, dataset: Dataset, trials: Sequence[PlannedTrial]) -> list[FloatArray | None]:
     """Return the outputs that an explanation predicts for new trials; None where it leaves the finite numbers."""
     if not trials:
         return []
     blank = [np.zeros((len(trial.time_s), len(dataset.outputs))) for trial in trials]
-    problem = rival.problem.at(units_of(dataset, trials, blank, 1))
+    problem = rival.problem.on(planned_data(dataset, trials, blank, 1))
     parameters = problem.parameters(rival.shared)
     return [problem.simulate(parameters, k, own) for k, own in enumerate(beginnings(rival, trials))]
 
 
-def information(rival: "Rival") -> FloatArray:
+def information(rival: Rival) -> FloatArray:
     """Return what data and prior say about parameters and effect sizes: J'J (p, p), initial states eliminated."""
     problem = rival.problem
-    blocks = problem.blocks(rival.z, central=False)
-    slope = problem.prior_weight * problem.scale / problem.pull_sigma
+    blocks = problem.jacobian(rival.z, central=False)
+    slope = problem.priors.weight * problem.priors.scale / problem.priors.pull
     total = np.diag(slope**2)
     for own, shared in zip(blocks.own, blocks.shared, strict=True):
         left = _off(basis(own), shared)
@@ -206,7 +199,7 @@ def information(rival: "Rival") -> FloatArray:
 
 
 def rehearse(
-    rivals: "Rivals", dataset: "Dataset", trials: Sequence[PlannedTrial], repeats: int
+    rivals: Rivals, dataset: Dataset, trials: Sequence[PlannedTrial], repeats: int
 ) -> list[Evidence]:
     """Return what old and new trials together would say, pair by pair, with every rival really fitted to the other."""
     found = []
@@ -222,19 +215,19 @@ def rehearse(
 
 
 def fitted_squares(
-    truth: "Rival", other: "Rival", dataset: "Dataset", trials: Sequence[PlannedTrial], repeats: int
+    truth: Rival, other: Rival, dataset: Dataset, trials: Sequence[PlannedTrial], repeats: int
 ) -> float:
     """Return what `other` leaves, fitted to everything that `truth` predicts for old and new trials."""
     outputs = [one for one in predict(truth, dataset, trials) if one is not None]
-    old = truth.problem.with_measured(truth.problem.simulated(truth.z)).units
-    problem = other.problem.at(joined(old, units_of(dataset, trials, outputs, repeats)))
+    old = truth.problem.with_measured(truth.problem.simulated(truth.z)).data
+    problem = other.problem.on(joined(old, planned_data(dataset, trials, outputs, repeats)))
     z = np.concatenate([other.z, beginnings(other, trials).ravel()])
     end = minimise(problem, z, tolerance=_TOLERANCE, evaluations=_EVALUATIONS, central=False)
-    prior = truth.problem.prior_residual(truth.z)
+    prior = truth.problem.priors.residual(truth.z)
     return max(problem.squares(end) - float(prior @ prior), 0.0)
 
 
-def _with_null(rivals: "Rivals") -> "list[Rival]":
+def _with_null(rivals: Rivals) -> list[Rival]:
     return [*rivals.rivals, *([] if any(one is rivals.null for one in rivals.rivals) else [rivals.null])]
 
 

@@ -2,19 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labrun.fit.dataset import FitTrial
-from labrun.gap.units import Unit, Units
-
-if TYPE_CHECKING:
-    from labrun.fit.dataset import Dataset
-    from labrun.gap.next.rivals import Rival
-
-FloatArray = NDArray[np.float64]
+from labrun.arrays import FloatArray
+from labrun.fit.dataset import Dataset, FitTrial
+from labrun.gap.next.rivals import Rival
 
 
 @dataclass(frozen=True)
@@ -30,7 +23,7 @@ class PlannedTrial:
     cost_s
         Rig time of all its repeats, moves, settling and resets included as far as they are known.
     like
-        Unit of the data whose beginning it takes over, and a factor on it; None where the condition tells.
+        FitTrial of the data whose beginning it takes over, and a factor on it; None where the condition tells.
     reach
         How far it goes beyond what was measured, as a factor: the farther, the less any model is to be believed.
     """
@@ -44,7 +37,7 @@ class PlannedTrial:
     reach: float = 1.0
 
 
-def beginnings(rival: "Rival", trials: Sequence[PlannedTrial]) -> FloatArray:
+def beginnings(rival: Rival, trials: Sequence[PlannedTrial]) -> FloatArray:
     """Return the scaled free initial states that new trials would have, shape (trials, states).
 
     Where a trial begins depends on its condition: a body that is let go at an angle begins there. The dependence is
@@ -53,7 +46,7 @@ def beginnings(rival: "Rival", trials: Sequence[PlannedTrial]) -> FloatArray:
     own = rival.own
     if own.shape[1] == 0:
         return np.empty((len(trials), 0))
-    measured = [unit.trial.condition for unit in rival.problem.units.units]
+    measured = [unit.condition for unit in rival.problem.data.trials]
     names = _numbers(measured)
     known = _features(measured, names)
     coefficients = np.linalg.lstsq(known, own, rcond=1e-9)[0]
@@ -65,24 +58,31 @@ def beginnings(rival: "Rival", trials: Sequence[PlannedTrial]) -> FloatArray:
     return np.asarray(predicted)
 
 
-def units_of(
-    dataset: "Dataset", trials: Sequence[PlannedTrial], outputs: Sequence[FloatArray], repeats: int
-) -> Units:
-    """Return new trials as units of data, had they come out as `outputs` in every repeat."""
-    made = []
-    for group, (trial, one) in enumerate(zip(trials, outputs, strict=True)):
-        data = FitTrial(trial.label, trial.condition, 1, trial.time_s, trial.inputs, one)
-        made.append(Unit(data, group, (one,) * repeats))
-    means = replace(dataset, trials=tuple(unit.trial for unit in made))
-    return Units(means, tuple(made), tuple(trial.label for trial in trials), repeats)
+def planned_data(
+    dataset: Dataset, trials: Sequence[PlannedTrial], outputs: Sequence[FloatArray], repeats: int
+) -> Dataset:
+    """Return new trials as averaged data, had they come out as `outputs` in every repeat."""
+    made = tuple(
+        FitTrial(
+            trial.label,
+            trial.condition,
+            1,
+            trial.time_s,
+            trial.inputs,
+            one,
+            group=group,
+            members=(one,) * repeats,
+        )
+        for group, (trial, one) in enumerate(zip(trials, outputs, strict=True))
+    )
+    return replace(dataset, trials=made, conditions=tuple(trial.label for trial in trials))
 
 
-def joined(one: Units, other: Units) -> Units:
-    """Return the units of both, conditions of the second counted on."""
+def joined(one: Dataset, other: Dataset) -> Dataset:
+    """Return the trials of both, conditions of the second counted on."""
     shift = len(one.conditions)
-    units = (*one.units, *(replace(unit, group=unit.group + shift) for unit in other.units))
-    dataset = replace(one.dataset, trials=tuple(unit.trial for unit in units))
-    return Units(dataset, units, (*one.conditions, *other.conditions), min(one.repeats, other.repeats))
+    trials = (*one.trials, *(replace(trial, group=trial.group + shift) for trial in other.trials))
+    return replace(one, trials=trials, conditions=(*one.conditions, *other.conditions))
 
 
 def _numbers(conditions: Sequence[Mapping[str, float | str]]) -> list[str]:

@@ -42,7 +42,7 @@ class Absorbed:
 
     def __init__(self, difference: Difference) -> None:
         self._whitener = difference.noise.whitener
-        self._roots = [float(np.sqrt(unit.count)) for unit in difference.units.units]
+        self._roots = [float(np.sqrt(unit.count)) for unit in difference.units.trials]
         self._shapes = [one.shape for one in difference.residual]
         sizes = [one.size for one in difference.residual]
         self._ends = np.cumsum(sizes)[:-1]

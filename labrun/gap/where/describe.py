@@ -34,7 +34,7 @@ def describe(places: Sequence[Place], conditions: Sequence[str] = ()) -> str:
     places
         Of `find_places`, in their order.
     conditions
-        Labels of all conditions (`Units.conditions`).
+        Labels of all conditions (`Dataset.conditions`).
     """
     beyond = [one for one in places if one.share > 0 and (one.p is None or one.p <= CERTAIN)]
     told = any(one.p is not None for one in places)

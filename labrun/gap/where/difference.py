@@ -2,20 +2,14 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect
+from labrun.fit.dataset import Dataset
 from labrun.gap.noise import Noise
-from labrun.gap.units import Units
-from labrun.models import Model
-
-if TYPE_CHECKING:
-    from labrun.effects import AttachedEffect
-    from labrun.models import Drive
-
-FloatArray = NDArray[np.float64]
+from labrun.models import Drive, Model
 
 _FORM_SLACK = 5e-4
 """Part of a channel's spread below which no model is believed: integrators and sampling differ by as much."""
@@ -50,12 +44,12 @@ class Difference:
     """
 
     model: Model
-    units: Units
+    units: Dataset
     noise: Noise
     parameters: FloatArray
-    effects: "tuple[AttachedEffect, ...]"
+    effects: tuple[AttachedEffect, ...]
     initial: tuple[FloatArray, ...]
-    drives: "tuple[Drive, ...]"
+    drives: tuple[Drive, ...]
     simulated: tuple[FloatArray, ...]
     residual: tuple[FloatArray, ...]
     jacobian: FloatArray | None = None
@@ -80,7 +74,7 @@ class Difference:
     @property
     def output_units(self) -> list[str]:
         """Units of the outputs, as recorded."""
-        return [one.unit for one in self.units.dataset.outputs]
+        return [one.unit for one in self.units.outputs]
 
     def _over_units(self, values: FloatArray) -> FloatArray:
         """Return the root mean square over all channels of the same unit."""
@@ -95,7 +89,7 @@ class Difference:
     @cached_property
     def spread(self) -> FloatArray:
         """Standard deviation of each measured channel over all data, shape (m,)."""
-        outputs = np.concatenate([unit.trial.outputs for unit in self.units.units])
+        outputs = np.concatenate([unit.outputs for unit in self.units.trials])
         return np.asarray(np.std(outputs, axis=0), dtype=float)
 
     @cached_property

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.fit.workers import Each, one_by_one
 from labrun.gap.diagnosis import Place
 from labrun.gap.where.difference import Difference
 from labrun.gap.where.kinematics import defined
 from labrun.gap.where.linearised import Linearised, linearised
 from labrun.gap.where.significance import redrawn
 from labrun.gap.where.wording import plain
-from labrun.gap.workers import Each, one_by_one
 
 FloatArray = NDArray[np.float64]
 
@@ -131,7 +131,7 @@ def _measurement_variance(difference: Difference) -> FloatArray:
     Where repeats do not tell the noise, what changes from sample to sample does.
     """
     parts = []
-    for unit, residual in zip(difference.units.units, difference.residual, strict=True):
+    for unit, residual in zip(difference.units.trials, difference.residual, strict=True):
         variance = np.full(residual.shape[1], 1.0 / unit.count)
         if difference.noise.basis == "residual":
             jumps = np.diff(residual / difference.noise_sd, n=2, axis=0)
@@ -155,9 +155,7 @@ def _rivals(difference: Difference, system: Linearised) -> list[tuple[str, list[
         text = f"the equation of {plain(name)}"
         one = _Disturbed(name, text, system.whole, q, system.c, np.zeros((size, size)), still)
         found.append((name, [one]))
-    duration = float(
-        np.median([trial.time_s[-1] - trial.time_s[0] for trial in difference.units.dataset.trials])
-    )
+    duration = float(np.median([trial.time_s[-1] - trial.time_s[0] for trial in difference.units.trials]))
     for column, output in enumerate(model.outputs):
         several = [_output_error(system, column, output.name, part * duration) for part in _OUTPUT_TIMES]
         found.append((output.name, several))

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
 from labrun.gap.diagnosis import MissingForce
 from labrun.gap.where.absorbed import Absorbed
 from labrun.gap.where.cycle import find_cycle
@@ -14,8 +14,6 @@ from labrun.gap.where.profile import profile
 from labrun.gap.where.site_units import coordinate_unit, force_unit, load_unit
 from labrun.gap.where.smoothing import smooth
 from labrun.models import Simulation, Site, simulate
-
-FloatArray = NDArray[np.float64]
 
 _KNOTS_PER_CYCLE = 12
 """Straight pieces follow the third harmonic, which a cubic or a sign has, to a few percent then."""
@@ -59,8 +57,8 @@ def missing_forces(difference: Difference) -> tuple[MissingForce, ...]:
 
 
 def _subset(difference: Difference) -> Difference | None:
-    units = difference.units.units
-    long = [index for index, unit in enumerate(units) if len(unit.trial.time_s) >= _FEWEST_SAMPLES]
+    units = difference.units.trials
+    long = [index for index, unit in enumerate(units) if len(unit.time_s) >= _FEWEST_SAMPLES]
     seen: dict[int, int] = {}
     rank = {}
     for index in long:
@@ -72,12 +70,11 @@ def _subset(difference: Difference) -> Difference | None:
     if len(chosen) == len(units):
         return difference
     kept = tuple(units[index] for index in chosen)
-    dataset = replace(difference.units.dataset, trials=tuple(unit.trial for unit in kept))
     ends = np.cumsum([one.size for one in difference.residual])[:-1]
     rows = None if difference.jacobian is None else np.split(difference.jacobian, ends)
     return replace(
         difference,
-        units=replace(difference.units, units=kept, dataset=dataset),
+        units=replace(difference.units, trials=kept),
         initial=tuple(difference.initial[index] for index in chosen),
         drives=tuple(difference.drives[index] for index in chosen),
         simulated=tuple(difference.simulated[index] for index in chosen),
@@ -96,7 +93,7 @@ def _at(difference: Difference, site: Site, place: int) -> MissingForce | None:
         return None
     from labrun.models import site_course
 
-    trials = difference.units.dataset.trials
+    trials = difference.units.trials
     motion = [
         site_course(
             difference.model,
@@ -193,7 +190,7 @@ class _Search:
         return float(rest @ rest - along @ along), result.coefficients
 
     def _white(self, values: FloatArray, index: int) -> FloatArray:
-        noise, root = self._difference.noise, np.sqrt(self._difference.units.units[index].count)
+        noise, root = self._difference.noise, np.sqrt(self._difference.units.trials[index].count)
         return np.asarray(
             noise.whitener.white(values / self._difference.noise_sd).ravel() * root, dtype=float
         )
@@ -212,7 +209,7 @@ class _Search:
 
     def _simulate(self, index: int, forces: FloatArray) -> Simulation:
         difference, knots = self._difference, self.knots[index]
-        trial = difference.units.units[index].trial
+        trial = difference.units.trials[index]
         pushed = profile(self._site, float(knots[0]), float(knots[1] - knots[0]), forces.tolist())
         return simulate(
             difference.model,
@@ -243,10 +240,10 @@ class _Search:
 
 
 def _knots(difference: Difference) -> list[FloatArray]:
-    most = max(_FEWEST_KNOTS, min(_MOST_KNOTS, _MOST_COEFFICIENTS // len(difference.units.units)))
+    most = max(_FEWEST_KNOTS, min(_MOST_KNOTS, _MOST_COEFFICIENTS // len(difference.units.trials)))
     found = []
-    for unit, simulated in zip(difference.units.units, difference.simulated, strict=True):
-        trial = unit.trial
+    for unit, simulated in zip(difference.units.trials, difference.simulated, strict=True):
+        trial = unit
         signals = [*trial.inputs.T, *simulated.T]
         cycle = find_cycle(trial.time_s, signals, trial.condition)
         duration = float(trial.time_s[-1] - trial.time_s[0])

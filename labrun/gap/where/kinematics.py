@@ -18,7 +18,7 @@ def defined(difference: Difference) -> frozenset[int]:
     size, inputs, sites = len(model.states), len(model.inputs), len(model.sites)
     pointers = [ctypes.c_void_p] * 5
     derivative = ctypes.CFUNCTYPE(None, ctypes.c_double, *pointers)(model.derivative.address)
-    p = model.vector(difference.parameters, difference.units.units[0].trial.condition)
+    p = model.vector(difference.parameters, difference.units.trials[0].condition)
     equal = ~np.eye(size, dtype=bool)
     for point in range(1, _LOOKED_AT + 1):
         numbers = 0.3 * np.cos(point * np.sqrt(np.arange(2.0, 2.0 + size + inputs + sites)))

@@ -46,7 +46,7 @@ class Linearised:
 
 def linearised(difference: Difference) -> Linearised | None:
     """Return the linear system about the simulated trajectories; None where they, or it, are not finite."""
-    parts = [_unit(difference, index) for index in range(len(difference.units.units))]
+    parts = [_unit(difference, index) for index in range(len(difference.units.trials))]
     if any(part is None for part in parts):
         return None
     found = [part for part in parts if part is not None]
@@ -64,7 +64,7 @@ def _unit(difference: Difference, index: int) -> tuple[FloatArray, ...] | None:
     from labrun.gap.where.linear import linearise, transitions
     from labrun.models import simulate
 
-    model, trial = difference.model, difference.units.units[index].trial
+    model, trial = difference.model, difference.units.trials[index]
     simulation = simulate(
         model,
         trial.time_s,

@@ -84,13 +84,13 @@ def unit_courses(difference: Difference) -> list[FloatArray] | None:
     from labrun.models import simulate, site_course
 
     found = []
-    for index, unit in enumerate(difference.units.units):
+    for index, unit in enumerate(difference.units.trials):
         simulation = simulate(
             difference.model,
-            unit.trial.time_s,
+            unit.time_s,
             difference.drives[index],
             parameters=difference.parameters,
-            condition=unit.trial.condition,
+            condition=unit.condition,
             initial_state=difference.initial[index],
             effects=difference.effects,
         )
@@ -99,11 +99,11 @@ def unit_courses(difference: Difference) -> list[FloatArray] | None:
         found.append(
             site_course(
                 difference.model,
-                unit.trial.time_s,
+                unit.time_s,
                 simulation.states,
-                unit.trial.inputs,
+                unit.inputs,
                 parameters=difference.parameters,
-                condition=unit.trial.condition,
+                condition=unit.condition,
             )
         )
     return found

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.fit.workers import Each, one_by_one
 from labrun.gap.diagnosis import Place
 from labrun.gap.where.bands import Spectra, band_parts
 from labrun.gap.where.difference import Difference
@@ -14,7 +15,6 @@ from labrun.gap.where.phases import piece_cycles, quarter_parts, stroke_parts
 from labrun.gap.where.pooling import pieces
 from labrun.gap.where.regions import input_parts, reversal_parts, site_parts
 from labrun.gap.where.significance import CERTAIN, Finding, weigh
-from labrun.gap.workers import Each, one_by_one
 
 FloatArray = NDArray[np.float64]
 Note = Callable[[str], None]
@@ -45,7 +45,7 @@ def find_places(
     note
         Is told in sentences what there is to know about the shares and their p.
     each
-        Runs what does not depend on one another; see `labrun.gap.workers`.
+        Runs what does not depend on one another; see `labrun.fit.workers`.
 
     Returns
     -------

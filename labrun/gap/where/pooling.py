@@ -4,12 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labrun.fit.dataset import FitTrial
-from labrun.gap.units import Units
-
-FloatArray = NDArray[np.float64]
+from labrun.arrays import FloatArray
+from labrun.fit.dataset import Dataset, FitTrial
 
 
 @dataclass(frozen=True)
@@ -21,7 +18,7 @@ class Piece:
     group
         Number of the condition.
     members
-        Units that are averaged in it.
+        Dataset that are averaged in it.
     shares
         Their weights, by the number of trials behind each; they add up to 1.
     trial
@@ -54,19 +51,19 @@ class Piece:
         return values[self.members[0]][: self.length]
 
 
-def pieces(units: Units) -> tuple[Piece, ...]:
+def pieces(units: Dataset) -> tuple[Piece, ...]:
     """Return one piece per condition; units of a condition with another time step stay apart."""
     found: list[Piece] = []
     for group in range(len(units.conditions)):
         alike: dict[float, list[int]] = {}
         for index in units.of_group(group):
-            time_s = units.units[index].trial.time_s
+            time_s = units.trials[index].time_s
             step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
             near = next((known for known in alike if abs(known - step) <= 0.01 * known), step)
             alike.setdefault(near, []).append(index)
         for members in alike.values():
-            counts = np.array([units.units[index].count for index in members], dtype=float)
-            length = min(len(units.units[index].trial.time_s) for index in members)
-            trial = units.units[members[0]].trial
+            counts = np.array([units.trials[index].count for index in members], dtype=float)
+            length = min(len(units.trials[index].time_s) for index in members)
+            trial = units.trials[members[0]]
             found.append(Piece(group, tuple(members), counts / counts.sum(), trial, length))
     return tuple(found)

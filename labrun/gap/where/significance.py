@@ -152,8 +152,8 @@ def _freedom(difference: Difference, rng: np.random.Generator) -> FloatArray:
         return np.full(noise.sd.shape, _KNOWN)
     squares = [
         np.mean(np.square(one) * unit.count, axis=0) / noise.sd**2
-        for _ in range(max(1, _TRIALS // len(units.units)))
-        for one, unit in zip(noise.draw(units, rng, cautious=True), units.units, strict=True)
+        for _ in range(max(1, _TRIALS // len(units.trials)))
+        for one, unit in zip(noise.draw(units, rng, cautious=True), units.trials, strict=True)
     ]
     scatter = np.var(squares, axis=0) / max(noise.freedom, 1)
     return np.asarray(np.clip(2.0 / np.maximum(scatter, 2.0 / _KNOWN), 1.0, _KNOWN), dtype=float)

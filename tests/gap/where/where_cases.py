@@ -7,8 +7,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from labrun.fit.dataset import Dataset, FitTrial
+from labrun.gap.averaging import averaged
 from labrun.gap.noise import from_repeats, from_residual
-from labrun.gap.units import gather
 from labrun.gap.where import Difference
 from labrun.models import parse_model, prepare, simulate
 from labrun.store.recording import SignalInfo
@@ -75,23 +75,23 @@ def compared(model, trials, *, recalibrate=True):
     inputs = tuple(SignalInfo(one.name, one.unit) for one in model.inputs)
     outputs = tuple(SignalInfo(one.name, one.unit) for one in model.outputs)
     dataset = Dataset("case", Path("case"), "recording", inputs, outputs, tuple(trials))
-    units = gather(dataset, model)
-    drives = tuple(prepare(model, one.trial.time_s, one.trial.inputs, SUBSTEPS) for one in units.units)
-    start = [model.initial_state(one.trial.condition) for one in units.units]
+    units = averaged(dataset, model)
+    drives = tuple(prepare(model, one.time_s, one.inputs, SUBSTEPS) for one in units.trials)
+    start = [model.initial_state(one.condition) for one in units.trials]
     spread = np.std(np.concatenate([one.outputs for one in trials]), axis=0)
 
     def outputs_of(factors):
         return [
             simulate(
-                model, unit.trial.time_s, drive, parameters=model.values * factors,
-                condition=unit.trial.condition, initial_state=state,
+                model, unit.time_s, drive, parameters=model.values * factors,
+                condition=unit.condition, initial_state=state,
             ).outputs
-            for unit, drive, state in zip(units.units, drives, start, strict=True)
+            for unit, drive, state in zip(units.trials, drives, start, strict=True)
         ]  # fmt: skip
 
     def residual_of(factors):
-        pairs = zip(units.units, outputs_of(factors), strict=True)
-        return np.concatenate([((unit.trial.outputs - one) / spread).ravel() for unit, one in pairs])
+        pairs = zip(units.trials, outputs_of(factors), strict=True)
+        return np.concatenate([((unit.outputs - one) / spread).ravel() for unit, one in pairs])
 
     factors, jacobian = np.ones(len(model.parameters)), None
     if recalibrate and len(factors):
@@ -99,9 +99,9 @@ def compared(model, trials, *, recalibrate=True):
         factors = found.x
         jacobian = -found.jac * np.tile(spread, len(found.jac) // len(spread))[:, None]
     simulated = tuple(outputs_of(factors))
-    residual = tuple(unit.trial.outputs - one for unit, one in zip(units.units, simulated, strict=True))
+    residual = tuple(unit.outputs - one for unit, one in zip(units.trials, simulated, strict=True))
     members = [
-        [member - one for member in unit.members] for unit, one in zip(units.units, simulated, strict=True)
+        [member - one for member in unit.members] for unit, one in zip(units.trials, simulated, strict=True)
     ]
     noise = from_repeats(units, members) or from_residual(units, members)
     return Difference(

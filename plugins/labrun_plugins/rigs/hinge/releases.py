@@ -62,8 +62,8 @@ def fit_release(model: Model, dataset: Dataset, trial: FitTrial, swing: FourierS
     # whatever the series says, a spring and a damper are what the first guess is made of
     tiny = 1e-3 * np.array([abs(body.gravity_torque or 0.0), np.sqrt(body.inertia * max(fourier[0], 0.0))])
     start = dict(zip(FOUND, np.maximum(fourier, np.maximum(tiny, 1e-12)), strict=True))
-    problem = Problem(model.with_values(start), replace(dataset, trials=(trial,)))
-    z = np.concatenate([np.ones(len(FOUND)), problem.guess(problem.values)])
+    problem = Problem.of(model.with_values(start), replace(dataset, trials=(trial,)))
+    z = np.concatenate([np.ones(len(FOUND)), problem.guess(problem.priors.values)])
     for share in _SHARES:
         z = minimise(problem.beginning(share), z, tolerance=1e-4, evaluations=15, central=False)
     z = minimise(problem, z, tolerance=1e-9, evaluations=40)
@@ -76,7 +76,7 @@ def fit_release(model: Model, dataset: Dataset, trial: FitTrial, swing: FourierS
             "at the very start? labrun can leave out trials that are marked rejected",
         )
     return Release(
-        parameters[problem.free],
+        parameters[problem.priors.free],
         fourier,
         _sigma(problem, z),
         float(np.max(np.abs(simulated))),
@@ -87,13 +87,13 @@ def fit_release(model: Model, dataset: Dataset, trial: FitTrial, swing: FourierS
 
 def _sigma(problem: Problem, z: FloatArray) -> FloatArray:
     """Return the standard deviations that the residual of one release gives its parameters."""
-    blocks = problem.blocks(z, central=False)
-    equations = NormalEquations.of(problem, z, blocks)
-    residual = blocks.residual[0]
+    jacobian = problem.jacobian(z, central=False)
+    equations = NormalEquations.of(problem, z, jacobian)
+    residual = jacobian.residual[0]
     variance = float(residual @ residual) / len(residual) * correlation_length([residual])
     across = equations.mixed[0]
     reduced = equations.shared - across.T @ np.linalg.solve(equations.own[0], across)
-    spread: FloatArray = np.sqrt(variance * np.diag(np.linalg.inv(reduced))) * problem.scale
+    spread: FloatArray = np.sqrt(variance * np.diag(np.linalg.inv(reduced))) * problem.priors.scale
     return spread
 
 

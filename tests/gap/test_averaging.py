@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labrun.gap.units import gather
+from labrun.gap.averaging import averaged
 
 from .benches import CONDITIONS, pendulum, recorded
 
@@ -20,8 +20,8 @@ def shifted(trial, by_s):
 
 
 def test_repeats_of_one_command_are_one_unit():
-    units = gather(recorded(conditions=CONDITIONS[:2]), pendulum())
-    assert [unit.count for unit in units.units] == [3, 3]
+    units = averaged(recorded(conditions=CONDITIONS[:2]), pendulum())
+    assert [unit.count for unit in units.trials] == [3, 3]
 
 
 def test_repeats_sampled_at_other_instants_are_one_unit_and_their_mean_is_the_motion():
@@ -30,18 +30,18 @@ def test_repeats_sampled_at_other_instants_are_one_unit_and_their_mean_is_the_mo
     apart = replace(
         quiet, trials=(first, *(shifted(one, by) for one, by in zip(others, (0.003, 0.006), strict=True)))
     )
-    (unit,) = gather(apart, pendulum()).units
+    (unit,) = averaged(apart, pendulum()).trials
     assert unit.count == 3
     amplitude = float(np.max(np.abs(first.outputs)))
     # the trials themselves were interpolated linearly here; a sample apart they would differ by ten times as much
-    assert np.max(np.abs(unit.trial.outputs - first.outputs)[2:-2]) < 2e-3 * amplitude
+    assert np.max(np.abs(unit.outputs - first.outputs)[2:-2]) < 2e-3 * amplitude
 
 
 def test_trials_with_another_course_of_the_input_stay_apart():
     dataset = recorded(conditions=CONDITIONS[:1])
     first, second, third = dataset.trials
     louder = replace(second, inputs=1.1 * second.inputs)
-    assert len(gather(replace(dataset, trials=(first, louder, third)), pendulum()).units) == 3
+    assert len(averaged(replace(dataset, trials=(first, louder, third)), pendulum()).trials) == 3
 
 
 def test_repeats_that_seem_to_begin_elsewhere_are_one_unit_where_the_model_says_how_all_begin():
@@ -49,5 +49,5 @@ def test_repeats_that_seem_to_begin_elsewhere_are_one_unit_where_the_model_says_
     first, *others = dataset.trials
     jolted = first.outputs.copy()
     jolted[:3] += 1.0
-    (unit,) = gather(replace(dataset, trials=(replace(first, outputs=jolted), *others)), pendulum()).units
+    (unit,) = averaged(replace(dataset, trials=(replace(first, outputs=jolted), *others)), pendulum()).trials
     assert unit.count == 3

@@ -4,11 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labrun.fit.problem import Blocks, Problem
-
-FloatArray = NDArray[np.float64]
+from labrun.arrays import FloatArray
+from labrun.fit.jacobian import Jacobian
+from labrun.fit.problem import Problem
 
 _FIRST_DAMPING = 1e-4
 _LEAST_DAMPING, _MOST_DAMPING = 1e-13, 1e12
@@ -38,13 +37,13 @@ class NormalEquations:
     mixed: FloatArray
 
     @classmethod
-    def of(cls, problem: Problem, z: FloatArray, blocks: Blocks) -> "NormalEquations":
+    def of(cls, problem: Problem, z: FloatArray, jacobian: Jacobian) -> "NormalEquations":
         """Sum up the derivatives of all trials at `z`."""
-        slope = -problem.prior_weight * problem.scale / problem.pull_sigma
-        pairs = list(zip(blocks.shared, blocks.own, blocks.residual, strict=True))
+        slope = problem.priors.slope
+        pairs = list(zip(jacobian.shared, jacobian.own, jacobian.residual, strict=True))
         return cls(
             np.diag(slope**2) + sum(shared.T @ shared for shared, _, _ in pairs),
-            slope * problem.prior_residual(z) + sum(shared.T @ residual for shared, _, residual in pairs),
+            slope * problem.priors.residual(z) + sum(shared.T @ residual for shared, _, residual in pairs),
             np.array([own.T @ own for _, own, _ in pairs]),
             np.array([own.T @ residual for _, own, residual in pairs]),
             np.array([own.T @ shared for shared, own, _ in pairs]),
@@ -102,7 +101,7 @@ def minimise(
     evaluations: int = 60,
     stop: Callable[[FloatArray], bool] = lambda _: False,
     central: bool = True,
-    derivatives: Blocks | None = None,
+    derivatives: Jacobian | None = None,
     secant: bool = False,
     confirmed: bool = True,
 ) -> FloatArray:
@@ -122,7 +121,7 @@ def minimise(
     stop
         Asked with every accepted point; true ends the descent there.
     central
-        Differences to both sides for the derivatives; see `Problem.blocks`.
+        Differences to both sides for the derivatives; see `Problem.jacobian`.
     derivatives
         Derivatives at, or near, `z`, where they are known already.
     secant
@@ -136,20 +135,20 @@ def minimise(
         return z
     low = np.full(len(z), -np.inf)
     high = np.full(len(z), np.inf)
-    low[:size] = problem.lower if lower is None else lower
-    high[:size] = problem.upper if upper is None else upper
+    low[:size] = problem.priors.lower if lower is None else lower
+    high[:size] = problem.priors.upper if upper is None else upper
     z = np.clip(z, low, high)
     residual = problem.residuals(z)
-    squares = _squares(problem, z, residual)
+    squares = problem.squares(z, residual)
     damping, growth, count = _FIRST_DAMPING, 2.0, 1
     scale = np.zeros(len(z))
     moving = high[:size] > low[:size]
-    blocks, fresh = derivatives, False
+    jacobian, fresh = derivatives, False
     while count < evaluations and not stop(z):
-        if blocks is None:
-            blocks, fresh = problem.blocks(z, residual, central=central, moving=moving), True
-        blocks = replace(blocks, residual=residual)
-        equations = NormalEquations.of(problem, z, blocks)
+        if jacobian is None:
+            jacobian, fresh = problem.jacobian(z, residual, central=central, moving=moving), True
+        jacobian = replace(jacobian, residual=residual)
+        equations = NormalEquations.of(problem, z, jacobian)
         scale = np.maximum(scale, equations.diagonal)
         scale = np.maximum(scale, 1e-20 * float(np.max(scale, initial=1e-280)))
         before, known = squares, fresh
@@ -160,43 +159,43 @@ def minimise(
             if predicted <= _ROUNDING * squares or damping > _MOST_DAMPING:
                 if fresh or not confirmed:
                     return z
-                blocks = None
+                jacobian = None
                 break
             residual_there = problem.residuals(moved)
-            there = _squares(problem, moved, residual_there)
+            there = problem.squares(moved, residual_there)
             count += 1
             ratio = (squares - there) / predicted
             if there < squares:
                 carried = secant and ratio > _POOR
-                blocks = _carried_on(blocks, moved - z, residual_there, size) if carried else None
+                jacobian = _carried_on(jacobian, moved - z, residual_there, size) if carried else None
                 z, residual, squares, fresh = moved, residual_there, there, False
                 damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), _LEAST_DAMPING)
                 growth = 2.0
                 break
             if not fresh:  # the derivatives may be to blame
-                blocks = None
+                jacobian = None
                 break
             damping, growth = damping * growth, 2.0 * growth
         if before - squares < tolerance * before and predicted < tolerance * before:
             if known or not confirmed:
                 break
-            blocks = None
+            jacobian = None
     return z
 
 
-def _carried_on(blocks: Blocks, step: FloatArray, residual: list[FloatArray], size: int) -> Blocks:
+def _carried_on(jacobian: Jacobian, step: FloatArray, residual: list[FloatArray], size: int) -> Jacobian:
     """Return derivatives that would have foretold what a step led to, each trial's changed as little as possible."""
     shared_step, own_steps = step[:size], step[size:].reshape(len(residual), -1)
     shared, own = [], []
     for mine, theirs, before, after, own_step in zip(
-        blocks.shared, blocks.own, blocks.residual, residual, own_steps, strict=True
+        jacobian.shared, jacobian.own, jacobian.residual, residual, own_steps, strict=True
     ):
         missed = after - before - mine @ shared_step - theirs @ own_step
         length = float(shared_step @ shared_step + own_step @ own_step)
         missed /= length if length > 0 else 1.0
         shared.append(mine + np.outer(missed, shared_step))
         own.append(theirs + np.outer(missed, own_step))
-    return Blocks(shared, own, residual)
+    return Jacobian(shared, own, residual)
 
 
 def _within(left: FloatArray, right: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
@@ -212,8 +211,3 @@ def _within(left: FloatArray, right: FloatArray, low: FloatArray, high: FloatArr
     target = np.linalg.solve(factor, right * scale)
     found = lsq_linear(factor.T, target, bounds=(low / scale, high / scale), method="bvls")
     return np.asarray(np.clip(found.x * scale, low, high))
-
-
-def _squares(problem: Problem, z: FloatArray, residual: list[FloatArray]) -> float:
-    prior = problem.prior_residual(z)
-    return float(prior @ prior) + sum(float(part @ part) for part in residual)

@@ -1,73 +1,25 @@
-"""Measured trials as units: what one simulation predicts, with the repeats that agree on it averaged."""
+"""Repeats that one simulation predicts, averaged: what the diagnosis takes as its trials."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
 from labrun.errors import RecordingError
 from labrun.fit.dataset import Dataset, FitTrial
-from labrun.fit.pieces import FIRST_SAMPLES
+from labrun.fit.initial_states import FIRST_SAMPLES
 from labrun.gap import criteria
 from labrun.models import Model
 from labrun.spec.condition import condition_key, condition_text
 
-FloatArray = NDArray[np.float64]
 
-
-@dataclass(frozen=True)
-class Unit:
-    """Trials of one condition that one simulation predicts.
-
-    All repeats, or one trial where repeats differ by more than noise: in their inputs, their time base or their free
-    initial states.
-
-    Attributes
-    ----------
-    trial
-        Its time base, its inputs and the mean of its outputs.
-    group
-        Number of its condition.
-    members
-        Measured outputs of each trial in it, (n, m) each.
-    """
-
-    trial: FitTrial
-    group: int
-    members: tuple[FloatArray, ...]
-
-    @property
-    def count(self) -> int:
-        """Number of trials in it."""
-        return len(self.members)
-
-
-@dataclass(frozen=True)
-class Units:
-    """All units of a dataset, and the dataset of their means.
-
-    Attributes
-    ----------
-    conditions
-        Labels, by group.
-    repeats
-        The fewest trials of any condition.
-    """
-
-    dataset: Dataset
-    units: tuple[Unit, ...]
-    conditions: tuple[str, ...]
-    repeats: int
-
-    def of_group(self, group: int) -> list[int]:
-        """Return the indices of the units of a condition."""
-        return [index for index, unit in enumerate(self.units) if unit.group == group]
-
-
-def gather(dataset: Dataset, model: Model) -> Units:
+def averaged(dataset: Dataset, model: Model) -> Dataset:
     """Group the trials by condition and average repeats that are predicted by one simulation.
+
+    Trials stay apart where they differ by more than noise: in their inputs, their time base or their free initial
+    states.
 
     Raises
     ------
@@ -80,17 +32,16 @@ def gather(dataset: Dataset, model: Model) -> Units:
         groups.setdefault(condition_key(trial.condition), []).append(trial)
     rules = {model.initial.get(state, "free") for state in model.states}
     free, read = "free" in rules, "first" in rules
-    units: list[Unit] = []
+    found: list[FitTrial] = []
     for group, trials in enumerate(groups.values()):
         alike = None if free or len(trials) == 1 else _on_one_time_base(trials)
         # where nothing is read from the first samples, one simulation predicts all, however each begins
         if alike is not None and (not read or _same_beginning(alike)):
-            units.append(_averaged(alike, group))
+            found.append(_mean(alike, group))
         else:
-            units.extend(Unit(trial, group, (trial.outputs,)) for trial in trials)
-    means = replace(dataset, trials=tuple(unit.trial for unit in units))
+            found.extend(replace(trial, group=group, members=(trial.outputs,)) for trial in trials)
     labels = [condition_text(trials[0].condition) or trials[0].label for trials in groups.values()]
-    return Units(means, tuple(units), tuple(labels), min(len(trials) for trials in groups.values()))
+    return replace(dataset, trials=tuple(found), conditions=tuple(labels))
 
 
 def _check(trial: FitTrial, dataset: Dataset) -> None:
@@ -180,9 +131,7 @@ def _same_beginning(trials: Sequence[FitTrial]) -> bool:
     return bool(np.all(np.ptp(begin, axis=0) <= criteria.SAME_BEGINNING * spread + 1e-12))
 
 
-def _averaged(trials: Sequence[FitTrial], group: int) -> Unit:
-    mean = np.mean([trial.outputs for trial in trials], axis=0)
+def _mean(trials: Sequence[FitTrial], group: int) -> FitTrial:
+    members = tuple(trial.outputs for trial in trials)
     label = condition_text(trials[0].condition) or trials[0].label
-    return Unit(
-        replace(trials[0], label=label, outputs=mean), group, tuple(trial.outputs for trial in trials)
-    )
+    return replace(trials[0], label=label, outputs=np.mean(members, axis=0), group=group, members=members)

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from test_output_error import driven, oscillator
 
 from labrun.fit.dataset import Dataset, FitTrial, SignalInfo
-from labrun.fit.descent import NormalEquations, minimise
+from labrun.fit.levenberg_marquardt import NormalEquations, minimise
 from labrun.fit.problem import Problem
 from labrun.models import Model, parse_model, simulate
 
@@ -18,15 +18,14 @@ FloatArray = NDArray[np.float64]
 
 
 def begun(model: Model, trials: int = 4) -> tuple[Problem, FloatArray]:
-    problem = Problem(
+    problem = Problem.of(
         model, driven(np.random.default_rng(1), trials, noise=0.01, scatter=0.05, duration_s=2.0)
     )
-    stated = problem.values[problem.free] / problem.scale
-    return problem, np.concatenate([stated, problem.guess(problem.values)])
+    return problem, problem.begin()
 
 
 def whole(problem: Problem, z: FloatArray) -> FloatArray:
-    return np.concatenate([*problem.residuals(z), problem.prior_residual(z)])
+    return np.concatenate([*problem.residuals(z), problem.priors.residual(z)])
 
 
 @pytest.mark.parametrize("tolerances", [{}, {"mass": 0.05}, {"stiffness": 0.02}])
@@ -40,7 +39,7 @@ def test_it_ends_where_scipys_trust_region_ends(tolerances: dict[str, float | st
 
 def test_a_bound_holds_where_scipys_holds() -> None:
     problem, z = begun(oscillator())
-    upper = np.array([35.0, np.inf]) / problem.scale
+    upper = np.array([35.0, np.inf]) / problem.priors.scale
     ours = minimise(problem, z, upper=upper)
     limits = np.concatenate([upper, np.full(len(z) - 2, np.inf)])
     theirs = least_squares(
@@ -83,8 +82,8 @@ def test_it_goes_on_where_bounds_cut_a_step_of_parameters_that_stand_in_for_each
         outputs = simulate(model, time_s, torque, parameters=true).outputs
         trials.append(FitTrial(f"trial {index}", {}, index + 1, time_s, torque, outputs))
     inputs, outputs = (SignalInfo("torque", "N m"),), (SignalInfo("angle", "rad"),)
-    problem = Problem(model, Dataset("joint", Path("joint"), "recording", inputs, outputs, tuple(trials)))
-    stated = problem.values / problem.scale
+    problem = Problem.of(model, Dataset("joint", Path("joint"), "recording", inputs, outputs, tuple(trials)))
+    stated = problem.priors.values / problem.priors.scale
     lower, upper = 0.85 * stated, 1.15 * stated
     z = stated * rng.choice([0.85, 1.0, 1.15], size=4)
     ours = minimise(problem, z, lower=lower, upper=upper)
@@ -95,7 +94,7 @@ def test_it_goes_on_where_bounds_cut_a_step_of_parameters_that_stand_in_for_each
 
 def test_the_eliminated_step_is_the_step_of_the_whole_system() -> None:
     problem, z = begun(oscillator(mass=0.1))
-    blocks = problem.blocks(z)
+    blocks = problem.jacobian(z)
     equations = NormalEquations.of(problem, z, blocks)
     rows = [len(part) for part in blocks.residual]
     jacobian = np.zeros((sum(rows) + problem.size, len(z)))
@@ -105,7 +104,7 @@ def test_the_eliminated_step_is_the_step_of_the_whole_system() -> None:
         jacobian[row : row + count, : problem.size] = blocks.shared[trial]
         jacobian[row : row + count, own : own + problem.own_size] = blocks.own[trial]
         row += count
-    jacobian[row:, : problem.size] = np.diag(-problem.scale / problem.pull_sigma)
+    jacobian[row:, : problem.size] = np.diag(-problem.priors.scale / problem.priors.pull)
     residual = whole(problem, z)
     damping = 1e-3 * np.sum(jacobian**2, axis=0)
     expected = -np.linalg.solve(jacobian.T @ jacobian + np.diag(damping), jacobian.T @ residual)
@@ -118,19 +117,9 @@ def test_the_eliminated_step_is_the_step_of_the_whole_system() -> None:
 
 def test_a_parameter_without_room_stays_where_it_is() -> None:
     problem, z = begun(oscillator(), trials=2)
-    equations = NormalEquations.of(problem, z, problem.blocks(z))
+    equations = NormalEquations.of(problem, z, problem.jacobian(z))
     room = np.array([0.0, -np.inf]), np.array([0.0, np.inf])
     assert equations.step(1e-3 * equations.diagonal, room)[0] == 0.0
-
-
-class Counted(Problem):
-    """A problem that counts its simulations."""
-
-    simulations = 0
-
-    def simulate(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray | None:
-        type(self).simulations += 1
-        return super().simulate(parameters, trial, own)
 
 
 @pytest.mark.parametrize("tolerances", [{}, {"mass": 0.05}])
@@ -146,21 +135,19 @@ def test_derivatives_known_from_nearby_save_most_of_the_simulations() -> None:
     problem, z = begun(oscillator())
     end = minimise(problem, z)
     near = end * (1.0 + 0.01 * np.sign(end))
-    known = problem.blocks(end)
-    problem.__class__ = Counted
-    Counted.simulations = 0
+    known = problem.jacobian(end)
+    begun_at = problem.simulations.made
     plain = minimise(problem, near, tolerance=1e-4)
-    spent = Counted.simulations
-    Counted.simulations = 0
+    spent = problem.simulations.made - begun_at
     chord = minimise(problem, near, tolerance=1e-4, derivatives=known, secant=True, confirmed=False)
-    assert Counted.simulations < 0.4 * spent
+    assert problem.simulations.made - begun_at - spent < 0.4 * spent
     squares = [np.sum(whole(problem, one) ** 2) for one in (plain, chord)]
     assert squares[1] == pytest.approx(squares[0], rel=1e-3)
 
 
 def test_derivatives_that_mislead_are_taken_anew() -> None:
     problem, z = begun(oscillator())
-    wrong = problem.blocks(z)
+    wrong = problem.jacobian(z)
     backwards = [-one for one in wrong.shared], [-one for one in wrong.own]
     misled = minimise(problem, z, derivatives=replace(wrong, shared=backwards[0], own=backwards[1]))
     np.testing.assert_allclose(misled, minimise(problem, z), rtol=1e-6, atol=1e-8)
@@ -168,8 +155,8 @@ def test_derivatives_that_mislead_are_taken_anew() -> None:
 
 def test_variables_that_do_not_move_are_not_differentiated() -> None:
     problem, z = begun(oscillator(), trials=2)
-    blocks = problem.blocks(z, moving=np.array([False, True]))
-    every = problem.blocks(z)
+    blocks = problem.jacobian(z, moving=np.array([False, True]))
+    every = problem.jacobian(z)
     for shared, whole_block in zip(blocks.shared, every.shared, strict=True):
         assert not shared[:, 0].any()
         np.testing.assert_array_equal(shared[:, 1], whole_block[:, 1])

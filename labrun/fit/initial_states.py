@@ -1,0 +1,98 @@
+"""How trials begin: which initial states are fitted, and what the first samples say of them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.fit.dataset import FitTrial
+from labrun.models import Model
+
+FIRST_SAMPLES = 3
+"""How many samples "first" averages: few, because the output may already move."""
+
+
+@dataclass(frozen=True, eq=False)
+class InitialStates:
+    """The initial states of a model in each of its trials.
+
+    Attributes
+    ----------
+    spread : (m,)
+        Size of each output.
+    sd : (m,)
+        Standard deviation of a single trial's samples.
+    read_free
+        Whether a state that begins at the "first" samples is free too, held by what noise they have.
+    short
+        Whether the trials are beginnings only: what is read from the first samples is taken from them then.
+    """
+
+    model: Model
+    trials: tuple[FitTrial, ...]
+    spread: FloatArray
+    sd: FloatArray
+    read_free: bool
+    short: bool
+
+    @cached_property
+    def read(self) -> tuple[int, ...]:
+        """Places of the states that begin at the first samples and are free."""
+        if not self.read_free:
+            return ()
+        rules = [self.model.initial.get(name) for name in self.model.states]
+        return tuple(state for state, rule in enumerate(rules) if rule == "first")
+
+    @cached_property
+    def free(self) -> tuple[int, ...]:
+        """Places of the states whose beginning is fitted."""
+        rules = [self.model.initial.get(name, "free") for name in self.model.states]
+        return tuple(sorted({*self.read, *(state for state, rule in enumerate(rules) if rule == "free")}))
+
+    @cached_property
+    def scale(self) -> FloatArray:
+        """Typical size of each free state: that of the output it is, or of the largest one."""
+        shown = [self.output_of(state) for state in self.free]
+        return np.array([float(np.max(self.spread) if one is None else self.spread[one]) for one in shown])
+
+    def state(self, trial: int, own: FloatArray) -> FloatArray:
+        """Return the initial state of one trial, shape (k,), with its free ones, scaled, as in `own` (q,)."""
+        names = [self.model.states[state] for state in self.free]
+        free = dict(zip(names, own * self.scale, strict=True))
+        first = self._first[trial] if self.short else {**self._first[trial], **free}
+        return self.model.initial_state(self.trials[trial].condition, first=first, free=free)
+
+    def read_residual(self, trial: int, own: FloatArray) -> FloatArray:
+        """Return (first samples - free state) / sigma of the states that begin there; empty where none is free."""
+        if self.short or not self.read:
+            return np.empty(0)
+        places = [self.free.index(state) for state in self.read]
+        means = np.array([self._first[trial][self.model.states[state]] for state in self.read])
+        return np.asarray((means - own[places] * self.scale[places]) / self._sigma[trial])
+
+    def output_of(self, state: int) -> int | None:
+        """Return the column of the output of a state's name, which is how a model shows it."""
+        name = self.model.states[state]
+        return self._shown.index(name) if name in self._shown else None
+
+    @cached_property
+    def _first(self) -> list[Mapping[str, float]]:
+        """Mean of the first samples of every output, trial by trial."""
+        means = [np.mean(trial.outputs[:FIRST_SAMPLES], axis=0).tolist() for trial in self.trials]
+        return [dict(zip(self._shown, mean, strict=True)) for mean in means]
+
+    @cached_property
+    def _sigma(self) -> list[FloatArray]:
+        """How well the first samples tell the states that begin there: their noise, and how far they moved."""
+        columns = [self._shown.index(self.model.states[state]) for state in self.read]
+        moved = [np.ptp(trial.outputs[:FIRST_SAMPLES, columns], axis=0) for trial in self.trials]
+        return [
+            np.hypot(self.sd[columns] / np.sqrt(trial.count), one) + 1e-9 * self.spread[columns]
+            for trial, one in zip(self.trials, moved, strict=True)
+        ]
+
+    @cached_property
+    def _shown(self) -> list[str]:
+        return [output.name for output in self.model.outputs]
