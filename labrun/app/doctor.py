@@ -16,9 +16,9 @@ from labrun.spec.named import load_named
 from labrun.store.rig_lock import lock_ports
 
 
-def examine(
-    experiment: str | None,
-    workspace: Path,
+def doctor(
+    experiment: str | None = None,
+    workspace: str | Path = ".",
     overrides: Sequence[str] = (),
     *,
     hardware: bool = False,
@@ -57,7 +57,7 @@ def examine(
     elif experiment is None:
         yield from find_devices()
     else:
-        yield from _examine_devices(experiment, workspace, overrides, emulate)
+        yield from _examine_devices(experiment, Path(workspace), overrides, emulate)
 
 
 def _examine_devices(name: str, workspace: Path, overrides: Sequence[str], emulate: bool) -> Iterator[Remark]:

@@ -24,7 +24,6 @@ from labrun.gap.averaging import averaged
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.estimates import floor_of
 from labrun.gap.excess import Excess, excess, mean_residuals
-from labrun.gap.loading import load_question
 from labrun.gap.noise import Noise, from_repeats
 from labrun.gap.recalibration import in_units_of, member_residuals, stated, stated_problem
 from labrun.models import Model, load_model
@@ -144,8 +143,8 @@ def fingerprint() -> str:
 
 
 def _diagnosed(folder: Path, seed: int) -> dict[str, Any]:
-    question = load_question(folder, folder / _MODEL, (), {}, folder)
-    found = diagnose_dataset(question.dataset, question.model, Options(places=False, seed=seed))
+    model = load_model(folder / _MODEL)
+    found = diagnose_dataset(load_dataset(folder, model), model, Options(places=False, seed=seed))
     effects = [
         {"effect": one.effect.id, "kind": one.effect.kind, "site": one.site, "values": list(one.values)}
         for one in found.effects

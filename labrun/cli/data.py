@@ -3,16 +3,12 @@
 from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from labrun.cli import options
 from labrun.cli.output import print_json, reported
-from labrun.errors import RequestError
-
-if TYPE_CHECKING:
-    from labrun.report.statistics import Drift
 
 
 class Format(StrEnum):
@@ -33,11 +29,9 @@ def show(
     Example:  labrun show fin-params
     """
     with reported(as_json):
-        from labrun.report.findings import findings
-        from labrun.store.opening import open_target
+        from labrun.app.report import show as findings_of
 
-        with open_target(target, results) as run:
-            found = findings(run)
+        found = findings_of(target, results=results)
         if as_json:
             print_json(found.to_json())
         else:
@@ -71,23 +65,9 @@ def export(
     Example:  labrun export fin-params --to csv --output trials.csv
     """
     with reported(as_json):
-        from labrun.store.export import export_run
-        from labrun.store.opening import open_target
+        from labrun.app.export import export as write
 
-        removed: list[Drift] = []
-        with open_target(target, results) as run:
-            if remove_drift:
-                from labrun.report.drift_removal import drift_of, without_drift
-
-                if to is not Format.CSV:
-                    raise RequestError(
-                        "--remove-drift is for the table of trials: netCDF holds what was measured",
-                        hint="--to csv --remove-drift",
-                    )
-                removed = drift_of(run)
-                written = export_run(run, to.value, output, outcomes=without_drift(run.outcomes, removed))
-            else:
-                written = export_run(run, to.value, output)
+        written, removed = write(target, to.value, output, remove_drift=remove_drift, results=results)
     if as_json:
         print_json(
             {"output": written, **({"drift_removed": [asdict(item) for item in removed]} if removed else {})}
@@ -112,7 +92,7 @@ def import_(
     Example:  labrun import recordings/ring-down
     """
     with reported(as_json):
-        from labrun.store.importing import import_recording
+        from labrun.app.export import import_recording
 
         run = import_recording(directory, results)
     if as_json:

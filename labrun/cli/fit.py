@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -49,7 +48,7 @@ def fit(
     Example:  labrun fit recordings/ring-down --model recordings/ring-down/model.toml
     """
     with reported(as_json):
-        from labrun.fit.request import fit_request
+        from labrun.app.fit import fit as fit_data
 
         if dry_run:
             from labrun.app.run import run
@@ -57,7 +56,7 @@ def fit(
             made = run(target, dry_run=True, seed=seed, results=results, progress=progress_display())
             target = str(made.run)
         with _status() as note:
-            result = fit_request(
+            result = fit_data(
                 target,
                 recording,
                 more=more or (),
@@ -65,7 +64,6 @@ def fit(
                 overrides=overrides or (),
                 seed=seed,
                 results=results,
-                workspace=Path.cwd(),
                 note=note,
             )
         if as_json:

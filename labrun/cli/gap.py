@@ -82,10 +82,10 @@ def diagnose(
     Example:  labrun gap diagnose recordings/ring-down --model pendulum.toml --save-model corrected.toml
     """
     with reported(as_json, "interrupted; no diagnosis was written"):
-        from labrun.report.gap_request import diagnose_request
+        from labrun.app.diagnose import diagnose as diagnose_target
 
         with status() as note:
-            stored = diagnose_request(
+            stored = diagnose_target(
                 target,
                 model=model,
                 more=more or (),
@@ -96,7 +96,6 @@ def diagnose(
                 save_model=save_model,
                 page=report or open_page,
                 results=results,
-                workspace=Path.cwd(),
                 note=note,
             )
         if as_json:
@@ -134,17 +133,16 @@ def next_(
     Example:  labrun gap next hinge
     """
     with reported(as_json, "interrupted; no experiment was written"):
-        from labrun.report.gap_request import next_request
+        from labrun.app.next import propose_next
 
         with status() as note:
-            proposal = next_request(
+            proposal = propose_next(
                 target,
                 model=model,
                 more=more or (),
                 out=out,
                 seed=seed,
                 results=results,
-                workspace=Path.cwd(),
                 note=note,
             )
         if as_json:
@@ -223,15 +221,10 @@ def reveal(
     Example:  labrun gap reveal hinge
     """
     with reported(as_json):
-        from labrun.blind import Compared
-        from labrun.blind import reveal as reveal_hidden
+        from labrun.app.reveal import reveal as open_seal
         from labrun.report.gap_reveal import compared_text
-        from labrun.report.gap_store import read_stored
-        from labrun.store.locate import find_run
 
-        run = find_run(target, results)
-        stored = read_stored(run)  # without a diagnosis the seal stays closed
-        compared = Compared(reveal_hidden(run), stored)
+        compared = open_seal(target, results=results)
         if as_json:
             print_json(compared.to_json())
         else:

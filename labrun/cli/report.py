@@ -24,12 +24,9 @@ def report(
     Example:  labrun report fin-params
     """
     with reported(as_json):
-        from labrun.report.html import write_report
-        from labrun.store.locate import find_run
-        from labrun.store.reading import open_run
+        from labrun.app.report import report as write
 
-        with open_run(find_run(target, results)) as run:
-            written = write_report(run, output)
+        written = write(target, output, results=results)
     if as_json:
         print_json({"report": written})
     else:

@@ -35,8 +35,8 @@ def watch(
     with reported(as_json):
         from rich.console import Console
 
+        from labrun.app.watch import Watcher
         from labrun.report import watch_display
-        from labrun.report.watching import Watcher
         from labrun.runner.clock import RealClock
         from labrun.store.locate import find_run
 
@@ -49,7 +49,7 @@ def watch(
         if once or not sys.stdout.isatty():
             console.print(watch_display.render(watcher.look(), console))
         else:
-            watch_display.watch(watcher, console, clock, every_s)
+            watch_display.watch(watcher.look, console, clock, every_s)
 
 
 def register(app: typer.Typer) -> None:

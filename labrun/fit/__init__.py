@@ -1,5 +1,8 @@
 """Fitting: what a model's parameters are, how sure, and what is left. What a fit by plugin builds on stands here."""
 
+import sys
+
+from labrun import UseCasePackage
 from labrun.fit.correlation import correlation_length
 from labrun.fit.dataset import Dataset, FitTrial, load_dataset
 from labrun.fit.estimate import Estimate, rounded
@@ -41,3 +44,5 @@ __all__ = [
     "silent",
     "student",
 ]
+
+sys.modules[__name__].__class__ = UseCasePackage

@@ -20,6 +20,25 @@ GROUP = "labrun.fits"
 
 
 @dataclass(frozen=True, slots=True)
+class FitPlan:
+    """How to fit: from a run's experiment, or from what lies beside a recording.
+
+    `settings` are those of `method`; of another method, `methods` has its own, over those of `settings` it knows too.
+    """
+
+    method: str = "model"
+    model: "Model | None" = None
+    signals: Mapping[str, str] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    methods: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def settings_of(self, method: str) -> dict[str, Any]:
+        """Return the settings of a method."""
+        shared = {k: v for k, v in self.settings.items() if method == self.method or takes(method, k)}
+        return {**shared, **self.methods.get(method, {})}
+
+
+@dataclass(frozen=True, slots=True)
 class FitJob:
     """What to fit.
 

@@ -1,9 +1,8 @@
-"""Diagnose a run or a recording against a model."""
+"""Diagnose trials against a model."""
 
 import time
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -37,46 +36,6 @@ class Options:
     places: bool = True
 
 
-def diagnose(
-    target: Path,
-    *,
-    model: str | Path | None = None,
-    more: Sequence[Path] = (),
-    signals: Mapping[str, str] | None = None,
-    options: Options | None = None,
-    workspace: Path = Path(),
-    note: Note = silent,
-) -> Diagnosis:
-    """Say where a model and measurements differ, which cause explains it, and how far.
-
-    Parameters
-    ----------
-    target
-        A recording folder, a run folder or a run.h5.
-    model
-        A model file, plugin or shipped name; else what the experiment's ``[gap]`` names; else the model.toml beside
-        the recording.
-    more
-        Further recordings or runs that belong to the same question.
-    signals
-        Which recorded channel is which input or output of the model; adds to the experiment's own.
-    workspace
-        Where model files that an experiment names are looked for.
-
-    Raises
-    ------
-    LabrunError
-        Data or a model that do not allow a diagnosis, with what was found and what to do.
-    """
-    from labrun.gap.loading import load_question
-
-    began = time.perf_counter()
-    note(f"reading {target}")
-    question = load_question(target, model, more, signals or {}, workspace)
-    found = diagnose_dataset(question.dataset, question.model, options, note=note, began=began)
-    return replace(found, source=str(target))
-
-
 def diagnose_dataset(
     dataset: Dataset,
     model: Model,
@@ -85,7 +44,7 @@ def diagnose_dataset(
     note: Note = silent,
     began: float | None = None,
 ) -> Diagnosis:
-    """Diagnose trials that are loaded already; see `diagnose`.
+    """Say where a model and measurements differ, which cause explains it, and how far.
 
     Parameters
     ----------

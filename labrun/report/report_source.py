@@ -1,17 +1,19 @@
 """Everything a report tells of, read once."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from labrun.report.bench_time import BenchTime, bench_time
 from labrun.report.data import RunView
 from labrun.report.loop_health import LoopHealth, loop_health
-from labrun.report.recorded import experiment_of, trial_tare_s
+from labrun.report.recorded import trial_tare_s
 from labrun.report.statistics import (
     Drift,
     Repeatability,
@@ -20,14 +22,21 @@ from labrun.report.statistics import (
     repeatability,
     stream_health,
 )
-from labrun.search.leaders import t_interval
-from labrun.search.result import Best, stored_result
+from labrun.search.result import Best
 from labrun.spec.experiment import Experiment
-from labrun.store.folder import SPEC
 from labrun.store.reading import Run
 from labrun.store.trial import TrialOutcome
 
 _STREAMS_LOOKED_AT = 40
+
+
+@dataclass(frozen=True, slots=True)
+class StoredGap:
+    """The diagnosis that is kept with a run: its numbers as ``--json`` printed them, or why they cannot be read."""
+
+    numbers: Mapping[str, Any]
+    page: str | None = None
+    fault: str = ""
 
 
 @dataclass(frozen=True)
@@ -46,6 +55,8 @@ class ReportSource:
         Whether the run came to its end.
     figure
         The picture that was drawn at its end, if it is still there.
+    diagnosis
+        The newest diagnosis that is kept with it.
     """
 
     run: Run
@@ -53,6 +64,7 @@ class ReportSource:
     folder: Path | None
     finished: bool
     figure: Path | None
+    diagnosis: StoredGap | None = None
 
     @property
     def experiment(self) -> Experiment:
@@ -148,54 +160,3 @@ class ReportSource:
         """Whether the run's clock began anew in its course, as after a restart of the machine."""
         starts = [outcome.started_s for outcome in self.run.outcomes]
         return not self.imported and any(later < earlier for earlier, later in pairwise(starts))
-
-
-def read_source(run: Run) -> ReportSource:
-    """Read a run for its report.
-
-    Parameters
-    ----------
-    run
-        Open for reading; finished or not, packed or not, measured or imported.
-    """
-    folder = run.path if run.path.is_dir() else run.path.parent
-    alone = not (folder / SPEC).is_file()
-    experiment = experiment_of(run.experiment_toml, run.name)
-    result = None if alone else stored_result(folder)
-    ended = any(event["event"] == "finished" for event in run.events)
-    # A run is packed when it ends, so a packed file that stands alone, without the journal's last lines, is whole.
-    finished = result is not None or ended or run.path.is_file()
-    view = RunView(run, experiment, None)
-    best = result.best if result is not None else confirmed_best(view)
-    figure = result.figure if result is not None else None
-    return ReportSource(
-        run=run,
-        view=RunView(run, experiment, best),
-        folder=None if alone else folder,
-        finished=finished,
-        figure=figure if figure is not None and figure.is_file() else None,
-    )
-
-
-def confirmed_best(view: RunView) -> Best | None:
-    """Return the honest best from the confirming trials that are there; None if there are none.
-
-    What a finished run keeps in its result, for a packed file alone and for a run that stopped close to its end.
-    """
-    goal = view.experiment.goal
-    if goal is None:
-        return None
-    confirmed = view.points(goal[0], roles=("confirm",))
-    if not confirmed:
-        return None
-    winner = confirmed[0]
-    everything = np.concatenate([point.values for point in view.points(goal[0])])
-    return Best(
-        parameters=winner.condition,
-        objective_name=goal[0],
-        value=winner.mean,
-        ci95=t_interval(winner.values),
-        unit=view.unit_of(goal[0]),
-        luckiest=float(everything.max() if goal[1] == "maximise" else everything.min()),
-        trials=len(winner.values),
-    )

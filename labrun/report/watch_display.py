@@ -1,5 +1,6 @@
 """A run that is executed elsewhere, drawn in a terminal."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,14 +11,13 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from labrun.devices import Clock
 from labrun.report.braille import braille_curve
 from labrun.report.snapshot import Snapshot, State
 from labrun.report.text import condition_text, duration_text, interval_text, quantity_text, value_text
-from labrun.report.watching import Watcher
 from labrun.store.watched_trials import Trace
 
 if TYPE_CHECKING:
-    from labrun.devices import Clock
     from labrun.store.watching import SeenTrial
 
 _COLOURS: dict[State, str] = {
@@ -34,11 +34,13 @@ _LINES_BESIDE_PLOT = 20
 _MOST_PLOT_WIDTH = 96
 
 
-def watch(watcher: Watcher, console: Console, clock: "Clock", every_s: float) -> Snapshot:
+def watch(look: Callable[[], Snapshot], console: Console, clock: Clock, every_s: float) -> Snapshot:
     """Show a run until it has finished or Ctrl-C; what stood there last stays.
 
     Parameters
     ----------
+    look
+        Returns the run as it is now.
     every_s
         Time between two looks, s. Looks are polls: a network folder tells nobody that it has changed.
 
@@ -47,14 +49,14 @@ def watch(watcher: Watcher, console: Console, clock: "Clock", every_s: float) ->
     Snapshot
         The last look.
     """
-    snapshot = watcher.look()
+    snapshot = look()
     live = Live(render(snapshot, console), console=console, auto_refresh=False)
     try:
         # Started inside: Ctrl-C during the first drawing, too, must give the cursor back and end well.
         live.start(refresh=True)
         while snapshot.state != "finished":
             clock.sleep(every_s)
-            snapshot = watcher.look()
+            snapshot = look()
             live.update(render(snapshot, console), refresh=True)
     except KeyboardInterrupt:
         pass

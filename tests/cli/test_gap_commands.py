@@ -57,12 +57,18 @@ def test_completion_offers_effects():
     assert _effect_ids("coul") == ["coulomb-friction"]
 
 
-@pytest.mark.parametrize(("command", "lost"), [("diagnose", "diagnosis"), ("next", "experiment")])
-def test_ctrl_c_says_that_nothing_was_written(command, lost, monkeypatch):
+@pytest.mark.parametrize(
+    ("command", "lost", "called"),
+    [
+        ("diagnose", "diagnosis", "labrun.app.diagnose.diagnose"),
+        ("next", "experiment", "labrun.app.next.propose_next"),
+    ],
+)
+def test_ctrl_c_says_that_nothing_was_written(command, lost, called, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(f"labrun.report.gap_request.{command}_request", interrupted)
+    monkeypatch.setattr(called, interrupted)
     done = typed(command, "hinge", "--json")
     assert done.exit_code == 1
     assert json.loads(done.stdout)["error"] == f"interrupted; no {lost} was written"

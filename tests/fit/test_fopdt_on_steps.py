@@ -6,8 +6,8 @@ has to hold it, and the other's interval has to end next to it.
 
 import pytest
 
+from labrun.app.fit import fit
 from labrun.app.run import execute
-from labrun.fit.run_fit import fit
 from labrun.runner.progress import SilentProgress
 from labrun.spec.named import load_named
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from labrun.app.fit import fit
 from labrun.app.run import execute
 from labrun.errors import RequestError
 from labrun.fit.regression.least_squares import (
@@ -13,7 +14,6 @@ from labrun.fit.regression.least_squares import (
     solve,
     term_values,
 )
-from labrun.fit.run_fit import fit
 from labrun.runner.progress import SilentProgress
 from labrun.spec.named import load_named
 

@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from labrun.app.fit import fit
 from labrun.app.run import execute
 from labrun.control.feedforward import FeedforwardPid
 from labrun.control.pid import PidController
 from labrun.control.protocol import LoopContext, Step
 from labrun.errors import FitError, RequestError
 from labrun.fit.estimate import Estimate
-from labrun.fit.run_fit import fit
 from labrun.fit.summary import FitSummary, FittedData
 from labrun.fit.transfer import TransferFunction
 from labrun.fit.transfer.summary import TransferSummary

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from swings import dataset_of, swing
 
+from labrun.app.fit import fit
 from labrun.errors import RequestError
 from labrun.fit.estimate import Estimate, rounded
 from labrun.fit.figure import draw_fit, shown_trials
-from labrun.fit.request import fit_request
 from labrun.fit.result import FitResult
-from labrun.fit.run_fit import fit
 from labrun.store.importing import import_recording
 
 MODEL = """
@@ -91,7 +90,7 @@ def test_the_hinge_method_gives_both_ways(recording: Path, tmp_path: Path) -> No
 
 
 def test_an_experiment_lends_its_way_of_fitting_to_a_recording(recording: Path, tmp_path: Path) -> None:
-    result = fit_request("hinge", str(recording), results=tmp_path, workspace=tmp_path)
+    result = fit("hinge", str(recording), results=tmp_path, workspace=tmp_path)
     assert result.method == "hinge"
     # the body is the recording's own, not the one of the experiment
     assert result.fixed["inertia"] == 1.2e-3
@@ -136,7 +135,7 @@ def test_a_recording_without_a_model_says_how_to_name_one(recording: Path, tmp_p
 
 
 def test_a_target_that_is_not_there_and_a_method_unknown_are_refused(recording: Path, tmp_path: Path) -> None:
-    with pytest.raises(RequestError, match="no recording or run"):
+    with pytest.raises(RequestError, match="there is no run"):
         fit(tmp_path / "nothing")
     with pytest.raises(RequestError, match="unknown fit plugin"):
         fit(recording, method="spline")

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lsim
 
-from labrun.fit.run_fit import fit as run_fit
+from labrun.app.fit import fit as run_fit
 from labrun.fit.transfer import TransferFunction
 from labrun.fit.transfer.estimation import ResponseTrial, Shape
 from labrun.fit.transfer.fitting import compare_orders, fit_transfer, unconverged

@@ -3,8 +3,9 @@
 from pathlib import Path
 
 import pytest
+from diagnosing import diagnose
 
-from labrun.gap.diagnose import Options, diagnose
+from labrun.gap.diagnose import Options
 from labrun.gap.diagnosis import Cause, Diagnosis
 
 pytestmark = pytest.mark.slow

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
+from labrun.app.diagnose import StoredDiagnosis, diagnose
 from labrun.app.run import execute
 from labrun.errors import RequestError
-from labrun.gap.diagnose import Options, diagnose
+from labrun.gap.diagnose import Options
 from labrun.gap.saving import save_model
 from labrun.models import load_model
-from labrun.report.gap_store import StoredDiagnosis
 from labrun.runner.progress import SilentProgress
 from labrun.spec.named import load_named
 

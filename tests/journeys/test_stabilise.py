@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from labrun.app.open import OpenRun
+from labrun.app.open import open as open_run
 from labrun.devices import Limits
-from labrun.open_run import OpenRun
-from labrun.open_run import open as open_run
 from labrun.spec.loading import load_experiment
 from labrun.spec.workspace import shipped_experiments
 

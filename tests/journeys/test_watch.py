@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from labrun.report.watching import Watcher
+from labrun.app.watch import Watcher
 from labrun.runner.clock import RealClock
 
 SWEEP = (

@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import gap_examples as examples
 
+from labrun.app.diagnose import store
+from labrun.app.report import stored_gap, write_report
 from labrun.app.run import execute
-from labrun.report.gap_store import store
-from labrun.report.html import write_report
 from labrun.report.html_gap import gap_section
 from labrun.runner.progress import SilentProgress
 from labrun.spec.named import load_named
@@ -14,7 +14,7 @@ from labrun.store.opening import open_run
 
 
 def of(folder):
-    return gap_section(SimpleNamespace(folder=folder))
+    return gap_section(SimpleNamespace(diagnosis=None if folder is None else stored_gap(folder)))
 
 
 def test_a_run_without_a_diagnosis_has_no_such_section(tmp_path):

@@ -7,10 +7,9 @@ import shutil
 import pytest
 from typer.testing import CliRunner
 
+from labrun.app.report import read_source, write_report
 from labrun.app.run import execute
 from labrun.cli.app import app
-from labrun.report.html import write_report
-from labrun.report.report_source import read_source
 from labrun.report.text import interval_words
 from labrun.runner.progress import SilentProgress
 from labrun.search.result import stored_result

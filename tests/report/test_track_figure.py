@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from labrun.app.report import read_source
 from labrun.app.run import execute
 from labrun.report.data import RunView
 from labrun.report.figure import draw_run
@@ -11,7 +12,6 @@ from labrun.report.findings import findings
 from labrun.report.html import report_html
 from labrun.report.loop_health import LoopHealth, loop_health, loop_words
 from labrun.report.recorded import experiment_of
-from labrun.report.report_source import read_source
 from labrun.runner.progress import SilentProgress
 from labrun.spec.named import load_named
 from labrun.store.reading import open_run

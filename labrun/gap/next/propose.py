@@ -20,7 +20,6 @@ from labrun.gap.next.trials import PlannedTrial
 from labrun.gap.next.writing import (
     experiment_text,
     free_place,
-    require_free,
     write_experiment,
     write_recording_plan,
 )
@@ -28,7 +27,7 @@ from labrun.gap.next.writing import (
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset
     from labrun.gap.engine import Search
-    from labrun.gap.loading import Question
+    from labrun.gap.question import Question
 
 REPEATS = 3
 _ROOM = 1.2
@@ -63,9 +62,9 @@ class Design:
 
 def propose(
     target: Path,
+    question: "Question",
     *,
     model: str | Path | None = None,
-    more: Sequence[Path] = (),
     out: Path | None = None,
     seed: int = 0,
     workspace: Path = Path(),
@@ -75,8 +74,14 @@ def propose(
 
     Parameters
     ----------
-    target, model, more, workspace
-        As for `labrun.gap.diagnose.diagnose`.
+    target
+        The recording folder, run folder or run.h5 that the question is about.
+    question
+        Its data, and the model they are held against.
+    model
+        How that model was named, if it was; the experiment that is written names it, too.
+    workspace
+        Where the person works.
     out
         The file to write: an experiment for a run, a recording's toml (with the inputs as CSV files beside it) for a
         recording. If None, ``experiments/<name>-next.toml`` or ``<name>-next/recording.toml`` in the workspace.
@@ -88,12 +93,6 @@ def propose(
     LabrunError
         Data or a model that do not allow a diagnosis; a rig whose motion cannot be planned; a file that is there.
     """
-    from labrun.gap.loading import load_question
-
-    if out is not None:
-        require_free(out)
-    note(f"reading {target}")
-    question = load_question(target, model, more, {}, workspace)
     rng = np.random.default_rng(seed)
     search = search_causes(question.dataset, question.model, rng, note=note)
     if question.dataset.kind == "recording" or _was_imported(target):
@@ -179,14 +178,12 @@ def _for_run(
     rng: np.random.Generator,
     note: Note,
 ) -> Proposal:
-    from labrun.gap.naming import plan_for
     from labrun.gap.next.run_bench import RunBench
     from labrun.store.reading import open_run
 
     run = open_run(target)
     dataset = question.dataset
-    signals = plan_for(target, model, workspace).signals
-    bench = RunBench.of(run, dataset, question.model, signals, REPEATS)
+    bench = RunBench.of(run, dataset, question.model, question.signals, REPEATS)
     note("looking what the rig allows")
     found = design(search, dataset, bench.pool(rng), note)
     notes = _by_hand(bench.set_by_hand, found.trials, dataset)

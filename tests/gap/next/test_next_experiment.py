@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from ambiguous import Bench, sine
 
+from labrun.app.next import propose_next as propose
 from labrun.errors import RecordingError, RequestError
 from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.gap.next import propose
 from labrun.store.recording import read_recording
 
 DRIVEN = """

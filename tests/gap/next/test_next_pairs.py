@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 import pytest
+from diagnosing import diagnose
 
+from labrun.app.next import propose_next as propose
 from labrun.app.run import execute
-from labrun.gap.diagnose import Options, diagnose
-from labrun.gap.next import propose
+from labrun.gap.diagnose import Options
 from labrun.runner.plan import plan
 from labrun.runner.progress import SilentProgress
 from labrun.spec.loading import load_experiment

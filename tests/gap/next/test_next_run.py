@@ -1,10 +1,11 @@
 """The experiment that is proposed for a run is one that labrun checks, runs, and diagnoses together with the first."""
 
 import pytest
+from diagnosing import diagnose
 
+from labrun.app.next import propose_next as propose
 from labrun.app.run import execute
-from labrun.gap.diagnose import Options, diagnose
-from labrun.gap.next import propose
+from labrun.gap.diagnose import Options
 from labrun.gap.next.values import beyond, by_hand, rounded
 from labrun.runner.plan import plan
 from labrun.runner.progress import SilentProgress

@@ -13,9 +13,9 @@ from labrun_plugins.rigs.hinge.polynomial import fit_polynomial
 from labrun_plugins.rigs.hinge.published import CONSTANT, PUBLISHED, Form, design
 from swings import swing
 
+from labrun.app.fit import fit
 from labrun.app.run import execute
 from labrun.errors import FitError, RequestError
-from labrun.fit.run_fit import fit
 from labrun.models import hinge_maps, load_model
 from labrun.runner.progress import SilentProgress
 from labrun.spec.named import load_named

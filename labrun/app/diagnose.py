@@ -1,24 +1,29 @@
-"""Where a diagnosis is kept: with the run, or under results for a recording, which is never written to."""
+"""A diagnosis: which data, against which model, and where its answer is kept."""
 
 import json
+import os
 import secrets
 import shutil
-from collections.abc import Mapping
-from dataclasses import dataclass
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from rich.text import Text
+
+from labrun.app.question import ask, find_data
 from labrun.errors import RequestError, StoreError
+from labrun.fit.notes import Note, silent
+from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Diagnosis
 from labrun.gap.saving import recalibrated_only
+from labrun.gap.saving import save_model as save
 from labrun.report.gap_figure import FIGURE, draw_gap
 from labrun.report.gap_page import write_gap_page
 from labrun.report.gap_text import gap_lines
 from labrun.store.recording import is_recording
-
-if TYPE_CHECKING:
-    from rich.text import Text
 
 FOLDER = "gap"
 NUMBERS = "diagnosis.json"
@@ -54,7 +59,7 @@ class StoredDiagnosis:
             "missing on these data; do not rely on it elsewhere"
         )
 
-    def to_text(self, width: int | None = None) -> "list[Text]":
+    def to_text(self, width: int | None = None) -> list[Text]:
         """Return the lines of `gap_lines`, and what to open; the terminal's width if none is given."""
         width = shutil.get_terminal_size((100, 24)).columns if width is None else width
         files = {"report": self.page or self.numbers}
@@ -72,6 +77,67 @@ class StoredDiagnosis:
         }
         files = {name: None if path is None else str(path) for name, path in named.items()}
         return {**self.diagnosis.to_json(), **files}
+
+
+def diagnose(
+    target: str | Path,
+    *,
+    model: str | Path | None = None,
+    more: Sequence[str | Path] = (),
+    signals: Mapping[str, str] | None = None,
+    withhold: Sequence[str] = (),
+    full_guard: bool = False,
+    seed: int | None = None,
+    workers: int | None = None,
+    save_model: Path | None = None,
+    page: bool = True,
+    results: str | Path = "results",
+    workspace: str | Path = ".",
+    note: Note = silent,
+) -> StoredDiagnosis:
+    """Say where a model and measurements differ, which cause explains it, and how far; keep the answer.
+
+    Parameters
+    ----------
+    target, more
+        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder; and further ones.
+    model
+        A model file or plugin, instead of what the experiment or the recording names.
+    signals
+        Which recorded channel is which input or output of the model; adds to the experiment's own.
+    withhold
+        Effects that the library is to be without.
+    seed
+        0 if None, so that the same data give the same numbers.
+    save_model
+        Where the corrected model goes.
+    page
+        Whether to write the page and its picture.
+
+    Raises
+    ------
+    RequestError
+        No such data, model or effect, or nothing can be saved where `save_model` says.
+    """
+    results, workspace = Path(results), Path(workspace)
+    folder = find_data(target, results)
+    further = [find_data(one, results) for one in more]
+    if save_model is not None:
+        _require_place(save_model)
+    began = time.perf_counter()
+    note(f"reading {folder}")
+    question = ask(folder, model, further, signals, workspace)
+    options = Options(
+        seed=seed or 0, withhold=tuple(withhold), full_guard=full_guard, workers=workers or _cores()
+    )
+    found = diagnose_dataset(question.dataset, question.model, options, note=note, began=began)
+    diagnosis = replace(found, source=str(folder))
+    note("writing the report" if page else "storing the diagnosis")
+    stored = store(diagnosis, folder, results, page=page)
+    if save_model is None:
+        return stored
+    save(diagnosis, question.model.source if model is None else model, save_model)
+    return replace(stored, model=save_model)
 
 
 def store(diagnosis: Diagnosis, target: Path, results: Path, *, page: bool = True) -> StoredDiagnosis:
@@ -155,3 +221,16 @@ def _finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
     return [_finite(item) for item in value] if isinstance(value, list) else value
+
+
+def _cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _require_place(path: Path) -> None:
+    """Raise RequestError before minutes of computing if the corrected model could not be written."""
+    if path.is_dir():
+        raise RequestError(f"{path} is a folder", hint="--save-model takes a file, e.g. corrected.toml")
+    if not path.absolute().parent.is_dir():
+        raise RequestError(f"there is no folder {path.parent} to save the corrected model in")

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rich.console import Console
 
+from labrun.app.watch import Watcher, best_yet
 from labrun.devices import Channel, Samples
 from labrun.errors import RequestError
 from labrun.report.braille import braille_curve
 from labrun.report.watch_display import render
-from labrun.report.watching import Watcher, best_yet
 from labrun.runner.clock import SimulatedClock
 from labrun.store.folder import RunFolder
 from labrun.store.trial import TrialOutcome
@@ -253,7 +253,7 @@ def test_a_process_that_is_gone_is_named_on_its_own_machine(folder):
 def test_files_that_others_have_locked_are_read_all_the_same(folder):
     store(folder, 0)
     script = (
-        "from pathlib import Path\nfrom labrun.report.watching import Watcher\n"
+        "from pathlib import Path\nfrom labrun.app.watch import Watcher\n"
         "from labrun.runner.clock import SimulatedClock\n"
         f"seen = Watcher(Path({str(folder.path)!r}), SimulatedClock()).look()\n"
         "print(seen.total, seen.trace.index)"

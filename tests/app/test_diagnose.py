@@ -7,10 +7,10 @@ from pathlib import Path
 import gap_examples as examples
 import pytest
 
+from labrun.app.diagnose import read_stored, store
+from labrun.app.question import find_data
 from labrun.errors import RequestError
 from labrun.gap.diagnosis import Sizes
-from labrun.report.gap_request import data_of
-from labrun.report.gap_store import read_stored, store
 
 
 @pytest.fixture
@@ -84,4 +84,4 @@ def test_a_file_that_is_no_diagnosis_is_not_taken_for_one(tmp_path, content):
 
 def test_a_recording_folder_is_meant_before_a_run_of_its_name(recording, monkeypatch):
     monkeypatch.chdir(recording.parent)
-    assert data_of("ring-down", Path("results")) == Path("ring-down")
+    assert find_data("ring-down", Path("results")) == Path("ring-down")

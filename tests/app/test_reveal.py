@@ -5,10 +5,11 @@ import json
 import gap_examples as examples
 import pytest
 
-from labrun.blind import Compared, Seal, reveal, write_seal
+from labrun.app.diagnose import store
+from labrun.app.reveal import reveal
+from labrun.blind import Seal, write_seal
 from labrun.errors import RecordingError, RequestError
 from labrun.report.gap_reveal import compared_text
-from labrun.report.gap_store import read_stored, store
 
 TRUTH = {
     "effect": "coulomb-friction",
@@ -33,14 +34,10 @@ def seal(folder, hidden):
     return made
 
 
-def compare(run):
-    stored = read_stored(run)
-    return Compared(reveal(run), stored)
-
-
 def run_hiding(folder, *hidden, says):
     folder.mkdir()
     sealed = seal(folder, hidden)
+    (folder / "spec.toml").write_text("")
     (folder / "provenance.json").write_text(json.dumps({"sealed_sha256": sealed.sha256}))
     store(says, folder, folder, page=False)
     return folder
@@ -72,13 +69,11 @@ def run_hiding(folder, *hidden, says):
     ],
 )
 def test_verdict_and_truth_are_compared_by_effect_and_site(tmp_path, hidden, says, score):
-    assert compare(run_hiding(tmp_path / "run", *hidden, says=says())).score == score
+    assert reveal(run_hiding(tmp_path / "run", *hidden, says=says())).score == score
 
 
 def test_said_and_hidden_stand_under_each_other_in_the_same_units(tmp_path):
-    lines = compared_text(
-        compare(run_hiding(tmp_path / "run", TRUTH, says=examples.explained()))
-    ).splitlines()
+    lines = compared_text(reveal(run_hiding(tmp_path / "run", TRUTH, says=examples.explained()))).splitlines()
     assert lines[0].startswith(
         "said      coulomb-friction at hinge: torque = 1.520e-04 [1.440e-04, 1.590e-04] N m"
     )
@@ -90,8 +85,7 @@ def test_said_and_hidden_stand_under_each_other_in_the_same_units(tmp_path):
 def test_a_size_outside_its_interval_is_told(tmp_path):
     far = {**TRUTH, "values": {"torque": 9e-4}}
     assert (
-        "torque lies outside"
-        in compare(run_hiding(tmp_path / "run", far, says=examples.explained())).sizes[0]
+        "torque lies outside" in reveal(run_hiding(tmp_path / "run", far, says=examples.explained())).sizes[0]
     )
 
 
@@ -99,7 +93,7 @@ def test_without_a_diagnosis_the_seal_stays_closed(tmp_path):
     folder = run_hiding(tmp_path / "run", TRUTH, says=examples.explained())
     (folder / "gap" / "diagnosis.json").unlink()
     with pytest.raises(RequestError, match="no diagnosis yet"):
-        compare(folder)
+        reveal(folder)
     assert json.loads((folder / "seal.json").read_text())["opened_at"] == []
 
 
@@ -107,11 +101,11 @@ def test_a_seal_that_was_changed_is_not_believed(tmp_path):
     folder = run_hiding(tmp_path / "run", TRUTH, says=examples.explained())
     seal(folder, [])
     with pytest.raises(RecordingError, match="not the seal that the run began with"):
-        compare(folder)
+        reveal(folder)
 
 
 def test_a_script_gets_score_and_truth(tmp_path):
-    found = compare(run_hiding(tmp_path / "run", TRUTH, says=examples.pair())).to_json()
+    found = reveal(run_hiding(tmp_path / "run", TRUTH, says=examples.pair())).to_json()
     assert found["score"] == "right in part"
     assert found["hidden"][0]["values"] == {"torque": 1.5e-4}
     assert found["verdict"] == "partly-explained"

@@ -2,10 +2,11 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
+from labrun.devices import Clock
 from labrun.errors import LabrunError, RequestError
 from labrun.report.snapshot import BestYet, Snapshot, State, event_text
 from labrun.report.text import duration_text
@@ -17,9 +18,6 @@ from labrun.store.folder import JOURNAL, SPEC
 from labrun.store.table import known_units
 from labrun.store.watched_trials import Trace, read_trace
 from labrun.store.watching import RunWatch, SeenTrial
-
-if TYPE_CHECKING:
-    from labrun.devices import Clock
 
 _CLOCKS_AGREE_S = 60.0
 _LAST_TRIALS = 6
@@ -43,7 +41,7 @@ class Watcher:
         There is nothing to watch: a packed file without its folder.
     """
 
-    def __init__(self, target: Path, clock: "Clock", channel: str | None = None) -> None:
+    def __init__(self, target: Path, clock: Clock, channel: str | None = None) -> None:
         folder = target.parent if target.is_file() else target
         if not (folder / SPEC).is_file() and not (folder / JOURNAL).is_file():
             raise RequestError(

@@ -1,0 +1,162 @@
+"""A fit: which data, by which method, with which model; its figure and its numbers are kept."""
+
+import json
+import secrets
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labrun import registry
+from labrun.app.question import declared_plan, find_data, fit_plan
+from labrun.errors import RequestError
+from labrun.fit.method import GROUP, FitJob, FitPlan, Fitted, is_method, make_method
+from labrun.fit.notes import Note, silent
+from labrun.models import load_model, shipped_models
+from labrun.spec.named import load_named
+from labrun.spec.overrides import apply_overrides
+from labrun.store.recording import is_recording
+from labrun.toml import nearest
+
+
+def fit(
+    target: str | Path,
+    data: str | Path | None = None,
+    *,
+    more: Sequence[str | Path] = (),
+    model: str | Path | None = None,
+    method: str | None = None,
+    signals: Mapping[str, str] | None = None,
+    settings: Mapping[str, Any] | None = None,
+    overrides: Sequence[str] = (),
+    seed: int | None = None,
+    starts: int | None = None,
+    results: str | Path = "results",
+    workspace: str | Path = ".",
+    note: Note = silent,
+) -> Fitted:
+    """Fit a recording or a run, draw the figure, and keep both.
+
+    Parameters
+    ----------
+    target
+        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder. Where `data` is given: the
+        experiment whose way of fitting is used.
+    data
+        A recording folder or run to fit in the way of the experiment `target`. A recording with a model.toml of its own
+        is fitted with what that knows of the body that was measured.
+    more
+        Further runs or recordings of the same fit, named like `target`.
+    model
+        A model file, plugin or shipped name; or the name of a fit, which is then the method. Else the experiment's
+        ``[fit] model``; else the recording's model.toml.
+    method
+        A fit by name. Else the experiment's ``[fit] method``; else "model".
+    signals
+        Which recorded channel is which input or output; adds to the experiment's ``[fit] signals``.
+    settings, overrides
+        Of the method, over the experiment's own; `overrides` as ``key=value``.
+    seed
+        Of starts and resamples; 0 if None, so that the same data give the same numbers.
+    starts
+        How many; None is what the method takes by itself.
+    results
+        Where runs are. The fit of a run is kept in the run's own folder, under ``fit/``; that of a recording, which is
+        never written to, in ``<results>/<recording>/fit-<time>/``.
+    workspace
+        Where a person works: experiments and model files are looked for here.
+    note
+        Called with what is being done.
+
+    Raises
+    ------
+    PluginError, RequestError
+        No such data, method or model, settings that do not hold, or an experiment that does not say how to fit.
+    FitError
+        The model cannot be fitted to these data.
+    """
+    results, workspace = Path(results), Path(workspace)
+    folder = find_data(target if data is None else data, results)
+    further = tuple(find_data(one, results) for one in more)
+    if isinstance(model, str) and is_method(model):
+        method, model = model, None
+    plan = None if data is None else _lent_plan(str(target), folder, workspace, need_model=model is None)
+    if isinstance(model, str):
+        _require_known(model)
+    given = load_model(model) if model is not None else None
+    plan = plan or fit_plan(folder, workspace, need_model=given is None)
+    method = method or plan.method
+    chosen: dict[str, Any] = dict(settings or {})
+    apply_overrides(chosen, overrides)
+    way = make_method(method, {**plan.settings_of(method), **chosen})
+    note(f"reading {folder}")
+    wired = {**plan.signals, **(signals or {})}
+    rng = np.random.default_rng(seed or 0)
+    result = way(FitJob(folder, rng, further, given or plan.model, wired, starts, note, plan.settings_of))
+    note("drawing")
+    kept, stem = _output_folder(folder, result, results), _stem(result)
+    result = result.draw(kept, stem)
+    numbers = {
+        **result.to_json(),
+        "model": result.model_name,
+        "method": result.method,
+        "source": str(folder),
+        **result.record(),
+    }
+    (kept / f"{stem}.json").write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
+    return result
+
+
+def _lent_plan(experiment: str, folder: Path, workspace: Path, *, need_model: bool) -> FitPlan:
+    """Return how an experiment declares its fit, for data that may come from elsewhere."""
+    loaded = load_named(experiment, workspace)
+    table = loaded.experiment.fit
+    if table is None:
+        raise RequestError(
+            f"{experiment} does not say how to fit its data",
+            hint=f"give its file a table [fit], or name a model: labrun fit {folder} --model FILE",
+        )
+    if not is_recording(folder):
+        return declared_plan(table, loaded.path, workspace, need_model=need_model)
+    # a recording has neither the experiment's devices, which its signals name, nor, perhaps, its body
+    own = folder / "model.toml"
+    if need_model and own.is_file():
+        return FitPlan(table.method, load_model(own))
+    return FitPlan(table.method, declared_plan(table, loaded.path, workspace, need_model=need_model).model)
+
+
+def _require_known(name: str) -> None:
+    """Raise RequestError if a bare name is no model: it may have been meant for a fit."""
+    if (
+        ":" in name
+        or Path(name).suffix == ".toml"
+        or Path(name).is_file()
+        or registry.is_installed("labrun.models", name)
+    ):
+        return
+    models, fits = [*shipped_models(), *registry.names("labrun.models")], registry.names(GROUP)
+    if name in models:
+        return
+    near = nearest(name, [*fits, *models])
+    known = f"fits: {', '.join(fits)}; models: {', '.join(models)}, or the path of a .toml file"
+    raise RequestError(
+        f"there is no fit or model {name!r}", hint=f"did you mean {near!r}?" if near else known
+    )
+
+
+def _stem(result: Fitted) -> str:
+    """Return what the files of a fit are called: several fits of a run stand side by side."""
+    name = result.model_name if result.method == "model" else result.method
+    return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name) or "model"
+
+
+def _output_folder(target: Path, result: Fitted, results: Path) -> Path:
+    if result.kind == "run":
+        folder = (target.parent if target.is_file() else target) / "fit"
+    else:
+        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+        folder = results / result.data_name / f"fit-{stamp}-{secrets.token_hex(2)}"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder

@@ -1,0 +1,151 @@
+"""What a person names: data, how they are fitted, and the model they are held against."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from labrun.errors import RequestError
+from labrun.fit.dataset import Dataset, load_dataset
+from labrun.fit.method import FitPlan
+from labrun.fit.run_dataset import imported_channels
+from labrun.gap.question import Question
+from labrun.models import Model, load_model
+from labrun.spec.experiment import FitTable, GapTable
+from labrun.spec.loading import loads_experiment
+from labrun.spec.workspace import find_model_file
+from labrun.store.locate import find_run
+from labrun.store.reading import open_run
+from labrun.store.recording import is_recording
+
+
+def find_data(target: str | Path, results: Path) -> Path:
+    """Return the run or recording that a person means.
+
+    Parameters
+    ----------
+    target
+        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder.
+    results
+        Where runs are.
+
+    Raises
+    ------
+    RequestError
+        There is none; names what is nearest.
+    """
+    folder = Path(target).expanduser()
+    return folder if is_recording(folder) else find_run(str(target), results)
+
+
+def fit_plan(target: Path, workspace: Path, *, need_model: bool = True) -> FitPlan:
+    """Return what data say about their own fit.
+
+    Parameters
+    ----------
+    target
+        A recording folder, a run folder or a run.h5.
+    workspace
+        Where model files that an experiment names are looked for.
+
+    Raises
+    ------
+    RequestError
+        There is nothing at `target`.
+    """
+    if is_recording(target):
+        beside = target / "model.toml"
+        return FitPlan(model=load_model(beside)) if need_model and beside.is_file() else FitPlan()
+    if not target.exists():
+        raise RequestError(
+            f"there is no recording or run at {target}",
+            hint="labrun list shows the experiments and their runs",
+        )
+    run = open_run(target)
+    if imported_channels(run.experiment_toml):
+        return FitPlan()
+    table = loads_experiment(run.experiment_toml, run.name, plugins=False).experiment.fit
+    return FitPlan() if table is None else declared_plan(table, None, workspace, need_model=need_model)
+
+
+def declared_plan(
+    table: FitTable, experiment: Path | None, workspace: Path, *, need_model: bool = True
+) -> FitPlan:
+    """Return the plan of an experiment's ``[fit]`` table; `experiment` is its file, beside which models may stand."""
+    model = None
+    if need_model and table.model is not None:
+        model = load_model(find_model_file(table.model, experiment, workspace) or table.model)
+    return FitPlan(table.method, model, table.signals, table.settings, table.methods)
+
+
+def ask(
+    target: Path,
+    model: str | Path | None,
+    more: Sequence[Path] = (),
+    signals: Mapping[str, str] | None = None,
+    workspace: Path = Path(),
+) -> Question:
+    """Return the data and the model of a diagnosis.
+
+    Parameters
+    ----------
+    model
+        A model file, plugin or shipped name. Else what the experiment's ``[gap]`` or else its ``[fit]`` names; else the
+        model.toml beside the recording.
+    more
+        Further recordings or runs that belong to the same question.
+    signals
+        Which recorded channel is which input or output of the model; adds to the experiment's own.
+
+    Raises
+    ------
+    RequestError
+        There is nothing at `target`, no model is named anywhere, or data do not belong together.
+    """
+    given = load_model(model) if model is not None else None
+    found, wired = _held_against(target, given, workspace)
+    wired = {**wired, **(signals or {})}
+    dataset = load_dataset(target, found, wired)
+    for other in more:
+        dataset = _joined(dataset, load_dataset(other, found, wired))
+    return Question(dataset, found, wired)
+
+
+def _held_against(target: Path, given: Model | None, workspace: Path) -> tuple[Model, Mapping[str, str]]:
+    table = _gap_table(target)
+    if table is not None:
+        return given or load_model(
+            find_model_file(table.model, None, workspace) or table.model
+        ), table.signals
+    plan = fit_plan(target, workspace, need_model=given is None)
+    found = given or plan.model
+    if found is None:
+        raise RequestError(
+            f"no model to hold {target} against", hint="name one with --model, or in [gap] of the experiment"
+        )
+    return found, plan.signals
+
+
+def _gap_table(target: Path) -> GapTable | None:
+    """Return what the experiment of a run says, None for recordings and for experiments that say nothing."""
+    if is_recording(target) or not target.exists():
+        return None
+    run = open_run(target)
+    if imported_channels(run.experiment_toml):
+        return None
+    return loads_experiment(run.experiment_toml, run.name, plugins=False).experiment.gap
+
+
+def _joined(one: Dataset, other: Dataset) -> Dataset:
+    mine = [(signal.name, signal.unit) for signal in (*one.inputs, *one.outputs)]
+    theirs = [(signal.name, signal.unit) for signal in (*other.inputs, *other.outputs)]
+    if mine != theirs:
+        raise RequestError(
+            f"{other.source} has other channels than {one.source}: {theirs} beside {mine}",
+            hint="diagnose together only what was recorded alike",
+        )
+    return replace(
+        one,
+        trials=(*one.trials, *other.trials),
+        left_out=one.left_out + other.left_out,
+        notes=(*one.notes, *other.notes),
+    )

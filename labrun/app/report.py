@@ -1,0 +1,159 @@
+"""What a run found, in the terminal or as one HTML file: everything it tells of is read once."""
+
+from pathlib import Path
+
+import numpy as np
+
+from labrun.app.diagnose import FOLDER as GAP_FOLDER
+from labrun.app.diagnose import read_stored
+from labrun.errors import RequestError, StoreError
+from labrun.report.data import RunView
+from labrun.report.findings import Findings, findings
+from labrun.report.gap_page import PAGE
+from labrun.report.html import report_html
+from labrun.report.recorded import experiment_of
+from labrun.report.recording_findings import RecordingFindings
+from labrun.report.report_source import ReportSource, StoredGap
+from labrun.search.leaders import t_interval
+from labrun.search.result import Best, stored_result
+from labrun.store.folder import SPEC
+from labrun.store.locate import find_run
+from labrun.store.opening import open_target
+from labrun.store.reading import Run, open_run
+
+REPORT = "report.html"
+
+
+def report(target: str | Path, output: Path | None = None, *, results: str | Path = "results") -> Path:
+    """Write a run as one HTML file that opens offline; see `write_report`.
+
+    Parameters
+    ----------
+    target
+        An experiment's name (its latest run), a run folder, or a run.h5.
+    results
+        Where runs are.
+    """
+    with open_run(find_run(str(target), Path(results))) as run:
+        return write_report(run, output)
+
+
+def show(target: str | Path, *, results: str | Path = "results") -> Findings | RecordingFindings:
+    """Return what a run found, or what a recording holds.
+
+    Parameters
+    ----------
+    target
+        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder.
+    results
+        Where runs are.
+    """
+    with open_target(str(target), Path(results)) as run:
+        return findings(run)
+
+
+def write_report(run: Run, output: Path | None = None) -> Path:
+    """Write an open run's report.
+
+    Parameters
+    ----------
+    run
+        Open for reading; finished or not, measured or imported.
+    output
+        The file. Else ``report.html`` in the run's folder; of a ``run.h5`` that stands alone, ``<name>-report.html``
+        beside it.
+
+    Returns
+    -------
+    Path
+        The file, which holds everything it shows and loads nothing.
+
+    Raises
+    ------
+    StoreError
+        The file cannot be written.
+    SpecError
+        The stored experiment file does not hold.
+    """
+    source = read_source(run)
+    path = output if output is not None else _beside(source)
+    text = report_html(source)
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        raise StoreError(
+            f"{path} cannot be written: {error.strerror}", hint="--output FILE writes elsewhere"
+        ) from error
+    return path
+
+
+def read_source(run: Run) -> ReportSource:
+    """Read a run for its report.
+
+    Parameters
+    ----------
+    run
+        Open for reading; finished or not, packed or not, measured or imported.
+    """
+    folder = run.path if run.path.is_dir() else run.path.parent
+    alone = not (folder / SPEC).is_file()
+    experiment = experiment_of(run.experiment_toml, run.name)
+    result = None if alone else stored_result(folder)
+    ended = any(event["event"] == "finished" for event in run.events)
+    # A run is packed when it ends, so a packed file that stands alone, without the journal's last lines, is whole.
+    finished = result is not None or ended or run.path.is_file()
+    view = RunView(run, experiment, None)
+    best = result.best if result is not None else confirmed_best(view)
+    figure = result.figure if result is not None else None
+    return ReportSource(
+        run=run,
+        view=RunView(run, experiment, best),
+        folder=None if alone else folder,
+        finished=finished,
+        figure=figure if figure is not None and figure.is_file() else None,
+        diagnosis=None if alone else stored_gap(folder),
+    )
+
+
+def stored_gap(folder: Path) -> StoredGap | None:
+    """Return the newest diagnosis that is kept in a run's folder; None if there is none."""
+    if not (folder / GAP_FOLDER).is_dir():
+        return None
+    page = f"{GAP_FOLDER}/{PAGE}" if (folder / GAP_FOLDER / PAGE).is_file() else None
+    try:
+        return StoredGap(read_stored(folder), page)
+    except RequestError as error:
+        return StoredGap({}, fault=str(error))
+
+
+def confirmed_best(view: RunView) -> Best | None:
+    """Return the honest best from the confirming trials that are there; None if there are none.
+
+    What a finished run keeps in its result, for a packed file alone and for a run that stopped close to its end.
+    """
+    goal = view.experiment.goal
+    if goal is None:
+        return None
+    confirmed = view.points(goal[0], roles=("confirm",))
+    if not confirmed:
+        return None
+    winner = confirmed[0]
+    everything = np.concatenate([point.values for point in view.points(goal[0])])
+    return Best(
+        parameters=winner.condition,
+        objective_name=goal[0],
+        value=winner.mean,
+        ci95=t_interval(winner.values),
+        unit=view.unit_of(goal[0]),
+        luckiest=float(everything.max() if goal[1] == "maximise" else everything.min()),
+        trials=len(winner.values),
+    )
+
+
+def _beside(source: ReportSource) -> Path:
+    if source.folder is not None:
+        return source.folder / REPORT
+    return source.run.path.with_name(f"{source.run.path.stem}-{REPORT}")
