@@ -36,7 +36,7 @@ from measuring import machine, table
 from labrun.runner.measurement import Condition, Measurement
 from labrun.runner.progress import SilentProgress
 from labrun.search.cmaes import search_by_cmaes
-from labrun.spec.experiment import Experiment
+from labrun.spec import Experiment
 from labrun.store.trial import TrialOutcome
 
 NAMES = tuple("abcdef")

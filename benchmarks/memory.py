@@ -24,7 +24,7 @@ from measuring import Stopwatch, machine, peak_mb, table
 from labrun.runner.clock import SimulatedClock
 from labrun.runner.rig import Rig
 from labrun.runner.session import Session
-from labrun.spec.experiment import Experiment
+from labrun.spec import Experiment
 from labrun.store.folder import RunFolder
 
 GOAL_MB = 500.0

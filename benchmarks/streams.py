@@ -24,9 +24,9 @@ from labrun.devices import Channel, DeviceContext, Samples, Trajectory
 from labrun.runner.clock import RealClock
 from labrun.runner.emulated.bench import EmulatedBench
 from labrun.runner.resolving import resolve
-from labrun.spec.experiment import PluginTable
 from labrun.store.timing import stream_report
 from labrun.store.trial import Stream
+from labrun.toml import PluginTable
 
 LOOK_S = 0.02
 _CB3_HZ = 125.0

@@ -117,7 +117,7 @@ class Labrun(Side):
         from labrun.runner.clock import SimulatedClock
         from labrun.runner.rig import Rig
         from labrun.runner.session import Session
-        from labrun.spec.experiment import Experiment
+        from labrun.spec import Experiment
         from labrun.store.folder import RunFolder
 
         self.name = "labrun, trace" + (", with settling and tare" if settle else "")

@@ -1,9 +1,11 @@
 """Plugins by name: entry points of labrun's groups, or "package.module:Class"."""
 
 import importlib
+import sys
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any
 
 from labrun.errors import PluginError
@@ -22,6 +24,15 @@ GROUPS = (
     "labrun.effects",
     "labrun.scenes",
 )
+
+
+_folders: dict[Path, None] = {}
+"""Where experiment files stood: plugins may stand beside them."""
+
+
+def look_beside(file: Path) -> None:
+    """Let "package.module:Class" name modules in the folder of an experiment file, too."""
+    _folders[file.resolve().parent] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +106,10 @@ def load(group: str, name: str) -> Any:
 
 def _load_dotted(kind: str, name: str) -> Any:
     module_name, _, attribute = name.partition(":")
+    before = sys.path
+    # Behind everything else, so that no file beside an experiment hides an installed module. A run that is resumed
+    # knows no folder: it is looked for in the workspace, where experiments are.
+    sys.path = [*before, *map(str, (*_folders, Path("experiments").resolve(), Path.cwd()))]
     try:
         target = importlib.import_module(module_name)
         for part in attribute.split("."):
@@ -102,8 +117,10 @@ def _load_dotted(kind: str, name: str) -> Any:
     except Exception as error:
         raise PluginError(
             f"{kind} plugin {name!r} cannot be imported: {type(error).__name__}: {error}",
-            hint='a dotted name is "package.module:Class"; the package must be importable from here',
+            hint='a dotted name is "package.module:Class", of a module beside the experiment file or installed',
         ) from error
+    finally:
+        sys.path = before
     return target
 
 

@@ -23,7 +23,7 @@ WORDS: dict[str, dict[str, str]] = tomllib.loads(
 )
 _MARK = re.compile(r"^<!-- keys: ([\w.:]+) -->$", re.MULTILINE)
 _FUNCTIONS = "<!-- expression functions -->"
-_EXPERIMENT = "labrun.spec.experiment"
+_EXPERIMENT = "labrun.spec"
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:

@@ -26,9 +26,7 @@ from labrun.search.design import conditions
 from labrun.search.forecast import expected_trials
 from labrun.search.leaders import Measured, honest_best
 from labrun.search.result import RESULT_FILE, Best, RunResult, reason_lines, resume_line
-from labrun.spec.condition import condition_key
-from labrun.spec.experiment import Experiment, Value
-from labrun.spec.track_tables import LOOP_DEVICE
+from labrun.spec import LOOP_DEVICE, Experiment, Value, condition_key
 from labrun.store.disk import replace_durably, saving
 from labrun.store.folder import RunFolder
 from labrun.store.trial import TrialOutcome

@@ -11,8 +11,7 @@ from labrun.search.constraints import ConstraintError
 from labrun.search.design import Condition, conditions
 from labrun.search.forecast import most_trials
 from labrun.search.survey import allowed_points, at_points, survey
-from labrun.spec.experiment import Experiment
-from labrun.spec.loading import LoadedExperiment
+from labrun.spec import Experiment, LoadedExperiment
 
 
 def check(loaded: LoadedExperiment, *, dry_run: bool = False, seed: int = 0) -> Plan:

@@ -12,7 +12,7 @@ from labrun.runner.hardware_doctor import examine_rig, find_devices
 from labrun.runner.ports import ports_of
 from labrun.runner.progress import SilentProgress
 from labrun.runner.rig import Rig
-from labrun.spec.named import load_named
+from labrun.spec import load_named
 from labrun.store.rig_lock import lock_ports
 
 

@@ -15,8 +15,7 @@ from labrun.errors import RequestError
 from labrun.fit.method import GROUP, FitJob, FitPlan, Fitted, is_method, make_method
 from labrun.fit.notes import Note, silent
 from labrun.models import load_model, shipped_models
-from labrun.spec.named import load_named
-from labrun.spec.overrides import apply_overrides
+from labrun.spec import apply_overrides, load_named
 from labrun.store.recording import is_recording
 from labrun.toml import nearest
 

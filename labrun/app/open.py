@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labrun.errors import RecordingError
-from labrun.spec.condition import condition_text
+from labrun.spec import condition_text
 from labrun.store import frames, layout
 from labrun.store.folder import SPEC
 from labrun.store.locate import find_run
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from labrun.search.result import Best
-    from labrun.spec.experiment import Experiment
+    from labrun.spec import Experiment
 
 
 def open(target: str | Path, results: str | Path = "results") -> "OpenRun":  # noqa: A001 - labrun.open, like h5py's and zarr's
@@ -163,7 +163,7 @@ class OpenRun:
         RecordingError
             This is a recording made elsewhere, which has no experiment file.
         """
-        from labrun.spec.loading import loads_experiment
+        from labrun.spec import loads_experiment
 
         if not self._has_experiment:
             raise RecordingError(f"{self.path} is a recording: it has no experiment file")

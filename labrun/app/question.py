@@ -10,9 +10,7 @@ from labrun.fit.method import FitPlan
 from labrun.fit.run_dataset import imported_channels
 from labrun.gap.question import Question
 from labrun.models import Model, load_model
-from labrun.spec.experiment import FitTable, GapTable
-from labrun.spec.loading import loads_experiment
-from labrun.spec.workspace import find_model_file
+from labrun.spec import FitTable, GapTable, find_model_file, loads_experiment
 from labrun.store.locate import find_run
 from labrun.store.reading import open_run
 from labrun.store.recording import is_recording

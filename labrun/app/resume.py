@@ -12,7 +12,7 @@ from labrun.runner.clock import RealClock, SimulatedClock
 from labrun.runner.progress import Progress
 from labrun.runner.rig import Rig
 from labrun.search.result import RunResult, resume_line, stored_result
-from labrun.spec.loading import load_experiment, loads_experiment
+from labrun.spec import load_experiment, loads_experiment
 from labrun.store.folder import RunFolder
 from labrun.store.locate import is_finished
 

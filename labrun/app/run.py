@@ -17,9 +17,7 @@ from labrun.runner.ports import ports_of
 from labrun.runner.progress import Progress, SilentProgress
 from labrun.runner.rig import Rig
 from labrun.search.result import RunResult
-from labrun.spec.experiment import Experiment
-from labrun.spec.loading import LoadedExperiment
-from labrun.spec.named import load_named
+from labrun.spec import Experiment, LoadedExperiment, load_named
 from labrun.store.folder import RunFolder
 from labrun.store.provenance import collect
 from labrun.store.rig_lock import lock_ports

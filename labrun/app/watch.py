@@ -11,9 +11,7 @@ from labrun.errors import LabrunError, RequestError
 from labrun.report.snapshot import BestYet, Snapshot, State, event_text
 from labrun.report.text import duration_text
 from labrun.search.result import Best, resume_line, stored_result
-from labrun.spec.condition import condition_key
-from labrun.spec.experiment import Experiment
-from labrun.spec.loading import loads_experiment
+from labrun.spec import Experiment, condition_key, loads_experiment
 from labrun.store.folder import JOURNAL, SPEC
 from labrun.store.table import known_units
 from labrun.store.watched_trials import Trace, read_trace

@@ -9,7 +9,7 @@ from labrun.errors import RequestError
 from labrun.models import Site
 from labrun.runner.clock import SimulatedClock
 from labrun.runner.rig import Rig
-from labrun.spec.experiment import Experiment, SceneTable
+from labrun.spec import Experiment, SceneTable
 
 PARAMETER = "parameter"
 """Kind of what is hidden that is no effect: a parameter's true value."""

@@ -16,9 +16,7 @@ from labrun.effects import Effect, EffectParameter, Scale, effects, load_effect
 from labrun.errors import ModelError, PluginError, RequestError
 from labrun.models import Model, Site, load_model
 from labrun.search.design import conditions as conditions_of
-from labrun.spec.experiment import Experiment, Value
-from labrun.spec.loading import LoadedExperiment
-from labrun.spec.workspace import find_model_file
+from labrun.spec import Experiment, LoadedExperiment, Value, find_model_file
 from labrun.store.folder import RunFolder
 from labrun.store.locate import find_run
 from labrun.toml import nearest

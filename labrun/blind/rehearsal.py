@@ -16,7 +16,7 @@ from labrun.runner.clock import SimulatedClock
 from labrun.runner.motion import MotionMaker, TrialMotion
 from labrun.runner.moves import smooth_move
 from labrun.runner.rig import Rig
-from labrun.spec.experiment import Experiment, Value
+from labrun.spec import Experiment, Value
 
 _CONDITIONS = 3
 _RATE_HZ = 100.0

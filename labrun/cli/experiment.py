@@ -27,7 +27,7 @@ def check(
     """
     with reported(as_json):
         from labrun.app.check import check as check_plan
-        from labrun.spec.named import load_named
+        from labrun.spec import load_named
 
         plan = check_plan(load_named(name, Path.cwd(), overrides or ()), dry_run=dry_run)
         if as_json:

@@ -8,7 +8,7 @@ import typer
 
 def complete_experiment(ctx: typer.Context, incomplete: str) -> list[str]:
     """Offer the experiments of this workspace and those that ship with labrun; of its kind to `labrun sweep`, say."""
-    from labrun.spec.listing import summarise_workspace
+    from labrun.spec import summarise_workspace
 
     kind = ctx.info_name if ctx.info_name in ("sweep", "track", "cmaes") else None
     found = summarise_workspace(Path.cwd(), RESULTS)

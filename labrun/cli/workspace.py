@@ -18,7 +18,7 @@ def init(
     Example:  labrun init my-bench
     """
     with reported(as_json):
-        from labrun.spec.workspace import create_workspace
+        from labrun.spec import create_workspace
 
         written, left = create_workspace(directory)
     if as_json:
@@ -38,7 +38,7 @@ def list_(results: options.Results = options.RESULTS, as_json: options.Json = Fa
     Example:  labrun list
     """
     with reported(as_json):
-        from labrun.spec.listing import summarise_workspace
+        from labrun.spec import summarise_workspace
 
         summaries = summarise_workspace(Path.cwd(), results)
     if as_json:

@@ -12,14 +12,11 @@ from labrun.control.protocol import Condition, Feedback
 from labrun.control.stream import channels_of, samples_of
 from labrun.devices import Channel, Samples
 from labrun.errors import SpecError
-from labrun.gaits import make_gait
-from labrun.gaits.steering import steering_of
+from labrun.gaits import make_gait, steering_of
 from labrun.runner.bench import Handle
 from labrun.runner.recording import LEAD_S, TAIL_S, Take
 from labrun.runner.rig import Rig
-from labrun.spec.condition import condition_text
-from labrun.spec.experiment import Experiment, Track
-from labrun.spec.track_tables import LOOP_DEVICE
+from labrun.spec import LOOP_DEVICE, Experiment, Track, condition_text
 
 _ON_TIME = 1e-9
 """Share of a period by which rounding may make a step look late."""

@@ -7,12 +7,12 @@ from labrun.control.history import History
 from labrun.control.making import controller_of, make_controller, make_reference
 from labrun.control.protocol import Condition, Feedback, LoopContext, Step
 from labrun.errors import ExperimentError
-from labrun.spec.track_tables import LoopTable
+from labrun.spec import LoopTable
 
 
 @dataclass(frozen=True, slots=True)
 class LoopRecord:
-    """One step of a loop, as it is stored: in the order of `labrun.spec.track_tables.LOOP_CHANNELS`."""
+    """One step of a loop, as it is stored: in the order of `labrun.spec.LOOP_CHANNELS`."""
 
     reference: float
     feedback: float

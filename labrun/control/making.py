@@ -15,10 +15,8 @@ from labrun.control.protocol import (
     ReferencePlugin,
 )
 from labrun.errors import SpecError
-from labrun.spec.setting_expressions import resolved_settings
-from labrun.spec.table import PluginTable
-from labrun.spec.track_tables import LoopTable
-from labrun.toml import suggest
+from labrun.spec import LoopTable, resolved_settings
+from labrun.toml import PluginTable, suggest
 
 REFERENCES = "labrun.references"
 FEEDBACKS = "labrun.feedbacks"

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from labrun.devices import FloatArray, Trajectory
-from labrun.gaits.steering import Steering
+from labrun.gaits import Steering
 
 _SAME_S = 1e-6
 """Two points of a command are further apart than this."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from labrun.control.history import History
-from labrun.spec.experiment import Value
+from labrun.spec import Value
 
 Condition = Mapping[str, Value]
 FindFile = Callable[[str], Path]

@@ -7,8 +7,7 @@ import numpy as np
 from labrun.control.loop import LoopRecord
 from labrun.control.protocol import Feedback
 from labrun.devices import Channel, Samples
-from labrun.spec.experiment import Experiment
-from labrun.spec.track_tables import LOOP_CHANNELS, loop_channel
+from labrun.spec import LOOP_CHANNELS, Experiment, loop_channel
 from labrun.toml import unit_of
 
 _OF_FEEDBACK = ("reference", "feedback", "error")
@@ -32,7 +31,7 @@ def variable_unit(experiment: Experiment, variable: str) -> str:
         return experiment.units[variable]
     for keys in experiment.gait.joints.values():
         for key, expression in keys.items():
-            if isinstance(expression, str) and expression.strip() == variable:
+            if expression.text.strip() == variable:
                 return unit_of(key) or ""
     return ""
 

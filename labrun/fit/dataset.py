@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.errors import FitError, RequestError
-from labrun.spec.condition import condition_text
+from labrun.spec import condition_text
 from labrun.store.recording import (
     Between,
     Recording,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from labrun.errors import RecordingError, RequestError
 from labrun.fit.dataset import Dataset, FitTrial, Named, Ports, require_trials, resample
-from labrun.spec.condition import condition_text
+from labrun.spec import condition_text
 from labrun.store.recording import SignalInfo
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from labrun.errors import FitError, RequestError
 from labrun.fit.signal_table import SignalTable
-from labrun.spec.condition import condition_text
+from labrun.spec import condition_text
 from labrun.store.recording import (
     RecordedTrial,
     SignalInfo,
@@ -20,7 +20,7 @@ from labrun.store.recording import (
 from labrun.toml import nearest
 
 if TYPE_CHECKING:
-    from labrun.spec.experiment import Experiment
+    from labrun.spec import Experiment
     from labrun.store.trial import Stream, TrialOutcome
 
 FloatArray = NDArray[np.float64]
@@ -130,7 +130,7 @@ def _run(
     target: Path, wanted: Mapping[str, SignalTable], where: Mapping[str, float | str], rate_hz: float | None
 ) -> _Loaded:
     from labrun.fit.run_dataset import COMMAND, imported_channels
-    from labrun.spec.loading import loads_experiment
+    from labrun.spec import loads_experiment
     from labrun.store.reading import open_run
 
     run = open_run(target)

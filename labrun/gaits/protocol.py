@@ -1,14 +1,13 @@
-"""What a gait is, and how one is made from its table in the experiment file."""
+"""What a gait is, how a closed loop steers one, and how one is made from its table in the experiment file."""
 
-from collections.abc import Mapping
-from typing import Any, Protocol, cast
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, Protocol, cast, runtime_checkable
 
+from labrun import registry
+from labrun.arrays import FloatArray
 from labrun.devices import Trajectory
 from labrun.errors import SpecError
-from labrun.spec.experiment import Expression, GaitTable, Value
-
-Condition = Mapping[str, Value]
-"""Values of one trial, by name, in the units of the file."""
+from labrun.spec import Condition, GaitTable
 
 
 class Gait(Protocol):
@@ -31,6 +30,32 @@ class Gait(Protocol):
         ...
 
 
+Steering = Callable[[FloatArray, Mapping[str, FloatArray]], FloatArray]
+"""Times of the gait, shape (n,), and each steered variable there, shape (n,), to joint angles, rad, (n, joints)."""
+
+
+@runtime_checkable
+class SteerableGait(Protocol):
+    """A gait of which a closed loop sets variables while it runs.
+
+    `fixed_keys` are keys of a joint that must not depend on a steered variable: the loop sets how the joint moves
+    within its cycle, and the cycle itself goes on.
+    """
+
+    joints: tuple[str, ...]
+    fixed_keys: ClassVar[tuple[str, ...]]
+
+    def steering(self, condition: Condition, drives: Sequence[str]) -> Steering:
+        """Return what gives the joint angles while `drives` change; the condition does not name them.
+
+        Raises
+        ------
+        SpecError
+            A key that must not depend on a steered variable does.
+        """
+        ...
+
+
 class GaitPlugin(Protocol):
     """The class an entry point of group ``labrun.gaits`` names.
 
@@ -41,11 +66,11 @@ class GaitPlugin(Protocol):
 
     def __call__(
         self,
-        joints: Mapping[str, Mapping[str, Expression]],
-        let: Mapping[str, Expression],
+        joints: Mapping[str, Mapping[str, float | str]],
+        let: Mapping[str, float | str],
         settings: Mapping[str, Any],
     ) -> Gait:
-        """Make the gait; raises SpecError on keys that do not hold."""
+        """Make the gait of numbers and expressions as they stand in the file; SpecError on keys that do not hold."""
         ...
 
 
@@ -59,10 +84,29 @@ def make_gait(table: GaitTable) -> Gait:
     SpecError
         Keys that do not hold.
     """
-    from labrun import registry
-
     plugin = cast("GaitPlugin", registry.load("labrun.gaits", table.plugin))
+    joints = {joint: {key: one.given for key, one in keys.items()} for joint, keys in table.joints.items()}
     try:
-        return plugin(table.joints, table.let, table.settings)
-    except (TypeError, ValueError) as error:  # a third party's own way of refusing its keys
+        return plugin(joints, {name: part.given for name, part in table.let.items()}, table.settings)
+    except (
+        TypeError,
+        ValueError,
+        SpecError,
+    ) as error:  # ValueError: a third party's own way of refusing its keys
         raise SpecError(f'gait "{table.plugin}": {error}') from error
+
+
+def steering_of(gait: Any, plugin: str, condition: Condition, drives: Sequence[str]) -> Steering:
+    """Return the steering of a gait.
+
+    Raises
+    ------
+    SpecError
+        It cannot be steered.
+    """
+    if not isinstance(gait, SteerableGait):
+        raise SpecError(
+            f'gait "{plugin}" cannot be steered by a loop',
+            hint="formula, hold and sine can; or give it steering()",
+        )
+    return gait.steering(condition, drives)

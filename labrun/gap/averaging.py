@@ -12,7 +12,7 @@ from labrun.fit.dataset import Dataset, FitTrial
 from labrun.fit.initial_states import FIRST_SAMPLES
 from labrun.gap import criteria
 from labrun.models import Model
-from labrun.spec.condition import condition_key, condition_text
+from labrun.spec import condition_key, condition_text
 
 
 def averaged(dataset: Dataset, model: Model) -> Dataset:

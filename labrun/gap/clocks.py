@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from labrun.errors import RecordingError
 from labrun.fit.dataset import Dataset, FitTrial
 from labrun.gap import criteria
-from labrun.spec.condition import condition_key
+from labrun.spec import condition_key
 
 _SHOWN = 3
 

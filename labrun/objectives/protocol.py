@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from labrun.devices import FloatArray, Trajectory
 from labrun.errors import ExperimentError, SpecError
-from labrun.spec.experiment import ObjectiveTable, Value
+from labrun.spec import ObjectiveTable, Value
 from labrun.toml import suggest
 
 

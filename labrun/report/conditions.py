@@ -7,8 +7,7 @@ from typing import Any
 
 from labrun.report.data import FloatArray, Point, RunView
 from labrun.search.leaders import leading_conditions
-from labrun.spec.condition import condition_key
-from labrun.spec.experiment import Experiment, Value
+from labrun.spec import Experiment, Value, condition_key
 from labrun.store.trial import TrialOutcome
 
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from labrun.errors import PluginError, SpecError
 from labrun.search.leaders import t_interval
 from labrun.search.result import Best
-from labrun.spec.condition import condition_key
-from labrun.spec.experiment import Experiment, Value
+from labrun.spec import Experiment, Value, condition_key
 from labrun.store.trial import SettleCurve, Stream, TrialOutcome
 
 FloatArray = NDArray[np.float64]

@@ -25,7 +25,7 @@ from labrun.report.text import (
     percent,
     times_noise,
 )
-from labrun.spec.condition import condition_key
+from labrun.spec import condition_key
 
 _MOST_FORCES = 2
 

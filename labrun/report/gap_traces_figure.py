@@ -14,7 +14,7 @@ from labrun.report.gap_window import telling_window
 from labrun.report.style import FAINT, INK, zero_line
 from labrun.report.svg import as_svg
 from labrun.report.text import listed, spaced
-from labrun.spec.condition import condition_key
+from labrun.spec import condition_key
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from labrun.report.data import Point
 from labrun.report.text import value_text
-from labrun.spec.experiment import Value
+from labrun.spec import Value
 
 FloatArray = NDArray[np.float64]
 

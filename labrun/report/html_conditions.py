@@ -13,8 +13,7 @@ from labrun.report.data import Point, RunView
 from labrun.report.html_elements import Content, Html, element, joined, paragraph, section, table
 from labrun.report.report_source import ReportSource
 from labrun.report.text import counted, decimal_text, decimals_for, label, named_condition, spaced, value_text
-from labrun.spec.condition import condition_key
-from labrun.spec.experiment import Value
+from labrun.spec import Value, condition_key
 
 _LEADERS_SHOWN = 12
 _CONDITIONS_SHOWN = 60

@@ -19,7 +19,7 @@ from labrun.report.text import (
     spaced,
 )
 from labrun.search.result import Best, resume_line
-from labrun.spec.condition import condition_key
+from labrun.spec import condition_key
 
 _KINDS = {
     "run": "run",

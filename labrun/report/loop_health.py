@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labrun.report.data import RunView
-from labrun.spec.track_tables import LOOP_DEVICE
+from labrun.spec import LOOP_DEVICE
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from rich.text import Text
 from labrun.report.text import condition_text, duration_text, quantity_text
 
 if TYPE_CHECKING:
-    from labrun.spec.experiment import Value
+    from labrun.spec import Value
     from labrun.store.trial import TrialOutcome
 
 _REFRESHES_PER_S = 8

@@ -3,8 +3,7 @@
 from typing import Any
 
 from labrun.fit.run_dataset import imported_channels
-from labrun.spec.experiment import Experiment, FitTable
-from labrun.spec.loading import loads_experiment
+from labrun.spec import Experiment, FitTable, loads_experiment
 
 
 def experiment_of(experiment_toml: str, name: str) -> Experiment:

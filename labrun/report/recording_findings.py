@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labrun.fit.run_dataset import imported_channels
-from labrun.spec.condition import condition_key
-from labrun.spec.experiment import Value
+from labrun.spec import Value, condition_key
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -23,7 +23,7 @@ from labrun.report.statistics import (
     stream_health,
 )
 from labrun.search.result import Best
-from labrun.spec.experiment import Experiment
+from labrun.spec import Experiment
 from labrun.store.reading import Run
 from labrun.store.trial import TrialOutcome
 

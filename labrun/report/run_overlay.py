@@ -11,7 +11,7 @@ from labrun.report.conditions import in_order, varying
 from labrun.report.data import Point, RunView
 from labrun.report.style import COLOURS, SOFT, heading, new_figure, save, zero_line
 from labrun.report.text import condition_text, interval_text, label, value_text
-from labrun.spec.condition import condition_key
+from labrun.spec import condition_key
 from labrun.store.trial import TrialOutcome
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from labrun.search.result import Best
-from labrun.spec.experiment import Value
+from labrun.spec import Value
 from labrun.store.watched_trials import Trace
 from labrun.store.watching import SeenTrial
 

@@ -7,8 +7,8 @@ from labrun.fit import Estimate, rounded
 from labrun.gap.diagnosis import CandidateVerdict, Diagnosis
 from labrun.gap.diagnosis import Estimate as GapEstimate
 from labrun.gap.numbers import significant
+from labrun.spec import Condition, Value
 from labrun.spec import condition as plain
-from labrun.spec.condition import Condition, Value
 from labrun.toml import UNITS, split_unit
 
 VERDICTS: Mapping[CandidateVerdict, str] = {

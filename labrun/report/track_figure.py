@@ -10,7 +10,7 @@ import numpy as np
 from labrun.report.data import FloatArray, RunView
 from labrun.report.run_overlay import PANEL_TITLE, condition_title, groups_of, objective_panel
 from labrun.report.style import COLOURS, INK, heading, new_figure, save
-from labrun.spec.track_tables import LOOP_DEVICE, loop_channel
+from labrun.spec import LOOP_DEVICE, loop_channel
 from labrun.store.trial import Stream, TrialOutcome
 
 if TYPE_CHECKING:

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from labrun.devices import Excess, FloatArray, Limits
-from labrun.gaits.protocol import Gait
-from labrun.gaits.steering import Steering, steering_of
+from labrun.gaits import Gait, Steering, steering_of
 from labrun.runner.measurement import Condition
-from labrun.spec.experiment import Track
+from labrun.spec import Track
 
 _VALUES = 5
 """Values of each variable that are looked at, the bounds of its range among them."""

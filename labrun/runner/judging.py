@@ -10,7 +10,7 @@ from labrun.objectives import make_objective
 from labrun.objectives.protocol import Objective, Signal, TrialSignals
 from labrun.runner.measurement import Condition
 from labrun.runner.motion import TrialMotion
-from labrun.spec.experiment import Experiment
+from labrun.spec import Experiment
 from labrun.store.trial import Stream
 
 if TYPE_CHECKING:

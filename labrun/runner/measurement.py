@@ -8,7 +8,7 @@ import numpy as np
 
 from labrun.devices import FloatArray
 from labrun.errors import ExperimentError
-from labrun.spec.condition import condition_text
+from labrun.spec import condition_text
 from labrun.store.trial import Role, TrialOutcome
 
 Condition = Mapping[str, float | str]

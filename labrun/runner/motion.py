@@ -9,8 +9,7 @@ from labrun.errors import PlanError
 from labrun.gaits import make_gait
 from labrun.runner.envelope import Envelope, envelope
 from labrun.runner.measurement import Condition
-from labrun.spec.condition import condition_text
-from labrun.spec.experiment import Experiment
+from labrun.spec import Experiment, condition_text
 from labrun.toml import evaluate
 
 _WHOLE = 1e-9

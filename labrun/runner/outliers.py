@@ -4,7 +4,7 @@ import numpy as np
 
 from labrun.devices import FloatArray
 from labrun.runner.measurement import Measurement
-from labrun.spec.experiment import Outliers
+from labrun.spec import Outliers
 
 PREFIX = "outlier: "
 """Begins the reason of every trial this rule rejects, and of no other."""

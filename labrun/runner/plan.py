@@ -17,8 +17,7 @@ from labrun.runner.moves import smooth_move
 from labrun.runner.rig import Rig
 from labrun.runner.settling import settle_estimate_s
 from labrun.runner.wiring import check_wiring
-from labrun.spec.condition import condition_text
-from labrun.spec.experiment import Experiment, Settle
+from labrun.spec import Experiment, Settle, condition_text
 
 _SHOWN = 5
 _TRIAL_BYTES = 40_000

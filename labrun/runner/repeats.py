@@ -1,7 +1,7 @@
 """When a condition has been measured often enough."""
 
 from labrun.runner.measurement import Measurement
-from labrun.spec.experiment import RepeatRule
+from labrun.spec import RepeatRule
 
 
 def needs_another(measurement: Measurement, rule: RepeatRule) -> bool:

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from labrun.devices import DeviceSettings
 from labrun.errors import PluginError, RequestError, SpecError
 from labrun.registry import is_installed, load
-from labrun.spec.experiment import PluginTable
+from labrun.toml import PluginTable
 
 _GROUP = "labrun.devices"
 STAND_IN = "simulated-"

@@ -26,7 +26,7 @@ from labrun.runner.guard import Watchdog, start_watchdog
 from labrun.runner.ports import missing_ports
 from labrun.runner.resolving import STAND_IN, ResolvedDevice, resolve
 from labrun.runner.safety import PATIENCE_S, stop_all
-from labrun.spec.experiment import Experiment
+from labrun.spec import Experiment
 
 if TYPE_CHECKING:
     from labrun.runner.emulated.bench import EmulatedBench

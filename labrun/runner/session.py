@@ -21,8 +21,7 @@ from labrun.runner.safety import StopRequest, interruptible
 from labrun.runner.settling import needs_baseline, unsettled
 from labrun.runner.trial import TrialRequest, TrialRunner
 from labrun.runner.wiring import check_wiring
-from labrun.spec.condition import condition_text
-from labrun.spec.experiment import Experiment, RepeatRule
+from labrun.spec import Experiment, RepeatRule, condition_text
 from labrun.store.folder import RunFolder
 from labrun.store.trial import Role, TrialOutcome
 

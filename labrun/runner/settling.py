@@ -8,7 +8,7 @@ from labrun.errors import ExperimentError, SettleError, SpecError
 from labrun.runner.bench import Bench
 from labrun.runner.rig import Rig
 from labrun.runner.settle import BaselineMeter, Bounds, SettleDetector, Watched
-from labrun.spec.experiment import Settle
+from labrun.spec import Settle
 from labrun.store.trial import SettleCurve, SettleSummary, TrialOutcome
 
 _BASELINE_HOLDS = 6.0

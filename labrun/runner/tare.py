@@ -8,7 +8,7 @@ from labrun.devices import FloatArray, Samples
 from labrun.errors import DeviceError, SpecError
 from labrun.runner.bench import Bench
 from labrun.runner.rig import Rig
-from labrun.spec.experiment import Tare
+from labrun.spec import Tare
 
 _FORCE_UNITS = ("N", "N m")
 

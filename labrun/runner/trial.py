@@ -15,7 +15,7 @@ from labrun.runner.recording import Conduct, Recorder, Take, conduct_as_planned
 from labrun.runner.settle import Bounds
 from labrun.runner.settling import Settled, measure_baseline, settle
 from labrun.runner.tare import tare
-from labrun.spec.experiment import Experiment, Settle
+from labrun.spec import Experiment, Settle
 from labrun.store.folder import RunFolder
 from labrun.store.trial import Role, TrialOutcome
 from labrun.store.writer import TrialWriter

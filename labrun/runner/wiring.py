@@ -6,8 +6,7 @@ from labrun.errors import SpecError, StoreError
 from labrun.runner.rig import Rig
 from labrun.runner.settling import watched_channels
 from labrun.runner.tare import tared_devices
-from labrun.spec.experiment import Experiment
-from labrun.spec.track_tables import LOOP_DEVICE, loop_channels
+from labrun.spec import LOOP_DEVICE, Experiment, loop_channels
 from labrun.store.layout import check_joints, check_names
 
 

@@ -16,8 +16,7 @@ from labrun.search.generation import keep_generation
 from labrun.search.leaders import Measured, Measures, pooled_variance
 from labrun.search.stopping import StopWatch
 from labrun.search.strategy import Strategy
-from labrun.spec.condition import condition_key
-from labrun.spec.experiment import CmaEs, Experiment
+from labrun.spec import CmaEs, Experiment, condition_key
 
 if TYPE_CHECKING:
     from labrun.runner.progress import Progress

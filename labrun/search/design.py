@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from labrun.errors import PlanError
 from labrun.search.constraints import Constraint, constraints
-from labrun.spec.experiment import Experiment, Interval, Range, Sweep, Value
+from labrun.spec import Experiment, Interval, Range, Sweep, Value
 
 Condition = Mapping[str, Value]
 """One setting of everything that varies, in the units of the experiment file."""

@@ -11,7 +11,7 @@ from labrun.devices import Excess
 from labrun.errors import RequestError
 from labrun.search.constraints import constraints
 from labrun.search.design import Condition
-from labrun.spec.experiment import CmaEs, Penalty
+from labrun.spec import CmaEs, Penalty
 
 FloatArray = NDArray[np.float64]
 

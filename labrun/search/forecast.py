@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from labrun.search.design import Condition
-from labrun.spec.experiment import CmaEs, Experiment
+from labrun.spec import CmaEs, Experiment
 
 
 def expected_trials(experiment: Experiment, conditions: Sequence[Condition]) -> int | None:

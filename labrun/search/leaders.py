@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from labrun.search.design import Condition
 from labrun.search.result import Best
-from labrun.spec.condition import condition_key
-from labrun.spec.experiment import Leaders, RepeatRule
+from labrun.spec import Leaders, RepeatRule, condition_key
 from labrun.store.trial import Role
 
 Goal = Literal["maximise", "minimise"]

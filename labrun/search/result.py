@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from labrun.spec.condition import Value, condition_text
+from labrun.spec import Value, condition_text
 
 RESULT_FILE = "result.json"
 _MOST_REASONS = 4

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-from labrun.spec.experiment import StopRules
+from labrun.spec import StopRules
 
 _BEYOND_NOISE = 2.0
 

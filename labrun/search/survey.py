@@ -11,8 +11,7 @@ from labrun.runner.plan import ConditionExcess, Plan, SearchSpace, SpaceBreak, p
 from labrun.search.constraints import constraints
 from labrun.search.design import Condition, start_of_search
 from labrun.search.feasibility import Feasibility, LimitExcesses, probes
-from labrun.spec.condition import condition_key
-from labrun.spec.experiment import CmaEs, Experiment
+from labrun.spec import CmaEs, Experiment, condition_key
 
 _POINTS = 8192
 """Looked at for the constraints, which cost nothing."""

@@ -1,1 +1,43 @@
 """The experiment file: what it may say, how it is read, and what is wrong with it."""
+
+from labrun.spec.condition import Condition, Number, Value, condition_key, condition_text, value_text
+from labrun.spec.experiment import Experiment, FitTable, GaitTable, GapTable, ObjectiveTable, Rig, SceneTable
+from labrun.spec.loading import LoadedExperiment, load_experiment, load_named, loads_experiment, resolved
+from labrun.spec.overrides import apply_overrides
+from labrun.spec.plugins import resolved_settings
+from labrun.spec.search_tables import (
+    LOOP_CHANNELS,
+    LOOP_DEVICE,
+    CmaEs,
+    Interval,
+    Leaders,
+    LoopTable,
+    Penalty,
+    Range,
+    RunTable,
+    StopRules,
+    Sweep,
+    Track,
+    Variable,
+    loop_channel,
+    loop_channels,
+)
+from labrun.spec.trial_tables import CarriageMove, Outliers, Reference, RepeatRule, Settle, Tare, TrialTable
+from labrun.spec.workspace import (
+    create_workspace,
+    find_experiment,
+    find_model_file,
+    list_experiments,
+    shipped_experiments,
+    summarise_workspace,
+)
+
+__all__ = [
+    "LOOP_CHANNELS", "LOOP_DEVICE", "CarriageMove", "CmaEs", "Condition", "Experiment", "FitTable", "GaitTable",
+    "GapTable", "Interval", "Leaders", "LoadedExperiment", "LoopTable", "Number", "ObjectiveTable", "Outliers",
+    "Penalty", "Range", "Reference", "RepeatRule", "Rig", "RunTable", "SceneTable", "Settle", "StopRules",
+    "Sweep", "Tare", "Track", "TrialTable", "Value", "Variable", "apply_overrides", "condition_key",
+    "condition_text", "create_workspace", "find_experiment", "find_model_file", "list_experiments",
+    "load_experiment", "load_named", "loads_experiment", "loop_channel", "loop_channels", "resolved",
+    "resolved_settings", "shipped_experiments", "summarise_workspace", "value_text",
+]  # fmt: skip

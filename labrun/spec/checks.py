@@ -1,6 +1,6 @@
 """What has to fit together across the tables of a file.
 
-Works on the file as it was read, not on the validated experiment, so that these problems are reported together with all
+Works on the file as it was read, not on the validated experiment, so that these faults are reported together with all
 the others. Whatever has the wrong shape is passed over here: validation reports it.
 """
 
@@ -8,15 +8,36 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from labrun import registry
 from labrun.errors import SpecError
-from labrun.spec.catalogue import DeviceInfo, examine
-from labrun.spec.channels import check_channel
-from labrun.spec.fit_checks import check_fit, check_gap
-from labrun.spec.plugin_checks import check_plugins, gait_names
-from labrun.spec.raw_tables import check_expression, condition_names, driven_names, listed_conditions, table
+from labrun.spec.plugins import check_plugins, check_settings, examine, load_plugin
+from labrun.spec.raw import (
+    DeviceInfo,
+    check_channel,
+    check_expression,
+    check_name,
+    condition_names,
+    driven_names,
+    gait_expressions,
+    listed_conditions,
+    table,
+    tables,
+)
 from labrun.spec.track_checks import check_track
-from labrun.spec.unit_checks import check_units
-from labrun.toml import CONSTANTS, FUNCTIONS, Expression, Fault, KeyPath, in_order, nearest, suggest
+from labrun.spec.workspace import find_model_file, shipped_experiments
+from labrun.toml import (
+    CONSTANTS,
+    FUNCTIONS,
+    KNOWN_UNITS,
+    Expression,
+    Fault,
+    KeyPath,
+    dotted,
+    in_order,
+    nearest,
+    suggest,
+    unit_of,
+)
 
 
 def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Fault]:
@@ -29,23 +50,59 @@ def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Fault
     path
         The file; without it (a spec stored with a run) nothing beside it is looked for.
     """
-    problems: list[Fault] = []
+    faults: list[Fault] = []
     devices: dict[str, DeviceInfo] = {}
-    for name, device in table(data, "rig", "devices").items():
-        if isinstance(device, dict):
-            devices[name], found = examine(name, device)
-            problems += found
+    for name, device in tables(data, "rig", "devices").items():
+        devices[name], found = examine(name, device)
+        faults += found
     conditions = condition_names(data)
-    problems += check_plugins(data, devices)
-    problems += check_fit(data, path)
-    problems += check_gap(data, path)
-    problems += _check_joints(data, devices)
-    problems += _check_references(data, devices)
-    problems += _check_conditions(data, conditions)
-    problems += check_track(data, devices, conditions)
-    problems += check_units(data, [*conditions, *driven_names(data)])
-    problems += _check_expressions(data, conditions)
-    return problems
+    faults += check_plugins(data, devices)
+    faults += _check_fit(data, path)
+    faults += _check_joints(data, devices)
+    faults += _check_references(data, devices)
+    faults += _check_conditions(data, conditions)
+    faults += check_track(data, devices, conditions)
+    faults += _check_units(data, [*conditions, *driven_names(data)])
+    faults += _check_expressions(data, conditions)
+    return faults
+
+
+def _check_fit(data: Mapping[str, Any], experiment: Path | None) -> Iterator[Fault]:
+    """Yield what is wrong with methods, settings and models, as far as that shows without reading a model."""
+    fit = table(data, "fit")
+    shared = table(fit, "settings")
+    plugin, faults = load_plugin(
+        "labrun.fits", fit.get("method", "model") if fit else None, ("fit", "method")
+    )
+    yield from faults
+    yield from check_settings(plugin, shared, ("fit", "settings"), [])
+    for name, own in tables(fit, "methods").items():
+        path: KeyPath = ("fit", "methods", name)
+        plugin, faults = load_plugin("labrun.fits", name, path)
+        yield from faults
+        if plugin is not None:
+            taken = {key: value for key, value in shared.items() if key in plugin.Settings.model_fields}
+            yield from check_settings(plugin, {**taken, **own}, path, [])
+    for owner in ("fit", "gap"):
+        yield from _check_model(table(data, owner).get("model"), (owner, "model"), experiment)
+
+
+def _check_model(model: object, path: KeyPath, experiment: Path | None) -> Iterator[Fault]:
+    if experiment is None or not isinstance(model, str):
+        return
+    if find_model_file(model, experiment, Path()) is not None:
+        return
+    if model.endswith(".toml"):
+        beside = sorted((experiment.parent / model).parent.glob("*.toml"))
+        known = [str(Path(model).parent / item.name) for item in beside if item != experiment]
+        yield from check_name(model, path, known, "there is no such model file", kind="model files")
+    elif ":" in model or registry.is_installed("labrun.models", model):
+        yield from load_plugin("labrun.models", model, path)[1]
+    else:
+        shipped = sorted(item.stem for item in (shipped_experiments() / "models").glob("*.toml"))
+        if model not in shipped:
+            known = [*shipped, *registry.names("labrun.models")]
+            yield from check_name(model, path, known, "there is no such model", kind="models")
 
 
 def _check_joints(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
@@ -53,65 +110,52 @@ def _check_joints(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) ->
     for name, device in devices.items():
         for joint in device.joints:
             if joint in drivers:
-                path: KeyPath = ("rig", "devices", name)
-                yield Fault(path, f'joint "{joint}" is driven by {drivers[joint]} already')
+                yield Fault(
+                    ("rig", "devices", name), f'joint "{joint}" is driven by {drivers[joint]} already'
+                )
             drivers.setdefault(joint, name)
     for where in (("gait", "joints"), ("trial", "safe_pose_deg")):
         for joint in table(data, *where):
-            if joint not in drivers:
-                yield Fault(
-                    (*where, joint), f"no device drives this joint; {suggest(joint, drivers, kind='joints')}"
-                )
+            yield from check_name(
+                joint, (*where, joint), drivers, "no device drives this joint", kind="joints"
+            )
 
 
 def _check_references(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
-    objectives = table(data, "objectives")
-    trial = table(data, "trial")
-    channel = table(trial, "settle").get("channel")
-    yield from check_channel(channel, ("trial", "settle", "channel"), devices)
-    for name in table(trial, "repeats", "standard_error"):
-        if name not in objectives:
-            path: KeyPath = ("trial", "repeats", "standard_error", name)
-            yield Fault(path, f"no objective of this name; {suggest(name, objectives, kind='objectives')}")
-    outlier = table(trial, "outliers").get("objective")
-    if isinstance(outlier, str) and outlier not in objectives:
-        path = ("trial", "outliers", "objective")
-        yield Fault(
-            path, f"no objective of this name; {suggest(outlier, objectives, kind='objectives')}", True
-        )
+    objectives, trial = table(data, "objectives"), table(data, "trial")
+    yield from check_channel(table(trial, "settle").get("channel"), ("trial", "settle", "channel"), devices)
+    bounds: KeyPath = ("trial", "repeats", "standard_error")
+    named: list[tuple[object, KeyPath]] = [
+        (name, (*bounds, name)) for name in table(trial, "repeats", "standard_error")
+    ]
+    named.append((table(trial, "outliers").get("objective"), ("trial", "outliers", "objective")))
+    for name, path in named:
+        yield from check_name(name, path, objectives, "no objective of this name", kind="objectives")
     yield from _check_device_names(trial, devices)
     joints = table(data, "gait", "joints")
-    for signal, path in (
-        (signal, (owner, "signals", name))
-        for owner in ("fit", "gap")
-        for name, signal in table(data, owner, "signals").items()
-    ):
-        if isinstance(signal, str) and signal.startswith("command."):
-            joint = signal.removeprefix("command.")
-            if joint not in joints:
-                yield Fault(
-                    path, f'the gait has no joint "{joint}"; {suggest(joint, joints, kind="joints")}', True
-                )
-        else:
-            yield from check_channel(signal, path, devices)
+    for owner in ("fit", "gap"):
+        for name, signal in table(data, owner, "signals").items():
+            path = (owner, "signals", name)
+            if isinstance(signal, str) and signal.startswith("command."):
+                joint = signal.removeprefix("command.")
+                yield from check_name(joint, path, joints, f'the gait has no joint "{joint}"', kind="joints")
+            else:
+                yield from check_channel(signal, path, devices)
 
 
 def _check_device_names(trial: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
     carriage = table(trial, "carriage").get("device")
     path: KeyPath = ("trial", "carriage", "device")
-    if isinstance(carriage, str):
-        able = [name for name, device in devices.items() if device.carriage is not False]
-        if carriage not in devices:
-            yield Fault(
-                path, f"no device of this name; {suggest(carriage, able or devices, kind='devices')}", True
-            )
-        elif carriage not in able:
-            yield Fault(path, f"this device cannot travel; {suggest(carriage, able, kind='carriages')}", True)
+    able = [name for name, device in devices.items() if device.carriage is not False]
+    if carriage in devices:
+        yield from check_name(carriage, path, able, "this device cannot travel", kind="carriages")
+    elif isinstance(carriage, str):
+        yield from check_name(carriage, path, able or list(devices), "no device of this name", kind="devices")
     tared = table(trial, "tare").get("devices")
     for number, name in enumerate(tared if isinstance(tared, list) else []):
-        if isinstance(name, str) and name not in devices:
-            path = ("trial", "tare", "devices", number)
-            yield Fault(path, f"no device of this name; {suggest(name, devices, kind='devices')}", True)
+        yield from check_name(
+            name, ("trial", "tare", "devices", number), devices, "no device of this name", kind="devices"
+        )
 
 
 def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Fault]:
@@ -121,19 +165,14 @@ def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Fau
     reference = table(data, "trial", "reference").get("condition")
     if isinstance(reference, dict):
         yield from _same_names(reference, ("trial", "reference", "condition"), names)
-    let = table(data, "gait", "let")
+    kind = str(data.get("kind"))
+    listed: KeyPath = ("track" if kind == "track" else "run", "conditions", 0)
+    place: KeyPath = {"sweep": ("sweep", "axes"), "cmaes": ("cmaes", "variables")}.get(kind, listed)
+    taken = {**dict.fromkeys(CONSTANTS, "a constant"), **dict.fromkeys(FUNCTIONS, "a function")}
+    taken |= dict.fromkeys(table(data, "gait", "let"), "a part of let")
     for name in names:
-        taken = "a part of let" if name in let else "a function" if name in FUNCTIONS else None
-        if taken or name in CONSTANTS:
-            yield Fault(
-                _condition_path(data, name), f"this name is taken: it is also {taken or 'a constant'}"
-            )
-
-
-def _condition_path(data: Mapping[str, Any], name: str) -> KeyPath:
-    paths: dict[str, KeyPath] = {"sweep": ("sweep", "axes", name), "cmaes": ("cmaes", "variables", name)}
-    listed = "track" if data.get("kind") == "track" else "run"
-    return paths.get(str(data.get("kind")), (listed, "conditions", 0, name))
+        if name in taken:
+            yield Fault((*place, name), f"this name is taken: it is also {taken[name]}")
 
 
 def _same_names(condition: Mapping[str, Any], path: KeyPath, names: list[str]) -> Iterator[Fault]:
@@ -149,10 +188,30 @@ def _same_names(condition: Mapping[str, Any], path: KeyPath, names: list[str]) -
         yield Fault(path, f"lacks a value for {', '.join(missing)}")
 
 
+def _check_units(data: Mapping[str, Any], names: list[str]) -> Iterator[Fault]:
+    """Yield what is wrong with the units of conditions: names, units, and contradictions with keys of the gait."""
+    given = {
+        (expression.strip(), unit): path
+        for path, expression in gait_expressions(data)
+        if isinstance(expression, str) and (unit := unit_of(str(path[-1]))) is not None
+    }
+    for name, unit in table(data, "units").items():
+        path: KeyPath = ("units", name)
+        if name not in names:
+            yield from check_name(name, path, names, "no condition has this name", kind="names")
+        elif isinstance(unit, str) and unit not in KNOWN_UNITS:
+            yield from check_name(unit, path, list(KNOWN_UNITS), "unknown unit", kind="known units")
+        else:
+            for (expression, meant), key in given.items():
+                if expression == name and meant != unit and isinstance(unit, str):
+                    yield Fault(path, f"{dotted(key)} takes {name} in {meant}", at_value=True)
+                    break
+
+
 def _check_expressions(data: Mapping[str, Any], conditions: list[str]) -> Iterator[Fault]:
     let = table(data, "gait", "let")
-    own = gait_names(data)
-    in_gait = [*conditions, *let, *own, *driven_names(data)]
+    gait, _ = load_plugin("labrun.gaits", table(data, "gait").get("plugin"), ())
+    in_gait = [*conditions, *let, *getattr(gait, "names", ()), *driven_names(data)]
     for name, expression in let.items():
         yield from check_expression(expression, ("gait", "let", name), in_gait)
     try:
@@ -160,19 +219,15 @@ def _check_expressions(data: Mapping[str, Any], conditions: list[str]) -> Iterat
     except SpecError as error:
         if "circle" in str(error):
             yield Fault(("gait", "let"), str(error))
-    for joint, keys in table(data, "gait", "joints").items():
-        for key, expression in (keys if isinstance(keys, dict) else {}).items():
-            yield from check_expression(expression, ("gait", "joints", joint, key), in_gait)
+    for path, expression in gait_expressions(data):
+        yield from check_expression(expression, path, in_gait)
     speed = table(data, "trial", "carriage").get("speed_m_s")
     yield from check_expression(speed, ("trial", "carriage", "speed_m_s"), conditions)
-    for kind, names in (
-        ("sweep", table(data, "sweep", "axes")),
-        ("cmaes", table(data, "cmaes", "variables")),
-    ):
+    for kind, known in (("sweep", "axes"), ("cmaes", "variables")):
         where = table(data, kind).get("where")
         for number, expression in enumerate(where if isinstance(where, list) else []):
-            path: KeyPath = (kind, "where", number)
-            found = list(check_expression(expression, path, list(names)))
+            path = (kind, "where", number)
+            found = list(check_expression(expression, path, list(table(data, kind, known))))
             if not found and isinstance(expression, str) and not Expression.of(expression).is_comparison:
                 found.append(
                     Fault(path, 'compares nothing; a constraint reads "a + abs(b) <= 60"', at_value=True)

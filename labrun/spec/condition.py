@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
+Number = float | int
+"""A number of the file; whole ones stay whole."""
 Value = float | str
 """A value of a condition: a number, or a word (a specimen's name)."""
 Condition = Mapping[str, Value]

@@ -1,16 +1,22 @@
 """From a file to an experiment, or to everything that is wrong with it."""
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from labrun.errors import SpecError
+import tomli_w
+
+from labrun import registry
+from labrun.errors import RequestError, SpecError
 from labrun.spec.checks import cross_check
-from labrun.spec.embedding import embed_files
 from labrun.spec.experiment import Experiment
 from labrun.spec.overrides import apply_overrides
-from labrun.toml import KeyPath, Places, locate, parsed, refusal, text_of, validate
+from labrun.spec.plugins import load_plugin
+from labrun.spec.raw import table, tables
+from labrun.spec.workspace import find_experiment, find_model_file
+from labrun.toml import Fault, KeyPath, Places, locate, parsed, refusal, suggest, text_of, validate
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +63,7 @@ def load_experiment(path: Path, overrides: Sequence[str] = ()) -> LoadedExperime
     path
         The file.
     overrides
-        Texts ``key=value``, see `labrun.spec.overrides.apply_overrides`.
+        Texts ``key=value``, see `apply_overrides`.
 
     Raises
     ------
@@ -104,26 +110,23 @@ def _load(
     beside: Path | None = None,
     plugins: bool = True,
 ) -> LoadedExperiment:
+    if beside is not None:
+        registry.look_beside(beside)
     data = parsed(text, str(path), kind=SpecError)
     _expand_short_forms(data, overrides)
     origins = apply_overrides(data, overrides)
-    unreadable = embed_files(data, beside)
-    experiment, problems = validate(Experiment, data)
-    problems += unreadable
+    unreadable = _embed_files(data, beside)
+    experiment, faults = validate(Experiment, data)
+    faults += unreadable
     if plugins:
-        problems += cross_check(data, beside)
-    if experiment is None or problems:
-        places = Places(str(path), text, data, origins)
-        raise refusal(SpecError, str(path), places.of_all(problems))
-    return LoadedExperiment(
-        cast("Experiment", experiment), name, path, resolved(cast("Experiment", experiment)), origins
-    )
+        faults += cross_check(data, beside)
+    if experiment is None or faults:
+        raise refusal(SpecError, str(path), Places(str(path), text, data, origins).of_all(faults))
+    return LoadedExperiment(experiment, name, path, resolved(experiment), origins)
 
 
 def resolved(experiment: Experiment) -> str:
     """Return an experiment as TOML, defaults written out."""
-    import tomli_w
-
     tree = experiment.model_dump(mode="python", by_alias=True, exclude_none=True)
     return tomli_w.dumps(tree)
 
@@ -138,3 +141,75 @@ def _expand_short_forms(data: dict[str, Any], overrides: Sequence[str]) -> None:
     reaches_repeats = any(key.startswith("trial.repeats.") for key in keys)
     if reaches_repeats and isinstance(trial, dict) and type(trial.get("repeats")) is int:
         trial["repeats"] = {"min": trial["repeats"], "max": trial["repeats"]}
+
+
+def load_named(
+    name: str, workspace: Path, overrides: Sequence[str] = (), *, kind: str | None = None
+) -> LoadedExperiment:
+    """Find an experiment by name or path, and load it.
+
+    Parameters
+    ----------
+    name
+        A name or a path.
+    workspace
+        The folder a person works in.
+    overrides
+        ``key=value``, each replacing one key of the file.
+    kind
+        The kind the command is for; None takes any.
+
+    Raises
+    ------
+    RequestError
+        No such experiment, a file that does not hold, or an experiment of another kind.
+    """
+    loaded = load_experiment(find_experiment(name, workspace), overrides)
+    found = loaded.experiment.kind
+    if kind is not None and found != kind:
+        raise RequestError(
+            f"{loaded.name} is no {kind}: its file says kind = {found!r}",
+            hint=f"labrun {found} {name}",
+        )
+    return loaded
+
+
+def _embed_files(data: dict[str, Any], experiment: Path | None) -> list[Fault]:
+    """Put the content of files that loops name in the place of their names: a stored run needs no other file.
+
+    Returns what is wrong with them. Without the place of the `experiment`, beside which they are looked for, it is one
+    that a run stored, and names no file any more.
+    """
+    faults: list[Fault] = []
+    for group, holder, key, path in _parts_of_loops(data) if experiment is not None else ():
+        keys = table(holder, key)
+        embed = getattr(load_plugin(group, keys.get("plugin"), ())[0], "embed", None)
+        if embed is None or experiment is None:
+            continue
+        try:
+            holder[key] = embed(keys, functools.partial(_find_file, experiment))
+        except SpecError as error:
+            texts = [key for key, value in keys.items() if isinstance(value, str) and value in str(error)]
+            faults.append(Fault((*path, *texts[:1]), str(error).replace("\n  ", "; "), at_value=bool(texts)))
+    return faults
+
+
+def _parts_of_loops(data: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any], str, KeyPath]]:
+    """Yield each plugin of a loop: its group, the table that holds it, its key there, and its path in the file."""
+    for name, loop in tables(data, "track", "loops").items():
+        path: KeyPath = ("track", "loops", name)
+        yield "labrun.references", loop, "reference", (*path, "reference")
+        yield "labrun.feedbacks", loop, "feedback", (*path, "feedback")
+        controllers = table(loop, "controllers")
+        for controller in list(controllers):
+            yield "labrun.controllers", controllers, controller, (*path, "controllers", controller)
+
+
+def _find_file(experiment: Path, name: str) -> Path:
+    found = find_model_file(name, experiment, Path())
+    if found is None:
+        beside = sorted((experiment.parent / name).parent.glob(f"*{Path(name).suffix}"))
+        known = [str(Path(name).parent / item.name) for item in beside if item != experiment]
+        kind = f"{Path(name).suffix} files".strip()
+        raise SpecError(f'there is no file "{name}"; {suggest(name, known, kind=kind)}')
+    return found

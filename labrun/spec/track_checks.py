@@ -7,12 +7,17 @@ from pydantic import BaseModel
 
 from labrun import registry
 from labrun.errors import PluginError
-from labrun.spec.catalogue import DeviceInfo
-from labrun.spec.channels import check_channel
-from labrun.spec.plugin_checks import load_plugin
-from labrun.spec.raw_tables import check_expression, listed_conditions, table
-from labrun.spec.setting_expressions import is_expression
-from labrun.spec.track_tables import LOOP_DEVICE
+from labrun.spec.plugins import is_expression, load_plugin
+from labrun.spec.raw import (
+    DeviceInfo,
+    check_channel,
+    check_expression,
+    gait_expressions,
+    listed_conditions,
+    table,
+    tables,
+)
+from labrun.spec.search_tables import LOOP_DEVICE
 from labrun.toml import ExpressionError, Fault, KeyPath, names_in, suggest, validate
 
 _GAITS = "labrun.gaits"
@@ -32,7 +37,7 @@ def check_track(
     conditions
         Names of the values of a condition.
     """
-    loops = {name: loop for name, loop in table(data, "track", "loops").items() if isinstance(loop, dict)}
+    loops = tables(data, "track", "loops")
     if data.get("kind") != "track" or not loops:
         return
     if LOOP_DEVICE in devices:
@@ -100,9 +105,8 @@ def _check_drive(
             path, "this is a part of let, which the gait computes; drive a name it uses", at_value=True
         )
     used: dict[KeyPath, frozenset[str]] = {}
-    for joint, keys in table(gait, "joints").items():
-        for key, expression in (keys if isinstance(keys, dict) else {}).items():
-            used["gait", "joints", joint, key] = _needs(expression, let)
+    for key_path, expression in gait_expressions(data):
+        used[key_path] = _needs(expression, let)
     if drives not in frozenset().union(*used.values()):
         free = sorted(frozenset().union(*used.values()) - set(conditions) - set(let) - {"t"})
         yield Fault(
@@ -166,8 +170,7 @@ def _check_feedback(
     needs_cycle, has_cycle = getattr(plugin, "needs_cycle", None), getattr(gait, "has_cycle", None)
     if needs_cycle is None or has_cycle is None or not needs_cycle(keys):
         return
-    joints = {joint: item for joint, item in table(data, "gait", "joints").items() if isinstance(item, dict)}
-    if not has_cycle(joints):
+    if not has_cycle(tables(data, "gait", "joints")):
         yield Fault(
             (*path, "plugin"),
             "the gait has no cycle to average over; give period_s, or use moving-average",

@@ -5,9 +5,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
-from labrun.spec.condition import Value
-from labrun.spec.table import Expression, Number, Table
-from labrun.toml import Faults
+from labrun.spec.condition import Number, Value
+from labrun.toml import Expression, Faults, Table
 
 
 class RepeatRule(Table):

@@ -92,7 +92,7 @@ def _age(run: Path) -> tuple[str, int]:
 
 
 def _unknown(target: str, results: Path) -> RequestError:
-    from labrun.spec.workspace import list_experiments
+    from labrun.spec import list_experiments
 
     files = {path.stem: path for path in list_experiments(Path.cwd())}
     if target in files:

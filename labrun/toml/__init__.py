@@ -6,11 +6,42 @@ from labrun.toml.grammar import CONSTANTS, FUNCTIONS, RESERVED, ExpressionError
 from labrun.toml.names import KNOWN_UNITS, UNITS, nearest, split_unit, suggest, unit_of
 from labrun.toml.positions import KeyPath, Position, Positions, locate
 from labrun.toml.reading import Places, parsed, read, text_of
-from labrun.toml.validation import Table, mend, validate
+from labrun.toml.validation import PluginTable, Table, checked, mend, validate
 
 __all__ = [
-    "CONSTANTS", "FUNCTIONS", "KNOWN_UNITS", "RESERVED", "UNITS", "Expression", "ExpressionError", "Fault",
-    "Faults", "KeyPath", "LocatedFault", "Operand", "Places", "Position", "Positions", "Table", "dotted",
-    "evaluate", "fault_of", "in_order", "locate", "mend", "names_in", "nearest", "parsed", "read", "refusal",
-    "resolve", "shown", "split_unit", "suggest", "text_of", "unit_of", "validate",
+    "CONSTANTS",
+    "FUNCTIONS",
+    "KNOWN_UNITS",
+    "RESERVED",
+    "UNITS",
+    "Expression",
+    "ExpressionError",
+    "Fault",
+    "Faults",
+    "KeyPath",
+    "LocatedFault",
+    "Operand",
+    "Places",
+    "PluginTable",
+    "Position",
+    "Positions",
+    "Table", "checked",
+    "dotted",
+    "evaluate",
+    "fault_of",
+    "in_order",
+    "locate",
+    "mend",
+    "names_in",
+    "nearest",
+    "parsed",
+    "read",
+    "refusal",
+    "resolve",
+    "shown",
+    "split_unit",
+    "suggest",
+    "text_of",
+    "unit_of",
+    "validate",
 ]  # fmt: skip

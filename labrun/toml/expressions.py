@@ -62,6 +62,10 @@ class Expression:
             return given
         return _read(given) if isinstance(given, str) else _constant(given)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel to other processes as what was typed."""
+        return Expression.of, (self.given,)
+
     @property
     def text(self) -> str:
         """As it was typed."""

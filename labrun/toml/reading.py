@@ -4,20 +4,16 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, cast
-
-from pydantic import BaseModel
+from typing import Any
 
 from labrun.errors import RequestError
 from labrun.toml.faults import Fault, LocatedFault, dotted, refusal
 from labrun.toml.names import nearest
 from labrun.toml.positions import KeyPath, locate
-from labrun.toml.validation import validate
-
-_Model = TypeVar("_Model", bound=BaseModel)
+from labrun.toml.validation import Model, validate
 
 
-def read(path: Path, model: type[_Model], *, kind: type[RequestError] = RequestError) -> _Model:
+def read(path: Path, model: type[Model], *, kind: type[RequestError] = RequestError) -> Model:
     """Read a file as a pydantic model.
 
     Raises
@@ -31,7 +27,7 @@ def read(path: Path, model: type[_Model], *, kind: type[RequestError] = RequestE
     value, faults = validate(model, data)
     if value is None or faults:
         raise refusal(kind, str(path), Places(str(path), text, data).of_all(faults))
-    return cast("_Model", value)
+    return value
 
 
 def text_of(path: Path, *, kind: type[RequestError] = RequestError, what: str = "file") -> str:

@@ -4,12 +4,13 @@ import copy
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
-from labrun.toml.faults import Fault, shown
+from labrun.errors import SpecError
+from labrun.toml.faults import Fault, dotted, shown
 from labrun.toml.names import UNITS, convert, nearest, same_quantity, split_unit, suggest, unit_of
 from labrun.toml.positions import KeyPath
 
@@ -21,13 +22,27 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
+class PluginTable(BaseModel):
+    """A table that names a plugin; its further keys belong to the plugin, which checks them."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False)
+
+    plugin: str
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The plugin's own keys."""
+        return dict(self.model_extra or {})
+
+
+Model = TypeVar("Model", bound=BaseModel)
 _ROUNDS = 6
 """A table's own rules are read only once its keys hold: so what does not hold is left out, and it is read again."""
 
 
 def validate(
-    model: type[BaseModel], data: Mapping[str, Any], base: KeyPath = (), *, also: Sequence[str] = ()
-) -> tuple[BaseModel | None, list[Fault]]:
+    model: type[Model], data: Mapping[str, Any], base: KeyPath = (), *, also: Sequence[str] = ()
+) -> tuple[Model | None, list[Fault]]:
     """Read `data` as a model.
 
     Parameters
@@ -50,8 +65,8 @@ def validate(
 
 
 def mend(
-    model: type[BaseModel], data: Mapping[str, Any], base: KeyPath = (), *, also: Sequence[str] = ()
-) -> tuple[BaseModel | None, list[Fault]]:
+    model: type[Model], data: Mapping[str, Any], base: KeyPath = (), *, also: Sequence[str] = ()
+) -> tuple[Model | None, list[Fault]]:
     """Read `data` as `validate` does, but give the model of what is left once everything wrong is left out.
 
     Only for looking further: nothing may be run with it.
@@ -62,7 +77,7 @@ def mend(
         errors = error.errors(include_url=False)
     repair = _Repair(model, copy.deepcopy(dict(data)), also)
     found: dict[tuple[KeyPath, str], Fault] = {}
-    mended: BaseModel | None = None
+    mended: Model | None = None
     for _ in range(_ROUNDS):
         for fault in repair.faults(errors):
             found.setdefault((fault.path, fault.message), fault)
@@ -76,7 +91,21 @@ def mend(
     return mended, [Fault((*base, *item.path), item.message, item.at_value) for item in found.values()]
 
 
-def _read(model: type[BaseModel], data: Mapping[str, Any]) -> BaseModel:
+def checked(model: type[Model], data: Mapping[str, Any], base: KeyPath = ()) -> Model:
+    """Read `data` as a model, where no file is at hand to point into.
+
+    Raises
+    ------
+    SpecError
+        All keys that do not hold, below `base`.
+    """
+    value, faults = validate(model, data, base)
+    if value is None or faults:
+        raise SpecError("; ".join(f"{dotted(fault.path)}: {fault.message}" for fault in faults))
+    return value
+
+
+def _read(model: type[Model], data: Mapping[str, Any]) -> Model:
     """Read strictly: the number 3 is not the text "3".
 
     By way of JSON, where strictness still takes a list for a tuple, and a text for a path.

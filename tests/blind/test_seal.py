@@ -18,7 +18,7 @@ from labrun.errors import RecordingError, RequestError
 from labrun.report.gap_reveal import revealed_text
 from labrun.runner.progress import SilentProgress
 from labrun.search.design import conditions
-from labrun.spec.named import load_named
+from labrun.spec import load_named
 from labrun.store.reading import open_run
 
 SMALL = ("run.conditions=[{release=20},{release=40}]", "trial.repeats=2", "trial.duration_s=3")

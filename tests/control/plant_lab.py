@@ -8,7 +8,7 @@ from labrun.control.conductor import LoopConductor
 from labrun.runner.clock import SimulatedClock
 from labrun.runner.rig import Rig
 from labrun.runner.session import Session
-from labrun.spec.experiment import Experiment
+from labrun.spec import Experiment
 from labrun.store.folder import RunFolder
 from labrun.store.reading import open_run
 

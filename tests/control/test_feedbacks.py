@@ -10,7 +10,7 @@ from labrun.control.history import History
 from labrun.control.making import make_feedback
 from labrun.devices import Samples
 from labrun.errors import SpecError
-from labrun.spec.table import PluginTable
+from labrun.toml import PluginTable
 
 UNITS = {"wrench.x": "N m", "wrench.y": "N m", "imu.roll": "rad"}
 

@@ -6,9 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labrun.control.pieces import Pieces
-from labrun.gaits import make_gait
-from labrun.gaits.steering import steering_of
-from labrun.spec.experiment import GaitTable
+from labrun.gaits import make_gait, steering_of
+from labrun.spec import GaitTable
 
 SINE = make_gait(GaitTable(plugin="sine", joints={"tail": {"amplitude_deg": "a", "frequency_hz": 1.4}}))
 

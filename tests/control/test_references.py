@@ -11,7 +11,7 @@ from labrun import registry
 from labrun.control.making import REFERENCES, make_reference
 from labrun.control.references.table import TableReference
 from labrun.errors import SpecError
-from labrun.spec.table import PluginTable
+from labrun.toml import PluginTable
 
 TIMES = st.floats(0, 1000)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from labrun.spec.experiment import Experiment
+from labrun.spec import Experiment
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

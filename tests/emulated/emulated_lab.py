@@ -13,7 +13,7 @@ from labrun.runner.emulated.bench import EmulatedBench
 from labrun.runner.progress import SilentProgress
 from labrun.runner.rig import Rig
 from labrun.runner.session import Session
-from labrun.spec.experiment import Experiment
+from labrun.spec import Experiment
 from labrun.store.folder import RunFolder
 
 CLOCK = RealClock()

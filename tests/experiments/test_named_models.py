@@ -10,7 +10,7 @@ from labrun.blind import named_model
 from labrun.fit.dataset import load_dataset
 from labrun.fit.output_error import fit_model
 from labrun.runner.progress import SilentProgress
-from labrun.spec.named import load_named
+from labrun.spec import load_named
 
 SMALLER = {
     "hinge": ("run.conditions=[{release=20},{release=45}]", "trial.repeats=4"),

@@ -14,8 +14,7 @@ from labrun.devices import Limits
 from labrun.gaits import make_gait
 from labrun.models.hinge_maps import damping, stiffness
 from labrun.search.design import conditions
-from labrun.spec.loading import load_experiment, loads_experiment
-from labrun.spec.workspace import find_model_file, shipped_experiments
+from labrun.spec import find_model_file, load_experiment, loads_experiment, shipped_experiments
 
 NAMES = (
     "fin-params",
@@ -147,7 +146,7 @@ def test_still_water_has_no_carriage_and_the_current_is_a_tenth_of_a_metre_per_s
     assert shipped("turn-torque").trial.carriage is None
     assert "arm" in shipped("turn-torque").rig.devices
     move = shipped("turn-torque-current").trial.carriage
-    assert move.speed_m_s == 0.1
+    assert move.speed_m_s.given == 0.1
     assert shipped("turn-torque-current").trial.cycles == "fit"
     slowest = shipped("turn-torque-current").cmaes.variables["f"].start
     travel_s = (move.to_m - move.from_m) / move.speed_m_s

@@ -13,7 +13,7 @@ from labrun.errors import FitError, RequestError
 from labrun.fit.signal_table import SignalTable
 from labrun.fit.signals import load_signals, trailing_mean
 from labrun.runner.progress import SilentProgress
-from labrun.spec.named import load_named
+from labrun.spec import load_named
 from labrun.store.reading import open_run
 
 

@@ -9,7 +9,7 @@ import pytest
 from labrun.app.fit import fit
 from labrun.app.run import execute
 from labrun.runner.progress import SilentProgress
-from labrun.spec.named import load_named
+from labrun.spec import load_named
 
 PUBLISHED = {
     "magnitude_gain": 0.00912,  # N/deg

@@ -15,7 +15,7 @@ from labrun.fit.regression.least_squares import (
     term_values,
 )
 from labrun.runner.progress import SilentProgress
-from labrun.spec.named import load_named
+from labrun.spec import load_named
 
 STEP_S = 0.05
 

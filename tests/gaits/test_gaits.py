@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from labrun.errors import PluginError, SpecError
 from labrun.gaits import make_gait
 from labrun.gaits.formula import FormulaGait
-from labrun.gaits.hold import HoldGait
-from labrun.gaits.release import ReleaseGait
+from labrun.gaits.release import HoldGait, ReleaseGait
 from labrun.gaits.sine import SineGait, common_period_s
-from labrun.spec.experiment import GaitTable
+from labrun.spec import GaitTable
 
 FIN = {"tail": {"offset_deg": "b", "amplitude_deg": "a", "frequency_hz": "f", "phase_deg": "phi"}}
 
@@ -89,7 +88,7 @@ def test_a_formulas_frequency_may_come_from_let_but_not_from_time():
         )
         == 0.5
     )
-    with pytest.raises(SpecError, match="unknown name"):
+    with pytest.raises(SpecError, match="depends on h, which a loop or time changes"):
         FormulaGait({"tail": {"angle_deg": "t", "frequency_hz": "h"}}, {"h": "1 + t"}, {}).period_s({})
 
 

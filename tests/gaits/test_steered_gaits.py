@@ -6,9 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labrun.errors import SpecError
-from labrun.gaits import make_gait
-from labrun.gaits.steering import steering_of
-from labrun.spec.experiment import GaitTable
+from labrun.gaits import make_gait, steering_of
+from labrun.spec import GaitTable
 
 GAITS = {
     "sine": GaitTable(

@@ -11,7 +11,7 @@ from labrun.gap.diagnose import Options
 from labrun.gap.saving import save_model
 from labrun.models import load_model
 from labrun.runner.progress import SilentProgress
-from labrun.spec.named import load_named
+from labrun.spec import load_named
 
 SMALL = (
     "run.conditions=[{release=15},{release=30},{release=45}]",

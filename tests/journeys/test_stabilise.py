@@ -12,8 +12,7 @@ import pytest
 from labrun.app.open import OpenRun
 from labrun.app.open import open as open_run
 from labrun.devices import Limits
-from labrun.spec.loading import load_experiment
-from labrun.spec.workspace import shipped_experiments
+from labrun.spec import load_experiment, shipped_experiments
 
 STEP_S = 0.02
 FEW = (

@@ -22,8 +22,7 @@ def found(request, tmp_path_factory):
     """Return every accepted value of each objective by controller, of one whole dry run."""
     from labrun.app.run import execute
     from labrun.runner.progress import SilentProgress
-    from labrun.spec.loading import load_experiment
-    from labrun.spec.workspace import shipped_experiments
+    from labrun.spec import load_experiment, shipped_experiments
 
     loaded = load_experiment(shipped_experiments() / "force-control.toml")
     results = tmp_path_factory.mktemp("results")

@@ -7,7 +7,7 @@ from labrun.devices import Trajectory
 from labrun.errors import ExperimentError, SpecError
 from labrun.objectives import make_objective
 from labrun.objectives.protocol import Signal, TrialSignals
-from labrun.spec.experiment import ObjectiveTable
+from labrun.spec import ObjectiveTable
 
 TIME_S = np.linspace(0.0, 200.0, 4001)
 TRIANGLE = np.where(TIME_S < 100, 0.5, -0.1)

@@ -14,7 +14,7 @@ from labrun.objectives.direction import Direction
 from labrun.objectives.mean import Mean
 from labrun.objectives.peak import Peak
 from labrun.objectives.rms import Rms
-from labrun.spec.experiment import ObjectiveTable
+from labrun.spec import ObjectiveTable
 
 
 def trial(time_s, *, period_s=None, discard_cycles=0, end_s=None, unit="N m", **values):

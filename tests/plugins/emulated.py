@@ -11,7 +11,7 @@ from labrun.devices import DeviceContext
 from labrun.runner.clock import RealClock
 from labrun.runner.emulated.bench import EmulatedBench
 from labrun.runner.resolving import resolve
-from labrun.spec.experiment import PluginTable
+from labrun.toml import PluginTable
 
 POLL_S = 0.005
 

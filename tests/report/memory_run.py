@@ -9,7 +9,7 @@ from labrun.report.data import RunView
 from labrun.search.design import sweep_conditions
 from labrun.search.leaders import t_interval
 from labrun.search.result import Best
-from labrun.spec.experiment import Experiment
+from labrun.spec import Experiment
 from labrun.store.trial import SettleSummary, Stream, TrialOutcome
 
 

@@ -15,7 +15,7 @@ from labrun.report.conditions import condition_results, in_order, most_promising
 from labrun.report.findings import findings
 from labrun.report.run_overlay import condition_title
 from labrun.runner.progress import SilentProgress
-from labrun.spec.named import load_named
+from labrun.spec import load_named
 from labrun.store.reading import open_run
 
 

@@ -7,8 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from labrun.cli.app import app
-from labrun.spec.loading import load_experiment
-from labrun.spec.workspace import find_experiment
+from labrun.spec import find_experiment, load_experiment
 from labrun.store.folder import RunFolder
 from labrun.store.trial import TrialOutcome
 

@@ -14,7 +14,7 @@ from labrun.report.findings import Findings, findings
 from labrun.report.progress import LiveProgress
 from labrun.report.statistics import drift, repeatability, settling, stream_health
 from labrun.report.text import duration_text, label
-from labrun.spec.loading import loads_experiment
+from labrun.spec import loads_experiment
 from labrun.store.folder import RunFolder
 from labrun.store.reading import open_run
 from labrun.store.trial import TrialOutcome

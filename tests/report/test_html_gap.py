@@ -9,7 +9,7 @@ from labrun.app.report import stored_gap, write_report
 from labrun.app.run import execute
 from labrun.report.html_gap import gap_section
 from labrun.runner.progress import SilentProgress
-from labrun.spec.named import load_named
+from labrun.spec import load_named
 from labrun.store.opening import open_run
 
 

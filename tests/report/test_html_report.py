@@ -13,7 +13,7 @@ from labrun.cli.app import app
 from labrun.report.text import interval_words
 from labrun.runner.progress import SilentProgress
 from labrun.search.result import stored_result
-from labrun.spec.named import load_named
+from labrun.spec import load_named
 from labrun.store.folder import RunFolder
 from labrun.store.importing import import_recording
 from labrun.store.reading import open_run

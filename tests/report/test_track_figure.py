@@ -13,7 +13,7 @@ from labrun.report.html import report_html
 from labrun.report.loop_health import LoopHealth, loop_health, loop_words
 from labrun.report.recorded import experiment_of
 from labrun.runner.progress import SilentProgress
-from labrun.spec.named import load_named
+from labrun.spec import load_named
 from labrun.store.reading import open_run
 
 

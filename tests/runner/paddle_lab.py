@@ -7,7 +7,7 @@ from pathlib import Path
 from labrun.runner.clock import SimulatedClock
 from labrun.runner.rig import Rig
 from labrun.runner.session import Session
-from labrun.spec.experiment import Experiment
+from labrun.spec import Experiment
 
 EXPERIMENT = """
 title = "Paddle"

@@ -14,7 +14,7 @@ from labrun.errors import ExperimentError, PluginError, SpecError
 from labrun.runner.clock import RealClock
 from labrun.runner.emulated import bench as bench_module
 from labrun.runner.emulated.bench import EmulatedBench
-from labrun.spec.experiment import PluginTable
+from labrun.toml import PluginTable
 
 CLOCK = RealClock()
 TANK = PluginTable(plugin="caudal-tank")
@@ -143,7 +143,7 @@ def test_emulators_outlive_a_killed_runner_for_the_watchdog_and_then_end_by_them
     script.write_text(
         "import sys, time\n"
         "from labrun.runner.emulated.bench import EmulatedBench\n"
-        "from labrun.spec.experiment import PluginTable\n"
+        "from labrun.toml import PluginTable\n"
         "wrench = PluginTable.model_validate({'plugin': 'robotiq-ft300', 'port': '/dev/ttyUSB0'})\n"
         "bench = EmulatedBench({'wrench': wrench}, PluginTable(plugin='caudal-tank'), seed=1)\n"
         "bench.open()\n"

@@ -10,7 +10,7 @@ from labrun.runner.emulated.bench import EmulatedBench
 from labrun.runner.hardware_doctor import examine_rig, find_devices
 from labrun.runner.resolving import resolve
 from labrun.runner.rig import Rig
-from labrun.spec.experiment import Experiment
+from labrun.spec import Experiment
 
 EXPERIMENT = Experiment.model_validate(
     {

@@ -10,7 +10,7 @@ from labrun.runner.measurement import Measurement
 from labrun.runner.order import block_order
 from labrun.runner.outliers import find_outliers, modified_z
 from labrun.runner.repeats import needs_another
-from labrun.spec.experiment import Outliers, RepeatRule
+from labrun.spec import Outliers, RepeatRule
 from labrun.store.trial import TrialOutcome
 
 

@@ -16,7 +16,7 @@ from labrun.runner.clock import RealClock
 from labrun.runner.ports import ports_of
 from labrun.runner.progress import SilentProgress
 from labrun.runner.rig import Rig
-from labrun.spec.loading import loads_experiment
+from labrun.spec import loads_experiment
 from labrun.store import rig_lock
 from labrun.store.rig_lock import lock_ports
 

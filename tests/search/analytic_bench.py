@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labrun.runner.measurement import Measurement
-from labrun.spec.experiment import Experiment, RepeatRule
+from labrun.spec import Experiment, RepeatRule
 from labrun.store.trial import TrialOutcome
 
 RIG = {"devices": {"tail": {"plugin": "arduino-servo"}}}

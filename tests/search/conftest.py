@@ -4,7 +4,7 @@ import pytest
 
 from labrun.app.run import execute
 from labrun.runner.progress import SilentProgress
-from labrun.spec.loading import load_experiment
+from labrun.spec import load_experiment
 
 TANK = """
 title = "Thrust of a tail"

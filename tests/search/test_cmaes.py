@@ -9,7 +9,7 @@ from labrun.runner.progress import SilentProgress
 from labrun.search.cmaes import search_by_cmaes
 from labrun.search.constraints import Constraint
 from labrun.search.generation import read_generations
-from labrun.spec.experiment import RepeatRule
+from labrun.spec import RepeatRule
 
 
 def no_excess(condition):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from labrun.errors import PlanError
 from labrun.search.constraints import Constraint
 from labrun.search.design import axis_values, sweep_conditions
-from labrun.spec.experiment import Range, Sweep
+from labrun.spec import Range, Sweep
 
 
 def grid(axes, **keys):

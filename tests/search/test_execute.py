@@ -13,7 +13,7 @@ from labrun.report.plan_text import plan_text
 from labrun.runner.faults import Interrupted
 from labrun.runner.progress import SilentProgress
 from labrun.search.result import Best, RunResult
-from labrun.spec.loading import load_experiment
+from labrun.spec import load_experiment
 from labrun.store.folder import RunFolder
 
 

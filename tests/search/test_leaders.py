@@ -4,7 +4,7 @@ from analytic_bench import AnalyticBench
 
 from labrun.runner.measurement import Measurement
 from labrun.search.leaders import honest_best, leading_conditions
-from labrun.spec.experiment import Leaders
+from labrun.spec import Leaders
 from labrun.store.trial import TrialOutcome
 
 

@@ -1,6 +1,6 @@
 """A condition as a key and in words."""
 
-from labrun.spec.condition import condition_key, condition_text, value_text
+from labrun.spec import condition_key, condition_text, value_text
 
 
 def test_equal_conditions_have_equal_keys_whatever_their_order() -> None:

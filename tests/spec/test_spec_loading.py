@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labrun.errors import RequestError, SpecError
-from labrun.spec.loading import load_experiment, loads_experiment
+from labrun.spec import load_experiment, loads_experiment
 from labrun.toml import suggest
 
 

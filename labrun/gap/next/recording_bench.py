@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from labrun.gap.next.trials import PlannedTrial
 from labrun.gap.next.values import by_hand
-from labrun.spec.condition import condition_key, condition_text
+from labrun.spec import condition_key, condition_text
 
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset, FitTrial

@@ -12,15 +12,14 @@ from labrun.errors import LabrunError, RequestError
 from labrun.fit.run_dataset import COMMAND
 from labrun.gap.next.trials import PlannedTrial
 from labrun.gap.next.values import beyond, by_hand, reach, rounded
-from labrun.spec.condition import Condition, condition_text
-from labrun.spec.loading import loads_experiment, resolved
+from labrun.spec import Condition, condition_text, loads_experiment, resolved
 from labrun.toml import evaluate, names_in
 
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset
     from labrun.models import Model
     from labrun.runner.plan import Plan
-    from labrun.spec.experiment import Experiment
+    from labrun.spec import Experiment
     from labrun.store.reading import Run
 
 FloatArray = NDArray[np.float64]

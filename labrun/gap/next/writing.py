@@ -63,7 +63,7 @@ def write_experiment(path: Path, text: str) -> None:
     SpecError
         What was written does not hold.
     """
-    from labrun.spec.loading import load_experiment
+    from labrun.spec import load_experiment
 
     _write(path, text)
     load_experiment(path)

@@ -11,7 +11,7 @@ from labrun.gap.diagnosis import By
 from labrun.gap.where.difference import Difference
 from labrun.gap.where.pooling import Piece
 from labrun.gap.where.wording import channel_text, joined_conditions, located, threshold_text
-from labrun.spec.condition import condition_text
+from labrun.spec import condition_text
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from labrun.spec.condition import Condition, value_text
+from labrun.spec import Condition, value_text
 from labrun.toml import UNITS, split_unit
 
 _FREQUENCIES = ("frequency", "freq", "f", "drive_frequency")

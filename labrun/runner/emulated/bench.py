@@ -18,7 +18,7 @@ from labrun.registry import is_installed
 from labrun.runner.clock import RealClock
 from labrun.runner.emulated.scene_server import READY, RemoteScene
 from labrun.runner.resolving import resolve, stand_in_name
-from labrun.spec.experiment import PluginTable
+from labrun.toml import PluginTable
 
 _GROUP = "labrun.emulators"
 _START_S = 60.0

@@ -10,8 +10,7 @@ from labrun.app.run import execute
 from labrun.gap.diagnose import Options
 from labrun.runner.plan import plan
 from labrun.runner.progress import SilentProgress
-from labrun.spec.loading import load_experiment
-from labrun.spec.named import load_named
+from labrun.spec import load_experiment, load_named
 
 SEED = 1
 

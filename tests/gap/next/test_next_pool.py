@@ -9,7 +9,7 @@ from labrun.fit.dataset import load_dataset
 from labrun.gap.next.run_bench import RunBench
 from labrun.runner.plan import Planner
 from labrun.runner.progress import SilentProgress
-from labrun.spec.named import load_named
+from labrun.spec import load_named
 from labrun.store.reading import open_run
 
 

@@ -9,8 +9,7 @@ from labrun.gap.diagnose import Options
 from labrun.gap.next.values import beyond, by_hand, rounded
 from labrun.runner.plan import plan
 from labrun.runner.progress import SilentProgress
-from labrun.spec.loading import load_experiment
-from labrun.spec.named import load_named
+from labrun.spec import load_experiment, load_named
 
 HIDDEN = ["quadratic-drag@hinge"]
 SEED = 1

@@ -9,8 +9,7 @@ from typer.testing import CliRunner
 
 from labrun.cli.app import app
 from labrun.models import load_model, simulate
-from labrun.spec.loading import load_experiment
-from labrun.spec.workspace import shipped_experiments
+from labrun.spec import load_experiment, shipped_experiments
 from labrun.store.opening import open_run
 
 

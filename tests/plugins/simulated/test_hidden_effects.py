@@ -9,8 +9,7 @@ from labrun.effects import effects
 from labrun.errors import SpecError
 from labrun.runner.clock import SimulatedClock
 from labrun.runner.rig import Rig
-from labrun.spec.loading import load_experiment
-from labrun.spec.workspace import shipped_experiments
+from labrun.spec import load_experiment, shipped_experiments
 
 
 def _scene(experiment, *overrides):

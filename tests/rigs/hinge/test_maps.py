@@ -18,8 +18,7 @@ from labrun.app.run import execute
 from labrun.errors import FitError, RequestError
 from labrun.models import hinge_maps, load_model
 from labrun.runner.progress import SilentProgress
-from labrun.spec.named import load_named
-from labrun.spec.workspace import shipped_experiments
+from labrun.spec import load_named, shipped_experiments
 
 PLATE = shipped_experiments() / "models" / "hinge-specimens.toml"
 WIDTHS = np.array([20.0, 30.0, 40.0, 50.0, 60.0]) * 1e-3

@@ -1,0 +1,112 @@
+"""The file as tomllib read it, whatever shape its tables have, and the checks of a single name in it."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from labrun.toml import ExpressionError, Fault, KeyPath, fault_of, names_in, nearest, suggest
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceInfo:
+    """One device of the file, as far as it can be known without connecting it.
+
+    Attributes
+    ----------
+    joints
+        What it drives; empty for what is no actuator.
+    channels
+        What it measures; None if that cannot be known.
+    carriage
+        Whether it can travel; None if that cannot be known.
+    """
+
+    joints: tuple[str, ...]
+    channels: tuple[str, ...] | None
+    carriage: bool | None
+
+
+def table(data: Any, *path: str) -> dict[str, Any]:
+    """Return a table of the file; an empty one if it is not there or is no table."""
+    for part in path:
+        data = data.get(part) if isinstance(data, Mapping) else None
+    return data if isinstance(data, dict) else {}
+
+
+def tables(data: Any, *path: str) -> dict[str, dict[str, Any]]:
+    """Return the tables inside a table of the file by their names, without what is none."""
+    return {name: item for name, item in table(data, *path).items() if isinstance(item, dict)}
+
+
+def condition_names(data: Mapping[str, Any]) -> list[str]:
+    """Return the names of a condition's values: axes, variables, or the keys of the listed conditions."""
+    sources = {
+        "sweep": list(table(data, "sweep", "axes")),
+        "cmaes": list(table(data, "cmaes", "variables")),
+        **{kind: next(map(list, listed_conditions(data, kind)), []) for kind in ("run", "track")},
+    }
+    kind = data.get("kind")
+    if isinstance(kind, str) and kind in sources:
+        return sources[kind]
+    return list(dict.fromkeys(name for names in sources.values() for name in names))
+
+
+def driven_names(data: Mapping[str, Any]) -> list[str]:
+    """Return the names that the loops of a file drive."""
+    found = [loop.get("drives") for loop in tables(data, "track", "loops").values()]
+    return [name for name in found if isinstance(name, str)]
+
+
+def listed_conditions(data: Mapping[str, Any], kind: str) -> list[dict[str, Any]]:
+    """Return the conditions that the table of a kind lists one by one."""
+    conditions = table(data, kind).get("conditions")
+    return [item for item in conditions if isinstance(item, dict)] if isinstance(conditions, list) else []
+
+
+def gait_expressions(data: Mapping[str, Any]) -> Iterator[tuple[KeyPath, object]]:
+    """Yield the keys of the gait's joints, and what stands there."""
+    for joint, keys in tables(data, "gait", "joints").items():
+        for key, expression in keys.items():
+            yield ("gait", "joints", joint, key), expression
+
+
+def check_name(
+    name: object, path: KeyPath, known: Mapping[str, Any] | list[str], message: str, *, kind: str
+) -> Iterator[Fault]:
+    """Yield the `message`, and the nearest of the `known`, for a name that is none of them."""
+    if isinstance(name, str) and name not in known:
+        yield Fault(path, f"{message}; {suggest(name, known, kind=kind)}", at_value=path[-1] != name)
+
+
+def check_channel(channel: object, path: KeyPath, devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
+    """Yield what is wrong with a channel's name, "device.channel"."""
+    if not isinstance(channel, str):
+        return
+    name, _, signal = channel.partition(".")
+    known = [f"{key}.{item}" for key, device in devices.items() for item in device.channels or ()]
+    if name not in devices:
+        near = nearest(channel, known)
+        hint = f'did you mean "{near}"?' if near else suggest(name, devices, kind="devices")
+        yield Fault(path, f'there is no device "{name}"; {hint}', at_value=True)
+        return
+    channels = devices[name].channels
+    if not signal:
+        hint = suggest(channel, known, kind="channels")
+        yield Fault(path, f'a channel is written "device.channel"; {hint}', at_value=True)
+    elif channels is not None and signal not in channels:
+        own = [f"{name}.{item}" for item in channels]
+        hint = suggest(channel, own, kind="channels") if own else f"{name} measures nothing"
+        yield Fault(path, f'{name} has no channel "{signal}"; {hint}', at_value=True)
+
+
+def check_expression(expression: object, path: KeyPath, known: list[str]) -> Iterator[Fault]:
+    """Yield why an expression cannot be read, or which of its names are not among the known; numbers pass."""
+    if not isinstance(expression, str):
+        return
+    try:
+        needed = names_in(expression)
+    except ExpressionError as error:
+        yield Fault(path, fault_of(error), at_value=True)
+        return
+    for name in sorted(needed - set(known)):
+        yield Fault(path, f'unknown name "{name}"; {suggest(name, known, kind="names")}', at_value=True)
