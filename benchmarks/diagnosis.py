@@ -20,10 +20,9 @@ from labrun.effects import load_effect
 from labrun.fit.dataset import Dataset, FitTrial
 from labrun.fit.problem import Problem
 from labrun.gap.averaging import averaged
-from labrun.gap.candidates import Candidate, candidates
+from labrun.gap.candidates import Candidate, candidates, site_scales
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.recalibration import recalibrate
-from labrun.gap.scales import site_scales
 from labrun.models import Model, parse_model, simulate
 from labrun.store.recording import SignalInfo
 

@@ -21,9 +21,9 @@ from labrun.effects import AttachedEffect, load_effect
 from labrun.errors import FitError
 from labrun.fit.dataset import Dataset, load_dataset
 from labrun.gap.averaging import averaged
+from labrun.gap.confidence import floor_of
 from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.gap.estimates import floor_of
-from labrun.gap.excess import Excess, excess, mean_residuals
+from labrun.gap.held_out import Excess, excess, mean_residuals
 from labrun.gap.noise import Noise, from_repeats
 from labrun.gap.recalibration import in_units_of, member_residuals, stated, stated_problem
 from labrun.models import Model, load_model

@@ -6,13 +6,181 @@ from itertools import product
 
 import numpy as np
 
-from labrun.effects import AttachedEffect, Effect, Scale
+from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect, Effect, EffectParameter, Scale, force_law
 from labrun.errors import ModelError, RequestError
 from labrun.fit.problem import Problem
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Name
-from labrun.models import Model
+from labrun.models import Model, Pointer
 from labrun.toml import nearest
+
+# ruff: noqa: ARG001 - the signature is fixed, whatever of it a form uses
+
+
+def law(
+    t: float, q: float, rate: float, acceleration: float, load: float, stiffness: float,
+    values: Pointer, z: Pointer, dz: Pointer,
+) -> float:  # fmt: skip
+    """Return ``force``."""
+    return values[0]
+
+
+_FORCE = EffectParameter("force", "force", neutral=0.0, lower=-1.0, upper=1.0, starts=(0.1,))
+
+
+def push(model: Model, site: str, force: float) -> AttachedEffect:
+    """Return a constant force at a joint or body site."""
+    place = next(one for one in model.sites if one.name == site)
+    effect = Effect("push", place.kind, (_FORCE,), force_law(law), "F = force", "of the diagnosis itself")
+    return AttachedEffect(effect, site, (force,))
+
+
+_Answer = tuple[FloatArray, FloatArray]
+
+
+def site_scales(problem: Problem, z: FloatArray) -> dict[tuple[str, str], Scale]:
+    """Return the scale of every site where something happens: (kind, name) -> typical magnitudes.
+
+    The typical force at a joint is the constant force that would move it as much as it moves in the data: as far, or,
+    where nothing holds it, as fast. A site that does not move, or that a force does not move, is left out.
+    """
+    from labrun.effects import Scale
+
+    model = problem.model
+    period = typical_time_s(problem)
+    found: dict[tuple[str, str], Scale] = {}
+    for place, site in enumerate(model.sites):
+        scale = _joint_scale(problem, z, place, period)
+        if scale is not None:
+            found[site.kind, site.name] = scale
+    for column, one in enumerate(model.inputs):
+        values = np.concatenate([trial.inputs[:, column] for trial in problem.data.trials])
+        size = _peak(values)
+        if np.ptp(values) > 0 and size > 0:
+            found["input", one.name] = Scale(signal=size, time_s=period)
+    for column, output in enumerate(model.outputs):
+        values = np.concatenate([trial.outputs[:, column] for trial in problem.data.trials])
+        size = max(_peak(values), float(problem.spread[column]))
+        found["output", output.name] = Scale(signal=size, time_s=period)
+    return found
+
+
+def typical_time_s(problem: Problem) -> float:
+    """Return the period that the outputs' power is centred at, s; a fifth of a trial where they do not oscillate."""
+    trials = problem.data.trials
+    periods = []
+    for trial in trials:
+        duration = float(trial.time_s[-1] - trial.time_s[0]) if len(trial.time_s) > 1 else 1.0
+        if len(trial.time_s) < 16:
+            periods.append(duration)
+            continue
+        even = np.linspace(trial.time_s[0], trial.time_s[-1], len(trial.time_s))
+        power = np.zeros(len(even) // 2 + 1)
+        for column in range(trial.outputs.shape[1]):
+            values = np.interp(even, trial.time_s, trial.outputs[:, column])
+            values = (values - values.mean()) / problem.spread[column]
+            power += np.abs(np.fft.rfft(values * np.hanning(len(values)))) ** 2
+        frequency = np.fft.rfftfreq(len(even), (even[1] - even[0]))
+        total = float(np.sum(power[1:]))
+        centre = (
+            float(np.exp(np.sum(power[1:] * np.log(frequency[1:])) / total)) if total > 0 else 5.0 / duration
+        )
+        periods.append(min(1.0 / centre, duration))
+    return float(np.median(periods))
+
+
+def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> Scale | None:
+    from labrun.effects import Scale
+
+    still = _answers(problem, z)
+    if still is None:
+        return None
+    motion = [one[:, place] for one, _ in still]
+    every = np.concatenate(motion)
+    coordinate, rate = _peak(every[:, 0]), _peak(every[:, 1])
+    if rate <= 0:
+        return None
+    if coordinate <= 0:  # declared as constant: what it would be is how far the rate goes in a period
+        coordinate = rate * period / (2.0 * np.pi)
+    times = [trial.time_s for trial in problem.data.trials]
+    steps = [np.gradient(one[:, 1], time) for one, time in zip(motion, times, strict=True) if len(time) > 2]
+    acceleration = _peak(np.concatenate(steps)) if steps else 0.0
+    force = _force(problem, z, place, still, (coordinate, rate))
+    if force is None:
+        return None
+    return Scale(
+        coordinate=coordinate,
+        rate=rate,
+        acceleration=acceleration if acceleration > 0 else rate / period,
+        force=force,
+        time_s=period,
+    )
+
+
+def _force(
+    problem: Problem, z: FloatArray, place: int, still: list[_Answer], peaks: tuple[float, float]
+) -> float | None:
+    """Return the constant force that moves a site as far, or as fast, as it moves in the data.
+
+    Where it moves nothing, as in a relation without states, it is the one that changes an output by its spread. None
+    where it changes nothing at all.
+    """
+    size = 1e-6
+    while size < criteria.STRONGEST_PUSH:
+        pushed = _answers(problem, z, [push(problem.model, problem.model.sites[place].name, size)])
+        if pushed is None:
+            return None
+        moved = np.concatenate(
+            [one[:, place] - two[:, place] for (one, _), (two, _) in zip(pushed, still, strict=True)]
+        )
+        shown = np.concatenate([one - two for (_, one), (_, two) in zip(pushed, still, strict=True)])
+        share = max(_peak(moved[:, 0]) / peaks[0], _peak(moved[:, 1]) / peaks[1])
+        if share == 0.0:
+            share = max(
+                _peak(column) / spread for column, spread in zip(shown.T, problem.spread, strict=True)
+            )
+        if share > criteria.VISIBLE_PUSH:
+            return size / share
+        size *= (
+            10.0 if share < 1e-3 * criteria.VISIBLE_PUSH else max(2.0, 3.0 * criteria.VISIBLE_PUSH / share)
+        )
+    return None
+
+
+def _answers(problem: Problem, z: FloatArray, effects: Sequence[AttachedEffect] = ()) -> list[_Answer] | None:
+    """Return the course of the sites and the outputs of every unit; None if any is not finite."""
+    from labrun.models import simulate, site_course
+
+    parameters = problem.model_parameters(z)
+    attached = (*problem.attached(problem.parameters(z)), *effects)
+    found: list[_Answer] = []
+    for index, trial in enumerate(problem.data.trials):
+        simulation = simulate(
+            problem.model,
+            trial.time_s,
+            problem.drives[index],
+            parameters=parameters,
+            condition=trial.condition,
+            initial_state=problem.initial_state(index, problem.own(z, index)),
+            effects=attached,
+        )
+        if not simulation.finite:
+            return None
+        course = site_course(
+            problem.model,
+            trial.time_s,
+            simulation.states,
+            trial.inputs,
+            parameters=parameters,
+            condition=trial.condition,
+        )
+        found.append((course, simulation.outputs))
+    return found
+
+
+def _peak(values: FloatArray) -> float:
+    return float(np.percentile(np.abs(values), criteria.PEAK_PERCENTILE))
 
 
 @dataclass(frozen=True)

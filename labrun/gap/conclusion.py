@@ -6,18 +6,255 @@ from dataclasses import replace
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.fit.dataset import Dataset
 from labrun.fit.notes import Note
-from labrun.fit.problem import Problem
+from labrun.fit.problem import OutputNoise, Problem
 from labrun.fit.workers import Each, one_by_one
 from labrun.gap import criteria
-from labrun.gap.causes import candidate_table, causes_of
-from labrun.gap.diagnosis import Diagnosis, MissingForce, Place, Shrinkage, Sizes
-from labrun.gap.engine import Search
-from labrun.gap.estimates import floor_of, scatter, shrinkage
-from labrun.gap.excess import excess, mean_residuals
-from labrun.gap.pictures import difference_of, traces_of
-from labrun.gap.verdict import Findings, verdict
-from labrun.gap.wording import limitations, sentence, what_next
+from labrun.gap.candidates import Candidate as Tried
+from labrun.gap.confidence import (
+    confidence,
+    effect_units,
+    floor_of,
+    parameter_value,
+    scatter,
+    shrinkage,
+    upper_bounds,
+    values_of,
+)
+from labrun.gap.diagnosis import (
+    Candidate,
+    CandidateVerdict,
+    Cause,
+    Diagnosis,
+    Estimate,
+    MissingForce,
+    Name,
+    Place,
+    Shrinkage,
+    Sizes,
+    Trace,
+    Verdict,
+)
+from labrun.gap.held_out import excess, mean_residuals
+from labrun.gap.nuisance import information
+from labrun.gap.pipeline import Search
+from labrun.gap.rating import Rated
+from labrun.gap.verdict import Findings, limitations, sentence, verdict, what_next
+from labrun.gap.where.difference import Difference
+
+
+def causes_of(search: Search, dataset: Dataset, moved: FloatArray) -> tuple[Cause, ...]:
+    """Return the causes that were chosen, with sizes and 95 % intervals from the final fit."""
+    final = search.selection.final
+    model = final.problem.model
+    found = []
+    for one, rivals in zip(search.selection.chosen, search.selection.rivals, strict=True):
+        name = one.candidate.name
+        if name.kind == "parameter":
+            values = parameter_value(final.problem, final.z, name.effect, moved, model)
+            stated = next(parameter.value for parameter in model.parameters if parameter.name == name.effect)
+            remark = f"{values[name.effect].value / stated:.3g} times the stated value" if stated else ""
+        else:
+            place = _place(search, name)
+            values = values_of(final.problem, final.z, place, moved, model, dataset)
+            remark = "; ".join(filter(None, (_bound_remark(search, place), _caution(one))))
+        found.append(
+            Cause(
+                name,
+                confidence(search, one),
+                values,
+                tuple(rival.candidate.name for rival, _ in rivals),
+                remark,
+            )
+        )
+    return tuple(found)
+
+
+def _caution(one: Rated) -> str:
+    attached = one.candidate.attached
+    return "" if attached is None else attached.effect.caution
+
+
+def candidate_table(
+    search: Search, dataset: Dataset, decided: Verdict, causes: tuple[Cause, ...]
+) -> tuple[Candidate, ...]:
+    """Return what was found about every candidate, the most telling first."""
+    first, last = search.selection.rounds[0], search.selection.rounds[-1]
+    rated = {one.candidate.name: one for one in first.rated}
+    chosen = {cause.name: cause for cause in causes}
+    rivals: dict[Name, list[Name]] = {}
+    for cause in causes:
+        for rival in cause.indistinguishable_from:
+            rivals.setdefault(rival, []).append(cause.name)
+    told = _far_off(search)
+    found = []
+    for candidate in search.candidates:
+        name = candidate.name
+        screened = last.find(candidate) or first.find(candidate)
+        if screened is None:
+            continue
+        there = last if last.find(candidate) else first
+        early = first.find(candidate) or screened
+        visible = screened.visible**2 if name.kind == "effect" else told[name.effect]
+        seen = max(visible, early.gain) > there.guard.threshold
+        judged = _judged(name, chosen, rivals, seen=seen)
+        bounds: dict[str, Estimate] = {}
+        if judged == "ruled-out" and candidate.attached is not None:
+            units = effect_units(candidate.attached, search.model, dataset)
+            bounds = upper_bounds(screened, there.base, there.guard.dispersion, units)
+        found.append(
+            Candidate(
+                name,
+                judged,
+                rated[name].share if name in rated else None,
+                early.gain / first.guard.threshold,
+                chosen[name].values if name in chosen else {},
+                bounds,
+                chosen[name].indistinguishable_from if name in chosen else tuple(rivals.get(name, ())),
+                _remark(judged, decided, _richer_than(candidate, chosen), several=len(chosen) > 1),
+            )
+        )
+    rank = {"cause": 0, "indistinguishable": 1, "ruled-out": 2, "not-visible": 3}
+    return tuple(sorted(found, key=lambda one: (rank[one.verdict], -one.evidence)))
+
+
+def _far_off(search: Search) -> dict[str, float]:
+    """Return by how much the sum of squares would grow were a parameter as far off as its statement allows."""
+    base = search.selection.rounds[0].base
+    problem = base.problem
+    known = information(problem, base.z, base.absorption.jacobian)
+    return {
+        name: float(
+            max(one * (sigma / scale) ** 2 - 1.0, 0.0) * criteria.WITHIN_TOLERANCES**2
+        )  # less what is known without data
+        for name, one, sigma, scale in zip(
+            problem.priors.names, known, problem.priors.sigma, problem.priors.scale, strict=False
+        )
+    }
+
+
+def _judged(
+    name: Name, chosen: dict[Name, Cause], rivals: dict[Name, list[Name]], *, seen: bool
+) -> CandidateVerdict:
+    if name in chosen:
+        return "cause"
+    if name in rivals:
+        return "indistinguishable"
+    return "ruled-out" if seen else "not-visible"
+
+
+def _richer_than(one: Tried, chosen: dict[Name, Cause]) -> str:
+    """Return the cause at its site that a candidate contains; empty if none."""
+    contained = () if one.attached is None else one.attached.effect.contains
+    return next((str(name) for name in chosen if name.site == one.name.site and name.effect in contained), "")
+
+
+def _remark(judged: CandidateVerdict, decided: Verdict, contained: str = "", *, several: bool = False) -> str:
+    if judged == "ruled-out" and contained and several:
+        return f"looks nearly the same as {contained} and the other cause together"
+    if judged == "ruled-out" and contained:
+        return f"contains {contained}, and what it has more explains nothing"
+    if judged == "not-visible":
+        return "what it changes at the sizes tried is nearly all imitated by parameters"
+    if judged == "ruled-out" and decided == "not-in-library":
+        return "does not explain enough of the gap on conditions it did not see"
+    return ""
+
+
+def _place(search: Search, name: Name) -> int:
+    effects = search.selection.final.problem.effects
+    kinds = [(one.effect.id, one.site) for one in effects]
+    return kinds.index((name.effect, name.site))
+
+
+def _bound_remark(search: Search, place: int) -> str:
+    final = search.selection.final
+    variable = final.problem.size - sum(
+        not one.held for other in final.problem.effects[place:] for one in other.effect.parameters
+    )
+    at_bounds = []
+    for parameter in final.problem.effects[place].effect.parameters:
+        if parameter.held:
+            continue
+        value = final.z[variable]
+        span = parameter.upper - parameter.lower
+        if min(abs(value - parameter.lower), abs(parameter.upper - value)) < criteria.AT_BOUND * span:
+            at_bounds.append(parameter.name)
+        variable += 1
+    if not at_bounds:
+        return ""
+    return f"{' and '.join(at_bounds)} ended at a bound of what is searched: take it as a direction, not as a size"
+
+
+def traces_of(search: Search, *, with_causes: bool) -> tuple[Trace, ...]:
+    """Return measured and simulated courses of the worst unit of each of the worst conditions, the worst first."""
+    recalibration = search.recalibration
+    problem, final = recalibration.problem, search.selection.final
+    raw = problem.simulated(recalibration.raw)
+    recalibrated = problem.simulated(recalibration.z)
+    after = final.problem.simulated(final.z) if with_causes else recalibrated
+    sizes = [
+        float(np.mean(np.square((trial.outputs - one) / search.noise.sd)))
+        for trial, one in zip(problem.data.trials, recalibrated, strict=True)
+    ]
+    worst: dict[int, int] = {}
+    for index in sorted(range(len(sizes)), key=lambda index: -sizes[index]):
+        worst.setdefault(problem.data.trials[index].group, index)
+    order = list(worst.values())[: criteria.CONDITIONS_SHOWN]
+    return tuple(
+        Trace(
+            unit.label,
+            unit.condition,
+            unit.count,
+            unit.time_s,
+            unit.inputs,
+            unit.outputs,
+            raw[index],
+            recalibrated[index],
+            after[index],
+        )
+        for index in order
+        for unit in [problem.data.trials[index]]
+    )
+
+
+def difference_of(search: Search) -> Difference:
+    """Return what the recalibrated model and the measurement differ by."""
+    from labrun.gap.where.difference import Difference
+
+    problem, z = search.recalibration.problem, search.recalibration.z
+    units = range(len(problem.data.trials))
+    return Difference(
+        problem.model,
+        problem.data,
+        search.noise,
+        problem.model_parameters(z),
+        problem.attached(problem.parameters(z)),
+        tuple(problem.initial_state(index, problem.own(z, index)) for index in units),
+        tuple(problem.drives[index] for index in units),
+        tuple(problem.simulated(z)),
+        tuple(mean_residuals(problem, z)),
+        _sensitivities(problem, z),
+    )
+
+
+def _sensitivities(problem: Problem, z: FloatArray) -> FloatArray:
+    """Return the derivative of the simulated outputs by all variables but effect sizes, (sum of n*m, variables).
+
+    Trial after trial, each (n, m) row by row, in the units of the outputs.
+    """
+    coloured = problem.with_noise(OutputNoise(problem.noise.weights))
+    jacobian = coloured.jacobian(z)
+    rows = []
+    for index, (shared, own) in enumerate(zip(jacobian.shared, jacobian.own, strict=True)):
+        trial = problem.data.trials[index]
+        wide = np.zeros((trial.outputs.size, len(z)))
+        wide[:, : problem.size] = shared[: trial.outputs.size]
+        begin = problem.size + index * problem.own_size
+        wide[:, begin : begin + problem.own_size] = own[: trial.outputs.size]
+        rows.append(-wide / np.tile(problem.noise.weights, len(trial.time_s))[:, None])
+    return np.concatenate(rows)
 
 
 def conclude(

@@ -1,11 +1,21 @@
-"""How sure a cause is: a probability calibrated on cases whose answer is known."""
+"""How sure a cause is, and its size: probabilities, intervals, and bounds of what is ruled out."""
+
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect, EffectParameter, unit_of
+from labrun.fit.dataset import Dataset
+from labrun.fit.problem import Problem
 from labrun.gap import criteria
-from labrun.gap.engine import Search
-from labrun.gap.noise import Basis
+from labrun.gap.diagnosis import Estimate, Shrinkage
+from labrun.gap.held_out import Excess, group_means
+from labrun.gap.noise import Basis, Noise
+from labrun.gap.pipeline import Search
 from labrun.gap.rating import Rated
+from labrun.gap.screening import Base, Screened
+from labrun.models import Model
 
 
 def confidence(search: Search, one: Rated) -> float:
@@ -28,3 +38,286 @@ def ceiling(basis: Basis, conditions: int) -> float:
         criteria.SURE_WITHOUT_REPEATS if basis == "residual" else criteria.SURE,
         criteria.SURE_OF_ONE_CONDITION if conditions == 1 else criteria.SURE,
     )
+
+
+_RIDGE = 1e-10
+
+
+def scatter(base: Base, draws: Sequence[Sequence[FloatArray]]) -> FloatArray:
+    """Return how the scaled shared variables move with noise drawn from whole trials, (draws, size), linearly."""
+    jacobian = base.absorption.jacobian
+    size = base.problem.size
+    prior = np.diag(base.problem.priors.slope)
+    rows, noise = [], []
+    for unit, (shared, own) in enumerate(zip(jacobian.shared, jacobian.own, strict=True)):
+        stacked = np.column_stack([draw[unit] for draw in draws])
+        span = np.linalg.qr(own)[0]  # without columns where no initial state is free
+        rows.append(shared - span @ (span.T @ shared))
+        noise.append(stacked - span @ (span.T @ stacked))
+    matrix = np.concatenate([*rows, prior])
+    right = np.concatenate([*noise, np.zeros((size, len(draws)))])
+    norms = np.linalg.norm(matrix, axis=0)
+    norms[norms == 0] = 1.0
+    solution = np.linalg.lstsq(matrix / norms, right, rcond=_RIDGE)[0] / norms[:, None]
+    moved: FloatArray = solution.T
+    return moved
+
+
+def values_of(
+    problem: Problem, z: FloatArray, place: int, moved: FloatArray, model: Model, dataset: Dataset
+) -> dict[str, Estimate]:
+    """Return the sizes of the effect that stands at `place` among those of the problem, with 95 % intervals."""
+    attached = problem.attached(problem.parameters(z))[place]
+    variable = problem.size - sum(
+        not one.held for other in problem.effects[place:] for one in other.effect.parameters
+    )
+    found = {}
+    units = effect_units(attached, model, dataset)
+    for parameter, value in zip(attached.effect.parameters, attached.values, strict=True):
+        if parameter.held:
+            continue
+        scale = float(problem.priors.scale[variable])
+        low, high = np.percentile(moved[:, variable], [2.5, 97.5]) * scale
+        bounds = problem.priors.lower[variable] * scale, problem.priors.upper[variable] * scale
+        found[parameter.name] = Estimate(
+            float(value),
+            float(max(value + min(low, 0.0), bounds[0])),
+            float(min(value + max(high, 0.0), bounds[1])),
+            units[parameter.name],
+        )
+        variable += 1
+    return found
+
+
+def parameter_value(
+    problem: Problem, z: FloatArray, name: str, moved: FloatArray, model: Model
+) -> dict[str, Estimate]:
+    """Return the value of a parameter with its 95 % interval."""
+    variable = problem.priors.names.index(name)
+    scale = float(problem.priors.scale[variable])
+    value = float(z[variable]) * scale
+    low, high = np.percentile(moved[:, variable], [2.5, 97.5]) * scale
+    unit = next(one.unit for one in model.parameters if one.name == name)
+    return {name: Estimate(value, value + min(float(low), 0.0), value + max(float(high), 0.0), unit)}
+
+
+def effect_units(attached: AttachedEffect, model: Model, dataset: Dataset) -> dict[str, str]:
+    """Return the units of an effect's parameters at its site."""
+    signal, coordinate = "1", "rad"
+    if attached.effect.kind in ("input", "output"):
+        signals = dataset.inputs if attached.effect.kind == "input" else dataset.outputs
+        signal = next((one.unit for one in signals if one.name == attached.site), "1")
+    else:
+        site = model.place(attached.site, attached.effect.kind)
+        # the unit of a coordinate is known where an output shows it
+        coordinate = next((one.unit for one in dataset.outputs if one.name == site.coordinate), "rad")
+    return {one.name: unit_of(one.quantity, coordinate, signal) for one in attached.effect.parameters}
+
+
+def upper_bounds(
+    screened: Screened, base: Base, dispersion: float, units: Mapping[str, str]
+) -> dict[str, Estimate]:
+    """Return how large an effect can be in these data (95 %), in SI: the largest size of what vanishes at zero.
+
+    What cannot be negative, such as a friction, is bounded from zero up. What vanishes at infinity, such as the level
+    of a saturation, is bounded by the least level; see `labrun.gap.confidence`.
+    """
+    candidate = screened.candidate
+    if candidate.attached is None or candidate.scale is None:
+        return {}
+    size = base.problem.size
+    fitted = [one for one in candidate.attached.effect.parameters if not one.held]
+    found = {}
+    norms = np.linalg.norm(screened.survey.directions, axis=0)
+    for place, parameter in enumerate(fitted):
+        if parameter.neutral != 0.0:
+            continue
+        per_unit = [
+            norm / abs(z[size + place])
+            for norm, z in zip(norms, screened.survey.starts, strict=True)
+            if z[size + place] != 0 and norm > 0
+        ]
+        if not per_unit:
+            continue
+        room = abs(float(screened.z[size + place])) + criteria.NORMAL_95 * np.sqrt(dispersion) / float(
+            np.median(per_unit)
+        )
+        scale = candidate.scale.of(parameter.quantity)
+        bound = min(room, max(abs(parameter.lower), abs(parameter.upper))) * scale
+        low, high = max(-bound, min(parameter.lower, 0.0) * scale), min(bound, parameter.upper * scale)
+        found[parameter.name] = Estimate(bound, low, max(high, 0.0), units.get(parameter.name, "1"))
+    return found | least_levels(screened, base, dispersion, units)
+
+
+def shrinkage(
+    units: Dataset,
+    noise: Noise,
+    before: Sequence[FloatArray],
+    after: Sequence[FloatArray],
+    rng: np.random.Generator,
+) -> Shrinkage:
+    """Return the share of the excess that is removed on withheld conditions, with a 90 % interval.
+
+    It says what an experiment of a few new conditions would show: conditions are resampled whole, each with the noise
+    that its mean has. Both ends may lie beyond 1, as a measured share may.
+    """
+    then, now = group_means(units, before), group_means(units, after)
+    groups = len(then)
+    sizes = np.array([len(mean) for mean, _ in then], dtype=float)
+    shares = []
+    for _ in range(criteria.RESAMPLES):
+        drawn = group_means(units, noise.draw(units, rng))
+        first, second = np.empty(groups), np.empty(groups)
+        for group in range(groups):
+            disturbance = drawn[group][0]
+            floor = noise.mean_floor(group, then[group][1])
+            first[group] = _shaken(then[group][0], disturbance, noise.sd, floor)
+            second[group] = _shaken(now[group][0], disturbance, noise.sd, floor)
+        chosen = rng.integers(0, groups, min(groups, criteria.NEW_CONDITIONS))
+        total = float(sizes[chosen] @ first[chosen])
+        if total > 0:
+            shares.append(1.0 - float(sizes[chosen] @ second[chosen]) / total)
+    whole = Excess(*_plain(units, noise, then)).total
+    rest = Excess(*_plain(units, noise, now)).total
+    value = 1.0 - rest / whole if whole > 0 else 0.0
+    low, high = np.percentile(shares, [5.0, 95.0]) if shares else (value, value)
+    # new conditions ask for more than those between the old ones: forms and parameters are extrapolated
+    low = min(low, value) - criteria.FORM_ERROR - criteria.EXTRAPOLATED * max(1.0 - value, 0.0)
+    high = max(high, value) + criteria.FORM_ERROR
+    return Shrinkage(float(min(value, 1.0)), float(low), float(high))
+
+
+def _shaken(mean: FloatArray, drawn: FloatArray, sd: FloatArray, floor: FloatArray) -> float:
+    """Return the excess had the noise come out differently; its own square is taken off as twice the floor."""
+    length = min(len(mean), len(drawn))
+    again = np.mean(np.square((mean[:length] + drawn[:length]) / sd), axis=0) - 2.0 * floor
+    return float(np.mean(again))
+
+
+def _plain(
+    units: Dataset, noise: Noise, groups: Sequence[tuple[FloatArray, int]]
+) -> tuple[FloatArray, FloatArray]:
+    present = [group for group in range(len(units.conditions)) if units.of_group(group)]
+    values = [
+        np.mean(np.square(mean / noise.sd), axis=0) - noise.mean_floor(group, count)
+        for group, (mean, count) in zip(present, groups, strict=True)
+    ]
+    sizes = np.array([float(len(mean)) for mean, _ in groups])
+    return np.array(values), sizes / sizes.sum()
+
+
+def floor_of(
+    units: Dataset, noise: Noise, rng: np.random.Generator, draws: int = criteria.FLOOR_DRAWS
+) -> float:
+    """Return the systematic residual that noise alone shows at most in 95 of 100 experiments."""
+    found = []
+    for _ in range(draws):
+        means = group_means(units, noise.draw(units, rng))
+        values, shares = _plain(units, noise, means)
+        found.append(Excess(values, shares).gap)
+    return float(np.percentile(found, criteria.FLOOR_PERCENTILE))
+
+
+def least_levels(
+    screened: Screened, base: Base, dispersion: float, units: Mapping[str, str]
+) -> dict[str, Estimate]:
+    """Return the level below which each parameter that is neutral at infinity would have shown (95 %), in SI.
+
+    A level is excluded where the squared residual, with parameters and initial states following linearly, is by more
+    than 1.96^2 dispersions above the least that any level leaves. Parameters that are no levels, such as the stiffness
+    of a stop, stand where the data show the effect least; levels on another side are out of reach.
+
+    Returns
+    -------
+    Mapping
+        By parameter. `value` is the level, the other end of the interval the farthest level that is looked for. None
+        for a parameter of which no level can be excluded.
+    """
+    candidate = screened.candidate
+    if candidate.attached is None or candidate.scale is None:
+        return {}
+    fitted = [one for one in candidate.attached.effect.parameters if not one.held]
+    levels = [place for place, one in enumerate(fitted) if one.neutral is not None and np.isinf(one.neutral)]
+    if not levels:
+        return {}
+    search = _Levels(screened, base, fitted, criteria.NORMAL_95**2 * dispersion)
+    found = {}
+    for place in levels:
+        parameter = fitted[place]
+        level = search.least(place)
+        if level is not None:
+            scale = candidate.scale.of(parameter.quantity)
+            ends = level * scale, _far(parameter) * scale
+            found[parameter.name] = Estimate(ends[0], min(ends), max(ends), units.get(parameter.name, "1"))
+    return found
+
+
+class _Levels:
+    """Levels of one effect, and how much of the data is left unexplained with each; in multiples of what is typical."""
+
+    def __init__(self, screened: Screened, base: Base, fitted: list[EffectParameter], room: float) -> None:
+        self._base, self._fitted, self._room = base, fitted, room
+        self._problem = screened.problem
+        self._shared, self._own = base.z[: base.problem.size], base.problem.own_states(base.z)
+        self._before = base.absorption.left(base.residual, base.problem.priors.residual(base.z))
+        self._ended = screened.sizes
+        self._starts = screened.candidate.starts
+
+    def least(self, place: int) -> float | None:
+        """Return the farthest level that the data exclude together with all below it; None if there is none."""
+        far = _far(self._fitted[place])
+        near = min((start[place] for start in self._starts), key=abs)
+        others = self._least_shown(place, near)
+        best, left = far, self._left(others, place, far)
+        ended = float(self._ended[place])
+        if abs(near) < abs(ended) < abs(far):
+            there = self._left(others, place, ended)
+            best, left = (ended, there) if there < left else (best, left)
+        limit = left + self._room
+        if not self._left(others, place, near) > limit:
+            parameter = self._fitted[place]
+            best, near = near, min(parameter.lower, parameter.upper, key=abs)
+            if not self._left(others, place, near) > limit:
+                return None
+        while abs(best) > criteria.LEVELS_ALIKE * abs(near):
+            between = float(np.sign(near) * np.sqrt(near * best))
+            if self._left(others, place, between) > limit:
+                near = between
+            else:
+                best = between
+        return near
+
+    def _least_shown(self, place: int, level: float) -> FloatArray:
+        """Return sizes of all parameters with which the level at `place` changes the data least."""
+        start = next(start for start in self._starts if start[place] == level)
+        sizes = np.array(start, dtype=float)
+        free = []
+        for other, parameter in enumerate(self._fitted):
+            if other == place:
+                continue
+            if parameter.neutral is not None and np.isinf(parameter.neutral):
+                sizes[other] = _far(parameter)
+            else:
+                free.append(other)
+        for other in free:
+            parameter = self._fitted[other]
+            tried = []
+            for value in (sizes[other], parameter.lower, parameter.upper):
+                sizes[other] = value
+                tried.append((self._left(sizes, place, level), value))
+            sizes[other] = min(tried)[1]
+        return sizes
+
+    def _left(self, sizes: FloatArray, place: int, level: float) -> float:
+        """Return the sum of squares that is left with a level, less what recalibration can take."""
+        sizes = sizes.copy()
+        sizes[place] = level
+        z = np.concatenate([self._shared, sizes, self._own])
+        parts = [
+            after - now for after, now in zip(self._problem.residuals(z), self._base.residual, strict=True)
+        ]
+        return float(np.sum(np.square(self._before + self._base.absorption.left(parts))))
+
+
+def _far(parameter: EffectParameter) -> float:
+    return parameter.upper if parameter.neutral is not None and parameter.neutral > 0 else parameter.lower

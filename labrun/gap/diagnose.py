@@ -11,7 +11,7 @@ from labrun.fit.notes import Note, silent
 from labrun.fit.workers import workers
 from labrun.gap.conclusion import conclude
 from labrun.gap.diagnosis import Diagnosis
-from labrun.gap.engine import search_causes
+from labrun.gap.pipeline import search_causes
 from labrun.models import Model
 
 

@@ -10,9 +10,9 @@ from labrun.fit.levenberg_marquardt import minimise
 from labrun.fit.problem import Problem
 from labrun.fit.workers import Each, one_by_one
 from labrun.gap import criteria
-from labrun.gap.absorption import Absorption
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnosis import Name
+from labrun.gap.nuisance import Absorption
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,11 @@ from labrun.fit.workers import Each, one_by_one
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, without
 from labrun.gap.diagnosis import Name
-from labrun.gap.excess import Excess, excess
-from labrun.gap.guard import Guard, guard
-from labrun.gap.held_out import held_out_residuals
+from labrun.gap.held_out import Excess, excess, held_out_residuals
 from labrun.gap.noise import Noise
-from labrun.gap.rating import Rated, promising, rate, weights
+from labrun.gap.noise_threshold import Guard, guard
+from labrun.gap.rating import Rated, promising, rate, shaped, weights
 from labrun.gap.screening import Base, Screened, ends_of, refit, screen_all, survey
-from labrun.gap.shaping import shaped
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from labrun.errors import RecordingError
 from labrun.fit.dataset import Dataset, FitTrial
-from labrun.gap.clocks import with_sound_clocks
+from labrun.gap.data_checks import with_sound_clocks
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.store.recording import SignalInfo
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from labrun.errors import RecordingError
 from labrun.fit.dataset import Dataset, FitTrial
+from labrun.gap.data_checks import require_informative
 from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.gap.informative import require_informative
 from labrun.store.recording import SignalInfo
 
 from .benches import pendulum, recorded

@@ -8,8 +8,8 @@ import pytest
 from labrun.effects import load_effect
 from labrun.fit.simulations import Simulations
 from labrun.gap.averaging import averaged
+from labrun.gap.candidates import site_scales
 from labrun.gap.recalibration import stated_problem
-from labrun.gap.scales import site_scales
 from labrun.models import Unfiltered, filtered, prepare, simulate, simulate_unfiltered
 
 from .benches import TRUE, pendulum, recorded

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from labrun.gap.averaging import averaged
+from labrun.gap.candidates import site_scales
 from labrun.gap.recalibration import stated_problem
-from labrun.gap.scales import site_scales
 from labrun.models import parse_model
 
 from .benches import PENDULUM, recorded

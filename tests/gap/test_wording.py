@@ -3,7 +3,7 @@
 import pytest
 
 from labrun.gap.diagnosis import Cause, Estimate, Name, Shrinkage, Sizes
-from labrun.gap.wording import limitations, sentence
+from labrun.gap.verdict import limitations, sentence
 
 CAUSES = (Cause(Name("bias", "angle"), 0.8, {"offset": Estimate(0.1, 0.0, 0.2, "rad")}),)
 

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from labrun.gap.diagnosis import Estimate, Name
-from labrun.gap.numbers import significant
+from labrun.gap.verdict import significant
 from labrun.report.text import bound_words, removes_words
 
 

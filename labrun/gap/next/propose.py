@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labrun.fit.notes import Note, silent
-from labrun.gap.engine import search_causes
 from labrun.gap.next.advice import would_separate
 from labrun.gap.next.choosing import choose
 from labrun.gap.next.proposal import SURE, Outcome, Outlook, Proposal, spoken, told
@@ -23,10 +22,11 @@ from labrun.gap.next.writing import (
     write_experiment,
     write_recording_plan,
 )
+from labrun.gap.pipeline import search_causes
 
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset
-    from labrun.gap.engine import Search
+    from labrun.gap.pipeline import Search
     from labrun.gap.question import Question
 
 REPEATS = 3

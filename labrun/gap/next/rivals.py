@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from labrun.arrays import FloatArray
 from labrun.fit.problem import Problem
 from labrun.gap.diagnosis import Name
-from labrun.gap.engine import Search
+from labrun.gap.pipeline import Search
 from labrun.gap.rating import Rated
 from labrun.gap.screening import refit
 from labrun.gap.selection import Round

@@ -8,9 +8,9 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.fit.dataset import Dataset
 from labrun.fit.levenberg_marquardt import minimise
-from labrun.gap.absorption import basis
 from labrun.gap.next.rivals import Rival, Rivals
 from labrun.gap.next.trials import PlannedTrial, beginnings, joined, planned_data
+from labrun.gap.nuisance import basis
 
 _CLEAR = 3.0
 """Log likelihood between two explanations at which the weaker one's weight falls below a twentieth."""

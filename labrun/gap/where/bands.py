@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.gap.numbers import significant
+from labrun.gap.verdict import significant
 from labrun.gap.where.cycle import Cycle
 from labrun.gap.where.parts import Layout, Part
 from labrun.gap.where.pooling import Piece

@@ -11,14 +11,12 @@ from labrun.fit.notes import Note, silent
 from labrun.fit.workers import Each, one_by_one
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
-from labrun.gap.candidates import Candidate, candidates, without
-from labrun.gap.clocks import with_sound_clocks
+from labrun.gap.candidates import Candidate, candidates, site_scales, without
+from labrun.gap.data_checks import require_informative, with_sound_clocks
 from labrun.gap.diagnosis import Name
-from labrun.gap.excess import Excess, excess, mean_residuals
-from labrun.gap.guard import full_strictness, guard, noise_draws
-from labrun.gap.held_out import held_out_residuals, not_withheld
-from labrun.gap.informative import require_informative
+from labrun.gap.held_out import Excess, excess, held_out_residuals, mean_residuals, not_withheld
 from labrun.gap.noise import Noise, from_residual
+from labrun.gap.noise_threshold import full_strictness, guard, noise_draws
 from labrun.gap.recalibration import (
     Recalibrated,
     bound_remarks,
@@ -27,7 +25,6 @@ from labrun.gap.recalibration import (
     recalibrate,
     unsearched,
 )
-from labrun.gap.scales import site_scales
 from labrun.gap.screening import Base, ends_of, screen_all, survey
 from labrun.gap.selection import Selection, Selector, look
 from labrun.models import Model
