@@ -19,7 +19,7 @@ from measuring import machine
 
 from labrun.devices import Channel, Samples, Trajectory
 from labrun.store.folder import RunFolder
-from labrun.store.trial import SettleCurve, SettleSummary, TrialOutcome
+from labrun.store.trial import SettleSummary, TrialOutcome, settle_curve
 
 CHANNELS = tuple(Channel(f"force_{axis}", "N") for axis in "xyz") + tuple(
     Channel(f"torque_{axis}", "N m") for axis in "xyz"
@@ -33,7 +33,7 @@ def store_with_labrun(folder: RunFolder, index: int, rng: np.random.Generator) -
     time_s = np.arange(COUNT) / RATE_HZ
     samples = Samples(time_s, time_s + 1 + rng.exponential(1e-3, COUNT), rng.normal(size=(COUNT, 6)))
     command = Trajectory(("tail",), time_s, np.sin(time_s)[:, None])
-    curve = SettleCurve(time_s[:60], rng.normal(size=60), rng.normal(size=60), "quiet", "N")
+    curve = settle_curve(time_s[:60], rng.normal(size=60), rng.normal(size=60), "N")
     outcome = TrialOutcome(
         index,
         {"b": 0.0, "a": 30.0, "f": 1.4},

@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 from measuring import machine, table
 
-from labrun.devices import Channel, DeviceContext, Samples, Trajectory
+from labrun.devices import DeviceContext, Samples, Trajectory
 from labrun.runner.clock import RealClock
 from labrun.runner.emulated.bench import EmulatedBench
 from labrun.runner.resolving import resolve
+from labrun.signals import Signals
 from labrun.store.timing import stream_report
-from labrun.store.trial import Stream
 from labrun.toml import PluginTable
 
 LOOK_S = 0.02
@@ -136,12 +136,12 @@ def sent_by(log: Path) -> int:
 def row(name: str, found: list[Samples], sent: int, rate_hz: float) -> list[str]:
     """Return one stream's figures, by the means of the run's own report."""
     samples = Samples.join(found, found[0].values.shape[1])
-    channels = tuple(Channel(str(number), "") for number in range(samples.values.shape[1]))
-    stream = Stream(
-        name, channels, samples.device_time_s - samples.device_time_s[0], samples.device_time_s, samples.host_time_s,
-        samples.values, rate_hz, samples.lost,
+    columns = tuple(map(str, range(samples.values.shape[1])))
+    signals = Signals(
+        name, columns, ("",) * len(columns), samples.device_time_s - samples.device_time_s[0], samples.values, {},
+        samples.device_time_s, samples.host_time_s, rate_hz, samples.lost,
     )  # fmt: skip
-    told = stream_report(stream)
+    told = stream_report(signals)
     drift = "" if told.drift_ppm is None else f"{told.drift_ppm:.1f}"
     return [
         name, str(len(samples)), str(samples.lost), str(sent), f"{told.rate_hz:.2f}", f"{1e3 * told.jitter_s:.3f}",

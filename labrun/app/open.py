@@ -1,21 +1,16 @@
 """A stored run in a notebook: ``run = labrun.open("fin-params")``, ``run.trials``, ``run.signals("wrench")``."""
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labrun.errors import RecordingError
 from labrun.spec import condition_text
-from labrun.store import frames, layout
-from labrun.store.folder import SPEC
-from labrun.store.locate import find_run
-from labrun.store.reading import open_run
-from labrun.store.recorded_tables import RecordedTables, outcomes_of
-from labrun.store.recording import is_recording, read_recording
-from labrun.store.table import known_units
-from labrun.store.trial import TrialOutcome
+from labrun.store import frames
+from labrun.store.locate import SPEC
+from labrun.store.reading import Run, open_target
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,14 +40,7 @@ def open(target: str | Path, results: str | Path = "results") -> "OpenRun":  # n
     RequestError
         There is no such run, or it cannot be read; says what there is.
     """
-    folder = Path(target).expanduser()
-    if is_recording(folder):
-        recording = read_recording(folder)
-        toml = (folder / "recording.toml").read_text(encoding="utf-8")
-        outcomes, tables = outcomes_of(recording), RecordedTables(recording)
-        return OpenRun(folder, recording.name, folder.name, toml, outcomes, tables)
-    run = open_run(find_run(str(target), Path(results)))
-    return OpenRun(run.path, run.name, run.identifier, run.experiment_toml, run.outcomes, run.sources)
+    return OpenRun(open_target(str(target), Path(results)))
 
 
 class OpenRun:
@@ -70,21 +58,12 @@ class OpenRun:
         The experiment file with all defaults; of a recording, its ``recording.toml``.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        name: str,
-        identifier: str,
-        experiment_toml: str,
-        outcomes: Sequence[TrialOutcome],
-        source: frames.Source,
-    ) -> None:
-        self.path = path
-        self.name = name
-        self.identifier = identifier
-        self.experiment_toml = experiment_toml
-        self._outcomes = outcomes
-        self._source = source
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self.path = run.path
+        self.name = run.name
+        self.identifier = run.identifier
+        self.experiment_toml = run.experiment_toml
 
     @cached_property
     def devices(self) -> dict[str, dict[str, str]]:
@@ -92,26 +71,12 @@ class OpenRun:
 
         Those of the first trial that recorded anything.
         """
-        with self._source as source:
-            for outcome in self._outcomes:
-                with source.tables(outcome.index) as tables:
-                    found = {name: tables[name].columns for name in tables.names if name not in layout.BESIDE}
-                if found:
-                    return {
-                        name: {item.name: item.unit for item in columns if item.name not in layout.TIMES}
-                        for name, columns in found.items()
-                    }
-        return {}
+        return self._run.devices
 
     @cached_property
     def units(self) -> dict[str, str]:
         """Units of conditions and objectives, as far as the experiment file tells."""
-        channels = {
-            f"{device}.{channel}": unit
-            for device, table in self.devices.items()
-            for channel, unit in table.items()
-        }
-        return known_units(self.experiment_toml, channels)
+        return self._run.units()
 
     @cached_property
     def trials(self) -> "pd.DataFrame":
@@ -120,7 +85,7 @@ class OpenRun:
         In the units of the experiment file; ``trials.attrs["units"]`` has those of the columns. Rejected and failed
         trials are there too, with their reason: ``run.trials.query("status == 'done'")`` leaves them out.
         """
-        return frames.trials_frame(self._outcomes, self.units)
+        return frames.trials_frame(self._run.outcomes, self.units)
 
     def signals(self, device: str, trial: int | None = None, *, tared: bool = True) -> "xr.Dataset":
         """Return what a device measured, in SI units, with ``units`` on every variable.
@@ -150,9 +115,8 @@ class OpenRun:
             There is no such device or trial; names what there is.
         """
         if trial is None:
-            indices = [outcome.index for outcome in self._outcomes]
-            return frames.run_dataset(device, indices, self._source, tared=tared)
-        return frames.trial_dataset(device, int(trial), self._source, tared=tared)
+            return frames.run_dataset(self._run, device, tared=tared)
+        return frames.trial_dataset(self._run, device, int(trial), tared=tared)
 
     @cached_property
     def experiment(self) -> "Experiment":
@@ -185,13 +149,13 @@ class OpenRun:
         return "kind" in tomllib.loads(self.experiment_toml)
 
     def __len__(self) -> int:
-        return len(self._outcomes)
+        return len(self._run.outcomes)
 
     def __repr__(self) -> str:
-        statuses = [outcome.status for outcome in self._outcomes]
+        statuses = [outcome.status for outcome in self._run.outcomes]
         counts = ", ".join(f"{statuses.count(status)} {status}" for status in dict.fromkeys(statuses))
-        conditions = dict.fromkeys(name for outcome in self._outcomes for name in outcome.condition)
-        objectives = dict.fromkeys(name for outcome in self._outcomes for name in outcome.objectives)
+        conditions = dict.fromkeys(name for outcome in self._run.outcomes for name in outcome.condition)
+        objectives = dict.fromkeys(name for outcome in self._run.outcomes for name in outcome.objectives)
         rows = [("trials", f"{len(statuses)}: {counts}" if statuses else "none yet")]
         rows.append(("conditions", ", ".join(_with_unit(name, self.units) for name in conditions)))
         rows.append(("objectives", ", ".join(_with_unit(name, self.units) for name in objectives)))

@@ -7,13 +7,12 @@ from pathlib import Path
 from labrun.errors import RequestError
 from labrun.fit.dataset import Dataset, load_dataset
 from labrun.fit.method import FitPlan
-from labrun.fit.run_dataset import imported_channels
 from labrun.gap.question import Question
 from labrun.models import Model, load_model
 from labrun.spec import FitTable, GapTable, find_model_file, loads_experiment
 from labrun.store.locate import find_run
 from labrun.store.reading import open_run
-from labrun.store.recording import is_recording
+from labrun.store.recording import imported_channels, is_recording
 
 
 def find_data(target: str | Path, results: Path) -> Path:

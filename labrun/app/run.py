@@ -19,8 +19,8 @@ from labrun.runner.rig import Rig
 from labrun.search.result import RunResult
 from labrun.spec import Experiment, LoadedExperiment, load_named
 from labrun.store.folder import RunFolder
+from labrun.store.locks import lock_ports
 from labrun.store.provenance import collect
-from labrun.store.rig_lock import lock_ports
 
 
 def run(

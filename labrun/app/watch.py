@@ -12,10 +12,9 @@ from labrun.report.snapshot import BestYet, Snapshot, State, event_text
 from labrun.report.text import duration_text
 from labrun.search.result import Best, resume_line, stored_result
 from labrun.spec import Experiment, condition_key, loads_experiment
-from labrun.store.folder import JOURNAL, SPEC
+from labrun.store.locate import JOURNAL, SPEC
 from labrun.store.table import known_units
-from labrun.store.watched_trials import Trace, read_trace
-from labrun.store.watching import RunWatch, SeenTrial
+from labrun.store.watching import RunWatch, SeenTrial, Trace, read_trace
 
 _CLOCKS_AGREE_S = 60.0
 _LAST_TRIALS = 6

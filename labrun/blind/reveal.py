@@ -8,7 +8,8 @@ from typing import Any, Literal
 from labrun.blind.concealment import PARAMETER
 from labrun.blind.seal import read_seal, write_seal
 from labrun.errors import RecordingError
-from labrun.store.folder import PROVENANCE, RunFolder
+from labrun.store.folder import RunFolder
+from labrun.store.locate import PROVENANCE
 
 Score = Literal["right", "right, in a stated set", "right in part", "missed", "false alarm", "wrong"]
 

@@ -1,10 +1,12 @@
 """The latest samples of the channels that loops look at, tared, on one clock."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from labrun.devices import FloatArray, Samples
+from labrun.signals import Signals
 
 _CAPACITY = 4096
 _JUMP_S = 1.0
@@ -12,11 +14,20 @@ _JUMP_S = 1.0
 
 
 class _Track:
-    """The needed channels of one device."""
+    """The needed channels of one device, by their columns in its samples."""
 
-    def __init__(self, columns: Sequence[int], offsets: FloatArray, keep_s: float) -> None:
-        self._columns = list(columns)
-        self._offsets = offsets
+    def __init__(
+        self, device: str, columns: Mapping[str, int], tare: Mapping[str, float], keep_s: float
+    ) -> None:
+        self._columns = list(columns.values())
+        self._measured = Signals(
+            device,
+            tuple(columns),
+            ("",) * len(columns),
+            np.empty(0),
+            np.empty((0, len(columns))),
+            {name: tare[name] for name in columns if name in tare},
+        )
         self._keep_s = keep_s
         self._time_s = np.empty(_CAPACITY)
         self._values = np.empty((len(self._columns), _CAPACITY))
@@ -32,7 +43,8 @@ class _Track:
             self._make_room(count)
         here = slice(self._end, self._end + count)
         np.maximum(np.maximum.accumulate(time_s), self.last_s, out=self._time_s[here])
-        self._values[:, here] = (block.values[:, self._columns] - self._offsets).T
+        measured = replace(self._measured, values=block.values[:, self._columns])
+        self._values[:, here] = measured.tared().values.T
         before_s, self._end = self.last_s, self._end + count
         self.last_s = float(self._time_s[self._end - 1])
         if (
@@ -91,9 +103,7 @@ class History:
         for channel in channels:
             by_device.setdefault(channel.partition(".")[0], []).append(channel)
         self._tracks = {
-            device: _Track(
-                [channels[name] for name in names], np.array([tare.get(name, 0.0) for name in names]), keep_s
-            )
+            device: _Track(device, {name: channels[name] for name in names}, tare, keep_s)
             for device, names in by_device.items()
         }
         self._places = {

@@ -1,25 +1,20 @@
 """Trials of a recorded run as a dataset: streams of several devices brought onto one time base."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
 from labrun.errors import RecordingError, RequestError
 from labrun.fit.dataset import Dataset, FitTrial, Named, Ports, require_trials, resample
+from labrun.signals import Signals
 from labrun.spec import condition_text
-from labrun.store.recording import SignalInfo
-
-if TYPE_CHECKING:
-    from labrun.store.trial import Stream, TrialOutcome
-
-FloatArray = NDArray[np.float64]
-COMMAND = "command"
-"""The pseudo device of a run's commanded joint angles."""
+from labrun.store.recording import SignalInfo, imported_channels
+from labrun.store.trial import TrialOutcome
+from labrun.store.trial_file import COMMAND
 
 
 def from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
@@ -46,7 +41,7 @@ def from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
     inputs: tuple[SignalInfo, ...] = ()
     outputs: tuple[SignalInfo, ...] = ()
     for outcome in accepted:
-        streams = {COMMAND: run.command(outcome.index), **run.streams(outcome.index)}
+        streams = run.measured(outcome.index)
         sources = {
             port.name: _find(port, streams, signals, target) for port in (*model.inputs, *model.outputs)
         }
@@ -58,9 +53,9 @@ def from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
 
 
 def _trial(
-    outcome: "TrialOutcome",
+    outcome: TrialOutcome,
     model: Ports,
-    streams: Mapping[str, "Stream"],
+    streams: Mapping[str, Signals],
     sources: Mapping[str, tuple[str, str]],
     *,
     whole: bool,
@@ -91,17 +86,17 @@ def _trial(
     )
 
 
-def _column(stream: "Stream", channel: str, time_s: FloatArray) -> FloatArray:
-    values = stream.column(channel) - stream.tare.get(channel, 0.0)
-    known = np.isfinite(values)
-    return resample(stream.time_s[known], values[known], time_s, "linear")
+def _column(signals: Signals, channel: str, time_s: FloatArray) -> FloatArray:
+    measured = signals.signal(channel)
+    known = np.isfinite(measured.values)
+    return resample(measured.time_s[known], measured.values[known], time_s, "linear")
 
 
 def _find(
-    port: Named, streams: Mapping[str, "Stream"], signals: Mapping[str, str], target: Path
+    port: Named, streams: Mapping[str, Signals], signals: Mapping[str, str], target: Path
 ) -> tuple[str, str]:
     """Return device and channel of a port: as `signals` says, or the only channel of that name."""
-    known = [f"{device}.{channel.name}" for device, stream in streams.items() for channel in stream.channels]
+    known = [f"{device}.{column}" for device, table in streams.items() for column in table.columns]
     wanted = signals.get(port.name)
     if wanted is None:
         same = [name for name in known if name.partition(".")[2] == port.name]
@@ -128,16 +123,10 @@ def _find(
 
 def _info(
     port: Named,
-    streams: Mapping[str, "Stream"],
+    streams: Mapping[str, Signals],
     sources: Mapping[str, tuple[str, str]],
     channels: Mapping[str, Any],
 ) -> SignalInfo:
     device, channel = sources[port.name]
-    unit = next(known.unit for known in streams[device].channels if known.name == channel)
+    unit = streams[device].unit(channel)
     return SignalInfo(port.name, unit, channels.get(channel, {}).get("between", "linear"))
-
-
-def imported_channels(experiment_toml: str) -> dict[str, Any]:
-    """Return the channel tables of a run that was imported: it keeps recording.toml in place of an experiment."""
-    data = tomllib.loads(experiment_toml)
-    return dict(data["channels"]) if "rig" not in data and isinstance(data.get("channels"), dict) else {}

@@ -6,14 +6,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.fit.signal_table import SignalTable
+from labrun.signals import Signals
 from labrun.spec import condition_text
 from labrun.store.recording import (
     RecordedTrial,
     SignalInfo,
+    imported_channels,
     is_recording,
     read_recording,
 )
@@ -21,9 +23,9 @@ from labrun.toml import nearest
 
 if TYPE_CHECKING:
     from labrun.spec import Experiment
-    from labrun.store.trial import Stream, TrialOutcome
+    from labrun.store.trial import TrialOutcome
 
-FloatArray = NDArray[np.float64]
+COMMAND = "command"
 GAIT = "gait"
 """The pseudo device of a gait's named quantities over time."""
 _EVEN = 1e-6
@@ -129,7 +131,6 @@ _Loaded = tuple[str, Literal["recording", "run"], list[tuple[SignalTrial, dict[s
 def _run(
     target: Path, wanted: Mapping[str, SignalTable], where: Mapping[str, float | str], rate_hz: float | None
 ) -> _Loaded:
-    from labrun.fit.run_dataset import COMMAND, imported_channels
     from labrun.spec import loads_experiment
     from labrun.store.reading import open_run
 
@@ -142,22 +143,22 @@ def _run(
     accepted = [one for one in wanted_here if one.status == "done"]
     trials = []
     for outcome in accepted:
-        streams = {COMMAND: run.command(outcome.index), **run.streams(outcome.index)}
-        trials.append(_run_trial(outcome, streams, experiment, wanted, rate_hz, target))
+        measured = run.measured(outcome.index)
+        trials.append(_run_trial(outcome, measured, experiment, wanted, rate_hz, target))
     return run.name, "run", trials, len(wanted_here) - len(accepted)
 
 
 def _run_trial(
     outcome: "TrialOutcome",
-    streams: Mapping[str, "Stream"],
+    signals: Mapping[str, Signals],
     experiment: "Experiment | None",
     wanted: Mapping[str, SignalTable],
     rate_hz: float | None,
     target: Path,
 ) -> tuple[SignalTrial, dict[str, str]]:
     devices = [one.channel.partition(".")[0] for one in wanted.values()]
-    measured = [streams[device] for device in devices if device in streams and device != "command"]
-    base = measured[0] if measured else next(iter(streams.values()))
+    measured = [signals[device] for device in devices if device in signals and device != COMMAND]
+    base = measured[0] if measured else next(iter(signals.values()))
     end_s = outcome.duration_s if outcome.duration_s > 0 else float(base.time_s[-1])
     label = f"trial {outcome.index}: {condition_text(outcome.condition)}".rstrip(": ")
     time_s = _even(0.0, end_s, rate_hz or base.rate_hz, label)
@@ -166,11 +167,11 @@ def _run_trial(
         device, _, part = name.partition(".")
         if device == GAIT and experiment is not None:
             return _gait_value(experiment, outcome.condition, part, time_s)
-        known = {f"{d}.{c.name}": (d, c) for d, stream in streams.items() for c in stream.channels}
+        known = {f"{device}.{column}": None for device, table in signals.items() for column in table.columns}
         if name not in known:
             raise _unknown(name, known, target)
-        stream, unit = streams[known[name][0]], known[name][1].unit
-        return _at(stream.time_s, stream.column(part) - stream.tare.get(part, 0.0), time_s, name, label), unit
+        found = signals[device].signal(part)
+        return _at(found.time_s, found.values, time_s, name, label), found.unit
 
     return _trial(label, outcome.condition, outcome.repeat, time_s, outcome.period_s, wanted, channel)
 

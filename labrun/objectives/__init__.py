@@ -1,5 +1,6 @@
 """Objectives: from the recorded signals of a trial to one number."""
 
-from labrun.objectives.protocol import Objective, Signal, TrialSignals, make_objective
+from labrun.objectives.protocol import Objective, TrialSignals, make_objective
+from labrun.signals import Signal
 
 __all__ = ["Objective", "Signal", "TrialSignals", "make_objective"]

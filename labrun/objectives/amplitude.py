@@ -6,7 +6,8 @@ import numpy as np
 
 from labrun.errors import ExperimentError
 from labrun.objectives.channel import ChannelObjective
-from labrun.objectives.protocol import Signal, TrialSignals
+from labrun.objectives.protocol import TrialSignals
+from labrun.signals import Signal
 
 
 class Amplitude(ChannelObjective):

@@ -10,7 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from labrun.devices import FloatArray
 from labrun.errors import SpecError
-from labrun.objectives.protocol import Signal, TrialSignals
+from labrun.objectives.protocol import TrialSignals
+from labrun.signals import Signal
 from labrun.toml import dotted, validate
 
 

@@ -4,7 +4,8 @@ from collections.abc import Iterable
 
 from labrun.errors import ExperimentError
 from labrun.objectives.channel import ChannelObjective, time_mean
-from labrun.objectives.protocol import Signal, TrialSignals
+from labrun.objectives.protocol import TrialSignals
+from labrun.signals import Signal
 
 
 class CycleMean(ChannelObjective):

@@ -6,7 +6,8 @@ from typing import Any, ClassVar
 
 from labrun.errors import ExperimentError
 from labrun.objectives.channel import ChannelObjective, ChannelSettings, time_mean
-from labrun.objectives.protocol import Signal, TrialSignals
+from labrun.objectives.protocol import TrialSignals
+from labrun.signals import Signal
 
 
 class DirectionSettings(ChannelSettings):

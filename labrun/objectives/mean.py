@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from labrun.objectives.channel import ChannelObjective, time_mean
-from labrun.objectives.protocol import Signal
+from labrun.signals import Signal
 
 
 class Mean(ChannelObjective):

@@ -9,7 +9,8 @@ from pydantic import Field, model_validator
 
 from labrun.errors import ExperimentError
 from labrun.objectives.channel import ChannelObjective, ChannelSettings, time_mean
-from labrun.objectives.protocol import Signal, TrialSignals
+from labrun.objectives.protocol import TrialSignals
+from labrun.signals import Signal
 from labrun.toml import Faults
 
 Seconds = Annotated[float, Field(ge=0)]

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from labrun.objectives.channel import ChannelObjective
-from labrun.objectives.protocol import Signal
+from labrun.signals import Signal
 
 
 class Peak(ChannelObjective):

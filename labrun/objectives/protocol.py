@@ -9,32 +9,9 @@ from numpy.typing import NDArray
 
 from labrun.devices import FloatArray, Trajectory
 from labrun.errors import ExperimentError, SpecError
+from labrun.signals import Signal
 from labrun.spec import ObjectiveTable, Value
 from labrun.toml import suggest
-
-
-@dataclass(frozen=True, slots=True)
-class Signal:
-    """One channel of a trial: tared, in SI units.
-
-    Attributes
-    ----------
-    time_s : (n,)
-        Trial-relative time of each sample, ascending.
-    values : (n,)
-        Its value.
-    unit
-        SI unit of the values.
-    """
-
-    time_s: FloatArray
-    values: FloatArray
-    unit: str
-
-    def between(self, start_s: float, end_s: float) -> "Signal":
-        """Return the samples from `start_s` to `end_s`, both included."""
-        first, end = np.searchsorted(self.time_s, start_s), np.searchsorted(self.time_s, end_s, side="right")
-        return Signal(self.time_s[first:end], self.values[first:end], self.unit)
 
 
 @runtime_checkable

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from labrun.objectives.channel import ChannelObjective, time_mean
-from labrun.objectives.protocol import Signal
+from labrun.signals import Signal
 
 
 class Rms(ChannelObjective):

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,31 +11,10 @@ from labrun.errors import PluginError, SpecError
 from labrun.search.leaders import t_interval
 from labrun.search.result import Best
 from labrun.spec import Experiment, Value, condition_key
-from labrun.store.trial import SettleCurve, Stream, TrialOutcome
+from labrun.store.reading import Run
+from labrun.store.trial import TrialOutcome
 
 FloatArray = NDArray[np.float64]
-
-
-class StoredRun(Protocol):
-    """What is needed of `labrun.store.reading.Run`."""
-
-    @property
-    def name(self) -> str:
-        """The experiment's name."""
-        ...
-
-    @property
-    def outcomes(self) -> Sequence[TrialOutcome]:
-        """All trials, in the order they ran."""
-        ...
-
-    def streams(self, index: int) -> Mapping[str, Stream]:
-        """Return a trial's streams by device."""
-        ...
-
-    def settle_curve(self, index: int) -> SettleCurve | None:
-        """Return how the bench came to rest before a trial."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +50,7 @@ class RunView:
         Of the whole run; None without a goal.
     """
 
-    run: StoredRun
+    run: Run
     experiment: Experiment
     best: Best | None
 
@@ -111,9 +89,9 @@ class RunView:
         if self.experiment.fit is not None and self.experiment.fit.signals:
             return next(iter(self.experiment.fit.signals.values()))
         for outcome in self.run.outcomes:
-            for name, stream in self.run.streams(outcome.index).items():
-                if stream.channels:
-                    return f"{name}.{stream.channels[0].name}"
+            for name, signals in self.run.signals(outcome.index).items():
+                if signals.columns:
+                    return f"{name}.{signals.columns[0]}"
         return None
 
     def channel_unit(self, channel: str | None) -> str:
@@ -122,9 +100,9 @@ class RunView:
         for outcome in self.run.outcomes:
             if outcome.status == "failed":
                 continue
-            stream = self.run.streams(outcome.index).get(device)
-            if stream is not None:
-                return next((item.unit for item in stream.channels if item.name == name), "")
+            signals = self.run.signals(outcome.index).get(device)
+            if signals is not None:
+                return signals.unit(name) if name in signals.columns else ""
         return ""
 
     @cached_property
@@ -151,12 +129,11 @@ class RunView:
         Tared, and in the objective's unit where the objective scales its channel.
         """
         device, _, name = channel.partition(".")
-        stream = self.run.streams(outcome.index).get(device)
-        if stream is None or name not in {item.name for item in stream.channels}:
+        signals = self.run.signals(outcome.index).get(device)
+        if signals is None or name not in signals.columns:
             return None
-        inside = (stream.time_s >= 0) & (stream.time_s <= outcome.duration_s)
-        values = stream.column(name)[inside] - outcome.tare.get(channel, stream.tare.get(name, 0.0))
-        return stream.time_s[inside], values * (self.trace_factor or 1.0)
+        shown = signals.between(0.0, outcome.duration_s).tared().signal(name)
+        return shown.time_s, shown.values * (self.trace_factor or 1.0)
 
     def points(
         self, objective: str, *, roles: Sequence[str] = ("measure", "fresh", "confirm")

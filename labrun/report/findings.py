@@ -27,7 +27,7 @@ from labrun.report.statistics import (
 from labrun.report.stored_fits import StoredFit, stored_fits
 from labrun.runner.settling import unsettled
 from labrun.search.result import Best, stored_result
-from labrun.store.folder import SPEC
+from labrun.store.locate import SPEC
 
 if TYPE_CHECKING:
     from rich.console import Console

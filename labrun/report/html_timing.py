@@ -112,12 +112,17 @@ def _commands(source: ReportSource) -> Html | None:
 def _streams(source: ReportSource) -> Html | None:
     if not source.streams:
         return None
-    channels = source.run.streams(source.run.outcomes[0].index)
+    channels = source.run.signals(source.run.outcomes[0].index)
     rows: list[list[Content]] = []
     for item in source.streams:
         stream = channels.get(item.device)
         names = (
-            ", ".join(f"{c.name} ({c.unit})" if c.unit else c.name for c in stream.channels) if stream else ""
+            ", ".join(
+                f"{name} ({unit})" if unit else name
+                for name, unit in zip(stream.columns, stream.units, strict=True)
+            )
+            if stream
+            else ""
         )
         rows.append(
             [

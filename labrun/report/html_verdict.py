@@ -117,7 +117,7 @@ def what_came_out(source: ReportSource) -> str:
     sentences = [text for name in experiment.objectives if (text := _range(source, name))]
     if sentences:
         return " ".join(sentences)
-    channels = sum(len(stream.channels) for stream in view.run.streams(source.accepted[0].index).values())
+    channels = sum(len(signals.columns) for signals in view.run.signals(source.accepted[0].index).values())
     return f"It declares no objective: what it measured is the signals of {counted(channels, 'channel')}, shown below."
 
 

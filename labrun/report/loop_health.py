@@ -45,7 +45,7 @@ def loop_health(view: RunView, indices: Sequence[int]) -> LoopHealth | None:
         return None
     latency, late, missed = [], [], []
     for index in indices:
-        stream = view.run.streams(index).get(LOOP_DEVICE)
+        stream = view.run.signals(index).get(LOOP_DEVICE)
         if stream is not None and len(stream.time_s):
             latency.append(stream.column("latency_s"))
             late.append(stream.column("late_s"))

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from labrun.fit.run_dataset import imported_channels
 from labrun.spec import Experiment, FitTable, loads_experiment
+from labrun.store.recording import imported_channels
 
 
 def experiment_of(experiment_toml: str, name: str) -> Experiment:

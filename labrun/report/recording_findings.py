@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labrun.fit.run_dataset import imported_channels
 from labrun.spec import Value, condition_key
+from labrun.store.recording import imported_channels
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -108,7 +108,7 @@ def recording_findings(run: "Run") -> RecordingFindings:
     groups: dict[object, list[int]] = {}
     for number, outcome in enumerate(run.outcomes):
         groups.setdefault(condition_key(outcome.condition), []).append(number)
-        for name, stream in run.streams(outcome.index).items():
+        for name, stream in run.signals(outcome.index).items():
             rates.setdefault(name, []).append(stream.rate_hz)
     median_hz = {kind: float(np.median(found)) if found else 0.0 for kind, found in rates.items()}
     origin = Path(run.provenance.get("imported_from", run.path))

@@ -6,8 +6,7 @@ from typing import Any, Literal
 
 from labrun.search.result import Best
 from labrun.spec import Value
-from labrun.store.watched_trials import Trace
-from labrun.store.watching import SeenTrial
+from labrun.store.watching import SeenTrial, Trace
 
 State = Literal["starting", "running", "silent", "dead", "stopped", "finished"]
 

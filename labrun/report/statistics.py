@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from labrun.report.data import Point, RunView
 from labrun.search.leaders import pooled_variance
+from labrun.signals import Signals
 from labrun.store.timing import JUMP_S, StreamReport, stream_report
-from labrun.store.trial import Stream, TrialOutcome
+from labrun.store.trial import TrialOutcome
 
 FloatArray = NDArray[np.float64]
 
@@ -149,9 +150,9 @@ def settling(outcomes: Iterable[TrialOutcome]) -> Settling | None:
 
 def stream_health(view: RunView, indices: Sequence[int]) -> list[StreamHealth]:
     """Return the health of every device's stream over the given trials."""
-    streams: dict[str, list[Stream]] = {}
+    streams: dict[str, list[Signals]] = {}
     for index in indices:
-        for name, stream in view.run.streams(index).items():
+        for name, stream in view.run.signals(index).items():
             streams.setdefault(name, []).append(stream)
     return [_health(name, items) for name, items in streams.items()]
 
@@ -166,7 +167,7 @@ def _between(points: Sequence[Point]) -> float | None:
     return float(np.std(means, ddof=1)) if len(means) > 1 else None
 
 
-def _health(name: str, streams: Sequence[Stream]) -> StreamHealth:
+def _health(name: str, streams: Sequence[Signals]) -> StreamHealth:
     reports = [stream_report(stream) for stream in streams if len(stream.time_s)]
     regular = [report for report in reports if math.isfinite(report.rate_hz)]
     samples = sum(len(stream.time_s) for stream in streams)
@@ -186,9 +187,9 @@ def _health(name: str, streams: Sequence[Stream]) -> StreamHealth:
     )
 
 
-def _clock_drift_ppm(streams: Sequence[Stream], reports: Sequence[StreamReport]) -> float | None:
+def _clock_drift_ppm(streams: Sequence[Signals], reports: Sequence[StreamReport]) -> float | None:
     """Return the drift from trial to trial, which tells most; within trials, where the device's clock began anew."""
-    starts_s = np.array([stream.device_time_s[0] for stream in streams])
+    starts_s = np.array([s.device_time_s[0] for s in streams if s.device_time_s is not None])
     offsets_s = np.array([report.offset_s for report in reports])
     anew = (np.diff(starts_s) <= 0) | (np.abs(np.diff(offsets_s)) > JUMP_S)
     if len(starts_s) > 2 and not anew.any():

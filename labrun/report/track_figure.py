@@ -10,8 +10,9 @@ import numpy as np
 from labrun.report.data import FloatArray, RunView
 from labrun.report.run_overlay import PANEL_TITLE, condition_title, groups_of, objective_panel
 from labrun.report.style import COLOURS, INK, heading, new_figure, save
+from labrun.signals import Signals
 from labrun.spec import LOOP_DEVICE, loop_channel
-from labrun.store.trial import Stream, TrialOutcome
+from labrun.store.trial import TrialOutcome
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,7 +31,7 @@ class _Panel:
 
     loop: str
     trials: Sequence[TrialOutcome]
-    streams: Sequence[Stream]
+    streams: Sequence[Signals]
 
 
 def draw_track(view: RunView, path: Path) -> Path:
@@ -84,7 +85,7 @@ def _objectives(view: RunView) -> list[str]:
 
 def _panel(view: RunView, loop: str, trials: Sequence[TrialOutcome]) -> _Panel:
     repeats = trials[:_MOST_REPEATS]
-    streams = [view.run.streams(trial.index).get(LOOP_DEVICE) for trial in repeats]
+    streams = [view.run.signals(trial.index).get(LOOP_DEVICE) for trial in repeats]
     return _Panel(loop, trials, [stream for stream in streams if stream is not None])
 
 
@@ -115,14 +116,14 @@ def _draw(view: RunView, panel: _Panel, above: "Axes", below: "Axes", *, first: 
     below.set_ylabel(f"{drive} ({_unit(panel, name, 'drive')})")
 
 
-def _column(stream: Stream, loop: str, quantity: str) -> FloatArray:
+def _column(stream: Signals, loop: str, quantity: str) -> FloatArray:
     return np.asarray(stream.column(loop_channel(loop, quantity)))
 
 
 def _unit(panel: _Panel, loop: str, quantity: str) -> str:
     wanted = loop_channel(loop, quantity)
-    known = {channel.name: channel.unit for channel in panel.streams[0].channels} if panel.streams else {}
-    return known.get(wanted) or "1"
+    first = panel.streams[0] if panel.streams else None
+    return (first.unit(wanted) if first is not None and wanted in first.columns else "") or "1"
 
 
 def _subtitle(view: RunView, conditions: int, shown: int) -> str:

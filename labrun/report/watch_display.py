@@ -15,7 +15,7 @@ from labrun.devices import Clock
 from labrun.report.braille import braille_curve
 from labrun.report.snapshot import Snapshot, State
 from labrun.report.text import condition_text, duration_text, interval_text, quantity_text, value_text
-from labrun.store.watched_trials import Trace
+from labrun.store.watching import Trace
 
 if TYPE_CHECKING:
     from labrun.store.watching import SeenTrial

@@ -3,20 +3,14 @@
 import math
 import traceback
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
 
 from labrun.errors import LabrunError
 from labrun.objectives import make_objective
-from labrun.objectives.protocol import Objective, Signal, TrialSignals
+from labrun.objectives.protocol import Objective, TrialSignals
 from labrun.runner.measurement import Condition
 from labrun.runner.motion import TrialMotion
+from labrun.signals import LongSignals, Signal, Signals
 from labrun.spec import Experiment
-from labrun.store.trial import Stream
-
-if TYPE_CHECKING:
-    from labrun.store.spill import SpilledStream
-
-Streams = Mapping[str, "Stream | SpilledStream"]
 
 
 class ObjectiveError(LabrunError):
@@ -45,8 +39,7 @@ class Judging:
 
     def judge(
         self,
-        streams: Streams,
-        tare: Mapping[str, float],
+        measured: Mapping[str, Signals | LongSignals],
         motion: TrialMotion,
         condition: Condition,
     ) -> dict[str, float]:
@@ -57,7 +50,7 @@ class Judging:
         ObjectiveError
             A value is not finite, or cannot be computed; names objective, channel and cause.
         """
-        signals = trial_signals(streams, tare, motion, condition, self._discard)
+        signals = trial_signals(measured, motion, condition, self._discard)
         values: dict[str, float] = {}
         for name, objective in self._objectives.items():
             channel = self._tables[name].channel or "its channels"
@@ -89,15 +82,14 @@ def _place(objective: Objective, error: Exception) -> str:
 
 
 def trial_signals(
-    streams: Streams,
-    tare: Mapping[str, float],
+    measured: Mapping[str, Signals | LongSignals],
     motion: TrialMotion,
     condition: Condition,
     discard: int,
 ) -> TrialSignals:
     """Return what objectives see: every channel by ``device.channel``, tared, in trial-relative time."""
     return TrialSignals(
-        signals=_TaredSignals(streams, tare),
+        signals=_TaredSignals(measured),
         command=motion.trajectory,
         start_s=0.0,
         end_s=motion.duration_s,
@@ -110,28 +102,21 @@ def trial_signals(
 class _TaredSignals(Mapping[str, Signal]):
     """Every channel by ``device.channel``, made when asked for, whole or in pieces: a trial may exceed memory."""
 
-    def __init__(self, streams: Streams, tare: Mapping[str, float]) -> None:
-        self._tare = tare
+    def __init__(self, measured: Mapping[str, Signals | LongSignals]) -> None:
         self._places = {
-            f"{device}.{channel.name}": (stream, channel)
-            for device, stream in streams.items()
-            for channel in stream.channels
+            f"{name}.{column}": (signals, column)
+            for name, signals in ((name, signals.tared()) for name, signals in measured.items())
+            for column in signals.columns
         }
 
     def __getitem__(self, name: str) -> Signal:
-        stream, channel = self._places[name]
-        values = stream.column(channel.name) - self._tare.get(name, 0.0)
-        return Signal(stream.time_s, values, channel.unit)
+        signals, column = self._places[name]
+        return signals.signal(column)
 
     def pieces(self, name: str) -> Iterator[Signal]:
         """Yield consecutive parts of a channel; KeyError if there is none of that name."""
-        stream, channel = self._places[name]
-        if isinstance(stream, Stream):
-            yield self[name]
-            return
-        offset = self._tare.get(name, 0.0)
-        for time_s, values in stream.pieces(channel.name):
-            yield Signal(time_s, values - offset, channel.unit)
+        signals, column = self._places[name]
+        return signals.signal_pieces(column)
 
     def __contains__(self, name: object) -> bool:
         return name in self._places

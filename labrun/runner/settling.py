@@ -8,8 +8,9 @@ from labrun.errors import ExperimentError, SettleError, SpecError
 from labrun.runner.bench import Bench
 from labrun.runner.rig import Rig
 from labrun.runner.settle import BaselineMeter, Bounds, SettleDetector, Watched
+from labrun.signals import Signals
 from labrun.spec import Settle
-from labrun.store.trial import SettleCurve, SettleSummary, TrialOutcome
+from labrun.store.trial import SettleSummary, TrialOutcome, settle_curve
 
 _BASELINE_HOLDS = 6.0
 _BASELINE_S = 10.0
@@ -30,7 +31,7 @@ class Settled:
     """
 
     summary: SettleSummary | None
-    curve: SettleCurve | None
+    curve: Signals | None
     rejected: str = ""
 
 
@@ -137,8 +138,8 @@ def _ended(rule: Settle, detector: SettleDetector, bounds: Bounds, reason: str, 
     spread = detector.spread[-1] if detector.spread else None
     drift = detector.drift[-1] if detector.drift else None
     summary = SettleSummary(reason, duration_s, spread, drift, bound, channel.name)
-    curve = SettleCurve(
-        np.array(detector.time_s), np.array(detector.spread), np.array(detector.drift), reason, channel.unit
+    curve = settle_curve(
+        np.array(detector.time_s), np.array(detector.spread), np.array(detector.drift), channel.unit
     )
     if reason == "quiet" or rule.on_timeout == "go-on":
         return Settled(summary, curve)

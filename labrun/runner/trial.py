@@ -224,8 +224,8 @@ class TrialRunner:
         if motion is None or not draft.recorded:
             return raised
         try:
-            streams = writer.streams(outcome.started_s)
-            draft.know(objectives=self._judging.judge(streams, outcome.tare, motion, outcome.condition))
+            signals = writer.signals(outcome.started_s, outcome.tare)
+            draft.know(objectives=self._judging.judge(signals, motion, outcome.condition))
         except ObjectiveError as error:
             draft.know(status="failed", reason=str(error).splitlines()[0])
             raised = error.raised
@@ -301,7 +301,4 @@ class TrialRunner:
             self.baseline = Bounds(tuple(baseline["spread"]), tuple(baseline["drift"]))
 
     def _journal(self, event: str, **fields: Any) -> None:
-        # In a dry run nothing real moves afterwards, so the line need not wait for the disk.
-        self._folder.journal.append(
-            event, sync=not self._rig.dry_run, clock_s=self._bench.clock.now(), **fields
-        )
+        self._folder.journal.append(event, clock_s=self._bench.clock.now(), **fields)

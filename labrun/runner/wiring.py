@@ -7,7 +7,7 @@ from labrun.runner.rig import Rig
 from labrun.runner.settling import watched_channels
 from labrun.runner.tare import tared_devices
 from labrun.spec import LOOP_DEVICE, Experiment, loop_channels
-from labrun.store.layout import check_joints, check_names
+from labrun.store.trial_file import check_columns, check_names
 
 
 def check_wiring(experiment: Experiment, rig: Rig, gait_joints: Iterable[str]) -> None:
@@ -53,11 +53,12 @@ def _unstorable(rig: Rig) -> list[str]:
     problems = []
     for name in rig.devices:
         try:
-            check_names(name, rig.sensors[name].channels if name in rig.sensors else ())
+            channels = rig.sensors[name].channels if name in rig.sensors else ()
+            check_names(name, [channel.name for channel in channels])
         except StoreError as error:
             problems.append(f"rig.devices.{name}: {error}")
     try:
-        check_joints(rig.joints)
+        check_columns("joint", list(rig.joints))
     except StoreError as error:
         problems.append(str(error))
     return problems

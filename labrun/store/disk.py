@@ -2,7 +2,9 @@
 
 import errno
 import os
+import re
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +12,8 @@ from pathlib import Path
 from labrun.errors import StoreError
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_METADATA = 1 << 16
+"""Bytes that are enough for what HDF5 writes beside the samples of a trial."""
 
 
 def fsync_directory(path: Path) -> None:
@@ -37,23 +41,6 @@ def write_all(descriptor: int, data: bytes) -> None:
         view = view[os.write(descriptor, view) :]
 
 
-def write_all_at(descriptor: int, data: bytes, first: int) -> None:
-    """Write all of `data` at a place of the file."""
-    view = memoryview(data)
-    while view:
-        count = os.pwrite(descriptor, view, first)
-        view, first = view[count:], first + count
-
-
-def write_unsynced(path: Path, data: bytes) -> None:
-    """Write a file and leave it to the system when it goes to disk."""
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
-    try:
-        write_all(descriptor, data)
-    finally:
-        os.close(descriptor)
-
-
 def write_synced(path: Path, data: bytes) -> None:
     """Write a file and wait until it is on disk; its name becomes durable with `fsync_directory`."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
@@ -76,16 +63,57 @@ def replace_durably(path: Path, data: bytes) -> None:
     fsync_directory(path.parent)
 
 
+def require_room(path: Path, count: int) -> None:
+    """Raise OSError where a file at `path` would find no room for so many bytes.
+
+    HDF5 cannot be closed in order once a write of it has failed, so the disk is asked before.
+    """
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+    try:
+        os.posix_fallocate(descriptor, 0, count + _METADATA)
+    finally:
+        os.close(descriptor)
+
+
+def require_writable(folder: Path, what: str) -> None:
+    """Raise StoreError where nothing can be written to a folder, or to the one it would be made in.
+
+    Parameters
+    ----------
+    what
+        What is to be written there, for example ``"the fit"``.
+    """
+    existing = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.exists())
+    with saving(what, folder, "nothing was computed"), tempfile.TemporaryFile(dir=existing):
+        pass
+
+
+def lacking_room(folder: Path, needed: float) -> str | None:
+    """Return why so many bytes do not fit on the disk of a folder, as a sentence; None if they do."""
+    existing = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.exists())
+    try:
+        free = shutil.disk_usage(existing).free
+    except OSError:
+        return None
+    if needed <= free:
+        return None
+    return f"the run needs {in_bytes(needed)}, but {in_bytes(free)} are free on the disk of {folder}"
+
+
+def in_bytes(count: float) -> str:
+    """Return a number of bytes for a person: ``"170 MB"``."""
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= size:
+            return f"{count / size:.3g} {unit}"
+    return f"{count:.0f} bytes"
+
+
 def free_space(path: Path) -> str:
     """Return the free space of the disk `path` is on, for a person."""
     try:
-        free = shutil.disk_usage(path).free
+        return in_bytes(shutil.disk_usage(path).free)
     except OSError:
         return "an unknown amount"
-    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if free >= size:
-            return f"{free / size:.3g} {unit}"
-    return f"{free} bytes"
 
 
 @contextmanager
@@ -118,3 +146,13 @@ def saving(what: str, where: Path, saved: str = "what was stored before is untou
             f"{what} could not be written to {where}: {cause}; {free_space(where)} free on this disk; {saved}"
         )
         raise StoreError(message, hint=hint) from error
+
+
+@contextmanager
+def flush_errors() -> Iterator[None]:
+    """Turn the RuntimeError of an HDF5 cache that cannot be flushed into the OSError it comes from."""
+    try:
+        yield
+    except RuntimeError as error:
+        code = re.search(r"errno = (\d+)", str(error))
+        raise OSError(int(code[1]) if code else errno.EIO, str(error)) from error

@@ -100,9 +100,9 @@ def to_netcdf(run: Run, output: Path) -> None:
     partial = output.with_name(f".{output.name}.partial")
     outcomes = {outcome.index: outcome for outcome in run.outcomes}
     try:
-        with saving(output.name, output.parent, "the run itself is untouched"), run.sources as sources:
+        with saving(output.name, output.parent, "the run itself is untouched"):
             output.parent.mkdir(parents=True, exist_ok=True)
-            packed_file.write(partial, run.texts, outcomes, sources)
+            packed_file.write_packed(partial, run.texts, outcomes, run.source.tables, run.source.size())
             fsync_file(partial)
             partial.replace(output)
     finally:

@@ -1,33 +1,76 @@
-"""A run's folder: made, locked, written trial by trial, found whole again after any crash."""
+"""A run's folder: made, locked, written trial by trial, packed into one file, found whole again after any crash."""
 
 import json
 import secrets
 import string
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-from weakref import ReferenceType
+from typing import Any
 
 from labrun.errors import RecordingError, RigBusyError, StoreError
-from labrun.store.disk import fsync_directory, replace_durably, saving
+from labrun.signals import LongSignals
+from labrun.store import packed_file
+from labrun.store.disk import fsync_directory, fsync_file, replace_durably, saving
 from labrun.store.journal import Journal
-from labrun.store.locking import FileLock
+from labrun.store.locate import JOURNAL, PACKED, PROVENANCE, SPEC, TRIALS
+from labrun.store.locks import FileLock
+from labrun.store.packed_file import FORMAT, PackedTrials, RunTexts, older
 from labrun.store.trial import Status, TrialOutcome
-from labrun.store.trial_log import TrialLog
+from labrun.store.trial_file import TrialFile, check, trial_files
 from labrun.store.writer import TrialWriter
-from labrun.store.written import Written
 
-if TYPE_CHECKING:
-    from labrun.store.packed_file import RunTexts
-    from labrun.store.trial_image import Places, Templates
 
-SPEC = "spec.toml"
-PROVENANCE = "provenance.json"
-JOURNAL = "journal.jsonl"
-TRIALS = "trials"
-PACKED = "run.h5"
+class TrialSource:
+    """The signals of a run's trials, wherever they are; a trial file counts before ``run.h5``.
+
+    Parameters
+    ----------
+    packed
+        ``run.h5``, opened when it is needed; may be missing.
+    files
+        Trial files by index.
+    locked
+        As for `labrun.store.trial_file.TrialFile`.
+    """
+
+    def __init__(self, packed: Path, files: Mapping[int, Path], *, locked: bool = True) -> None:
+        self._locked = locked
+        self._path = packed
+        self._files = files
+        self._packed: PackedTrials | None = None
+
+    @contextmanager
+    def tables(self, index: int) -> Iterator[dict[str, LongSignals]]:
+        """Give all signals of one trial by name: devices, ``command``, ``settle``; readable within the ``with``.
+
+        Raises
+        ------
+        RecordingError
+            There is no such trial.
+        """
+        path = self._files.get(index)
+        if path is not None:
+            with TrialFile(path, locked=self._locked) as file:
+                yield file.tables()
+            return
+        if self._packed is None and self._path.is_file():
+            self._packed = PackedTrials(self._path, locked=self._locked)
+        if self._packed is None or index not in self._packed:
+            raise RecordingError(f"{self._path.parent} has no trial {index}")
+        yield self._packed.tables(index)
+
+    def size(self) -> int:
+        """Return how many bytes all trials take on disk now."""
+        packed = self._path.stat().st_size if self._path.is_file() else 0
+        return packed + sum(path.stat().st_size for path in self._files.values())
+
+    def close(self) -> None:
+        """Close ``run.h5``."""
+        if self._packed is not None:
+            self._packed.close()
+            self._packed = None
 
 
 class RunFolder:
@@ -41,25 +84,20 @@ class RunFolder:
         Its events.
     faults
         What was found damaged when the folder was opened, for the person: one sentence each.
-    written
-        Of trials stored by this object: what allows to read their files without HDF5.
-    log
-        Makes trials durable before their files are.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.journal = Journal(path / JOURNAL)
         self.faults: list[str] = []
-        self.written: dict[int, Written] = {}
-        self.log = TrialLog(path / TRIALS, self.journal.sync)
         self._lock = FileLock(path / ".lock", f"run {path}")
         self._depth = 0
         self._known: dict[int, TrialOutcome] | None = None
-        self._templates: Templates | None = None
-        # In a dry run nothing moves after a trial, so its line in the journal need not wait for the disk: the trial
-        # itself is durable, and where its line was lost the log has it, or it is read to the last sample instead.
-        self._simulated = False
+
+    @property
+    def _durable(self) -> bool:
+        """Whether trials and events are synced: a dry run need not survive a power cut."""
+        return self.journal.durable
 
     @classmethod
     def create(
@@ -80,9 +118,9 @@ class RunFolder:
             replace_durably(path / SPEC, spec_toml.encode())
             fsync_directory(path.parent)
         folder = cls(path)
-        folder._simulated = bool(provenance.get("dry_run", False))
+        folder.journal.durable = not provenance.get("dry_run", False)
         folder._known = {}
-        folder.journal.append("created", experiment=experiment)
+        folder.journal.append("created", experiment=experiment, format=FORMAT)
         return folder
 
     @classmethod
@@ -92,7 +130,7 @@ class RunFolder:
         Raises
         ------
         RecordingError
-            This is no run folder, or its journal is damaged before its last line.
+            This is no run folder, or one that older code made; or its journal is damaged before its last line.
         """
         if not (path / SPEC).is_file():
             raise RecordingError(
@@ -100,8 +138,9 @@ class RunFolder:
                 hint="a run folder is results/<experiment>/<start>-<letters>; labrun list shows what there is",
             )
         folder = cls(path)
-        with suppress(OSError, ValueError):  # where nothing tells, it counts as hardware
-            folder._simulated = bool(folder.provenance.get("dry_run", False))
+        require_current(folder.journal.events(), path)
+        with suppress(RecordingError):  # where nothing tells, it counts as hardware
+            folder.journal.durable = not folder.provenance.get("dry_run", False)
         try:
             with folder.lock():
                 pass
@@ -121,10 +160,20 @@ class RunFolder:
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """Versions, git state, machine, device identities, seed."""
-        text = (self.path / PROVENANCE).read_text()
-        data: dict[str, Any] = json.loads(text)
+        """Versions, git state, machine, device identities, seed; RecordingError where it is missing or damaged."""
+        try:
+            data: dict[str, Any] = json.loads(self._provenance_json())
+        except ValueError as error:
+            raise RecordingError(f"{self.path / PROVENANCE} is damaged: {error}", hint=_RESTORE) from error
         return data
+
+    def _provenance_json(self) -> str:
+        try:
+            return (self.path / PROVENANCE).read_text()
+        except FileNotFoundError as error:
+            raise RecordingError(
+                f"{self.path} has no {PROVENANCE}, which tells how the run was made", hint=_RESTORE
+            ) from error
 
     @contextmanager
     def lock(self) -> Iterator[None]:
@@ -137,37 +186,24 @@ class RunFolder:
         """
         if self._depth == 0:
             self._lock.acquire()
-            if self.log.path.exists():  # whoever held it last did not end in order
-                self._known = None
         self._depth += 1
         try:
             if self._known is None:
                 self.recover()
             yield
-        except BaseException:
-            with suppress(StoreError):  # what ended the session is what counts
-                self._leave()
-            raise
-        self._leave()
-
-    def _leave(self) -> None:
-        self._depth -= 1
-        if self._depth > 0:
-            return
-        try:
-            if self._known is not None:  # else recovery failed, and needs the log once more
-                with suppress(OSError, StoreError):  # the log stays then, for when the run is opened again
-                    self.log.settle()
-            self.journal.close()
         finally:
-            self._lock.release()
+            self._depth -= 1
+            if self._depth == 0:
+                try:
+                    self.journal.close()
+                finally:
+                    self._lock.release()
 
     def recover(self) -> None:
         """Put in order what a crash left; needs the lock.
 
         A torn last journal line is cut off, temporary files are removed, damaged trials are moved aside
-        (``trials/000123.h5.damaged``) and count as not run. `faults` tells what was found. Trials that the log has are
-        put back from it, silently: these were stored.
+        (``trials/000123.h5.damaged``) and count as not run. `faults` tells what was found.
         """
         self.journal.repair()
         with saving("the removal of temporary files", self.path):
@@ -185,11 +221,7 @@ class RunFolder:
         if not trials.is_dir():
             trials.mkdir()
             fsync_directory(self.path)
-        if self._templates is None:
-            from labrun.store.trial_image import Templates
-
-            self._templates = Templates()
-        return TrialWriter(trials, index, self._templates, self.log, self._stored, self._saved)
+        return TrialWriter(trials, index, sync=self._durable, stored=self._stored, saved=self._saved)
 
     def outcomes(self) -> dict[int, TrialOutcome]:
         """Return the outcome of every stored trial by index, in order, with later marks applied."""
@@ -213,38 +245,75 @@ class RunFolder:
         self._known = known
 
     def pack(self) -> Path:
-        """Put the whole run into one file; see `labrun.store.packing.pack`."""
-        from labrun.store.packing import pack
+        """Put all trials into ``run.h5``, verify it, and only then remove the trial files.
 
+        A run that was packed before and went on is packed anew from both. A crash at any instant leaves the old
+        state, the new state, or the new state with trial files that are in it too.
+
+        Returns
+        -------
+        Path
+            The packed file.
+
+        Raises
+        ------
+        StoreError
+            The disk is full, or what was written differs from the trials: these are untouched, ``run.h5`` as before.
+        """
         with self.lock():
-            return pack(self)
+            target = self.path / PACKED
+            outcomes = self.outcomes()
+            found = trial_files(self.path / TRIALS)
+            files = {index: path for index, path in found.items() if index in outcomes}
+            if files or not target.is_file() or packed_file.read_outcomes(target) != outcomes:
+                self._write_packed(target, outcomes, TrialSource(target, files))
+            self.journal.append("packed", trials=len(outcomes))
+            # Damaged trials that were moved aside stay, with their folder.
+            with saving("the removal of packed trials", self.path, f"everything is in {PACKED}"):
+                for path in files.values():
+                    path.unlink()
+                with suppress(OSError):
+                    (self.path / TRIALS).rmdir()
+                if self._durable:
+                    fsync_directory(self.path)
+            return target
 
-    def texts(self) -> "RunTexts":
+    def _write_packed(self, target: Path, outcomes: Mapping[int, TrialOutcome], source: TrialSource) -> None:
+        partial = target.with_name(f"{PACKED}.partial")
+        untouched = f"all {len(outcomes)} trials are untouched"
+        try:
+            with saving(PACKED, self.path, untouched):
+                digests = packed_file.write_packed(
+                    partial, self.texts(), outcomes, source.tables, source.size()
+                )
+                if self._durable:
+                    fsync_file(partial)
+                if not packed_file.holds(partial, outcomes, digests):
+                    raise StoreError(
+                        f"{partial} does not hold what was written to it; {untouched}",
+                        hint="the disk or the memory of this machine may be failing: copy the run elsewhere",
+                    )
+                partial.replace(target)
+                if self._durable:
+                    fsync_directory(self.path)
+        finally:
+            source.close()
+            with suppress(OSError):
+                partial.unlink(missing_ok=True)
+
+    def texts(self) -> RunTexts:
         """Return what the run is, beside its trials."""
-        from labrun.store.packed_file import RunTexts
-
         return RunTexts(
             experiment=self.name,
             run=self.path.absolute().name,
             spec_toml=self.spec_toml,
-            provenance_json=(self.path / PROVENANCE).read_text(),
+            provenance_json=self._provenance_json(),
             journal_jsonl=self.journal.text(),
         )
 
-    def _stored(
-        self, outcome: TrialOutcome, described: Mapping[str, Any], places: "Places | None", logged: bool
-    ) -> None:
-        self.written.pop(outcome.index, None)
-        if places is not None:
-            self.written[outcome.index] = Written(described["blake2b"], outcome.tare, ReferenceType(places))
-        self._journal_trial(outcome, described, sync=not (self._simulated or logged))
-        if self._known is not None:
-            self._known[outcome.index] = outcome
-
-    def _journal_trial(self, outcome: TrialOutcome, described: Mapping[str, Any], *, sync: bool) -> None:
+    def _stored(self, outcome: TrialOutcome, described: Mapping[str, Any]) -> None:
         self.journal.append(
             "trial",
-            sync=sync,
             index=outcome.index,
             role=outcome.role,
             repeat=outcome.repeat,
@@ -253,14 +322,14 @@ class RunFolder:
             objectives=outcome.objectives,
             **described,
         )
+        if self._known is not None:
+            self._known[outcome.index] = outcome
 
     def _saved(self) -> str:
         count = len(self._known) if self._known is not None else 0
         return f"{count} trials are saved and untouched"
 
     def _scan(self, *, repair: bool) -> None:
-        from labrun.store import packed_file, trial_file
-
         events = self.journal.events()
         self.faults = [] if self.journal.torn is None else [self.journal.torn]
         described: dict[int, dict[str, Any]] = {}
@@ -269,36 +338,19 @@ class RunFolder:
                 described[event["index"]] = event
             elif event["event"] == "damaged":
                 described.pop(event["index"], None)
-        restored = self._put_back(described) if repair else {}
         found = packed_file.read_outcomes(self.path / PACKED)
-        for index, path in trial_file.trial_files(self.path / TRIALS).items():
+        for index, path in trial_files(self.path / TRIALS).items():
             try:
-                found[index] = trial_file.check(path, described.get(index))
+                found[index] = check(path, described.get(index))
             except RecordingError as error:
                 self._set_aside(path, error, repair=repair)
                 described.pop(index, None)
-                continue
-            if index in restored:
-                self._journal_trial(found[index], restored[index], sync=False)
         missing = sorted(described.keys() - found.keys())
         self.faults += [
             f"trial {index} is in the journal, but its file is gone: it counts as not run"
             for index in missing
         ]
         self._known = apply_marks(found, events)
-
-    def _put_back(self, described: dict[int, dict[str, Any]]) -> dict[int, dict[str, Any]]:
-        """Put the files of logged trials back where they suffered; return those whose line the journal has lost."""
-        lost = {}
-        for index, logged in self.log.records().items():
-            known = described.get(index)
-            if known is not None and known.get("blake2b") != logged.digest:
-                continue  # stored anew since, and not by the log
-            with saving(f"trial {index}", self.path):
-                self.log.put_back(index, logged)
-            if known is None:
-                lost[index] = described[index] = {"bytes": logged.length, "blake2b": logged.digest}
-        return lost
 
     def _set_aside(self, path: Path, error: RecordingError, *, repair: bool) -> None:
         fault = f"{error}; it counts as not run"
@@ -308,6 +360,15 @@ class RunFolder:
             self.journal.append("damaged", index=int(path.stem), file=aside.name, reason=str(error))
             fault += f", and was moved to {aside.name}"
         self.faults.append(fault)
+
+
+_RESTORE = "restore it from a copy of the run; the trials themselves are untouched"
+
+
+def require_current(events: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Raise RecordingError where the journal tells that older code made the run."""
+    if events and events[0].get("event") == "created" and events[0].get("format") != FORMAT:
+        raise older(path)
 
 
 def apply_marks(outcomes: dict[int, TrialOutcome], events: list[dict[str, Any]]) -> dict[int, TrialOutcome]:

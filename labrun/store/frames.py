@@ -2,15 +2,15 @@
 
 import importlib
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
 from labrun.errors import RecordingError, RequestError
-from labrun.store import hdf5, layout
-from labrun.store.hdf5 import Column, Table
+from labrun.signals import TIMES, Signals
+from labrun.store.packed_file import SAMPLE, TRIAL_INDEX
+from labrun.store.reading import Run
 from labrun.store.table import variables
 from labrun.store.trial import TrialOutcome
 
@@ -19,63 +19,12 @@ if TYPE_CHECKING:
     import xarray as xr
 
 TRIAL = "trial"
-SAMPLE = "sample"
-TRIAL_INDEX = "trial_index"
+_ABOUT = ("rate_hz", "lost", "saturated", "clock_glitches")
 _MEANING = {
     "time_s": "time since the start of the trial",
     "device_time_s": "the device's own time",
     "host_time_s": "time of arrival, by this machine's clock",
 }
-
-
-class Named(Protocol):
-    """What a column is."""
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        ...
-
-    @property
-    def unit(self) -> str:
-        """Its unit."""
-        ...
-
-
-class Readable(Protocol):
-    """One table of a trial, wherever it is."""
-
-    @property
-    def columns(self) -> Sequence["Named"]:
-        """Names and units of its columns, without their values."""
-        ...
-
-    def read(self) -> Table:
-        """Return it whole."""
-        ...
-
-
-class Tables(Protocol):
-    """Every table of one trial: devices, ``command``, ``settle``."""
-
-    @property
-    def names(self) -> Sequence[str]:
-        """Names of the tables there are."""
-        ...
-
-    def __getitem__(self, name: str) -> Readable: ...
-
-
-class Source(Protocol):
-    """Where the tables of all trials are (`labrun.store.sources.TrialSources`); open within a ``with``."""
-
-    def __enter__(self) -> "Source": ...
-
-    def __exit__(self, *_: object) -> None: ...
-
-    def tables(self, index: int) -> AbstractContextManager[Tables]:
-        """Open the tables of one trial."""
-        ...
 
 
 def trials_frame(outcomes: Sequence[TrialOutcome], units: Mapping[str, str]) -> "pd.DataFrame":
@@ -109,33 +58,40 @@ def trials_frame(outcomes: Sequence[TrialOutcome], units: Mapping[str, str]) -> 
     return frame
 
 
-def trial_dataset(name: str, index: int, source: Source, *, tared: bool) -> "xr.Dataset":
-    """Return the samples of one table of one trial, over ``time_s``.
+def trial_dataset(run: Run, name: str, index: int, *, tared: bool) -> "xr.Dataset":
+    """Return the signals of one device in one trial, over ``time_s``.
 
     Raises
     ------
     RecordingError
-        There is no such trial, or no such table in it; names those there are.
+        There is no such trial, or no such device in it; names those there are.
     RequestError
         xarray is not installed.
     """
     xarray = _library("xarray", "signals")
-    with source as opened, opened.tables(index) as tables:
-        if name not in tables.names:
-            raise _unknown(name, f"trial {index}", tables.names)
-        table = tables[name].read()
-    times = {column.name: column for column in table.columns if column.name in layout.TIMES}
-    signals = [column for column in table.columns if column.name not in layout.TIMES]
-    data = {column.name: _variable(xarray, "time_s", column, tared) for column in signals}
+    tables = run.tables(index)
+    if name not in tables:
+        raise _unknown(name, f"trial {index}", list(tables))
+    measured = tables[name]
+    shown = measured.tared() if tared else measured
+    data = {}
+    for column, unit in zip(shown.columns, shown.units, strict=True):
+        attributes: dict[str, Any] = {"units": unit}
+        if column in measured.tare:
+            attributes |= {"tare": measured.tare[column], "tared": int(tared)}
+        data[column] = xarray.Variable("time_s", shown.column(column), attributes)
     coordinates = {
-        key: xarray.Variable("time_s", column.values, {"units": "s", "long_name": _MEANING[key]})
-        for key, column in times.items()
+        key: xarray.Variable("time_s", values, {"units": "s", "long_name": _MEANING[key]})
+        for key, values in _times(shown).items()
     }
-    return xarray.Dataset(data, coordinates, {**table.attributes, "device": name, "trial": index})
+    about: dict[str, Any] = {"device": name, "trial": index}
+    if shown.device_time_s is not None:
+        about = {key: getattr(shown, key) for key in _ABOUT} | about
+    return xarray.Dataset(data, coordinates, about)
 
 
-def run_dataset(name: str, indices: Sequence[int], source: Source, *, tared: bool) -> "xr.Dataset":
-    """Return the samples of one table in all trials, one after the other, over ``sample``.
+def run_dataset(run: Run, name: str, *, tared: bool) -> "xr.Dataset":
+    """Return the signals of one device in all trials, one after the other, over ``sample``.
 
     ``trial_index`` and ``time_s`` tell of each sample which trial it belongs to, and when it was. A channel that a
     trial does not have is NaN there.
@@ -143,62 +99,55 @@ def run_dataset(name: str, indices: Sequence[int], source: Source, *, tared: boo
     Raises
     ------
     RecordingError
-        No trial has such a table; names those there are.
+        No trial has such a device; names those there are.
     RequestError
         xarray is not installed.
     """
     xarray = _library("xarray", "signals")
-    read: list[tuple[int, Table]] = []
+    read: list[tuple[int, Signals]] = []
     others: dict[str, None] = {}
-    with source as opened:
-        for index in indices:
-            with opened.tables(index) as tables:
-                others |= dict.fromkeys(tables.names)
-                if name in tables.names:
-                    read.append((index, tables[name].read()))
+    for outcome in run.outcomes:
+        tables = run.tables(outcome.index)
+        others |= dict.fromkeys(tables)
+        if name in tables:
+            read.append((outcome.index, tables[name].tared() if tared else tables[name]))
     if not read:
         raise _unknown(name, "the run", list(others))
-    counts = [len(table.columns[0].values) for _, table in read]
-    columns: dict[tuple[str, str], list[tuple[int, Column]]] = {}
-    for position, (_, table) in enumerate(read):
-        for column in table.columns:
-            columns.setdefault((column.name, column.unit), []).append((position, column))
+    counts = [len(signals) for _, signals in read]
     marks = np.repeat(np.array([index for index, _ in read], dtype=np.int64), counts)
     coordinates = {TRIAL_INDEX: xarray.Variable(SAMPLE, marks, {"long_name": "index of the trial"})}
+    columns: dict[tuple[str, str], list[tuple[int, FloatArray]]] = {}
+    for place, (_, signals) in enumerate(read):
+        for key, values in _times(signals).items():
+            columns.setdefault((key, "s"), []).append((place, values))
+        for column, unit in zip(signals.columns, signals.units, strict=True):
+            columns.setdefault((column, unit), []).append((place, signals.column(column)))
     data: dict[str, Any] = {}
-    for (channel, unit), parts in columns.items():
-        values = _joined(parts, counts, tared=tared)
-        if channel in layout.TIMES:
-            attributes = {"units": unit, "long_name": _MEANING[channel]}
-            coordinates[channel] = xarray.Variable(SAMPLE, values, attributes)
+    for (column, unit), parts in columns.items():
+        values = _joined(parts, counts)
+        if column in TIMES:
+            coordinates[column] = xarray.Variable(
+                SAMPLE, values, {"units": unit, "long_name": _MEANING[column]}
+            )
             continue
-        free = channel
+        free = column
         while free in data or free == TRIAL_INDEX:
             free += "_"  # the same channel in another unit, after the experiment changed
         data[free] = xarray.Variable(SAMPLE, values, {"units": unit})
     return xarray.Dataset(data, coordinates, {"device": name, "tared": int(tared)})
 
 
-def _variable(xarray: Any, dimension: str, column: Column, tared: bool) -> Any:
-    offset = column.attributes.get(hdf5.TARE)
-    attributes: dict[str, Any] = {"units": column.unit}
-    if offset is not None:
-        attributes |= {"tare": offset, "tared": int(tared)}
-    return xarray.Variable(dimension, _values(column, tared=tared), attributes)
+def _times(signals: Signals) -> dict[str, FloatArray]:
+    found = {name: getattr(signals, name) for name in TIMES}
+    return {name: values for name, values in found.items() if values is not None}
 
 
-def _values(column: Column, *, tared: bool) -> NDArray[np.float64]:
-    offset = column.attributes.get(hdf5.TARE)
-    return column.values if offset is None or not tared else column.values - float(offset)
-
-
-def _joined(
-    parts: Sequence[tuple[int, Column]], counts: Sequence[int], *, tared: bool
-) -> NDArray[np.float64]:
+def _joined(parts: Sequence[tuple[int, FloatArray]], counts: Sequence[int]) -> FloatArray:
+    """Return the values of all trials, NaN for those that have none."""
     ends = np.cumsum(counts)
     values = np.full(int(ends[-1]), np.nan)
-    for position, column in parts:
-        values[ends[position] - counts[position] : ends[position]] = _values(column, tared=tared)
+    for place, part in parts:
+        values[ends[place] - counts[place] : ends[place]] = part
     return values
 
 

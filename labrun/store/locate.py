@@ -1,12 +1,17 @@
-"""Which run is meant by what a person types."""
+"""Which run is meant by what a person types, and what a run's folder holds."""
 
 import tomllib
 from pathlib import Path
 
 from labrun.errors import RequestError
-from labrun.store.folder import PACKED, SPEC
 from labrun.store.journal import Journal
 from labrun.toml import nearest
+
+SPEC = "spec.toml"
+PROVENANCE = "provenance.json"
+JOURNAL = "journal.jsonl"
+TRIALS = "trials"
+PACKED = "run.h5"
 
 
 def find_run(target: str, results: Path) -> Path:
@@ -68,7 +73,7 @@ def is_run(folder: Path) -> bool:
 
 def is_finished(run: Path) -> bool:
     """Tell whether a run came to its end, by its journal."""
-    return any(event["event"] == "finished" for event in Journal(run / "journal.jsonl").events())
+    return any(event["event"] == "finished" for event in Journal(run / JOURNAL).events())
 
 
 def runs_of(folder: Path) -> list[Path]:

@@ -1,37 +1,60 @@
 """The layout of ``run.h5``: a table of trials at its root, the texts of the run, and one group a device.
 
 ``xarray.open_dataset("run.h5")`` is the table, one row a trial. With ``group="wrench"`` it has the samples of that
-device in all trials, one after the other (see `labrun.store.ragged`): trial `row` is
-``wrench.isel(sample=slice(first, first + count))`` by its ``first_sample`` and ``sample_count``, and trial 12 is
-``wrench.isel(sample=wrench.trial_index == 12)``. (``wrench.where`` would spread the table over every sample.)
+device in all trials, one after the other: a contiguous ragged array of the CF conventions. Over the dimension
+``sample`` stand the columns, and ``trial_index``; over ``trial`` stand ``first_sample``, ``sample_count`` and what else
+is known of each trial. Trial `row` is ``wrench.isel(sample=slice(first, first + count))``, and trial 12 is
+``wrench.isel(sample=wrench.trial_index == 12)``. (``wrench.where`` would spread the table over every sample.) A trial
+without the device has ``sample_count`` 0; a channel that one trial lacks is NaN there, and ``column_set`` tells which
+columns each trial really has. The trial's index cannot be called ``trial``: beside variables over the dimension of
+that name xarray takes it for their coordinate.
 
-A group a trial and device would be the plain way. But every dataset costs, and h5netcdf finds the dimensions of each
-by a search through the file: with three groups a trial, ``xarray.open_datatree`` took 89 s for 300 trials and grows
-with their square (hours for a sweep of 2300), where one group a device opens in 0.1 s however many trials there are.
-Samples are not compressed.
+A group a trial and device would be the plain way. But h5netcdf finds the dimensions of each dataset by a search
+through the file: with three groups a trial, ``xarray.open_datatree`` took 89 s for 300 trials and grows with their
+square, where one group a device opens in 0.1 s however many trials there are. Samples are not compressed.
 """
 
-from collections.abc import Callable, Mapping
-from contextlib import suppress
-from dataclasses import astuple, dataclass, fields
+import json
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from h5py import h5d, h5g
+import h5py
+import numpy as np
+from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
 from labrun.errors import RecordingError
-from labrun.store import hdf5, layout, table
-from labrun.store.attributes import read_text, write_attributes, write_text
-from labrun.store.ragged import RaggedWriter
-from labrun.store.sources import PackedTrials, TrialSources, TrialTables
-from labrun.store.table import AXIS, Variable
-from labrun.store.trial import TrialOutcome
+from labrun.signals import MEMORY_ROWS, TIMES, LongSignals, Signals
+from labrun.store.disk import flush_errors, require_room
+from labrun.store.table import AXIS, Variable, known_units, variables
+from labrun.store.trial import TrialOutcome, json_ready
+from labrun.store.trial_file import BESIDE, RECORD
 
-T = TypeVar("T")
-
+FORMAT = 2
+"""Of run folders and ``run.h5``; those of older code have none, and are refused."""
+SAMPLE = "sample"
+TRIAL_INDEX = "trial_index"
+FIRST = "first_sample"
+COUNT = "sample_count"
+SET = "column_set"
+CHUNK = 1 << 14
+"""Samples of a chunk (128 KiB) of a dataset that is written in several blocks."""
+_OF_TRIALS = {"rate_hz": "Hz", "lost": "", "saturated": "", "clock_glitches": ""}
+"""What is known of a device's signals in each trial, with units."""
+_TARE = "tare_"
+_TAKEN = frozenset({SAMPLE, TRIAL_INDEX, FIRST, COUNT, SET, *_OF_TRIALS})
+_DIMENSION = "This is a netCDF dimension but not a netCDF variable. %9d"
+"""How netCDF-4 marks a dimension scale that stands only for a dimension."""
 _OUTCOMES = "outcomes_jsonl"
 _SPARE = 4 << 20
 """Bytes beside what the trials take now: the table, and chunks that are not full."""
+
+Digest = dict[str, tuple[Any, ...]]
+"""Of one trial, by table: what is known of it, and a checksum of each column."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,70 +68,382 @@ class RunTexts:
     journal_jsonl: str
 
 
-def write(
-    path: Path, texts: RunTexts, outcomes: Mapping[int, TrialOutcome], sources: TrialSources
-) -> dict[int, bytes]:
+def storable(text: str) -> str:
+    """Return text as HDF5 can hold it: a zero byte, or half a character, from a garbled answer is made visible."""
+    return text.replace("\0", "\N{SYMBOL FOR NULL}").encode("utf-8", "replace").decode()
+
+
+def write_packed(
+    path: Path,
+    texts: RunTexts,
+    outcomes: Mapping[int, TrialOutcome],
+    tables: Callable[[int], AbstractContextManager[Mapping[str, LongSignals]]],
+    size: int,
+) -> dict[int, Digest]:
     """Write a whole run to a new file; memory stays bounded by one block of each dataset.
+
+    Parameters
+    ----------
+    tables
+        Gives the signals of a trial.
+    size
+        Bytes that the trials take on disk now.
 
     Returns
     -------
-    dict of bytes
-        Hash of what was read of each trial, for `holds`.
+    dict
+        What was read of each trial, for `holds`.
 
     Raises
     ------
     OSError
         The disk is full or fails.
     """
-    outcomes_jsonl = "".join(f"{outcome.to_json()}\n" for outcome in outcomes.values())
-    with hdf5.flush_errors():
-        file = hdf5.create_on_disk(str(path))
-        try:
-            rest = sum(len(text) for text in astuple(texts)) + len(outcomes_jsonl)
-            hdf5.reserve(file, int(1.25 * sources.size()) + 4 * rest + _SPARE)
-            write_attributes(
-                file, {"Conventions": "CF-1.11", "experiment": texts.experiment, "run": texts.run}
-            )
-            groups, digests = _write_samples(file, outcomes, sources)
-            variables = table.variables(list(outcomes.values()), _units(texts, groups), groups)
-            scale = _write_table(file, variables)
-            for group in groups.values():
-                group.finish(scale)
-            record = hdf5.create_group(file, layout.RECORD)
-            for field in fields(RunTexts):
-                write_text(record, field.name, getattr(texts, field.name))
-            write_text(record, _OUTCOMES, outcomes_jsonl)
-            hdf5.close(file)
-        except BaseException:
-            with suppress(Exception):
-                file.close()
-            raise
+    lines = "".join(f"{json.dumps(one.to_record(), default=json_ready)}\n" for one in outcomes.values())
+    rest = sum(len(text) for text in astuple(texts)) + len(lines)
+    require_room(path, int(1.25 * size) + 4 * rest + _SPARE)
+    groups: dict[str, _RaggedWriter] = {}
+    digests: dict[int, Digest] = {}
+    with flush_errors(), h5py.File(path, "w", track_order=True) as file:
+        file.attrs.update(
+            {"Conventions": "CF-1.11", "experiment": texts.experiment, "run": texts.run, "format": FORMAT}
+        )
+        for row, index in enumerate(outcomes):
+            digests[index] = {}
+            with tables(index) as opened:
+                for name, table in opened.items():
+                    if name not in groups:
+                        groups[name] = _RaggedWriter(file.create_group(name, track_order=True), len(outcomes))
+                    digests[index][name] = groups[name].append(row, index, table)
+        units = {
+            f"{name}.{column}": unit
+            for name, group in groups.items()
+            for column, unit in reversed(group.columns)  # what a channel had first counts
+            if name not in BESIDE and column not in TIMES
+        }
+        found = variables(list(outcomes.values()), known_units(texts.spec_toml, units), groups)
+        scale = _write_table(file, found)
+        for group in groups.values():
+            group.finish(scale)
+        record = file.create_group(RECORD, track_order=True)
+        for name, text in (*asdict(texts).items(), (_OUTCOMES, lines)):
+            record[name] = storable(text)
     return digests
 
 
-def digests_of(outcomes: Mapping[int, TrialOutcome], sources: TrialSources) -> dict[int, bytes]:
-    """Return a hash of everything in each trial, read to the last sample."""
+def _write_table(file: h5py.File, found: Sequence[Variable]) -> h5py.Dataset:
+    """Write the table; the index of the trials is its axis. Return the scale."""
+    scale = _create(file, AXIS, found[0].values, {"units": "", "kind": "trial"}, None)
+    scale.make_scale(AXIS)
+    for variable in found:
+        _create(file, variable.name, variable.values, {"units": variable.unit, "kind": variable.kind}, scale)
+    return scale
+
+
+def _create(
+    group: h5py.Group,
+    name: str,
+    values: NDArray[Any],
+    attributes: Mapping[str, str],
+    scale: h5py.Dataset | None,
+) -> h5py.Dataset:
+    """Write numbers, or text where the array is of objects."""
+    text = values.dtype == object
+    data = np.array([storable(word) for word in values], dtype=object) if text else values
+    dataset = group.create_dataset(storable(name), data=data, dtype=h5py.string_dtype() if text else None)
+    for key, value in attributes.items():
+        dataset.attrs[key] = storable(value)
+    if scale is not None:
+        dataset.dims[0].attach_scale(scale)
+    return dataset
+
+
+class _RaggedWriter:
+    """Writes one group of a packed run, trial by trial, in blocks of `MEMORY_ROWS` samples."""
+
+    def __init__(self, group: h5py.Group, trials: int) -> None:
+        self.columns: dict[tuple[str, str], str] = {}
+        """Name of the dataset, by name and unit of the column."""
+        self._group = group
+        self._parts: dict[str, list[tuple[int, NDArray[Any]]]] = {TRIAL_INDEX: []}
+        self._sets: dict[tuple[str, ...], int] = {}
+        self._set_of = np.full(trials, -1, dtype=np.int32)
+        self._counts = np.zeros(trials, dtype=np.int64)
+        self._known: dict[str, NDArray[Any]] = {}
+        self._tares: dict[str, FloatArray] = {}
+        self._written = 0
+        self._total = 0
+
+    def append(self, row: int, index: int, table: LongSignals) -> tuple[Any, ...]:
+        """Append one trial's signals, in order of rows; return their digest."""
+        head = table.head
+        axes = [(name, "s") for name in TIMES if getattr(head, name) is not None]
+        names = tuple(
+            self._dataset_name(*key) for key in (*axes, *zip(head.columns, head.units, strict=True))
+        )
+        self._set_of[row] = self._sets.setdefault(names, len(self._sets))
+        self._counts[row] = len(table)
+        for known in _OF_TRIALS if head.device_time_s is not None else ():
+            value = getattr(head, known)
+            nothing = np.nan if isinstance(value, float) else 0
+            self._known.setdefault(known, np.full(len(self._counts), nothing))[row] = value
+        for column, offset in head.tare.items():
+            if column in head.columns:
+                name = self.columns[column, head.unit(column)]
+                self._tares.setdefault(name, np.full(len(self._counts), np.nan))[row] = offset
+        sums = [0] * len(names)
+        for piece in table.pieces():
+            for place, (name, values) in enumerate(zip(names, columns_of(piece), strict=True)):
+                self._parts[name].append((self._total, values))
+                sums[place] = zlib.crc32(values.data, sums[place])
+            self._parts[TRIAL_INDEX].append((self._total, np.full(len(piece), index, dtype=np.int32)))
+            self._total += len(piece)
+            if self._total - self._written >= MEMORY_ROWS:
+                self._flush()
+        return _digest(head, len(table), sums)
+
+    def finish(self, trial_scale: h5py.Dataset) -> None:
+        """Write what is left and what is known of each trial."""
+        group = self._group
+        self._flush()
+        scale = group.create_dataset(SAMPLE, shape=(self._total,), dtype=">f4")
+        scale.make_scale(_DIMENSION % self._total)
+        index = group[TRIAL_INDEX]
+        index.attrs["long_name"] = "index of the trial"
+        index.dims[0].attach_scale(scale)
+        units = {}
+        for (column, unit), name in self.columns.items():
+            units[name] = unit
+            group[name].attrs["units"] = storable(unit)
+            if name != column:
+                group[name].attrs["channel"] = column
+            group[name].dims[0].attach_scale(scale)
+        _create(group, FIRST, np.cumsum(self._counts) - self._counts, {}, trial_scale)
+        _create(group, COUNT, self._counts, {"sample_dimension": SAMPLE}, trial_scale)
+        for name, values in self._known.items():
+            _create(group, name, values, {"units": _OF_TRIALS[name]}, trial_scale)
+        for name, tare in self._tares.items():
+            _create(group, _TARE + name, tare, {"units": units[name]}, trial_scale)
+        sets = json.dumps([list(names) for names in self._sets])
+        about = {"long_name": "which of column_sets a trial has, -1: none", "column_sets": sets}
+        _create(group, SET, self._set_of, about, trial_scale)
+
+    def _flush(self) -> None:
+        """Write the block that waits: what fits in one block contiguous, what is larger in chunks."""
+        if self._total == self._written and all(name in self._group for name in self._parts):
+            return
+        for name, parts in self._parts.items():
+            kind, nothing = (np.int32, -1) if name == TRIAL_INDEX else (np.float64, np.nan)
+            if sum(len(values) for _, values in parts) == self._total - self._written:
+                block = np.concatenate([np.empty(0, kind), *(values for _, values in parts)])
+            else:
+                block = np.full(self._total - self._written, nothing, dtype=kind)
+                for start, values in parts:
+                    block[start - self._written : start - self._written + len(values)] = values
+            parts.clear()
+            if self._written == 0 and self._total < MEMORY_ROWS:
+                self._group.create_dataset(name, data=block)
+                continue
+            if name not in self._group:
+                self._group.create_dataset(
+                    name, (0,), kind, maxshape=(None,), chunks=(CHUNK,), fillvalue=nothing
+                )
+            dataset = self._group[name]
+            dataset.resize((self._total,))
+            dataset[self._written :] = block
+        self._written = self._total
+
+    def _dataset_name(self, column: str, unit: str) -> str:
+        if (column, unit) not in self.columns:
+            name = column
+            if name in _TAKEN or name.startswith(_TARE):
+                name = f"channel_{name}"
+            while name in self._parts:
+                name += "_"  # the same channel in another unit, after the experiment changed
+            self.columns[column, unit] = name
+            self._parts[name] = []
+        return self.columns[column, unit]
+
+
+def columns_of(piece: Signals) -> Iterator[FloatArray]:
+    """Yield times and values, one a column, each contiguous."""
+    for name in TIMES:
+        values = getattr(piece, name)
+        if values is not None:
+            yield np.ascontiguousarray(values)
+    yield from np.ascontiguousarray(piece.values.T)
+
+
+def _digest(head: Signals, count: int, sums: Sequence[int]) -> tuple[Any, ...]:
+    tare = sorted((name, offset) for name, offset in head.tare.items() if name in head.columns)
+    about = [getattr(head, name) for name in _OF_TRIALS] if head.device_time_s is not None else []
+    return (repr((head.columns, head.units, tare, about)), count, *sums)
+
+
+class PackedTrials:
+    """The trials of a packed file, open for reading until `close`.
+
+    Parameters
+    ----------
+    locked
+        As for `labrun.store.trial_file.TrialFile`.
+
+    Raises
+    ------
+    RecordingError
+        The file is missing, damaged, or no run; or a run of older code.
+    """
+
+    def __init__(self, path: Path, *, locked: bool = True) -> None:
+        self._file, self.texts, self.outcomes = _opened(path, locked=locked)
+        indices = self._file["index"][()]
+        self._rows = {int(index): row for row, index in enumerate(indices)}
+        self._groups = {
+            name: _RaggedGroup(group)
+            for name, group in self._file.items()
+            if isinstance(group, h5py.Group) and name != RECORD
+        }
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __contains__(self, index: int) -> bool:
+        return index in self._rows
+
+    def tables(self, index: int) -> dict[str, LongSignals]:
+        """Return the signals of one trial by name; KeyError if there is none."""
+        row = self._rows[index]
+        return {name: group.signals(name, row) for name, group in self._groups.items() if group.has(row)}
+
+    def holds(self, outcomes: Mapping[int, TrialOutcome], digests: Mapping[int, Digest]) -> bool:
+        """Tell whether the file holds exactly these outcomes and trials, reading all of it."""
+        return (
+            self.outcomes == outcomes
+            and list(self._rows) == list(outcomes)
+            and all(group.marks(list(outcomes)) for group in self._groups.values())
+            and all(_digests(self.tables(index)) == digests[index] for index in outcomes)
+        )
+
+
+def holds(path: Path, outcomes: Mapping[int, TrialOutcome], digests: Mapping[int, Digest]) -> bool:
+    """Tell whether a packed file, read anew as any reader would, holds exactly these outcomes and trials."""
+    try:
+        packed = PackedTrials(path)
+    except RecordingError:
+        return False
+    try:
+        return packed.holds(outcomes, digests)
+    finally:
+        packed.close()
+
+
+def _digests(tables: Mapping[str, LongSignals]) -> Digest:
     found = {}
-    for index in outcomes:
-        with sources.tables(index) as tables:
-            found[index] = _digest(tables)
+    for name, table in tables.items():
+        sums: list[int] = []
+        for piece in table.pieces():
+            columns = list(columns_of(piece))
+            sums = [
+                zlib.crc32(values.data, before)
+                for values, before in zip(columns, sums or [0] * len(columns), strict=True)
+            ]
+        found[name] = _digest(table.head, len(table), sums)
     return found
 
 
-def holds(path: Path, outcomes: Mapping[int, TrialOutcome], digests: Mapping[int, bytes]) -> bool:
-    """Tell whether a packed file, read anew as any reader would, holds exactly these outcomes and trials."""
-    if read_outcomes(path) != outcomes:
-        return False
-    file = hdf5.open_for_reading(str(path))
-    try:
-        packed = PackedTrials(file)
-        return (
-            packed.indices.tolist() == list(outcomes)
-            and all(group.indices_are(packed.indices) for group in packed.groups.values())
-            and all(_digest(packed.tables(index)) == digests[index] for index in outcomes)
+class _RaggedGroup:
+    """A group that `_RaggedWriter` made, opened for reading."""
+
+    def __init__(self, group: h5py.Group) -> None:
+        self._group = group
+        self._first = group[FIRST][()]
+        self._count = group[COUNT][()]
+        self._set = group[SET][()]
+        self._sets: list[list[str]] = json.loads(group[SET].attrs["column_sets"])
+        self._known = {name: group[name][()] for name in _OF_TRIALS if name in group}
+        self._tares = {name.removeprefix(_TARE): group[name][()] for name in group if name.startswith(_TARE)}
+        self._columns: dict[str, tuple[str, str, h5py.Dataset]] = {}
+        self._block: dict[str, FloatArray] = {}
+        self._start = 0
+
+    def has(self, row: int) -> bool:
+        """Tell whether a trial has these signals."""
+        return bool(self._set[row] >= 0)
+
+    def signals(self, name: str, row: int) -> LongSignals:
+        """Return one trial's signals; `has` them."""
+        names = self._sets[self._set[row]]
+        columns = [(*self._column(one), one) for one in names]
+        axes = {column: one for column, _, _, one in columns if column in TIMES}
+        measured = [(column, unit, one) for column, unit, _, one in columns if column not in TIMES]
+        tare = {
+            column: float(self._tares[one][row])
+            for column, _, one in measured
+            if one in self._tares and not np.isnan(self._tares[one][row])
+        }
+        known = {key: values[row].item() for key, values in self._known.items()}
+        none = np.empty(0)
+        times = {axis: none if axis in axes else None for axis in TIMES}
+        head = Signals(
+            name,
+            tuple(column for column, _, _ in measured),
+            tuple(unit for _, unit, _ in measured),
+            values=np.empty((0, len(measured))),
+            tare=tare,
+            **{**times, "time_s": none},  # type: ignore[arg-type]
+            **(known if "device_time_s" in axes else {}),
         )
-    finally:
-        file.close()
+        first, count = int(self._first[row]), int(self._count[row])
+
+        def pieces(skipped: int) -> Iterator[Signals]:
+            begin = first + skipped
+            for start in range(begin, max(first + count, begin + 1), MEMORY_ROWS):
+                length = min(MEMORY_ROWS, first + count - start)
+                read: dict[str, Any] = {axis: self._read(one, start, length) for axis, one in axes.items()}
+                values = [self._read(one, start, length) for _, _, one in measured]
+                yield replace(
+                    head, values=np.column_stack(values) if values else np.empty((length, 0)), **read
+                )
+
+        return LongSignals(head, count, pieces)
+
+    def marks(self, indices: Sequence[int]) -> bool:
+        """Tell whether every sample is marked with its trial, given the index of every row."""
+        marked = self._group[TRIAL_INDEX]
+        ends = np.cumsum(self._count)
+        if marked.shape != (self._count.sum(),):
+            return False
+        for start in range(0, len(marked), MEMORY_ROWS):
+            values = marked[start : start + MEMORY_ROWS]
+            rows = np.searchsorted(ends, np.arange(start, start + len(values)), side="right")
+            if not np.array_equal(values, np.asarray(indices)[rows]):
+                return False
+        return True
+
+    def _column(self, name: str) -> tuple[str, str, h5py.Dataset]:
+        """Return a column's own name, its unit, and its dataset."""
+        if name not in self._columns:
+            dataset = self._group[name]
+            self._columns[name] = (
+                dataset.attrs.get("channel", name),
+                dataset.attrs["units"],
+                dataset,
+            )
+        return self._columns[name]
+
+    def _read(self, name: str, start: int, count: int) -> FloatArray:
+        """Return samples of one dataset; what is read for one trial has the next ones in it, too."""
+        if count == 0:
+            return np.empty(0)
+        if not self._start <= start <= start + count <= self._start + len(self._block.get(name, ())):
+            if start != self._start:
+                self._start, self._block = start, {}
+            ahead = max(count, min(CHUNK, MEMORY_ROWS))
+            self._block[name] = self._column(name)[2][start : start + ahead]
+        first = start - self._start
+        values: FloatArray = self._block[name][first : first + count]
+        return values
 
 
 def read_outcomes(path: Path) -> dict[int, TrialOutcome]:
@@ -117,82 +452,49 @@ def read_outcomes(path: Path) -> dict[int, TrialOutcome]:
     Raises
     ------
     RecordingError
-        The file cannot be read.
+        The file is damaged, or no run; or a run of older code.
     """
-
-    def read(file: Any) -> dict[int, TrialOutcome]:
-        lines = read_text(h5g.open(file, layout.RECORD.encode()), _OUTCOMES).split("\n")[:-1]
-        return {outcome.index: outcome for outcome in map(TrialOutcome.from_json, lines)}
-
-    return _reading(path, read) if path.is_file() else {}
-
-
-def read_texts(path: Path) -> RunTexts:
-    """Return the texts of a packed run.
-
-    Raises
-    ------
-    RecordingError
-        The file is missing, damaged, or no run.
-    """
-
-    def read(file: Any) -> RunTexts:
-        record = h5g.open(file, layout.RECORD.encode())
-        return RunTexts(**{field.name: read_text(record, field.name) for field in fields(RunTexts)})
-
-    return _reading(path, read)
+    if not path.is_file():
+        return {}
+    file, _, outcomes = _opened(path)
+    file.close()
+    return outcomes
 
 
-def _units(texts: RunTexts, groups: Mapping[str, RaggedWriter]) -> dict[str, str]:
-    channel_units = {
-        f"{name}.{channel}": unit
-        for name, group in groups.items()
-        for channel, unit in reversed(group.columns)  # what a channel had first counts
-        if name not in layout.BESIDE and channel not in layout.TIMES
-    }
-    return table.known_units(texts.spec_toml, channel_units)
-
-
-def _write_table(file: Any, variables: list[Variable]) -> h5d.DatasetID:
-    """Write the table; the index of the trials is its axis. Return the scale."""
-    axis = Variable(AXIS, "", variables[0].values, "trial")
-    scale = None
-    for variable in [axis, *variables]:
-        dataset = hdf5.write_array(file, variable.name, variable.values)
-        write_attributes(dataset, {"units": variable.unit, "kind": variable.kind})
-        scale = hdf5.join_axis(dataset, variable.name, scale)
-    return scale
-
-
-def _write_samples(
-    file: Any, outcomes: Mapping[int, TrialOutcome], sources: TrialSources
-) -> tuple[dict[str, RaggedWriter], dict[int, bytes]]:
-    groups: dict[str, RaggedWriter] = {}
-    digests: dict[int, bytes] = {}
-    for row, index in enumerate(outcomes):
-        with sources.tables(index) as tables:
-            parts = {}
-            for name in tables.names:
-                if name not in groups:
-                    groups[name] = RaggedWriter(file, name, len(outcomes))
-                parts[name] = groups[name].append(row, index, tables[name])
-            digests[index] = b"".join(parts[name] for name in sorted(parts))
-    return groups, digests
-
-
-def _digest(tables: TrialTables) -> bytes:
-    return b"".join(tables[name].copy() for name in sorted(tables.names))
-
-
-def _reading(path: Path, read: Callable[[Any], T]) -> T:
+def _opened(path: Path, *, locked: bool = True) -> tuple[h5py.File, RunTexts, dict[int, TrialOutcome]]:
     try:
-        file = hdf5.open_for_reading(str(path))
-        try:
-            return read(file)
-        finally:
-            file.close()
+        with ExitStack() as opened:
+            file = opened.enter_context(h5py.File(path, "r", locking=None if locked else False))
+            record = {name: text.asstr()[()] for name, text in file[RECORD].items()}
+            if file.attrs.get("format") != FORMAT:
+                raise older(path)
+            lines = record.pop(_OUTCOMES).split("\n")[:-1]
+            outcomes = [TrialOutcome.from_record(json.loads(line)) for line in lines]
+            opened.pop_all()
+            return file, RunTexts(**record), {outcome.index: outcome for outcome in outcomes}
+    except RecordingError:
+        raise
     except Exception as error:  # a damaged or foreign file fails anywhere in HDF5, in many ways
-        raise RecordingError(
-            f"{path} cannot be read as a run of labrun: {error}",
-            hint="run.h5 was whole when it was written: restore it from a copy",
-        ) from error
+        raise unreadable(path, error) from error
+
+
+def older(path: Path) -> RecordingError:
+    """Return the refusal of a run that older code made."""
+    return RecordingError(
+        f"{path} was made by an earlier labrun, in a layout that this one does not read: run it again, or open it "
+        "with the labrun of its provenance.json"
+    )
+
+
+def unreadable(path: Path, error: Exception) -> RecordingError:
+    """Return why a file is no run: it is something else, or a run.h5 that is damaged."""
+    reads = (
+        "labrun reads run folders, their run.h5, and recordings: folders with recording.toml and CSV files"
+    )
+    if path.suffix not in (".h5", ".nc"):
+        what = f"a {path.suffix} file" if path.suffix else "a file"
+        return RecordingError(f"{path} is {what}, and no run of labrun", hint=reads)
+    return RecordingError(
+        f"{path} cannot be read as a run of labrun: {error}",
+        hint=f"if labrun wrote it, it was whole then: restore it from a copy; {reads}",
+    )

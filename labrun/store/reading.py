@@ -1,21 +1,41 @@
-"""A stored run, read back: the same from a run folder and from ``run.h5`` alone."""
+"""A stored run, read back: the same from a run folder, from ``run.h5`` alone, and from a recording made elsewhere."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from labrun.devices.samples import Channel
 from labrun.errors import RecordingError
-from labrun.store import layout, packed_file, table
-from labrun.store.folder import PACKED, SPEC, TRIALS, RunFolder
+from labrun.signals import LongSignals, Signals, joined
+from labrun.store.folder import RunFolder, TrialSource, require_current
 from labrun.store.journal import parse_events
-from labrun.store.packed_file import RunTexts
-from labrun.store.sources import TrialSources
-from labrun.store.trial import SettleCurve, Stream, TrialOutcome
-from labrun.store.trial_file import trial_files
+from labrun.store.locate import PACKED, SPEC, TRIALS, find_run
+from labrun.store.packed_file import PackedTrials, RunTexts
+from labrun.store.recording import Recording, is_recording, read_recording
+from labrun.store.table import known_units
+from labrun.store.trial import SETTLE, TrialOutcome
+from labrun.store.trial_file import BESIDE, COMMAND, trial_files
+
+
+class Source(Protocol):
+    """Where the signals of a run's trials are."""
+
+    def tables(self, index: int) -> AbstractContextManager[Mapping[str, LongSignals]]:
+        """Give all signals of one trial by name; readable within the ``with``."""
+        ...
+
+    def size(self) -> int:
+        """Return how many bytes all trials take on disk."""
+        ...
+
+    def close(self) -> None:
+        """Close what is open."""
+        ...
 
 
 class Run:
@@ -24,13 +44,13 @@ class Run:
     Attributes
     ----------
     path
-        The run folder, or the ``run.h5`` that was opened.
+        The run folder, or the ``run.h5`` that was opened; of a recording, its folder.
     name
         The experiment's name.
     identifier
         The run's own name, ``<UTC start>-<4 letters>``.
     experiment_toml
-        The resolved experiment file.
+        The resolved experiment file; of a recording, its ``recording.toml``.
     provenance
         Versions, machine, devices, seed.
     outcomes
@@ -45,9 +65,9 @@ class Run:
         self,
         path: Path,
         texts: RunTexts,
-        outcomes: Mapping[int, TrialOutcome],
-        sources: TrialSources,
-        faults: list[str],
+        outcomes: Sequence[TrialOutcome],
+        source: Source,
+        faults: Sequence[str] = (),
     ) -> None:
         self.path = path
         self.texts = texts
@@ -55,95 +75,92 @@ class Run:
         self.identifier = texts.run
         self.experiment_toml = texts.spec_toml
         self.provenance: dict[str, Any] = json.loads(texts.provenance_json)
-        self.outcomes = list(outcomes.values())
+        self.outcomes = list(outcomes)
         self.events = parse_events(texts.journal_jsonl.encode(), f"journal of {path}")
-        self.faults = faults
-        self.sources = sources
+        self.faults = list(faults)
+        self.source = source
 
     def __enter__(self) -> "Run":
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Nothing stays open between two calls."""
+        self.source.close()
 
-    def streams(self, index: int) -> dict[str, Stream]:
-        """Return all streams of a trial by device.
+    def tables(self, index: int) -> dict[str, Signals]:
+        """Return all signals of a trial by name: its devices, ``command``, ``settle``.
 
         Raises
         ------
         RecordingError
             There is no such trial.
         """
-        with self.sources as sources, sources.tables(index) as tables:
-            return {name: layout.stream_of(tables[name].read()) for name in tables.devices}
+        with self.source.tables(index) as tables:
+            return {name: joined(table.pieces()) for name, table in tables.items()}
 
-    def stream(self, index: int, name: str) -> Stream:
-        """Return the stream of one device in a trial.
+    def signals(self, index: int) -> dict[str, Signals]:
+        """Return what was measured in a trial, by device.
 
         Raises
         ------
         RecordingError
-            There is no such trial, or no such device in it; names those there are.
+            There is no such trial.
         """
-        with self.sources as sources, sources.tables(index) as tables:
-            if name not in tables.devices:
-                raise RecordingError(
-                    f"trial {index} of {self.path} has no device {name!r}",
-                    hint=f"recorded were: {', '.join(tables.devices)}",
-                )
-            return layout.stream_of(tables[name].read())
+        return {name: table for name, table in self.tables(index).items() if name not in BESIDE}
 
-    def command(self, index: int) -> Stream:
-        """Return the commanded joint angles of a trial, rad; without channels where nothing was commanded."""
-        with self.sources as sources, sources.tables(index) as tables:
-            if layout.COMMAND not in tables.names:
-                nothing = np.empty(0)
-                return Stream(layout.COMMAND, (), nothing, nothing, nothing, np.empty((0, 0)), rate_hz=0.0)
-            command = layout.command_of(tables[layout.COMMAND].read())
+    def measured(self, index: int) -> dict[str, Signals]:
+        """Return what was commanded (``command``) and what was measured in a trial, by device, tared."""
+        tables = {COMMAND: self.command(index), **self.signals(index)}
+        return {name: signals.tared() for name, signals in tables.items()}
+
+    def command(self, index: int) -> Signals:
+        """Return the commanded joint angles of a trial, rad; without columns where nothing was commanded."""
+        command = self.tables(index).get(COMMAND)
+        if command is None:
+            return Signals(COMMAND, (), (), np.empty(0), np.empty((0, 0)))
         steps = np.diff(command.time_s)
-        return Stream(
-            layout.COMMAND,
-            tuple(Channel(joint, "rad") for joint in command.joints),
-            command.time_s,
-            command.time_s,
-            command.time_s,
-            command.angle_rad,
-            rate_hz=1 / float(np.median(steps)) if len(steps) else 0.0,
-        )
+        return replace(command, rate_hz=1 / float(np.median(steps)) if len(steps) else 0.0)
 
-    def settle_curve(self, index: int) -> SettleCurve | None:
+    def settle_curve(self, index: int) -> Signals | None:
         """Return how the bench settled before a trial; None where the experiment does not ask for it."""
-        with self.sources as sources, sources.tables(index) as tables:
-            if layout.SETTLE not in tables.names:
-                return None
-            return layout.settle_of(tables[layout.SETTLE].read())
+        return self.tables(index).get(SETTLE)
+
+    @cached_property
+    def devices(self) -> dict[str, dict[str, str]]:
+        """Channels with their units, by device, of the first trial that recorded anything."""
+        for outcome in self.outcomes:
+            with self.source.tables(outcome.index) as tables:
+                found = {name: table for name, table in tables.items() if name not in BESIDE}
+            if found:
+                return {
+                    name: dict(zip(table.columns, table.units, strict=True)) for name, table in found.items()
+                }
+        return {}
 
     def units(self) -> dict[str, str]:
         """Return the units of conditions and objectives by name, as far as the experiment file tells."""
-        channel_units: dict[str, str] = {}
-        if self.outcomes:
-            with self.sources as sources, sources.tables(self.outcomes[0].index) as tables:
-                channel_units = {
-                    f"{name}.{column.name}": column.unit
-                    for name in tables.devices
-                    for column in tables[name].columns
-                }
-        return table.known_units(self.experiment_toml, channel_units)
+        channels = {
+            f"{device}.{column}": unit
+            for device, columns in self.devices.items()
+            for column, unit in columns.items()
+        }
+        return known_units(self.experiment_toml, channels)
 
 
 def open_run(target: Path) -> Run:
-    """Open a run for reading; changes nothing on disk.
+    """Open a run, or a recording made elsewhere, for reading; changes nothing on disk.
 
     Parameters
     ----------
     target
-        A run folder, or its ``run.h5``, which may have been moved anywhere and renamed.
+        A run folder, its ``run.h5``, which may have been moved anywhere and renamed, or a recording folder.
 
     Raises
     ------
     RecordingError
-        This is no run, or it cannot be read.
+        This is no run, or it cannot be read; or an earlier labrun made it.
     """
+    if is_recording(target):
+        return _open_recording(target)
     if target.is_dir():
         if (target / SPEC).is_file():
             return _open_folder(target, target)
@@ -156,23 +173,86 @@ def open_run(target: Path) -> Run:
     if not target.is_file():
         raise RecordingError(f"there is no run {target}", hint="labrun list shows the runs there are")
     beside = target.parent / SPEC
-    if (
-        target.name == PACKED
-        and beside.is_file()
-        and beside.read_text() == packed_file.read_texts(target).spec_toml
-    ):
-        return _open_folder(target.parent, target)  # its folder may know more: marks and trials since then
+    if target.name == PACKED and beside.is_file():
+        packed = _open_packed(target)
+        if beside.read_text() == packed.experiment_toml:
+            return _open_folder(
+                target.parent, target
+            )  # its folder may know more: marks and trials since then
+        return packed
     return _open_packed(target)
+
+
+def open_target(target: str, results: Path) -> Run:
+    """Open what a person names: a run as `labrun.store.locate.find_run` takes it, or a recording folder.
+
+    Raises
+    ------
+    RequestError
+        There is no such run; names what is nearest.
+    RecordingError
+        It cannot be read, or the recording has faults.
+    """
+    folder = Path(target).expanduser()
+    return open_run(folder.absolute() if is_recording(folder) else find_run(target, results))
 
 
 def _open_folder(folder_path: Path, target: Path) -> Run:
     folder = RunFolder(folder_path)
-    outcomes = folder.outcomes()
-    sources = TrialSources(folder_path / PACKED, trial_files(folder_path / TRIALS))
-    return Run(target, folder.texts(), outcomes, sources, folder.faults)
+    require_current(folder.journal.events(), folder_path)
+    source = TrialSource(folder_path / PACKED, trial_files(folder_path / TRIALS))
+    return Run(target, folder.texts(), [*folder.outcomes().values()], source, folder.faults)
 
 
 def _open_packed(path: Path) -> Run:
-    texts = packed_file.read_texts(path)
-    outcomes = packed_file.read_outcomes(path)
-    return Run(path, texts, outcomes, TrialSources(path, {}), [])
+    packed = PackedTrials(path)
+    try:
+        return Run(path, packed.texts, [*packed.outcomes.values()], TrialSource(path, {}))
+    finally:
+        packed.close()
+
+
+def _open_recording(folder: Path) -> Run:
+    recording = read_recording(folder)
+    toml = (folder / "recording.toml").read_text(encoding="utf-8")
+    texts = RunTexts(
+        recording.name,
+        folder.absolute().name,
+        toml,
+        json.dumps({"imported_from": str(folder.absolute())}),
+        "",
+    )
+    return Run(folder, texts, outcomes_of(recording), _Recorded(recording))
+
+
+def outcomes_of(recording: Recording) -> list[TrialOutcome]:
+    """Return an outcome a trial: all are done, and repeats count from 0, where recordings count from 1."""
+    return [
+        TrialOutcome(
+            index,
+            dict(trial.condition),
+            trial.repeat - 1,
+            duration_s=float(trial.time_s[-1]) if len(trial.time_s) else 0.0,
+        )
+        for index, trial in enumerate(recording.trials)
+    ]
+
+
+class _Recorded:
+    """The trials of a recording, each with the signals ``input`` and ``output``; in memory."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+
+    @contextmanager
+    def tables(self, index: int) -> Iterator[dict[str, LongSignals]]:
+        if not 0 <= index < len(self._recording.trials):
+            raise RecordingError(f"recording {self._recording.name} has no trial {index}")
+        found = self._recording.trials[index].signals(self._recording)
+        yield {table.name: LongSignals(table[:0], len(table), table.pieces_from) for table in found}
+
+    def size(self) -> int:
+        return sum(trial.source_file.stat().st_size for trial in self._recording.trials)
+
+    def close(self) -> None:
+        """Nothing is open."""

@@ -1,18 +1,19 @@
 """A recording: `recording.toml` beside CSV files, measured by anyone. Read whole, or refused with every fault."""
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
 from labrun.errors import RecordingError
+from labrun.signals import Signals
 from labrun.store._recording_csv import read_columns
 from labrun.store._recording_toml import ChannelEntry, TrialEntry, read_toml
 
-FloatArray = NDArray[np.float64]
 Between = Literal["linear", "hold", "band-limited"]
 _SHOWN_FAULTS = 25
 
@@ -56,6 +57,23 @@ class RecordedTrial:
     inputs: FloatArray
     outputs: FloatArray
     source_file: Path
+
+    def signals(self, recording: "Recording") -> list[Signals]:
+        """Return its inputs and its outputs as signals of the devices ``input`` and ``output``."""
+        rate_hz = 1 / float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else 0.0
+        sides = (("input", recording.inputs, self.inputs), ("output", recording.outputs, self.outputs))
+        return [
+            Signals(
+                name,
+                tuple(info.name for info in infos),
+                tuple(info.unit for info in infos),
+                self.time_s,
+                values,
+                rate_hz=rate_hz,
+            )
+            for name, infos, values in sides
+            if infos
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,3 +158,9 @@ def _report(folder: Path, faults: list[str]) -> str:
     if len(faults) > _SHOWN_FAULTS:
         shown.append(f"  and {len(faults) - _SHOWN_FAULTS} more")
     return "\n".join([f"recording {folder} has {number}:", *shown])
+
+
+def imported_channels(experiment_toml: str) -> dict[str, Any]:
+    """Return the channel tables of a run that was imported: it keeps recording.toml in place of an experiment."""
+    data = tomllib.loads(experiment_toml)
+    return dict(data["channels"]) if "rig" not in data and isinstance(data.get("channels"), dict) else {}

@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from labrun.devices.samples import FloatArray
-from labrun.store.trial import Stream
+from labrun.arrays import FloatArray
+from labrun.signals import Signals
 
 WINDOW_S = 10.0
 """Length of device time of which the least delayed sample tells the clock offset."""
@@ -160,16 +160,17 @@ class TimeMapper:
         return lifted
 
 
-def stream_report(stream: Stream) -> StreamReport:
-    """Tell rate, jitter, losses and clock of one stream."""
-    clock = ClockMap(stream.rate_hz)
-    clock.learn(stream.device_time_s, stream.host_time_s)
-    if len(stream.time_s) < 2:
-        return StreamReport(np.nan, np.nan, stream.lost, clock.offset_s, None, clock.glitches)
-    steps = np.diff(stream.time_s)
+def stream_report(signals: Signals) -> StreamReport:
+    """Tell rate, jitter, losses and clock of what one device measured in one trial."""
+    clock = ClockMap(signals.rate_hz)
+    if signals.device_time_s is not None and signals.host_time_s is not None:
+        clock.learn(signals.device_time_s, signals.host_time_s)
+    if len(signals) < 2:
+        return StreamReport(np.nan, np.nan, signals.lost, clock.offset_s, None, clock.glitches)
+    steps = np.diff(signals.time_s)
     typical = float(np.median(steps))
-    rate_hz = (len(steps) + stream.lost) / float(stream.time_s[-1] - stream.time_s[0])
+    rate_hz = (len(steps) + signals.lost) / float(signals.time_s[-1] - signals.time_s[0])
     regular = steps[steps < 1.5 * typical]
     return StreamReport(
-        rate_hz, float(np.std(regular)), stream.lost, clock.offset_s, clock.drift_ppm, clock.glitches
+        rate_hz, float(np.std(regular)), signals.lost, clock.offset_s, clock.drift_ppm, clock.glitches
     )

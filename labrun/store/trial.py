@@ -1,16 +1,18 @@
-"""What one trial leaves behind: its outcome, its streams, and how the bench came to rest before it."""
+"""What one trial leaves behind beside its samples: its outcome, and how the bench came to rest before it."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from labrun.devices.samples import Channel, FloatArray
+from labrun.arrays import FloatArray
+from labrun.signals import Signals
 
 Role = Literal["measure", "reference", "fresh", "confirm"]
 Status = Literal["done", "rejected", "failed"]
+SETTLE = "settle"
+"""Name of the signals that tell how the bench came to rest."""
 
 
 def json_ready(value: Any) -> Any:
@@ -22,49 +24,6 @@ def json_ready(value: Any) -> Any:
     if isinstance(value, Mapping):
         return dict(value)
     raise TypeError(f"{type(value).__name__} cannot be stored as JSON")
-
-
-@dataclass(frozen=True, slots=True)
-class Stream:
-    """All samples of one device in one trial.
-
-    Attributes
-    ----------
-    name
-        The device's name in the experiment file.
-    channels
-        What was measured, one a column of `values`.
-    time_s : (n,)
-        Strictly increasing, from the start of the trial: device time mapped to the run's clock.
-    device_time_s, host_time_s : (n,)
-        The two times of every sample as they came, never altered.
-    values : (n, channels)
-        SI units, as measured (not tared).
-    rate_hz
-        Nominal sample rate.
-    lost, saturated
-        Number of samples that never arrived, and that stood at the end of the measuring range.
-    tare
-        Offset found before the recording, by channel name, in the channel's unit.
-    """
-
-    name: str
-    channels: tuple[Channel, ...]
-    time_s: FloatArray
-    device_time_s: FloatArray
-    host_time_s: FloatArray
-    values: FloatArray
-    rate_hz: float
-    lost: int = 0
-    saturated: int = 0
-    tare: Mapping[str, float] = field(default_factory=dict)
-
-    def column(self, channel: str) -> FloatArray:
-        """Return the values of one channel, shape (n,); KeyError if there is none of that name."""
-        for number, known in enumerate(self.channels):
-            if known.name == channel:
-                return self.values[:, number]
-        raise KeyError(channel)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,27 +48,6 @@ class SettleSummary:
     drift: float | None = None
     bound: float | None = None
     channel: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class SettleCurve:
-    """Spread and drift of the watched channel while the bench settled.
-
-    Attributes
-    ----------
-    time_s : (n,)
-        From the start of settling, increasing.
-    spread, drift : (n,)
-        In `unit`.
-    reason
-        Why the trial went on.
-    """
-
-    time_s: FloatArray
-    spread: FloatArray
-    drift: FloatArray
-    reason: str
-    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,19 +94,23 @@ class TrialOutcome:
     period_s: float | None = None
     discard_cycles: int = 0
 
-    def to_json(self) -> str:
-        """Return the whole outcome as one line of JSON; floats come back bit for bit."""
-        data = {name: getattr(self, name) for name in self.__slots__}
-        data["settle"] = None if self.settle is None else asdict(self.settle)
-        return json.dumps(data, default=json_ready)
+    def to_record(self) -> dict[str, Any]:
+        """Return the whole outcome, JSON-ready by `json_ready`; floats come back bit for bit."""
+        record = {name: getattr(self, name) for name in self.__slots__}
+        record["settle"] = None if self.settle is None else asdict(self.settle)
+        return record
 
     @classmethod
-    def from_json(cls, text: str) -> "TrialOutcome":
-        """Take back what `to_json` gave."""
-        data = json.loads(text)
-        settle = data.pop("settle")
-        return cls(settle=None if settle is None else SettleSummary(**settle), **data)
+    def from_record(cls, record: Mapping[str, Any]) -> "TrialOutcome":
+        """Take back what `to_record` gave."""
+        settle = record["settle"]
+        return cls(**{**record, "settle": None if settle is None else SettleSummary(**settle)})
 
     def marked(self, status: Status, reason: str) -> "TrialOutcome":
         """Return the outcome with another status."""
         return replace(self, status=status, reason=reason)
+
+
+def settle_curve(time_s: FloatArray, spread: FloatArray, drift: FloatArray, unit: str) -> Signals:
+    """Return spread and drift of the watched channel while the bench settled, each of shape (n,), as signals."""
+    return Signals(SETTLE, ("spread", "drift"), (unit, unit), time_s, np.column_stack([spread, drift]))

@@ -3,17 +3,21 @@
 import json
 import os
 import platform
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from labrun.arrays import FloatArray
 from labrun.devices import Clock
-from labrun.store.folder import JOURNAL, TRIALS
-from labrun.store.journal_tail import JournalTail, stamp_s
-from labrun.store.trial import Role, Status
+from labrun.signals import LongSignals
+from labrun.store.folder import TrialSource
+from labrun.store.journal import JournalTail, stamp_s
+from labrun.store.locate import JOURNAL, PACKED, TRIALS
+from labrun.store.trial import Role, Status, TrialOutcome
+from labrun.store.trial_file import BESIDE, TrialFile
 
 _ENDS = ("finished", "failed", "interrupted", "limit-reached")
 _LEAST_SILENCE_S = 15.0
@@ -188,8 +192,6 @@ class RunWatch:
 
     def _take_lost_lines(self, index: int) -> None:
         """Take up trials whose line a crash kept from the journal: the run has gone on to a later one."""
-        from labrun.store.watched_trials import read_outcome
-
         for lost in [earlier for earlier in self._prepared if earlier < index]:
             prepared = self._prepared.pop(lost)
             outcome = read_outcome(self.folder / TRIALS, lost)
@@ -204,3 +206,88 @@ class RunWatch:
                     outcome.objectives,
                     stamp_s(prepared),
                 )
+
+
+MOST_SAMPLES = 100_000
+"""Of a longer trace the end is read: a night at 7 kHz is gigabytes, which nobody wants to wait for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """One channel of one trial.
+
+    Attributes
+    ----------
+    index
+        Of the trial.
+    channel
+        ``device.channel``.
+    time_s, values : (n,)
+        From the start of the trial; tared, in `unit`.
+    whole
+        False if only the end of a long recording was read.
+    channels
+        Every channel of that trial with its unit, by ``device.channel``.
+    """
+
+    index: int
+    channel: str
+    unit: str
+    time_s: FloatArray
+    values: FloatArray
+    whole: bool
+    channels: dict[str, str]
+
+
+def read_trace(folder: Path, index: int, wanted: Sequence[str]) -> Trace | None:
+    """Read a trace without locking anything.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    index
+        Of the trial.
+    wanted
+        Channels in order of preference, ``device.channel``; the first that the trial has is taken, and any channel
+        where it has none of them. The trace is then of another channel than asked for.
+
+    Returns
+    -------
+    Trace or None
+        None if the trial is not there (any more), or has no samples.
+    """
+    for path in (folder / TRIALS / f"{index:06d}.h5", folder / PACKED):
+        # A file may vanish, or be replaced, between any two steps; HDF5 then fails anywhere, in many ways.
+        try:
+            source = TrialSource(folder / PACKED, {} if path.name == PACKED else {index: path}, locked=False)
+            with closing(source), source.tables(index) as tables:
+                return _trace(tables, index, wanted)
+        except Exception:  # noqa: S112 - the next look finds the trial where it is then
+            continue
+    return None
+
+
+def read_outcome(trials: Path, index: int) -> TrialOutcome | None:
+    """Read the outcome of a trial from its file without locking it; None if it cannot be read."""
+    try:
+        with TrialFile(trials / f"{index:06d}.h5", locked=False) as file:
+            return file.outcome
+    except Exception:  # as above
+        return None
+
+
+def _trace(tables: Mapping[str, LongSignals], index: int, wanted: Sequence[str]) -> Trace | None:
+    channels = {
+        f"{name}.{column}": unit
+        for name, table in tables.items()
+        if name not in BESIDE and len(table)
+        for column, unit in zip(table.columns, table.units, strict=True)
+    }
+    channel = next((name for name in (*wanted, *channels) if name in channels), None)
+    if channel is None:
+        return None
+    device, _, name = channel.partition(".")
+    table = tables[device]
+    shown = table.last(MOST_SAMPLES).tared().signal(name)
+    return Trace(index, channel, shown.unit, shown.time_s, shown.values, len(table) <= MOST_SAMPLES, channels)

@@ -1,54 +1,127 @@
-"""One trial on its way to disk: in memory while it is small, in its temporary file when it grows."""
+"""One trial on its way to disk: in memory while it is small, in temporary files when it grows."""
 
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from labrun.devices.samples import Channel, Samples
-from labrun.devices.trajectory import Trajectory
-from labrun.store import layout
-from labrun.store.disk import fsync_directory, fsync_file, saving, write_synced, write_unsynced
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.devices import Channel, Samples, Trajectory
+from labrun.signals import MEMORY_ROWS, LongSignals, Signals
+from labrun.store.disk import fsync_directory, fsync_file, saving, write_all
 from labrun.store.timing import ClockMap
-from labrun.store.trial import SettleCurve, Stream, TrialOutcome
-from labrun.store.trial_log import TrialLog
-from labrun.store.written import digest_of
-
-if TYPE_CHECKING:
-    from labrun.store.spill import SpilledStream, SpillFile
-    from labrun.store.trial_image import Places, Templates
+from labrun.store.trial import TrialOutcome
+from labrun.store.trial_file import COMMAND, check_names, digest_of, write_trial
 
 SPILL_BYTES = 8 << 20
-"""Samples in memory, all devices together, above which they go to the temporary file."""
+"""Samples in memory, all devices together, above which they go to temporary files."""
 
 
-@dataclass(slots=True)
 class _Device:
-    """What one device has delivered and is still in memory."""
+    """What one device has delivered: blocks in memory, and before them rows in a temporary file of a long trial."""
 
-    name: str
-    channels: tuple[Channel, ...]
-    rate_hz: float
-    lost: int = 0
-    saturated: int = 0
-    blocks: list[Samples] = field(default_factory=list)
-    mapped: tuple[Stream, int] | None = None
-    """The stream as it was last made, with the clock's glitches; None once more samples have come."""
-    mapped_from_s: float = 0.0
+    def __init__(self, name: str, channels: tuple[Channel, ...], rate_hz: float, spill: Path) -> None:
+        self.spill = spill
+        self._head = Signals(
+            name,
+            tuple(channel.name for channel in channels),
+            tuple(channel.unit for channel in channels),
+            np.empty(0),
+            np.empty((0, len(channels))),
+            device_time_s=np.empty(0),
+            host_time_s=np.empty(0),
+            rate_hz=rate_hz,
+        )
+        self.lost = 0
+        self.saturated = 0
+        self._blocks: list[Samples] = []
+        self._mapped: tuple[float, Signals] | None = None
+        self._clock = ClockMap(rate_hz)
+        self._file: int | None = None
+        self._spilled = 0
 
-    def joined(self) -> Samples:
-        """Return what is in memory as one block, and keep it as one."""
-        if len(self.blocks) != 1:
-            self.blocks = [Samples.join(self.blocks, len(self.channels))]
-        return self.blocks[0]
+    def append(self, samples: Samples) -> None:
+        self._blocks.append(samples)
+        self._mapped = None
+
+    def signals(self, start_s: float, tare: Mapping[str, float]) -> Signals | LongSignals:
+        """Return everything, its time from `start_s` on."""
+        about: dict[str, Any] = {"lost": self.lost, "saturated": self.saturated, "tare": tare}
+        if self._file is None:
+            if self._mapped is None or self._mapped[0] != start_s:
+                self._mapped = start_s, self._in_memory(start_s)
+            return replace(self._mapped[1], **about)
+        self.move_to_disk()
+        head = replace(self._head, clock_glitches=self._clock.glitches, **about)
+        return LongSignals(head, self._spilled, lambda first: self._read(head, start_s, first))
+
+    def _in_memory(self, start_s: float) -> Signals:
+        samples = self._joined()
+        clock = ClockMap(self._head.rate_hz)
+        clock.learn(samples.device_time_s, samples.host_time_s)
+        return replace(
+            self._head,
+            time_s=clock.mapper(start_s)(samples.device_time_s),
+            values=samples.values,
+            device_time_s=samples.device_time_s,
+            host_time_s=samples.host_time_s,
+            clock_glitches=clock.glitches,
+        )
+
+    def _joined(self) -> Samples:
+        if len(self._blocks) != 1:
+            self._blocks = [Samples.join(self._blocks, len(self._head.columns))]
+        return self._blocks[0]
+
+    def move_to_disk(self) -> None:
+        """Append what is in memory to the temporary file; the clock learns from it on the way."""
+        samples = self._joined()
+        self._clock.learn(samples.device_time_s, samples.host_time_s)
+        if self._file is None:
+            self._file = os.open(self.spill, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
+        rows = np.column_stack([samples.device_time_s, samples.host_time_s, samples.values])
+        write_all(self._file, rows.tobytes())
+        self._spilled += len(rows)
+        self._blocks = []
+
+    def _read(self, head: Signals, start_s: float, wanted: int) -> Iterator[Signals]:
+        """Yield pieces from sample `wanted` on; times follow from those before it."""
+        mapper = self._clock.mapper(start_s)
+        width = 2 + len(head.columns)
+        with self.spill.open("rb") as file:
+            for first in range(0, max(self._spilled, 1), MEMORY_ROWS):
+                count = min(MEMORY_ROWS, self._spilled - first)
+                rows: FloatArray = np.fromfile(file, float, count * width).reshape(-1, width)
+                piece = replace(
+                    head,
+                    time_s=mapper(rows[:, 0]),
+                    values=rows[:, 2:],
+                    device_time_s=rows[:, 0],
+                    host_time_s=rows[:, 1],
+                )
+                if first + count > wanted or wanted == 0:
+                    yield piece[max(wanted - first, 0) :]
+
+    def forget(self) -> None:
+        """Let go of everything, and remove the temporary file. Never raises."""
+        self._blocks, self._mapped = [], None
+        if self._file is not None:
+            with suppress(OSError):
+                os.close(self._file)
+            with suppress(OSError):
+                self.spill.unlink(missing_ok=True)
+            self._file = None
 
 
 class TrialWriter:
     """Collects the samples of one trial and puts its file in place whole.
 
     Made by `RunFolder.writer`. Until `finish` returns, nothing of the trial has its final name; a crash leaves
-    at most ``.<index>.h5.partial``, which the folder removes when it is opened again.
+    at most temporary files, which the folder removes when it is opened again.
 
     Parameters
     ----------
@@ -56,13 +129,10 @@ class TrialWriter:
         The folder of trial files.
     index
         The trial's execution counter.
-    templates
-        Of the run's earlier trials.
-    log
-        Makes a small trial durable before its file is.
+    sync
+        Wait until the trial is on disk. A dry run need not survive a power cut.
     stored
-        Called once the trial is on disk: with the outcome, the file's size and digest, where everything stands in
-        it, if that is known, and whether the log has it.
+        Called once the trial has its name: with the outcome, and the file's size and digest.
     saved
         Tells what is saved so far, for an error message.
     """
@@ -71,23 +141,20 @@ class TrialWriter:
         self,
         trials: Path,
         index: int,
-        templates: "Templates",
-        log: TrialLog,
-        stored: Callable[[TrialOutcome, Mapping[str, Any], "Places | None", bool], None],
+        *,
+        sync: bool,
+        stored: Callable[[TrialOutcome, Mapping[str, Any]], None],
         saved: Callable[[], str],
     ) -> None:
         self.index = index
         self.path = trials / f"{index:06d}.h5"
         self._partial = trials / f".{index:06d}.h5.partial"
-        self._templates = templates
-        self._log = log
-        self._logged = False
-        self._places: Places | None = None
+        self._sync = sync
         self._stored = stored
         self._saved = saved
         self._devices: dict[str, _Device] = {}
         self._bytes = 0
-        self._spill: SpillFile | None = None
+        self._spilled = False
 
     def append(self, device: str, channels: tuple[Channel, ...], rate_hz: float, samples: Samples) -> None:
         """Take a block of samples of one device.
@@ -99,13 +166,13 @@ class TrialWriter:
         """
         known = self._devices.get(device)
         if known is None:
-            layout.check_names(device, channels)
-            known = self._devices[device] = _Device(device, channels, rate_hz)
+            check_names(device, [channel.name for channel in channels])
+            spill = self._partial.with_name(f".{self.index:06d}.{len(self._devices)}.partial")
+            known = self._devices[device] = _Device(device, channels, rate_hz, spill)
         known.lost += samples.lost
         known.saturated += samples.saturated
         if len(samples):
-            known.blocks.append(samples)
-            known.mapped = None
+            known.append(samples)
             self._bytes += 8 * len(samples) * (2 + len(channels))
             if self._bytes > SPILL_BYTES:
                 with self._saving():
@@ -116,149 +183,87 @@ class TrialWriter:
         """Size of the samples that are not on disk yet."""
         return self._bytes
 
-    def streams(self, start_s: float) -> "Mapping[str, Stream | SpilledStream]":
-        """Return what was recorded so far, by device; without tare offsets.
+    def signals(self, start_s: float, tare: Mapping[str, float]) -> dict[str, Signals | LongSignals]:
+        """Return what was recorded so far, by device.
 
-        Of a trial too long for memory, each column is read from the temporary file when it is asked for, which must be
-        before `finish`.
+        Of a trial too long for memory, the samples are read from temporary files when they are asked for, which must
+        be before `finish`.
 
         Parameters
         ----------
         start_s
             The run clock's time that becomes `time_s` = 0.
+        tare
+            Offsets by ``"device.channel"``.
         """
-        if self._spill is None:
-            return {device.name: self._stream(device, start_s, {})[0] for device in self._devices.values()}
-        with self._saving():
-            self._move_to_disk()
+        if self._spilled:
+            with self._saving():
+                self._move_to_disk()
         return {
-            device.name: self._spill.stream(
-                device.name, device.channels, device.rate_hz, device.lost, device.saturated, start_s
+            name: device.signals(
+                start_s, {key.removeprefix(f"{name}."): offset for key, offset in tare.items()
+                          if key.startswith(f"{name}.")}
             )
-            for device in self._devices.values()
-        }
+            for name, device in self._devices.items()
+        }  # fmt: skip
 
-    def finish(
-        self, outcome: TrialOutcome, settle_curve: SettleCurve | None, command: Trajectory | None
-    ) -> None:
-        """Store the trial durably: when this returns, it survives a power cut.
+    def finish(self, outcome: TrialOutcome, settle_curve: Signals | None, command: Trajectory | None) -> None:
+        """Store the trial: when this returns, it survives the end of the process and, if synced, a power cut.
 
         Raises
         ------
         StoreError
             The disk is full or fails. This trial is gone, everything before it is untouched.
         """
+        tables: list[Signals | LongSignals] = [*self.signals(outcome.started_s, outcome.tare).values()]
+        if command is not None:
+            tables.append(command_signals(command))
+        if settle_curve is not None:
+            tables.append(settle_curve)
         with self._saving():
-            complete = self._finish_in_memory if self._spill is None else self._finish_spilled
-            described = complete(outcome, settle_curve, command)
-            if not self._logged:
-                self._put_in_place()
-        self._devices = {}
-        self._stored(outcome, described, self._places, self._logged)
+            write_trial(self._partial, outcome, tables)
+            if self._sync:
+                fsync_file(self._partial)
+            described: dict[str, Any] = {"bytes": self._partial.stat().st_size}
+            if not self._spilled:
+                described["blake2b"] = digest_of(self._partial.read_bytes())
+            self._partial.rename(self.path)
+            if self._sync:
+                fsync_directory(self.path.parent)
+        self._forget()
+        self._stored(outcome, described)
 
     def discard(self) -> None:
-        """Forget the trial and remove its temporary file. Never raises."""
-        if self._spill is not None:
-            self._spill.abandon()
-            self._spill = None
-        self._devices = {}
-        self._bytes = 0
+        """Forget the trial and remove its temporary files. Never raises."""
+        self._forget()
         with suppress(OSError):
             self._partial.unlink(missing_ok=True)
+
+    def _forget(self) -> None:
+        for device in self._devices.values():
+            device.forget()
+        self._devices = {}
+        self._bytes = 0
 
     @contextmanager
     def _saving(self) -> Iterator[None]:
         """Explain what the disk refuses, and leave nothing half-written behind."""
         try:
             with saving(f"trial {self.index}", self.path.parent.parent, self._saved()):
-                from labrun.store.hdf5 import flush_errors
-
-                with flush_errors():
-                    yield
+                yield
         except BaseException:
             self.discard()
             raise
 
-    def _stream(self, device: _Device, start_s: float, tare: Mapping[str, float]) -> tuple[Stream, int]:
-        if device.mapped is None or device.mapped_from_s != start_s:
-            device.mapped, device.mapped_from_s = self._map(device, start_s), start_s
-        stream, glitches = device.mapped
-        return replace(stream, lost=device.lost, saturated=device.saturated, tare=tare), glitches
-
-    def _map(self, device: _Device, start_s: float) -> tuple[Stream, int]:
-        samples = device.joined()
-        clock = ClockMap(device.rate_hz)
-        clock.learn(samples.device_time_s, samples.host_time_s)
-        time_s = clock.mapper(start_s)(samples.device_time_s)
-        stream = Stream(
-            name=device.name,
-            channels=device.channels,
-            time_s=time_s,
-            device_time_s=samples.device_time_s,
-            host_time_s=samples.host_time_s,
-            values=samples.values,
-            rate_hz=device.rate_hz,
-        )
-        return stream, clock.glitches
-
-    def _finish_in_memory(
-        self, outcome: TrialOutcome, settle_curve: SettleCurve | None, command: Trajectory | None
-    ) -> dict[str, Any]:
-        from labrun.store.trial_image import Content
-
-        streams = (
-            self._stream(device, outcome.started_s, layout.device_tare(outcome, device.name))
-            for device in self._devices.values()
-        )
-        tables = [layout.stream_table(stream, glitches) for stream, glitches in streams]
-        tables += layout.rest_tables(settle_curve, command)
-        content, self._places = self._templates.image(
-            Content(layout.outcome_attributes(outcome), tuple(tables))
-        )
-        digest = digest_of(content)
-        if self._log.takes(len(content)):
-            self._write_logged(content, digest)
-        else:
-            write_synced(self._partial, content)
-        return {"bytes": len(content), "blake2b": digest}
-
-    def _write_logged(self, content: bytes, digest: str) -> None:
-        self._log.append(self.index, digest, content)
-        try:
-            write_unsynced(self._partial, content)
-            self._partial.rename(self.path)
-        except OSError:
-            self._log.take_back()
-            raise
-        self._logged = True
-
-    def _put_in_place(self) -> None:
-        self._partial.rename(self.path)
-        fsync_directory(self.path.parent)
-
     def _move_to_disk(self) -> None:
-        from labrun.store.spill import SpillFile
-
-        if self._spill is None:
-            self._spill = SpillFile(self._partial)
+        self._spilled = True
         for device in self._devices.values():
-            self._spill.add(device.name, device.channels, device.rate_hz, device.joined())
-            device.blocks = []
+            device.move_to_disk()
         self._bytes = 0
 
-    def _finish_spilled(
-        self, outcome: TrialOutcome, settle_curve: SettleCurve | None, command: Trajectory | None
-    ) -> dict[str, Any]:
-        self._move_to_disk()
-        spill = self._spill
-        assert spill is not None  # noqa: S101 - for the type checker: _move_to_disk made it
-        for device in self._devices.values():
-            tare = layout.device_tare(outcome, device.name)
-            attributes = layout.device_attributes(device.rate_hz, device.lost, device.saturated)
-            spill.complete(device.name, outcome.started_s, tare, attributes)
-        layout.write_outcome(spill.file, outcome)
-        layout.write_rest(spill.file, settle_curve, command)
-        spill.close()
-        self._spill = None
-        fsync_file(self._partial)
-        return {"bytes": self._partial.stat().st_size}
+
+def command_signals(command: Trajectory) -> Signals:
+    """Return commanded joint angles as they are stored."""
+    return Signals(
+        COMMAND, tuple(command.joints), ("rad",) * len(command.joints), command.time_s, command.angle_rad
+    )

@@ -291,7 +291,7 @@ def test_a_packed_file_without_its_folder_has_nothing_to_follow(folder, tmp_path
 
 
 def test_a_long_trace_is_read_at_its_end_only(folder, monkeypatch):
-    monkeypatch.setattr("labrun.store.watched_trials.MOST_SAMPLES", 30)
+    monkeypatch.setattr("labrun.store.watching.MOST_SAMPLES", 30)
     store(folder, 0)
     trace = Watcher(folder.path, SimulatedClock()).look().trace
     assert not trace.whole

@@ -246,7 +246,7 @@ def test_a_seal_that_is_gone_is_missed_by_reveal_and_by_resume(tmp_path):
 
 
 def _angles(run):
-    return [run.streams(outcome.index)["cameras"].column("angle") for outcome in run.outcomes]
+    return [run.signals(outcome.index)["cameras"].column("angle") for outcome in run.outcomes]
 
 
 def test_a_resumed_run_hides_what_it_began_with_and_ends_as_if_it_had_never_stopped(tmp_path):

@@ -83,7 +83,7 @@ class PlantLab:
     def stream(self, index=0, device="loop"):
         """Return what one device, or the loops, recorded in a trial."""
         with open_run(self.folder.path) as run:
-            return run.stream(index, device)
+            return run.signals(index)[device]
 
     def command(self, index=0):
         """Return the motion that was really sent in a trial."""

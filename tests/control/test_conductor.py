@@ -26,7 +26,7 @@ def test_every_step_is_recorded_with_its_units(tmp_path):
     loop = lab.stream()
     assert len(loop.time_s) == 80
     np.testing.assert_allclose(loop.time_s, 0.05 * np.arange(80), atol=1e-9)
-    units = {channel.name: channel.unit for channel in loop.channels}
+    units = dict(zip(loop.columns, loop.units, strict=True))
     assert units["roll_error"] == units["roll_drive"] == "deg"
     assert units["latency_s"] == units["late_s"] == "s"
     np.testing.assert_allclose(

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labrun.store.opening import open_run
+from labrun.store.reading import open_run
 
 RUNS = [
     # experiment, its command, channel, and how far two runs of one seed may differ (root mean square): the noise of
@@ -75,7 +75,7 @@ def difference(emulated, simulated, index, channel):
     device, _, name = channel.partition(".")
     curves = []
     for run in (emulated, simulated):
-        stream = run.streams(index)[device]
+        stream = run.signals(index)[device]
         tare = run.outcomes[index].tare.get(channel, 0.0)
         curves.append((stream.time_s, stream.column(name) - tare))
     (time_a, a), (time_b, b) = curves

@@ -34,7 +34,7 @@ def test_a_channel_comes_tared_scaled_and_per_length_on_an_even_base(run):
     (trial,) = found.trials
     stored = open_run(run)
     outcome = next(one for one in stored.outcomes if one.condition["b_after"] == 0)
-    stream = stored.stream(outcome.index, "wrench")
+    stream = stored.signals(outcome.index)["wrench"]
     expected = -(stream.column("torque_y") - outcome.tare["wrench.torque_y"]) / 0.4
     assert found.units == {"force": "N"}
     assert np.ptp(np.diff(trial.time_s)) < 1e-9

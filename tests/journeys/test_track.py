@@ -81,7 +81,7 @@ def test_track_runs_shows_exports_and_draws_its_loops(labrun, tmp_path):
     assert done.code == 0, done.err
     run = Path(done.json["run"])
     with open_run(tmp_path / run) as stored:
-        loop = stored.stream(0, "loop")
+        loop = stored.signals(0)["loop"]
         assert loop.rate_hz == 20
         assert len(loop.time_s) == 120
         assert stored.command(0).time_s[-1] == pytest.approx(6.0)
@@ -103,7 +103,7 @@ def test_a_track_that_was_stopped_goes_on_to_the_same_samples(labrun, tmp_path):
             assert one.condition == other.condition
             assert one.objectives == other.objectives
             np.testing.assert_array_equal(
-                first.stream(one.index, "loop").values, second.stream(one.index, "loop").values
+                first.signals(one.index)["loop"].values, second.signals(one.index)["loop"].values
             )
 
 

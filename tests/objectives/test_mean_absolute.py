@@ -6,7 +6,8 @@ import pytest
 from labrun.devices import Trajectory
 from labrun.errors import ExperimentError, SpecError
 from labrun.objectives import make_objective
-from labrun.objectives.protocol import Signal, TrialSignals
+from labrun.objectives.protocol import TrialSignals
+from labrun.signals import Signal
 from labrun.spec import ObjectiveTable
 
 TIME_S = np.linspace(0.0, 200.0, 4001)

@@ -16,8 +16,9 @@ from labrun.objectives.direction import Direction
 from labrun.objectives.mean import Mean
 from labrun.objectives.mean_absolute import MeanAbsolute
 from labrun.objectives.peak import Peak
-from labrun.objectives.protocol import Signal, TrialSignals
+from labrun.objectives.protocol import TrialSignals
 from labrun.objectives.rms import Rms
+from labrun.signals import Signal
 
 EVERY = [
     (Mean, {}),

@@ -4,13 +4,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from labrun.devices import Channel
 from labrun.report.data import RunView
 from labrun.search.design import sweep_conditions
 from labrun.search.leaders import t_interval
 from labrun.search.result import Best
+from labrun.signals import Signals
 from labrun.spec import Experiment
-from labrun.store.trial import SettleSummary, Stream, TrialOutcome
+from labrun.store.trial import SettleSummary, TrialOutcome
 
 
 @dataclass
@@ -22,7 +22,7 @@ class MemoryRun:
     lost: int = 0
     traces: dict = field(default_factory=dict)
 
-    def streams(self, index):
+    def signals(self, index):
         outcome = self.outcomes[index]
         time_s = np.arange(0, outcome.duration_s + 0.1, 1 / self.rate_hz)
         rng = np.random.default_rng(index)
@@ -32,17 +32,19 @@ class MemoryRun:
         )
         kept = np.setdiff1d(np.arange(len(time_s)), 5 + 7 * np.arange(self.lost))
         time_s = time_s[kept]
-        stream = Stream(
+        measured = Signals(
             "wrench",
-            (Channel("force_x", "N"),),
-            time_s,
-            time_s,
+            ("force_x",),
+            ("N",),
             time_s,
             force[kept, None],
+            {"force_x": outcome.tare["wrench.force_x"]} if outcome.tare else {},
+            time_s,
+            time_s,
             self.rate_hz,
             lost=self.lost,
         )
-        return {"wrench": stream}
+        return {"wrench": measured}
 
     def settle_curve(self, index):
         return None

@@ -80,7 +80,7 @@ def test_a_clock_is_reported_with_its_offset_and_the_drift_from_trial_to_trial()
 
     class OwnClock(MemoryRun):
         def streams(self, index):
-            stream = super().streams(index)["wrench"]
+            stream = super().signals(index)["wrench"]
             host_time_s = stream.host_time_s + 60.0 * index
             device_time_s = (host_time_s + 12.0) * (1 - self.drift)
             return {"wrench": replace(stream, device_time_s=device_time_s, host_time_s=host_time_s)}

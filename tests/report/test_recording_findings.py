@@ -15,7 +15,7 @@ from labrun.report.findings import findings
 from labrun.report.progress import LiveProgress
 from labrun.store.export import export_run
 from labrun.store.importing import import_recording
-from labrun.store.opening import open_target
+from labrun.store.reading import open_target
 
 TOML = """\
 experiment = "swing"

@@ -23,7 +23,7 @@ def test_an_objective_that_raises_anything_fails_its_trial_by_name_and_keeps_the
     assert outcome.status == "failed"
     assert f"objective lift of cell.force_x: {cause}" in outcome.reason
     with open_run(lab.folder.path) as run:
-        assert len(run.stream(0, "cell").values) >= 300
+        assert len(run.signals(0)["cell"].values) >= 300
 
 
 def test_an_objective_that_raises_the_same_again_and_again_ends_the_run_with_its_file_and_line(lab):

@@ -73,7 +73,7 @@ def test_the_recorded_samples_are_identical_too(whole, tmp_path):
         Lab(folder, experiment_with(**CHANGES), limit=7).session.measure(CONDITIONS)
     Lab(RunFolder.open(folder.path), experiment_with(**CHANGES)).session.measure(CONDITIONS)
     index = len(lab.session.outcomes) - 1
-    first, second = (open_run(path).stream(index, "cell") for path in (lab.folder.path, folder.path))
+    first, second = (open_run(path).signals(index)["cell"] for path in (lab.folder.path, folder.path))
     assert np.array_equal(first.values, second.values)
     assert np.array_equal(first.time_s, second.time_s)
 

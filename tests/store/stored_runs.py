@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from labrun.devices import Channel, Samples, Trajectory
+from labrun.signals import Signals
 from labrun.store.folder import RunFolder
-from labrun.store.trial import SettleCurve, SettleSummary, Stream, TrialOutcome
+from labrun.store.trial import SettleSummary, TrialOutcome, settle_curve
 
 SPEC = 'title = "Thrust"\n[units]\nb = "deg"\n'
 WRENCH = (Channel("force_x", "N"), Channel("torque_z", "N m"))
@@ -45,9 +46,9 @@ def motion(count: int = 50) -> Trajectory:
     return Trajectory(("tail",), time_s, np.sin(time_s)[:, None], period_s=0.5)
 
 
-def curve() -> SettleCurve:
+def curve() -> Signals:
     time_s = np.linspace(0, 3.5, 20)
-    return SettleCurve(time_s, np.exp(-time_s), 0.1 * np.exp(-time_s), "quiet", "N")
+    return settle_curve(time_s, np.exp(-time_s), 0.1 * np.exp(-time_s), "N")
 
 
 def store(folder: RunFolder, index: int, count: int = 200, **changes: object) -> TrialOutcome:
@@ -62,11 +63,11 @@ def store_many(folder: RunFolder, count: int) -> dict[int, TrialOutcome]:
     return {index: store(folder, index) for index in range(count)}
 
 
-def assert_as_measured(stream: Stream, index: int, count: int = 200) -> None:
+def assert_as_measured(stream: Signals, index: int, count: int = 200) -> None:
     measured = samples(index, count)
     np.testing.assert_array_equal(stream.values, measured.values)
     np.testing.assert_array_equal(stream.device_time_s, measured.device_time_s)
     np.testing.assert_array_equal(stream.host_time_s, measured.host_time_s)
     assert (stream.lost, stream.saturated, stream.rate_hz) == (index, 1, RATE_HZ)
-    assert stream.channels == WRENCH
+    assert tuple(map(Channel, stream.columns, stream.units)) == WRENCH
     assert np.all(np.diff(stream.time_s) > 0)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from labrun.errors import RecordingError
 from labrun.store.folder import RunFolder
-from labrun.store.locking import FileLock
+from labrun.store.locks import FileLock
 from labrun.store.reading import open_run
 
 

@@ -48,11 +48,11 @@ def test_every_trial_comes_in_with_its_times_unchanged(tmp_path):
     assert {outcome.status for outcome in run.outcomes} == {"done"}
     expected = (("input", "torque", "N m", [1, 2, 3]), ("output", "angle", "rad", [0.1, 0.2, 0.3]))
     for name, channel, unit, values in expected:
-        stream = run.stream(1, name)
-        assert (stream.channels[0].name, stream.channels[0].unit) == (channel, unit)
+        stream = run.signals(1)[name]
+        assert (stream.columns[0], stream.units[0]) == (channel, unit)
         np.testing.assert_array_equal(stream.time_s, [0.0, 0.1, 0.35])
         np.testing.assert_array_equal(stream.column(channel), values)
-    assert run.command(0).channels == ()
+    assert run.command(0).columns == ()
     assert run.provenance["imported_from"] == str(tmp_path / "swing")
     assert run.events[-1]["event"] == "finished"
 
@@ -97,6 +97,6 @@ def test_the_real_recordings_come_in_whole(recordings, tmp_path, name):
     run = open_run(import_recording(recordings / name, tmp_path))
     assert len(run.outcomes) == len(measured.trials)
     for index, trial in enumerate(measured.trials):
-        stream = run.stream(index, "output")
+        stream = run.signals(index)["output"]
         np.testing.assert_array_equal(stream.values, trial.outputs)
         np.testing.assert_array_equal(stream.time_s, trial.time_s)

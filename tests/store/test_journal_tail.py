@@ -5,8 +5,7 @@ import json
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labrun.store.journal import Journal
-from labrun.store.journal_tail import JournalTail
+from labrun.store.journal import Journal, JournalTail
 
 EVENTS = [
     {"event": "trial", "index": index, "reason": "é\u2028\x85 odd" * (index % 3)} for index in range(12)

@@ -64,7 +64,7 @@ def assert_whole(path: Path, count: int) -> None:
     assert outcomes == {index: stored_runs.outcome(index) for index in range(len(outcomes))}
     run = open_run(path)
     for index in outcomes:
-        stored_runs.assert_as_measured(run.stream(index, "wrench"), index)
+        stored_runs.assert_as_measured(run.signals(index)["wrench"], index)
     assert not list(path.glob("**/*.partial"))
 
 
@@ -114,8 +114,6 @@ def die_at(step: int, path: Path, *, packing: bool) -> None:
 
     for owner, name in (
         (os, "fsync"),
-        (os, "fdatasync"),
-        (os, "pwrite"),
         (os, "ftruncate"),
         (Path, "replace"),
         (Path, "rename"),

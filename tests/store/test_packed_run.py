@@ -9,7 +9,7 @@ import stored_runs
 
 from labrun.devices import Channel, Samples
 from labrun.errors import StoreError
-from labrun.store import blocks, packed_file, ragged, writer
+from labrun.store import packed_file, trial_file, writer
 from labrun.store.folder import RunFolder
 from labrun.store.reading import open_run
 
@@ -32,9 +32,9 @@ def test_packing_keeps_every_outcome_and_sample_and_removes_the_trial_files(pack
     expected[4] = expected[4].marked("rejected", "an outlier")
     assert run.outcomes == expected
     for index in range(6):
-        stored_runs.assert_as_measured(run.stream(index, "wrench"), index)
+        stored_runs.assert_as_measured(run.signals(index)["wrench"], index)
         np.testing.assert_array_equal(run.command(index).values, stored_runs.motion().angle_rad)
-        np.testing.assert_array_equal(run.settle_curve(index).drift, stored_runs.curve().drift)
+        np.testing.assert_array_equal(run.settle_curve(index).values, stored_runs.curve().values)
 
 
 def test_a_packed_run_stands_alone(packed, tmp_path):
@@ -50,7 +50,7 @@ def test_a_packed_run_stands_alone(packed, tmp_path):
     assert run.outcomes[4].status == "rejected"
     assert run.events == journal[: len(run.events)]
     assert [event["event"] for event in run.events[-2:]] == ["trial", "mark"]
-    stored_runs.assert_as_measured(run.streams(5)["wrench"], 5)
+    stored_runs.assert_as_measured(run.signals(5)["wrench"], 5)
 
 
 def test_xarray_reads_the_table_of_trials(packed):
@@ -88,9 +88,7 @@ def test_xarray_reads_all_samples_of_a_device_and_those_of_one_trial(packed):
         np.testing.assert_allclose(means[3], expected[:, 0].mean())
     with xarray.open_dataset(packed.path / "run.h5", group="command", engine="h5netcdf") as command:
         assert command["tail"].attrs["units"] == "rad"
-        assert command["period_s"].values.tolist() == [0.5] * 6
     with xarray.open_dataset(packed.path / "run.h5", group="settle", engine="h5netcdf") as settle:
-        assert settle["reason"].values.tolist() == ["quiet"] * 6
         assert settle["spread"].attrs["units"] == "N"
 
 
@@ -142,21 +140,22 @@ def test_trials_may_differ_in_devices_and_channels(tmp_path):
     writer = folder.writer(6)
     writer.append("camera", (Channel("angle", "rad"),), 25.0, Samples.empty(1))
     writer.finish(stored_runs.outcome(6, status="failed", settle=None), None, None)
-    before = {index: open_run(folder.path).streams(index) for index in (0, 2, 5, 6)}
+    before = {index: open_run(folder.path).signals(index) for index in (0, 2, 5, 6)}
     run = open_run(folder.pack())
     for index, streams in before.items():
-        assert run.streams(index).keys() == streams.keys()
+        assert run.signals(index).keys() == streams.keys()
         for name, stream in streams.items():
-            packed = run.stream(index, name)
-            assert (packed.channels, packed.tare, packed.rate_hz) == (
-                stream.channels,
+            packed = run.signals(index)[name]
+            assert (packed.columns, packed.units, packed.tare, packed.rate_hz) == (
+                stream.columns,
+                stream.units,
                 stream.tare,
                 stream.rate_hz,
             )
             np.testing.assert_array_equal(packed.values, stream.values)
             np.testing.assert_array_equal(packed.time_s, stream.time_s)
     assert run.settle_curve(2) is None
-    assert run.command(2).channels == ()
+    assert run.command(2).columns == ()
     with xarray.open_dataset(run.path, group="wrench", engine="h5netcdf") as wrench:
         assert wrench["sample_count"].values.tolist() == [200, 30, 30, 0]
         assert np.isnan(wrench["force_x"].values[200:]).all()
@@ -174,14 +173,14 @@ def test_large_runs_are_written_in_blocks_and_read_the_same(tmp_path, monkeypatc
     writer_without_device = folder.writer(6)
     writer_without_device.finish(stored_runs.outcome(6), None, stored_runs.motion())
     stored_runs.store(folder, 7, count=333)
-    for module in (blocks, ragged):
-        monkeypatch.setattr(module, "BLOCK", block)
-    monkeypatch.setattr(ragged, "CHUNK", 100)
+    for module in (packed_file, trial_file):
+        monkeypatch.setattr(module, "MEMORY_ROWS", block)
+    monkeypatch.setattr(packed_file, "CHUNK", 100)
     run = open_run(folder.pack())
     for index, count in [*((index, 200) for index in range(5)), (5, 1), (7, 333)]:
-        stored_runs.assert_as_measured(run.stream(index, "wrench"), index, count)
+        stored_runs.assert_as_measured(run.signals(index)["wrench"], index, count)
         np.testing.assert_array_equal(run.command(index).values, stored_runs.motion().angle_rad)
-    assert run.streams(6) == {}
+    assert run.signals(6) == {}
     with xarray.open_datatree(run.path, engine="h5netcdf") as tree:
         assert tree["wrench/force_x"].sizes == {"sample": 1334}
         assert not np.isnan(tree["wrench/force_x"].values).any()
@@ -219,7 +218,7 @@ def test_a_packed_run_goes_on_and_is_packed_again(packed):
         "rejected",
     ]
     for index in range(7):
-        stored_runs.assert_as_measured(run.stream(index, "wrench"), index)
+        stored_runs.assert_as_measured(run.signals(index)["wrench"], index)
 
 
 def test_a_mark_after_packing_is_seen_through_the_packed_file_too(packed):
@@ -244,7 +243,7 @@ def test_a_spilled_trial_packs_like_any_other(tmp_path, monkeypatch):
     folder = stored_runs.new_run(tmp_path)
     stored_runs.store(folder, 0)
     folder.pack()
-    stored_runs.assert_as_measured(open_run(folder.path).stream(0, "wrench"), 0)
+    stored_runs.assert_as_measured(open_run(folder.path).signals(0)["wrench"], 0)
     with xarray.open_dataset(folder.path / "run.h5", group="wrench", engine="h5netcdf") as wrench:
         assert wrench["force_x"].sizes == {"sample": 200}
 
@@ -252,17 +251,17 @@ def test_a_spilled_trial_packs_like_any_other(tmp_path, monkeypatch):
 def test_what_was_written_wrongly_never_replaces_the_trials(tmp_path, monkeypatch):
     folder = stored_runs.new_run(tmp_path)
     stored = stored_runs.store_many(folder, 3)
-    write = packed_file.write
+    write = packed_file.write_packed
 
-    def failing_disk(path, texts, outcomes, sources):
-        digests = write(path, texts, outcomes, sources)
+    def failing_disk(path, *arguments):
+        digests = write(path, *arguments)
         content = bytearray(path.read_bytes())
         sample = content.find(stored_runs.samples(1).values[0, 0].tobytes())
         content[sample] ^= 1
         path.write_bytes(content)
         return digests
 
-    monkeypatch.setattr(packed_file, "write", failing_disk)
+    monkeypatch.setattr(packed_file, "write_packed", failing_disk)
     with pytest.raises(StoreError, match="does not hold what was written"):
         folder.pack()
     assert sorted(path.name for path in (folder.path / "trials").iterdir()) == [

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labrun.devices import Channel
+from labrun.signals import Signals
 from labrun.store.timing import ClockMap, stream_report
-from labrun.store.trial import Stream
 
 RATE_HZ = 200.0
 
@@ -29,7 +28,7 @@ def received(true_time_s, rng, *, delay_s=2e-3, least_s=0.0):
 def stream(device_time_s, host_time_s, lost=0):
     time_s, _ = trial_time(device_time_s, host_time_s, rate_hz=RATE_HZ, start_s=0.0)
     values = np.zeros((len(time_s), 1))
-    return Stream("wrench", (Channel("f", "N"),), time_s, device_time_s, host_time_s, values, RATE_HZ, lost)
+    return Signals("wrench", ("f",), ("N",), time_s, values, {}, device_time_s, host_time_s, RATE_HZ, lost)
 
 
 def test_the_offset_is_found_to_the_least_delay():

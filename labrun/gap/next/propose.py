@@ -101,8 +101,8 @@ def propose(
 
 
 def _was_imported(target: Path) -> bool:
-    from labrun.fit.run_dataset import imported_channels
     from labrun.store.reading import open_run
+    from labrun.store.recording import imported_channels
 
     return bool(imported_channels(open_run(target).experiment_toml))
 

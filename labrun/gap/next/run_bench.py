@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.errors import LabrunError, RequestError
-from labrun.fit.run_dataset import COMMAND
 from labrun.gap.next.trials import PlannedTrial
 from labrun.gap.next.values import beyond, by_hand, reach, rounded
 from labrun.spec import Condition, condition_text, loads_experiment, resolved
+from labrun.store.trial_file import COMMAND
 from labrun.toml import evaluate, names_in
 
 if TYPE_CHECKING:
