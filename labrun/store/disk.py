@@ -14,6 +14,8 @@ from labrun.errors import StoreError
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _METADATA = 1 << 16
 """Bytes that are enough for what HDF5 writes beside the samples of a trial."""
+_ASKED_FOR = 1 << 18
+"""Bytes above which room for a file is set aside, which takes longer than asking what is free."""
 
 
 def fsync_directory(path: Path) -> None:
@@ -66,8 +68,14 @@ def replace_durably(path: Path, data: bytes) -> None:
 def require_room(path: Path, count: int) -> None:
     """Raise OSError where a file at `path` would find no room for so many bytes.
 
-    HDF5 cannot be closed in order once a write of it has failed, so the disk is asked before.
+    HDF5 cannot be closed in order once a write of it has failed, so the disk is asked before: for its free space, and
+    where much is to be written, to set it aside.
     """
+    if count < _ASKED_FOR:
+        disk = os.statvfs(path.parent)
+        if disk.f_bavail * disk.f_frsize < count + _METADATA:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
     try:
         os.posix_fallocate(descriptor, 0, count + _METADATA)

@@ -19,6 +19,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import asdict, astuple, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -99,7 +100,7 @@ def write_packed(
     OSError
         The disk is full or fails.
     """
-    lines = "".join(f"{json.dumps(one.to_record(), default=json_ready)}\n" for one in outcomes.values())
+    lines = _lines_of(outcomes)
     rest = sum(len(text) for text in astuple(texts)) + len(lines)
     require_room(path, int(1.25 * size) + 4 * rest + _SPARE)
     groups: dict[str, _RaggedWriter] = {}
@@ -295,7 +296,7 @@ class PackedTrials:
     """
 
     def __init__(self, path: Path, *, locked: bool = True) -> None:
-        self._file, self.texts, self.outcomes = _opened(path, locked=locked)
+        self._file, self.texts, self._lines = _opened(path, locked=locked)
         indices = self._file["index"][()]
         self._rows = {int(index): row for row, index in enumerate(indices)}
         self._groups = {
@@ -303,6 +304,11 @@ class PackedTrials:
             for name, group in self._file.items()
             if isinstance(group, h5py.Group) and name != RECORD
         }
+
+    @cached_property
+    def outcomes(self) -> dict[int, TrialOutcome]:
+        """Outcome of every trial by index, as it was when the run was packed."""
+        return _outcomes(self._lines)
 
     def close(self) -> None:
         """Close the file."""
@@ -319,7 +325,7 @@ class PackedTrials:
     def holds(self, outcomes: Mapping[int, TrialOutcome], digests: Mapping[int, Digest]) -> bool:
         """Tell whether the file holds exactly these outcomes and trials, reading all of it."""
         return (
-            self.outcomes == outcomes
+            self._lines == _lines_of(outcomes)
             and list(self._rows) == list(outcomes)
             and all(group.marks(list(outcomes)) for group in self._groups.values())
             and all(_digests(self.tables(index)) == digests[index] for index in outcomes)
@@ -456,22 +462,31 @@ def read_outcomes(path: Path) -> dict[int, TrialOutcome]:
     """
     if not path.is_file():
         return {}
-    file, _, outcomes = _opened(path)
+    file, _, lines = _opened(path)
     file.close()
-    return outcomes
+    return _outcomes(lines)
 
 
-def _opened(path: Path, *, locked: bool = True) -> tuple[h5py.File, RunTexts, dict[int, TrialOutcome]]:
+def _lines_of(outcomes: Mapping[int, TrialOutcome]) -> str:
+    return "".join(f"{json.dumps(one.to_record(), default=json_ready)}\n" for one in outcomes.values())
+
+
+def _outcomes(lines: str) -> dict[int, TrialOutcome]:
+    found = (TrialOutcome.from_record(json.loads(line)) for line in lines.split("\n")[:-1])
+    return {outcome.index: outcome for outcome in found}
+
+
+def _opened(path: Path, *, locked: bool = True) -> tuple[h5py.File, RunTexts, str]:
+    """Open a packed run; return its file, its texts, and its outcomes as lines of JSON."""
     try:
         with ExitStack() as opened:
             file = opened.enter_context(h5py.File(path, "r", locking=None if locked else False))
             record = {name: text.asstr()[()] for name, text in file[RECORD].items()}
             if file.attrs.get("format") != FORMAT:
                 raise older(path)
-            lines = record.pop(_OUTCOMES).split("\n")[:-1]
-            outcomes = [TrialOutcome.from_record(json.loads(line)) for line in lines]
+            lines = record.pop(_OUTCOMES)
             opened.pop_all()
-            return file, RunTexts(**record), {outcome.index: outcome for outcome in outcomes}
+            return file, RunTexts(**record), lines
     except RecordingError:
         raise
     except Exception as error:  # a damaged or foreign file fails anywhere in HDF5, in many ways

@@ -1,7 +1,7 @@
 """What one trial leaves behind beside its samples: its outcome, and how the bench came to rest before it."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -97,7 +97,11 @@ class TrialOutcome:
     def to_record(self) -> dict[str, Any]:
         """Return the whole outcome, JSON-ready by `json_ready`; floats come back bit for bit."""
         record = {name: getattr(self, name) for name in self.__slots__}
-        record["settle"] = None if self.settle is None else asdict(self.settle)
+        record["settle"] = (
+            None
+            if self.settle is None
+            else {name: getattr(self.settle, name) for name in SettleSummary.__slots__}
+        )
         return record
 
     @classmethod

@@ -79,7 +79,7 @@ def test_a_clock_is_reported_with_its_offset_and_the_drift_from_trial_to_trial()
     view = sweep_view(lambda c: 0.0, {"f": [1, 2]}, repeats=3)
 
     class OwnClock(MemoryRun):
-        def streams(self, index):
+        def signals(self, index):
             stream = super().signals(index)["wrench"]
             host_time_s = stream.host_time_s + 60.0 * index
             device_time_s = (host_time_s + 12.0) * (1 - self.drift)
