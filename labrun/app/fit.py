@@ -3,6 +3,7 @@
 import json
 import secrets
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,14 @@ import numpy as np
 from labrun import registry
 from labrun.app.question import declared_plan, find_data, fit_plan
 from labrun.errors import RequestError
-from labrun.fit.method import GROUP, FitJob, FitPlan, Fitted, is_method, make_method
+from labrun.fit.method import GROUP, FitJob, FitPlan, is_method, make_method
 from labrun.fit.notes import Note, silent
+from labrun.fit.result import FitSummary
 from labrun.models import load_model, shipped_models
+from labrun.report.figures.fits import fit_figure
+from labrun.report.style import save
 from labrun.spec import apply_overrides, load_named
+from labrun.store.disk import replace_durably
 from labrun.store.recording import is_recording
 from labrun.toml import nearest
 
@@ -35,7 +40,7 @@ def fit(
     results: str | Path = "results",
     workspace: str | Path = ".",
     note: Note = silent,
-) -> Fitted:
+) -> FitSummary:
     """Fit a recording or a run, draw the figure, and keep both.
 
     Parameters
@@ -96,7 +101,11 @@ def fit(
     result = way(FitJob(folder, rng, further, given or plan.model, wired, starts, note, plan.settings_of))
     note("drawing")
     kept, stem = _output_folder(folder, result, results), _stem(result)
-    result = result.draw(kept, stem)
+    for name, text in result.files.items():
+        replace_durably(kept / name, text.encode())
+    drawn = fit_figure(result)
+    if drawn is not None:
+        result = replace(result, figure=save(drawn, kept / f"{stem}.png"))
     numbers = {
         **result.to_json(),
         "model": result.model_name,
@@ -145,17 +154,17 @@ def _require_known(name: str) -> None:
     )
 
 
-def _stem(result: Fitted) -> str:
+def _stem(result: FitSummary) -> str:
     """Return what the files of a fit are called: several fits of a run stand side by side."""
     name = result.model_name if result.method == "model" else result.method
     return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name) or "model"
 
 
-def _output_folder(target: Path, result: Fitted, results: Path) -> Path:
-    if result.kind == "run":
+def _output_folder(target: Path, result: FitSummary, results: Path) -> Path:
+    if result.data.kind == "run":
         folder = (target.parent if target.is_file() else target) / "fit"
     else:
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-        folder = results / result.data_name / f"fit-{stamp}-{secrets.token_hex(2)}"
+        folder = results / result.data.name / f"fit-{stamp}-{secrets.token_hex(2)}"
     folder.mkdir(parents=True, exist_ok=True)
     return folder

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from labrun import registry
 from labrun.errors import RequestError
 from labrun.fit.notes import Note, silent
+from labrun.fit.result import FitSummary
 from labrun.toml import dotted, validate
 
 if TYPE_CHECKING:
@@ -72,50 +73,10 @@ class FitJob:
     settings_of: Callable[[str], Mapping[str, Any]] = lambda _: {}
 
 
-class Fitted(Protocol):
-    """What every fit gives back; `FitResult` and `FitSummary` are two."""
-
-    @property
-    def method(self) -> str:
-        """The fit's name."""
-        ...
-
-    @property
-    def model_name(self) -> str:
-        """What was fitted."""
-        ...
-
-    @property
-    def data_name(self) -> str:
-        """Name of the run or recording."""
-        ...
-
-    @property
-    def kind(self) -> Literal["recording", "run"]:
-        """What the data are."""
-        ...
-
-    def to_json(self) -> dict[str, Any]:
-        """Return parameters, rmse, figure and warnings: what ``labrun fit --json`` prints."""
-        ...
-
-    def to_text(self, width: int | None = None) -> str:
-        """Return what ``labrun fit`` prints."""
-        ...
-
-    def record(self) -> dict[str, Any]:
-        """Return what is stored with the numbers of `to_json`, JSON-ready."""
-        ...
-
-    def draw(self, folder: Path, stem: str) -> Self:
-        """Write the figure ``<stem>.png`` and any other file into `folder`; return the result that names them."""
-        ...
-
-
 class FitMethod(Protocol):
     """A way of fitting with its settings."""
 
-    def __call__(self, job: FitJob) -> Fitted:
+    def __call__(self, job: FitJob) -> FitSummary:
         """Fit.
 
         Raises

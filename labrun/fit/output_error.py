@@ -22,7 +22,7 @@ from labrun.fit.levenberg_marquardt import minimise
 from labrun.fit.notes import Note, silent
 from labrun.fit.problem import OutputNoise, Problem
 from labrun.fit.resampling import resample_trials
-from labrun.fit.result import FitResult, StartOutcome
+from labrun.fit.result import FitResult, FittedData, StartOutcome
 from labrun.fit.search import Minimum, search
 
 if TYPE_CHECKING:
@@ -192,7 +192,18 @@ def _result(
     fixed = {parameter.name: parameter.value for parameter in model.parameters if parameter.tolerance == 0}
     states = tuple(problem.initial_state(index, own) for index, own in enumerate(owns))
     return FitResult(
-        method, model.name, dataset, estimates, fixed, rmse, simulated, states, tuple(warnings), outcomes
+        method=method,
+        model_name=model.name,
+        data=FittedData.of(dataset),
+        dataset=dataset,
+        parameters=estimates,
+        fixed=fixed,
+        rmse=rmse,
+        rmse_units={output.name: output.unit for output in dataset.outputs},
+        simulated=simulated,
+        initial_states=states,
+        warnings=tuple(warnings),
+        starts=outcomes,
     )
 
 

@@ -1,19 +1,132 @@
-"""What a fit found, for scripts and for people."""
+"""What a fit found, as data and as aligned text: estimates, residuals, findings, warnings, files, a figure."""
 
 import shutil
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from labrun.arrays import FloatArray
 from labrun.fit.dataset import Dataset
-from labrun.fit.estimate import Estimate, parameters_json
-from labrun.fit.text import estimate_lines, heading, rmse_lines, told_lines
+from labrun.fit.estimate import Estimate, parameters_json, rounded
+from labrun.fit.figure import FigureData
 
-FloatArray = NDArray[np.float64]
+
+@dataclass(frozen=True, slots=True)
+class FittedData:
+    """What was fitted: name of the run or recording, and how many of its trials."""
+
+    name: str
+    kind: Literal["recording", "run"]
+    trials: int
+    left_out: int = 0
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> "FittedData":
+        """Return what a dataset holds."""
+        return cls(dataset.name, dataset.kind, len(dataset.trials), dataset.left_out)
+
+
+@dataclass(frozen=True, slots=True)
+class TextTable:
+    """A table worth a look: a title, a heading for each column, rows of text."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def lines(self) -> list[str]:
+        """Return it as aligned text."""
+        return ["", f"  {self.title}", *_aligned([self.header, *self.rows])]
+
+
+@dataclass(frozen=True, slots=True)
+class FitSummary:
+    """What a fit found; what every way of fitting gives back.
+
+    Attributes
+    ----------
+    method, model_name, data
+        Which fit, of what, to what.
+    parameters
+        Estimates with 95 % intervals.
+    rmse, rmse_units
+        Root mean square residual per output, and its unit.
+    fixed
+        Values that were taken as they stand.
+    tables
+        What a person compares, shown below the estimates and stored.
+    findings, warnings
+        Sentences: what the data show, and what to know before trusting the numbers.
+    details
+        Anything else that is stored, JSON-ready.
+    files
+        Further files that are written beside the figure: name -> text.
+    figure_data
+        Makes what the figure shows; None if there is nothing to show but what the report knows to draw.
+    figure
+        Path of the figure, once drawn.
+    """
+
+    method: str
+    model_name: str
+    data: FittedData
+    parameters: Mapping[str, Estimate]
+    rmse: Mapping[str, float] = field(default_factory=dict)
+    rmse_units: Mapping[str, str] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    tables: tuple[TextTable, ...] = ()
+    findings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    details: Mapping[str, Any] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
+    figure_data: Callable[[], FigureData] | None = None
+    figure: Path | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return parameters, rmse, figure and warnings: what ``labrun fit --json`` prints."""
+        return {
+            "parameters": parameters_json(self.parameters),
+            "rmse": dict(self.rmse),
+            "figure": None if self.figure is None else str(self.figure),
+            "warnings": list(self.warnings),
+        }
+
+    def record(self) -> dict[str, Any]:
+        """Return what is stored with the numbers of `to_json`, JSON-ready."""
+        tables = [
+            {"title": table.title, "header": list(table.header), "rows": [list(row) for row in table.rows]}
+            for table in self.tables
+        ]
+        return {
+            "fixed": dict(self.fixed),
+            "findings": list(self.findings),
+            "tables": tables,
+            **self.details,
+        }
+
+    def to_text(self, width: int | None = None) -> str:
+        """Return what ``labrun fit`` prints; sentences are wrapped at `width`, the terminal's if None."""
+        width = shutil.get_terminal_size((100, 24)).columns if width is None else width
+        data = self.data
+        without = f", {data.left_out} left out" if data.left_out else ""
+        trials = f"{data.trials} trial{'s' * (data.trials != 1)}{without}"
+        lines = [f"{self.model_name} fitted to {data.name}: {trials}", ""]
+        lines += _estimate_lines(self.parameters, self.fixed)
+        if self.rmse:
+            lines += ["", "  root mean square of measured - simulated"]
+        for name, value in self.rmse.items():
+            lines.append(f"    {name}: {value:.4g} {self.rmse_units.get(name, '')}".rstrip())
+        for table in self.tables:
+            lines += table.lines()
+        lines += _sentences(self.findings, self.warnings, width)
+        if self.figure is not None:
+            lines += ["", f"  figure: {self.figure}"]
+            lines += [
+                f"  {Path(name).suffix.lstrip('.')}: {self.figure.parent / name}" for name in self.files
+            ]
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,56 +138,28 @@ class StartOutcome:
     misfit: float
 
 
-@dataclass(frozen=True, slots=True)
-class FitResult:
-    """A fitted model.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FitResult(FitSummary):
+    """A fitted model, simulated beside its data.
 
     Attributes
     ----------
-    method
-        "model" (output error) or "hinge".
-    parameters
-        Estimates, in the model's order; parameters that were fixed (tolerance 0) are not among them.
-    fixed
-        Values that were taken as they stand.
-    rmse
-        Per output channel, in its unit, over all samples of all trials.
+    dataset
+        What was fitted.
     simulated : per trial (n, m)
         Outputs of the fitted model, beside `dataset.trials[i].outputs`.
     initial_states : per trial (k,)
-    warnings
-        What the data could not determine, and what else a person should know before trusting the numbers.
-    figure
-        Path of the picture, once drawn.
-    findings
-        What else the data show, in sentences.
+    starts
+        Where each start of the search ended.
     by_trial
         Estimates of every trial by itself, where the method makes them.
     """
 
-    method: str
-    model_name: str
     dataset: Dataset
-    parameters: Mapping[str, Estimate]
-    fixed: Mapping[str, float]
-    rmse: Mapping[str, float]
     simulated: tuple[FloatArray, ...]
     initial_states: tuple[FloatArray, ...]
-    warnings: tuple[str, ...] = ()
-    starts: tuple[StartOutcome, ...] = field(default=())
-    figure: Path | None = None
-    findings: tuple[str, ...] = ()
+    starts: tuple[StartOutcome, ...] = ()
     by_trial: tuple[Mapping[str, float], ...] = ()
-
-    @property
-    def data_name(self) -> str:
-        """Name of the run or recording."""
-        return self.dataset.name
-
-    @property
-    def kind(self) -> Literal["recording", "run"]:
-        """What the data are."""
-        return self.dataset.kind
 
     @property
     def residuals(self) -> tuple[FloatArray, ...]:
@@ -82,52 +167,45 @@ class FitResult:
         pairs = zip(self.dataset.trials, self.simulated, strict=True)
         return tuple(trial.outputs - simulated for trial, simulated in pairs)
 
-    def to_json(self) -> dict[str, Any]:
-        """Return what ``labrun fit --json`` prints."""
-        return {
-            "parameters": parameters_json(self.parameters),
-            "rmse": dict(self.rmse),
-            "figure": None if self.figure is None else str(self.figure),
-            "warnings": list(self.warnings),
-        }
-
-    def to_text(self, width: int | None = None) -> str:
-        """Return what ``labrun fit`` prints: the table, and where the figure is.
-
-        Parameters
-        ----------
-        width
-            Columns to wrap sentences at; those of the terminal if None.
-        """
-        width = shutil.get_terminal_size((100, 24)).columns if width is None else width
-        return self.table(width) + (f"\n\n  figure: {self.figure}" if self.figure is not None else "")
-
-    def table(self, width: int = 100) -> str:
-        """Return the estimates as aligned text for a terminal."""
-        units = {output.name: output.unit for output in self.dataset.outputs}
-        return "\n".join(
-            [
-                heading(self.model_name, self.dataset.name, len(self.dataset.trials), self.dataset.left_out),
-                "",
-                *estimate_lines(self.parameters, self.fixed),
-                *rmse_lines(self.rmse, units),
-                *told_lines(self.findings, self.warnings, width),
-            ]
-        )
-
     def record(self) -> dict[str, Any]:
         """Return what is stored with the numbers of `to_json`."""
+        pairs = zip(self.dataset.trials, self.by_trial, strict=False)
         return {
             "fixed": dict(self.fixed),
             "findings": list(self.findings),
-            "by_trial": [
-                {"trial": trial.label, **found}
-                for trial, found in zip(self.dataset.trials, self.by_trial, strict=False)
-            ],
+            "by_trial": [{"trial": trial.label, **found} for trial, found in pairs],
         }
 
-    def draw(self, folder: Path, stem: str) -> "FitResult":
-        """Draw overlay and residuals into ``<folder>/<stem>.png``, and return the result with its figure."""
-        from labrun.fit.figure import draw_fit
 
-        return replace(self, figure=draw_fit(self, folder / f"{stem}.png"))
+def _estimate_lines(parameters: Mapping[str, Estimate], fixed: Mapping[str, float]) -> list[str]:
+    """Return the table of estimates with intervals, and of the values that were taken as given."""
+    rows = [("", "value", "95 % interval", "")]
+    for name, estimate in parameters.items():
+        value, low, high = rounded(estimate)
+        rows.append((name, value, f"{low} ... {high}", estimate.unit))
+    rows += [(name, f"{value:.6g}", "as given", "") for name, value in fixed.items()]
+    return _aligned(rows, left=(0, 2, 3))
+
+
+def _aligned(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> list[str]:
+    """Return rows in columns two spaces apart; the columns of `left` begin flush, the others end so."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        cells = [
+            f"{cell:<{width}}" if column in left else f"{cell:>{width}}"
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append(f"  {'  '.join(cells)}".rstrip())
+    return lines
+
+
+def _sentences(findings: Sequence[str], warnings: Sequence[str], width: int) -> list[str]:
+    """Return findings and warnings, wrapped."""
+    marked = [("- ", finding) for finding in findings] + [("! ", warning) for warning in warnings]
+    lines = [""] if marked else []
+    for mark, sentence in marked:
+        lines += textwrap.wrap(
+            sentence, width, initial_indent=f"  {mark}", subsequent_indent="    ", break_on_hyphens=False
+        )
+    return lines

@@ -79,14 +79,23 @@ def save(figure: "Figure", path: Path) -> Path:
     return path
 
 
+def heading_height_in(width_in: float, subtitle: str) -> float:
+    """Return what `heading` takes of a figure's height, inches."""
+    return _HEADING_IN + _LINE_IN * len(_wrapped(subtitle, width_in))
+
+
+def _wrapped(subtitle: str, width_in: float) -> list[str]:
+    whole = subtitle.replace(" = ", "\u00a0=\u00a0")  # a line never ends between a name and its value
+    return textwrap.wrap(whole, int(width_in * _CHARACTERS_PER_IN), break_on_hyphens=False)
+
+
 def heading(figure: "Figure", title: str, subtitle: str) -> None:
     """Put the title, and below it what the reader has to know, over the whole figure."""
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     width, height = (float(side) for side in figure.get_size_inches())
-    whole = subtitle.replace(" = ", "\u00a0=\u00a0")  # a line never ends between a name and its value
-    lines = textwrap.wrap(whole, int(width * _CHARACTERS_PER_IN), break_on_hyphens=False)
-    band = (_HEADING_IN + _LINE_IN * len(lines)) / height
+    lines = _wrapped(subtitle, width)
+    band = heading_height_in(width, subtitle) / height
     engine = figure.get_layout_engine()
     if isinstance(engine, ConstrainedLayoutEngine):
         engine.set(rect=(0.0, 0.0, 1.0, 1.0 - band))

@@ -19,7 +19,7 @@ from labrun.control.pid import PidController
 from labrun.control.protocol import LoopContext, Step
 from labrun.errors import FitError, RequestError
 from labrun.fit.estimate import Estimate
-from labrun.fit.summary import FitSummary, FittedData
+from labrun.fit.result import FitSummary, FittedData
 from labrun.fit.transfer import TransferFunction
 from labrun.fit.transfer.summary import TransferSummary
 from labrun.fit.tuning.closed_loop import Gains, run_loop, steady_error
@@ -450,14 +450,16 @@ def test_an_unstable_controller_is_named_and_left_out_of_the_file():
     assert "wild" in result.to_text()
 
 
-def test_what_is_stored_is_json_without_infinities(fin, tmp_path):
-    result = summary_of(fin).draw(tmp_path, "pid")
+def test_what_is_stored_is_json_without_infinities_and_what_is_shown_has_values(fin):
+    result = summary_of(fin)
     stored = json.loads(json.dumps({**result.to_json(), **result.record()}, allow_nan=False))
     assert stored["recommended"] == fin.best
     assert stored["designs"]["p-optimum"]["gain_margin"] >= 2.0
     assert stored["loop"]["effective_dead_s"] == pytest.approx(BENCH.delay_s)
-    assert result.figure.read_bytes().startswith(b"\x89PNG")
-    assert (tmp_path / "pid.toml").is_file()
+    panels = [panel for row in result.figure_data().rows for stack in row for panel in stack.panels]
+    assert len(panels) == 5
+    assert all(np.isfinite(curve.y).any() for panel in panels for curve in panel.curves)
+    assert set(result.files) == {"pid.toml"}
 
 
 def test_settings_that_do_not_fit_together_are_refused():

@@ -1,7 +1,6 @@
 """A fit from what a person names to numbers, picture and text."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +10,7 @@ from swings import dataset_of, swing
 from labrun.app.fit import fit
 from labrun.errors import RequestError
 from labrun.fit.estimate import Estimate, rounded
-from labrun.fit.figure import draw_fit, shown_trials
-from labrun.fit.result import FitResult
+from labrun.fit.result import FitSummary, FittedData
 from labrun.store.importing import import_recording
 
 MODEL = """
@@ -113,8 +111,9 @@ def test_the_text_tells_everything_the_numbers_do(recording: Path, tmp_path: Pat
 
 def test_sentences_are_wrapped_at_the_width_of_the_terminal() -> None:
     dataset = dataset_of([swing(0.5, duration_s=1.0, rate_hz=50.0)])
-    result = FitResult(
-        "hinge", "hinge", dataset, {}, {}, {"angle": 0.01}, (), (), ("long " * 40,), findings=("also " * 30,)
+    data = FittedData.of(dataset)
+    result = FitSummary(
+        "hinge", "hinge", data, {}, {"angle": 0.01}, warnings=("long " * 40,), findings=("also " * 30,)
     )
     lines = result.to_text(60).split("\n")
     assert max(map(len, lines)) <= 60
@@ -139,31 +138,6 @@ def test_a_target_that_is_not_there_and_a_method_unknown_are_refused(recording: 
         fit(tmp_path / "nothing")
     with pytest.raises(RequestError, match="unknown fit plugin"):
         fit(recording, method="spline")
-
-
-def test_the_figure_shows_the_worst_and_the_best_trial() -> None:
-    misfit = np.array([3.0, 1.0, 9.0, 2.0, 5.0, 4.0, 0.5, 6.0])
-    shown, marks = shown_trials(misfit, most=6)
-    assert len(shown) == 6
-    assert shown == sorted(shown)
-    assert marks == {2: "worst", 6: "best"}
-    assert shown_trials(np.array([1.0])) == ([0], {})
-
-
-@pytest.mark.parametrize("trials", [1, 2, 4, 5, 9])
-def test_any_number_of_trials_and_outputs_can_be_drawn(trials: int, tmp_path: Path) -> None:
-    one = dataset_of([swing(0.5, duration_s=1.0, rate_hz=50.0)] * trials)
-    two = replace(
-        one,
-        outputs=(one.outputs[0], replace(one.outputs[0], name="force", unit="N")),
-        trials=tuple(replace(trial, outputs=np.repeat(trial.outputs, 2, axis=1)) for trial in one.trials),
-    )
-    for dataset in (one, two):
-        names = [output.name for output in dataset.outputs]
-        simulated = tuple(0.9 * trial.outputs for trial in dataset.trials)
-        rmse = dict.fromkeys(names, 0.05)
-        result = FitResult("model", "m", dataset, {}, {}, rmse, simulated, ())
-        assert draw_fit(result, tmp_path / f"{len(names)}.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(

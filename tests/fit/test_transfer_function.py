@@ -10,9 +10,9 @@ from scipy.signal import lsim
 from labrun.app.fit import fit as run_fit
 from labrun.fit.transfer import TransferFunction
 from labrun.fit.transfer.estimation import ResponseTrial, Shape
+from labrun.fit.transfer.figure import response_figure
 from labrun.fit.transfer.fitting import compare_orders, fit_transfer, unconverged
 from labrun.fit.transfer.method import TransferFunctionFit, TransferFunctionSettings
-from labrun.fit.transfer.picture import draw_responses
 from labrun.fit.transfer.summary import warnings_of
 
 TIME_S = np.arange(0.0, 10.0, 0.02)
@@ -88,10 +88,10 @@ def test_the_picture_shows_an_answer_from_where_it_is_fitted_on():
         replace(one, used=TIME_S >= 3.0) for one in trials_of(TransferFunction((1.5,), (0.04, 0.2, 1.0)), rng)
     ]
     fit = fit_transfer(trials, Shape(2, 0, dead_time=False, initial="free"), rng=rng, starts=1)
-    overlay = draw_responses({"force": fit}, "a fit").axes[0]
-    fitted = [line for line in overlay.lines if len(line.get_xdata()) < len(TIME_S)]
+    overlay = response_figure({"force": fit}, "a fit").rows[0][0].panels[0]
+    fitted = [curve for curve in overlay.curves if curve.role == "fitted"]
     assert len(fitted) == len(trials)
-    assert all(line.get_xdata()[0] == pytest.approx(3.0) for line in fitted)
+    assert all(curve.x[0] == pytest.approx(3.0) for curve in fitted)
 
 
 def test_an_order_that_left_more_than_one_it_contains_did_not_converge():

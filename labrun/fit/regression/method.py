@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFlo
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.fit.estimate import Estimate
+from labrun.fit.figure import Curve, FigureData, Panel, Role, Stack
 from labrun.fit.method import FitJob
-from labrun.fit.regression.figure import draw_baskets
 from labrun.fit.regression.least_squares import (
     BASKETS,
     Regression,
@@ -21,9 +21,9 @@ from labrun.fit.regression.least_squares import (
     regress,
     term_values,
 )
+from labrun.fit.result import FitSummary, FittedData, TextTable
 from labrun.fit.signal_table import SignalTable
 from labrun.fit.signals import SignalSet, SignalTrial, load_signals, trailing_mean
-from labrun.fit.summary import FitSummary, FittedData, TextTable
 
 _ENDS = 4
 _FEW = 3
@@ -213,6 +213,8 @@ def _summary(
 ) -> FitSummary:
     first = data.trials[0]
     start = _skip(first, settings)
+    title = f"Terms regressed on {data.name}\ntaken: {{{taken}}}"
+    title += "" if best == taken else f"; least error: {{{best}}}"
     output_units = {name: data.units[name] for name in solved}
     units = {**data.units, **settings.units}
     terms = [*settings.baskets[taken], *["1"] * settings.intercept]
@@ -278,8 +280,8 @@ def _summary(
             "mae": {output: {name: one.mae for name, one in of.items()} for output, of in solved.items()},
             "condition": dict(conditions),
         },
-        picture=lambda: draw_baskets(
-            first.time_s[start:], measured, solved, conditions, taken, best, next(iter(output_units.values()))
+        figure_data=lambda: _figure(
+            first.time_s[start:], measured, solved, conditions, taken, best, output_units, title
         ),
     )
 
@@ -306,3 +308,48 @@ def _reason(
     near = "its X'X is near singular, so its coefficients hold for these inputs only"
     why = near if conditions[best] > settings.largest_condition else "the gain is within one standard error"
     return f"{text}. {{{best}}} has a lower cross-validated error ({gains}), but {why}"
+
+
+def _figure(
+    time_s: FloatArray,
+    measured: Mapping[str, FloatArray],
+    solved: Mapping[str, Mapping[str, Regression]],
+    conditions: Mapping[str, float],
+    taken: str,
+    best: str,
+    units: Mapping[str, str],
+    title: str,
+) -> FigureData:
+    """Return the first trial's outputs over `time_s` with the residual, and the errors of every set of terms."""
+    over_time, merits = [], []
+    count = len(time_s)
+    ticks = tuple(f"{name}\ncond {value:.0e}" for name, value in conditions.items())
+    for output, of in solved.items():
+        values, unit = measured[output][:count], units[output]
+        shown: list[tuple[str, Role]] = (
+            [(taken, "fitted")] if best == taken else [(best, "alternative"), (taken, "fitted")]
+        )
+        fitted = [Curve(time_s, of[name].fitted[:count], role, name) for name, role in shown]
+        upper = Panel(
+            (Curve(time_s, values, "measured", "measured", bold=True), *fitted),
+            title=f"{output}, first trial",
+            y_label=f"{output}, {unit}",
+            height=2.0,
+        )
+        rest = tuple(Curve(time_s, values - curve.y, curve.role) for curve in fitted)
+        lower = Panel(rest, x_label="time, s", y_label=f"residual, {unit}", zero=True)
+        over_time.append(Stack((upper, lower), width=1.4))
+        at = np.arange(len(of), dtype=float)
+        cv, error = (np.array([getattr(one, key) for one in of.values()]) for key in ("cv", "cv_error"))
+        bars = (
+            Curve(at - 0.2, np.array([one.mae for one in of.values()]), "measured", "MAE", kind="bars"),
+            Curve(at + 0.2, cv, "residual", "cross-validated", kind="bars", spread=(cv - error, cv + error)),
+        )
+        top = 1.45 * float(np.max(cv + error))
+        merits.append(
+            Stack(
+                (Panel(bars, y_label=f"mean absolute error, {unit}", y_range=(0.0, top), ticks=ticks),),
+                width=1.4,
+            )
+        )
+    return FigureData(title, (tuple(over_time), tuple(merits)), row_height_in=4.0)

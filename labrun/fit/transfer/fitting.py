@@ -11,7 +11,7 @@ from labrun.errors import FitError
 from labrun.fit.correlation import correlation_length
 from labrun.fit.estimate import Estimate
 from labrun.fit.resampling import resample_trials
-from labrun.fit.summary import TextTable
+from labrun.fit.result import TextTable
 from labrun.fit.transfer.estimation import (
     Point,
     ResponseTrial,

@@ -9,8 +9,9 @@ import tomli_w
 from labrun.arrays import FloatArray
 from labrun.fit.correlation import correlation_length
 from labrun.fit.estimate import Estimate, rounded
+from labrun.fit.result import FitSummary, FittedData, TextTable
 from labrun.fit.signals import SignalSet
-from labrun.fit.summary import FitSummary, FittedData, TextTable
+from labrun.fit.transfer.figure import response_figure
 from labrun.fit.transfer.fitting import TransferFit
 from labrun.fit.transfer.transfer_function import TransferFunction
 
@@ -53,8 +54,6 @@ def summarise(
     findings: Sequence[str] = (),
 ) -> TransferSummary:
     """Return the result of a fit of one or more responses."""
-    from labrun.fit.transfer.picture import draw_responses
-
     estimates: dict[str, dict[str, Estimate]] = {}
     written = {}
     said = list(findings)
@@ -91,7 +90,7 @@ def summarise(
         warnings=tuple(warned),
         details={"transfer": written},
         files={f"{method}.toml": f"# labrun fit: {title}\n\n{tomli_w.dumps(written)}"},
-        picture=lambda: draw_responses(fits, title),
+        figure_data=lambda: response_figure(fits, title),
         transfers={name: fit.transfer for name, fit in fits.items()},
         resampled={name: fit.resampled() for name, fit in fits.items()},
         estimates=estimates,

@@ -1,56 +1,27 @@
 """The picture of a design: predicted steps, the drive, the open loop around -1, the reference followed."""
 
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
-from labrun.fit.figure import _STYLE
+from labrun.arrays import FloatArray
+from labrun.fit.figure import Curve, FigureData, Panel, Stack
 from labrun.fit.tuning.designs import Design, HalfSine
-from labrun.fit.tuning.study import Study
+from labrun.fit.tuning.study import UNBOUNDED, Study
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#6a51a3")
-"""Okabe & Ito (2008), told apart by all common kinds of colour vision; as in the report's figures."""
-_DASHES = ((0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)), (0, (9, 3)))
-"""Of the designs that were given; the others are drawn through."""
-_MOST = len(_COLOURS)
-_INK, _FAINT = "#1f2933", "#7b8794"
+_MOST = 5
 
 
-def draw_designs(study: Study, title: str) -> "Figure":
-    """Return the figure: step and drive of the designs, Nyquist curves with margins, and tracking if there is any."""
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
+def design_figure(study: Study, title: str) -> FigureData:
+    """Return step and drive of the designs, Nyquist curves with margins, and tracking if there is any."""
     shown = shown_designs(study)
-    looks = _looks(shown, study)
-    rows = 2 if study.errors else 1
-    with rc_context(cast("Any", _STYLE)):
-        figure = Figure(figsize=(10.5, 1.35 + 3.75 * rows), dpi=150)
-        FigureCanvasAgg(figure)
-        grid = figure.add_gridspec(
-            rows, 2, left=0.07, right=0.985, bottom=0.09 if rows == 2 else 0.15,
-            top=1.0 - 1.15 / (1.35 + 3.75 * rows), wspace=0.2, hspace=0.32,
-        )  # fmt: skip
-        left = grid[0, 0].subgridspec(2, 1, height_ratios=(1.5, 1), hspace=0.12)
-        upper, lower = figure.add_subplot(left[0]), figure.add_subplot(left[1])
-        _step(upper, lower, study, shown, looks)
-        _nyquist(figure.add_subplot(grid[0, 1]), study, shown, looks)
-        if study.errors:
-            _follow(figure.add_subplot(grid[1, 0]), study, shown, looks, error=False)
-            _follow(figure.add_subplot(grid[1, 1]), study, shown, looks, error=True)
-        height = figure.get_size_inches()[1]
-        figure.text(0.012, 1 - 0.1 / height, title, fontsize=10, va="top", linespacing=1.5)
-        handles, labels = upper.get_legend_handles_labels()
-        figure.legend(
-            handles, labels, loc="upper left", bbox_to_anchor=(0.06, 1 - 0.52 / height), ncols=len(labels),
-            fontsize=8, handlelength=2.6, columnspacing=1.3,
-        )  # fmt: skip
-    return figure
+    rows: list[tuple[Stack, ...]] = [
+        (Stack(_step_panels(study, shown), width=1.5), Stack((_nyquist(study, shown),), width=1.5))
+    ]
+    if study.errors:
+        rows.append(tuple(Stack((panel,), width=1.5) for panel in _following(study, shown)))
+    return FigureData(title, tuple(rows), legend="top", row_height_in=4.2)
 
 
 def shown_designs(study: Study) -> list[Design]:
@@ -65,127 +36,124 @@ def shown_designs(study: Study) -> list[Design]:
     return [*best, *written, *others][:_MOST]
 
 
-def _looks(shown: list[Design], study: Study) -> dict[str, dict[str, Any]]:
-    """Return colour, width and dashes of each design's lines."""
-    dashes = iter(_DASHES)
-    return {
-        one.name: {
-            "color": colour,
-            "linewidth": 2.2 if one.name == study.best else 1.2,
-            "linestyle": next(dashes) if one.source == "given" else "solid",
-        }
-        for one, colour in zip(shown, _COLOURS, strict=False)
-    }
+def _curve(
+    study: Study,
+    place: int,
+    design: Design,
+    x: FloatArray,
+    y: FloatArray,
+    kind: Literal["line", "steps"] = "line",
+) -> Curve:
+    """Return a curve in the look of its design: the recommended one bold, those that were given dashed."""
+    best = design.name == study.best
+    label = f"{design.name} *" if best else design.name
+    return Curve(x, y, place, label, kind, bold=best, dashed=design.source == "given")
 
 
-def _step(
-    upper: "Axes", lower: "Axes", study: Study, shown: list[Design], looks: dict[str, dict[str, Any]]
-) -> None:
+def _step_panels(study: Study, shown: Sequence[Design]) -> tuple[Panel, Panel]:
     plant = study.loop.plant
     settled = [one.figures.settling_s for one in shown if np.isfinite(one.figures.settling_s)]
     # most of the designs to their end; one slow integral must not squeeze the others
     until = 1.6 * float(np.median(settled)) if settled else float(shown[0].step.time_s[-1]) if shown else 1.0
     until = max(until, 6.0 * study.loop.delay_s)
-    highest = 1.0
-    for one in shown:
-        track = one.step
-        inside = track.time_s <= until
-        highest = max(highest, float(np.max(track.output[inside])))
-        label = f"{one.name} *" if one.name == study.best else one.name
-        upper.plot(
-            track.time_s[inside],
-            track.output[inside],
-            label=label,
-            **looks[one.name],
-        )
-        lower.step(
-            track.time_s[inside], track.drive[inside], where="post", **looks[one.name],
-        )  # fmt: skip
-    upper.axhline(1.0, color=_INK, linewidth=0.7, linestyle=(0, (4, 3)))
-    upper.set_ylim(-0.05, 1.08 * highest)
-    drives = np.concatenate([one.step.drive[1:] for one in shown]) if shown else np.zeros(1)
-    room = 0.12 * float(np.ptp(drives) or 1.0)
-    lower.set_ylim(min(0.0, float(np.min(drives))) - 0.3 * room, float(np.max(drives)) + room)
-    upper.tick_params(labelbottom=False)
-    for axes in (upper, lower):
-        axes.set_xlim(0.0, until)
-    upper.set_title("predicted step of the reference", loc="left", fontweight="bold")
-    upper.set_ylabel(f"output, {plant.output_unit}\nper {plant.output_unit}")
-    lower.set_ylabel(f"drive, {plant.input_unit}\nper {plant.output_unit}")
-    lower.set_xlabel("time, s")
+    outputs, drives = [], []
+    for place, one in enumerate(shown):
+        inside = one.step.time_s <= until
+        time_s = one.step.time_s[inside]
+        outputs.append(_curve(study, place, one, time_s, one.step.output[inside]))
+        drives.append(_curve(study, place, one, time_s, one.step.drive[inside], "steps"))
+    highest = max([1.0, *(float(np.max(curve.y)) for curve in outputs)])
+    # the first value of a derivative is a kick that would hide the rest
+    values = np.concatenate([one.step.drive[1:] for one in shown]) if shown else np.zeros(1)
+    room = 0.12 * float(np.ptp(values) or 1.0)
+    level = Curve(np.array([0.0, until]), np.ones(2), "limit", dashed=True)
+    return (
+        Panel(
+            (*outputs, level),
+            title="predicted step of the reference",
+            y_label=f"output, {plant.output_unit}\nper {plant.output_unit}",
+            x_range=(0.0, until),
+            y_range=(-0.05, 1.08 * highest),
+            height=1.5,
+        ),
+        Panel(
+            tuple(drives),
+            x_label="time, s",
+            y_label=f"drive, {plant.input_unit}\nper {plant.output_unit}",
+            x_range=(0.0, until),
+            y_range=(min(0.0, float(np.min(values))) - 0.3 * room, float(np.max(values)) + room),
+        ),
+    )
 
 
-def _nyquist(axes: "Axes", study: Study, shown: list[Design], looks: dict[str, dict[str, Any]]) -> None:
-    settings = study.settings
+def _nyquist(study: Study, shown: Sequence[Design]) -> Panel:
+    settings, loop = study.settings, study.loop
     angle = np.linspace(0, 2 * np.pi, 361)
-    axes.plot(np.cos(angle), np.sin(angle), color=_FAINT, linewidth=0.7, linestyle=(0, (4, 3)))
-    axes.plot([-1.0], [0.0], marker="+", markersize=9, color=_INK, markeredgewidth=1.4)
     # what the margins that were asked for forbid
     spare = np.radians(settings.phase_margin_deg)
     wedge = np.linspace(np.pi - spare, np.pi + spare, 61)
-    axes.plot(np.cos(wedge), np.sin(wedge), color=_INK, linewidth=2.2, solid_capstyle="butt")
-    axes.plot(
-        [-1.6, -1.0 / settings.gain_margin], [0.0, 0.0], color=_INK, linewidth=2.2, solid_capstyle="butt"
-    )
-    for one in shown:
-        curve = (
-            one.gains.frequency_response(study.loop.grid_rad_s, study.loop.step_s) * study.loop.grid_response
-        )
-        axes.plot(curve.real, curve.imag, **looks[one.name])
+    limits = [
+        Curve(np.cos(angle), np.sin(angle), "limit", dashed=True),
+        Curve(np.cos(wedge), np.sin(wedge), "limit", bold=True),
+        Curve(np.array([-1.6, -1.0 / settings.gain_margin]), np.zeros(2), "limit", bold=True),
+        Curve(np.array([-1.0]), np.zeros(1), "limit", kind="points"),
+    ]
+    curves = []
+    for place, one in enumerate(shown):
+        curve = one.gains.frequency_response(loop.grid_rad_s, loop.step_s) * loop.grid_response
+        curves.append(_curve(study, place, one, curve.real, curve.imag))
         if one.margins.gain < 1e3:
-            axes.plot(
-                [-1.0 / one.margins.gain], [0.0], marker="o", markersize=3.5, color=looks[one.name]["color"]
-            )
-    axes.text(-1.06, 0.08, "\N{MINUS SIGN}1", ha="right", fontsize=8)
-    axes.set_xlim(-1.6, 1.6)
-    axes.set_ylim(-1.9, 1.1)
-    axes.set_aspect("equal", adjustable="box", anchor="W")
-    axes.set_xlabel("real part of the open loop")
-    axes.set_ylabel("imaginary part")
-    axes.set_title(
-        f"open loop at {settings.rate_hz:g} Hz; black: gain margin {settings.gain_margin:g}, "
-        f"phase margin {settings.phase_margin_deg:g}\N{DEGREE SIGN}",
-        loc="left",
-        fontweight="bold",
+            curves.append(Curve(np.array([-1.0 / one.margins.gain]), np.zeros(1), place, kind="points"))
+    return Panel(
+        (*limits, *curves),
+        title=f"open loop at {settings.rate_hz:g} Hz; black: margins {settings.gain_margin:g}, "
+        f"{settings.phase_margin_deg:g}\N{DEGREE SIGN}",
+        x_label="real part of the open loop",
+        y_label="imaginary part",
+        x_range=(-1.6, 1.6),
+        y_range=(-1.9, 1.1),
+        equal=True,
     )
 
 
-def _follow(
-    axes: "Axes", study: Study, shown: list[Design], looks: dict[str, dict[str, Any]], *, error: bool
-) -> None:
-    table = study.settings.reference
-    if table is None:
-        return
-    plant = study.loop.plant
+def _following(study: Study, shown: Sequence[Design]) -> tuple[Panel, ...]:
+    """Return the reference followed, and its error, on a plant whose gain is below the model's."""
+    table, plant, settings = study.settings.reference, study.loop.plant, study.settings
+    if table is None or not shown:
+        return ()
     reference = HalfSine(table.low, table.high, table.period_s)
-    bounds = study.settings.range or (-1e12, 1e12)
-    wrong = 1.0 - study.settings.gain_error
-    time_s = None
-    for one in shown:
-        track = one.follow(reference, bounds, wrong)
-        values = track.reference - track.output if error else track.output
-        axes.plot(track.time_s, values, **looks[one.name])
-        time_s = track.time_s
-        wanted = track.reference
-    if time_s is None:
-        return
-    axes.set_xlim(0.0, float(time_s[-1]))
-    axes.set_xlabel("time, s")
-    less = (
-        f", plant's gain {study.settings.gain_error:.0%} below the model's"
-        if study.settings.gain_error
+    tracks = [one.follow(reference, settings.range or UNBOUNDED, 1.0 - settings.gain_error) for one in shown]
+    outputs = [
+        _curve(study, place, one, track.time_s, track.output)
+        for place, (one, track) in enumerate(zip(shown, tracks, strict=True))
+    ]
+    errors = [
+        _curve(study, place, one, track.time_s, track.reference - track.output)
+        for place, (one, track) in enumerate(zip(shown, tracks, strict=True))
+    ]
+    wanted = Curve(tracks[-1].time_s, tracks[-1].reference, "limit", dashed=True)
+    span = (0.0, float(tracks[-1].time_s[-1]))
+    less = f", gain {settings.gain_error:.0%} below the model's" if settings.gain_error else ""
+    within = (
+        f", drive within {settings.range[0]:g} ... {settings.range[1]:g} {plant.input_unit}"
+        if settings.range
         else ""
     )
-    if error:
-        axes.axhline(0.0, color=_INK, linewidth=0.7)
-        axes.set_ylabel(f"reference less output, {plant.output_unit}")
-        within = (
-            f", drive within {bounds[0]:g} ... {bounds[1]:g} {plant.input_unit}"
-            if study.settings.range
-            else ""
-        )
-        axes.set_title(f"its error{within}", loc="left", fontweight="bold")
-        return
-    axes.plot(time_s, wanted, color=_INK, linewidth=0.9, linestyle=(0, (4, 3)))
-    axes.set_ylabel(f"output, {plant.output_unit}")
-    axes.set_title(f"reference followed{less}", loc="left", fontweight="bold")
+    unit = plant.output_unit
+    return (
+        Panel(
+            (*outputs, wanted),
+            title=f"reference followed{less}",
+            x_label="time, s",
+            y_label=f"output, {unit}",
+            x_range=span,
+        ),
+        Panel(
+            tuple(errors),
+            title=f"its error{within}",
+            x_label="time, s",
+            y_label=f"reference less output, {unit}",
+            x_range=span,
+            zero=True,
+        ),
+    )

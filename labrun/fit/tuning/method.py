@@ -3,25 +3,24 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from pydantic import BaseModel
 
 from labrun.errors import FitError, RequestError
 from labrun.fit.estimate import Estimate
-from labrun.fit.method import FitJob, Fitted, make_method
-from labrun.fit.summary import FitSummary, FittedData
+from labrun.fit.figure import FigureData
+from labrun.fit.method import FitJob, make_method
+from labrun.fit.result import FitSummary, FittedData
 from labrun.fit.transfer import TransferFunction, TransferSummary
 from labrun.fit.tuning import summary as words
 from labrun.fit.tuning.designs import as_json, controllers_toml
+from labrun.fit.tuning.figure import design_figure
 from labrun.fit.tuning.settings import PidSettings
 from labrun.fit.tuning.study import Study, study
 from labrun.store.reading import open_run
 from labrun.store.recording import is_recording
 from labrun.toml import nearest
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _LOOP_NAMES = {"magnitude": "force"}
 """What the loop around a response is called in the experiments that labrun brings along."""
@@ -102,7 +101,7 @@ def find_plant(job: FitJob, settings: PidSettings) -> Plant:
     return plant_of(fitted, settings.response, settings.resamples)
 
 
-def plant_of(fitted: Fitted, response: str | None, resamples: int) -> Plant:
+def plant_of(fitted: FitSummary, response: str | None, resamples: int) -> Plant:
     """Return a response of a fit as a plant, with others that its data do not rule out.
 
     Parameters
@@ -243,20 +242,17 @@ def summary(plant: Plant, found: Study) -> FitSummary:
         warnings=(*plant.warnings, *words.warnings(found)),
         details=details,
         files={"pid.toml": file},
-        picture=lambda: _picture(plant, found),
+        figure_data=lambda: _figure(plant, found),
     )
 
 
-def _picture(plant: Plant, found: Study) -> "Figure":
-    from labrun.fit.tuning.figure import draw_designs
-
+def _figure(plant: Plant, found: Study) -> FigureData:
     loop = found.loop
     feedback = f"mean over {loop.average_s:.3g} s" if loop.average_s else "latest sample"
     title = (
-        f"Controllers for {plant.response} of {plant.data.name}, at {loop.rate_hz:g} Hz, feedback: {feedback}"
-        + (f"; * recommended: {found.best}" if found.best else "")
+        f"Controllers for {plant.response} of {plant.data.name}\nat {loop.rate_hz:g} Hz, feedback: {feedback}"
     )
-    return draw_designs(found, title)
+    return design_figure(found, title + (f"; * recommended: {found.best}" if found.best else ""))
 
 
 def _plant_json(transfer: TransferFunction) -> dict[str, Any]:

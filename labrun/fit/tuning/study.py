@@ -9,7 +9,7 @@ from labrun.fit.tuning.loop import Loop
 from labrun.fit.tuning.optimum import keeps, loop_error
 from labrun.fit.tuning.settings import PidSettings
 
-_UNBOUNDED = (-1e12, 1e12)
+UNBOUNDED = (-1e12, 1e12)
 _NEARLY = 1.2
 """Designs whose error is within this of the least are as good: then the drive's noise decides."""
 _LOST_SHARE = 0.025
@@ -99,7 +99,7 @@ def _errors(designs: Sequence[Design], settings: PidSettings) -> dict[str, Error
     reference = HalfSine(table.low, table.high, table.period_s)
     off = settings.gain_error
     factors = (1.0 - off, 1.0, 1.0 + off) if off else (1.0,)
-    bounds = settings.range or _UNBOUNDED
+    bounds = settings.range or UNBOUNDED
     return {one.name: one.errors(reference, bounds, factors) for one in designs}
 
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 
-from labrun.fit.summary import TextTable
+from labrun.fit.result import TextTable
 from labrun.fit.tuning.closed_loop import steady_error
 from labrun.fit.tuning.designs import Design
 from labrun.fit.tuning.loop import Loop

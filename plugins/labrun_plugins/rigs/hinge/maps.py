@@ -1,7 +1,7 @@
 """From runs of specimens to the maps of chapter 3."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, PositiveFloat
@@ -11,12 +11,10 @@ from labrun.fit import FitJob, FitSummary, FittedData
 from labrun_plugins.rigs.hinge.body import FOUND
 from labrun_plugins.rigs.hinge.map_findings import findings, map_warnings, warnings
 from labrun_plugins.rigs.hinge.map_tables import coefficient_table, quality_table, specimen_table
+from labrun_plugins.rigs.hinge.maps_figure import maps_figure
 from labrun_plugins.rigs.hinge.polynomial import FittedMap, fit_polynomial
 from labrun_plugins.rigs.hinge.published import SYMBOLS, UNITS, Form, Quantity
 from labrun_plugins.rigs.hinge.specimens import SIZES, Specimen, load_specimens
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 METHOD = "hinge-maps"
 _QUANTITIES: tuple[Quantity, ...] = ("damping", "stiffness")
@@ -87,11 +85,6 @@ def fit_hinge_maps(
     maps[other] = _maps(forms, specimens.every, other, job.rng)
     found = maps[way]
 
-    def picture() -> "Figure":
-        from labrun_plugins.rigs.hinge.maps_figure import draw_maps
-
-        return draw_maps(found, specimens.every, way)
-
     name = " + ".join([specimens.first.name, *specimens.more])
     return FitSummary(
         METHOD,
@@ -116,7 +109,7 @@ def fit_hinge_maps(
             "specimens": [_specimen_json(one) for one in specimens.every],
             "maps": [_map_json(one) for one in found],
         },
-        picture=picture,
+        figure_data=lambda: maps_figure(found, specimens.every, way),
     )
 
 

@@ -1,0 +1,1 @@
+"""Figures of runs, fits and diagnoses, in one style."""
