@@ -14,9 +14,9 @@ from labrun.models.simulation import (
     prepare,
     simulate,
     simulate_unfiltered,
+    site_course,
     suggest_substeps,
 )
-from labrun.models.sites import site_course
 from labrun.models.stepper import Stepper
 from labrun.models.toml_model import parse_model
 from labrun.models.writing import corrected_model_text

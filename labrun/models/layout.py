@@ -7,14 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labrun.arrays import FloatArray
+from labrun.arrays import FloatArray, IntArray
 from labrun.compiled import is_generated
 from labrun.effects import AttachedEffect, Effect, Site
 from labrun.models.model import Model
-
-IntArray = NDArray[np.int64]
 
 _MOST_LAYOUTS = 4096
 """Combinations of effects and sites kept for one model."""

@@ -218,13 +218,13 @@ def _integrated(
     *,
     every: int,
 ) -> Unfiltered:
-    from labrun.models.integration import integrate
+    from labrun.models.engine import integrate
 
     found = layout(model, effects)
     laws, own = found.forces, len(model.states)
     u, u_last, steps_s = driven.u, driven.u_last, driven.steps_s
     if found.before:
-        from labrun.models.filtering import filter_inputs
+        from labrun.models.engine import filter_inputs
 
         shortest = float(steps_s.min()) if steps_s.size else 1.0
         before = filters(model, effects, found.before, shortest / 2)
@@ -258,7 +258,7 @@ def _filtered(
     chosen = layout(model, effects).after
     finite = before.written == len(outputs)
     if chosen and finite:
-        from labrun.models.filtering import filter_outputs
+        from labrun.models.engine import filter_outputs
 
         steps_s = driven.steps_s
         after = filters(model, effects, chosen, float(steps_s.min()) if steps_s.size else 1.0)
@@ -271,3 +271,43 @@ def _filtered(
     if every != driven.substeps:
         states, outputs = states[:: driven.substeps], outputs[:: driven.substeps]
     return Simulation(outputs, states, finite, driven.substeps)
+
+
+def site_course(
+    model: Model,
+    time_s: FloatArray,
+    states: FloatArray,
+    inputs: FloatArray,
+    *,
+    parameters: FloatArray | None = None,
+    condition: Condition | None = None,
+) -> FloatArray:
+    """Return what every joint and body site sees at the samples of a simulated trial.
+
+    Parameters
+    ----------
+    states : (samples, states)
+        Of `Simulation.states`.
+    inputs : (samples, inputs)
+
+    Returns
+    -------
+    (samples, sites, 4)
+        Coordinate, rate, load and stiffness (0 where a site declares none), SI, in the order of `Model.sites`.
+    """
+    from labrun.models.engine import evaluate_sites
+
+    found = np.zeros((len(time_s), 4 * len(model.sites)))
+    if model.sites:
+        p = model.vector(parameters, condition or {})
+        force = np.zeros(len(model.sites))
+        evaluate_sites(
+            model.site_values.address,
+            np.ascontiguousarray(time_s, dtype=float),
+            np.ascontiguousarray(states, dtype=float),
+            np.ascontiguousarray(inputs, dtype=float),
+            p,
+            force,
+            found,
+        )
+    return found.reshape(len(time_s), len(model.sites), 4)

@@ -98,8 +98,7 @@ class Stepper:
         (steps, outputs)
             At the end of each step. From a step on in which the model blows up, NaN (see `finite`).
         """
-        from labrun.models.filtering import filter_inputs, filter_outputs
-        from labrun.models.integration import integrate
+        from labrun.models.engine import filter_inputs, filter_outputs, integrate
 
         u = self._on_steps(np.asarray(inputs, dtype=float))
         count = len(u)

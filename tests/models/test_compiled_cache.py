@@ -22,7 +22,7 @@ friction = labrun.effects.load_effect("coulomb-friction").attach("hinge", torque
 time_s, torque = np.arange(50) * 0.01, np.ones((50, 1))
 out = simulate(model, time_s, torque, initial_state=[0, 0], effects=[friction], substeps=2).outputs
 from labrun.compiled import compiled
-from labrun.models.integration import integrate
+from labrun.models.engine import integrate
 functions = [model.derivative, model.output, model.site_values, friction.effect.function]
 hits = [compiled(one.signature, one.python).cache_hits for one in functions]
 hits.append(sum(integrate.stats.cache_hits.values()))
@@ -105,7 +105,7 @@ def test_models_and_effects_can_be_sent_to_another_process():
 
 
 def test_no_combination_of_effects_compiles_anything_new():
-    from labrun.models.integration import integrate
+    from labrun.models.engine import integrate
 
     model = parse_model(OSCILLATOR, "o.toml")
     names = ("coulomb-friction", "viscous-damping", "quadratic-drag", "added-inertia", "rest-offset")

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from labrun.arrays import FloatArray
+from labrun.arrays import FloatArray, IntArray
 from labrun.models import kernel
-from labrun.models.layout import IntArray
 
 
 @kernel

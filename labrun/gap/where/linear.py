@@ -4,7 +4,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.models import kernel
-from labrun.models.calling import call_model
+from labrun.models.engine import call_model
 
 _TAYLOR = 8
 _SQUARING = 0.5

@@ -4,7 +4,7 @@ import dataclasses
 import hashlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -12,10 +12,8 @@ from labrun.effects import Site
 from labrun.models.attaching import read_effects
 from labrun.models.fields import Fields
 from labrun.models.mjcf.elements import Elements, ReferenceProblem
-from labrun.models.mjcf.functions import functions
-from labrun.models.mjcf.model import MujocoModel
-from labrun.models.mjcf.place import Place
-from labrun.models.mjcf.plant import Layout, imported, pack
+from labrun.models.mjcf.model import MujocoModel, functions
+from labrun.models.mjcf.plant import Layout, Place, imported, pack
 from labrun.models.mjcf.states import States, read_states
 from labrun.models.model import Input, Output, Parameter
 from labrun.models.names import conditions_of, only_in_loads, places_of, refuse_unused
@@ -28,9 +26,6 @@ from labrun.models.tables import (
     read_site_quantities,
 )
 from labrun.toml import Expression, ExpressionError, KeyPath, suggest
-
-if TYPE_CHECKING:
-    import mujoco
 
 KEYS = (
     "name", "title", "mujoco", "states", "inputs", "conditions", "parameters", "mjcf", "outputs", "sites", "initial",
@@ -113,7 +108,7 @@ def mujoco_model(fields: Fields) -> MujocoModel:
     return dataclasses.replace(model, effects=read_effects(fields, model))
 
 
-def _compiled(fields: Fields) -> "mujoco.MjModel":
+def _compiled(fields: Fields) -> Any:
     path = Path(fields.text.name).parent / fields.string("mujoco", fields.data["mujoco"])
     mujoco = imported()
     if not path.is_file():
@@ -193,7 +188,7 @@ def _parameters(fields: Fields, elements: Elements) -> tuple[tuple[Parameter, ..
         fields.check_name(path, name)
         targets = _resolve(fields, path, elements.settable, given["mjcf"])
         settings[path] = fields.expression(path, name), targets
-        plain[name] = {"value": _own_value(elements, targets[0]), **given}
+        plain[name] = {"value": targets[0].read(elements.model), **given}
         del plain[name]["mjcf"]
     for reference, equation in fields.table("mjcf").items():
         path = ("mjcf", reference)
@@ -207,12 +202,6 @@ def _parameters(fields: Fields, elements: Elements) -> tuple[tuple[Parameter, ..
                 raise fields.text.error(path, f"line {other} sets the same number of the MJCF model")
             taken[place] = path
     return read_parameters(_without(fields, "parameters", plain)), settings
-
-
-def _own_value(elements: Elements, place: Place) -> float:
-    """Return what the MJCF file itself says."""
-    owner = elements.model.opt if place.owner == "option" else elements.model
-    return float(np.ravel(getattr(owner, place.array))[place.index]) / place.factor
 
 
 def _check_settings(fields: Fields, settings: Settings, places: Mapping[str, str]) -> None:
@@ -265,7 +254,7 @@ def _initial(fields: Fields, states: States, outputs: tuple[Output, ...]) -> dic
     return {state: rule if state in table else own[state] for state, rule in rules.items()}
 
 
-def _notes(native: "mujoco.MjModel") -> tuple[str, ...]:
+def _notes(native: Any) -> tuple[str, ...]:
     notes = []
     if np.any(native.sensor_noise):
         notes.append("MuJoCo's sensor noise is left out: a model's outputs are without noise")

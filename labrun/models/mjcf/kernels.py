@@ -14,7 +14,8 @@ from numba import types
 from numba.extending import intrinsic
 
 from labrun.compiled import Pointer, kernel
-from labrun.models.mjcf.table import (
+from labrun.models.mjcf.plant import (
+    APPLY,
     DATA,
     FORCES,
     FORCES_COUNT,
@@ -32,24 +33,31 @@ from labrun.models.mjcf.table import (
     QUATERNIONS_COUNT,
     RATES,
     SCRATCH,
-    SET_CONSTANTS,
-    SETTINGS,
-    SETTINGS_COUNT,
-    SETTINGS_FACTORS,
-    SETTINGS_FROM,
     SITES,
     SITES_COUNT,
     STATES,
     STATES_COUNT,
     VALUES_COUNT,
     WARNINGS,
-)
+    WARNINGS_COUNT,
+)  # fmt: skip
 
 
 @intrinsic  # type: ignore[untyped-decorator]
 def numbers(typing: Any, address: Any) -> Any:
     """Return the float64 values at an address, by index."""
     return _pointer(types.float64, ir.DoubleType())
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def count(typing: Any, address: Any) -> Any:
+    """Return the int32 at an address."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        short = builder.load(builder.inttoptr(arguments[0], ir.IntType(32).as_pointer()))
+        return builder.sext(short, ir.IntType(64))
+
+    return types.int64(types.int64), generate
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -66,17 +74,14 @@ def _pointer(kind: Any, llvm: Any) -> Any:
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def call_pair(typing: Any, function: Any, first: Any, second: Any) -> Any:
-    """Call a C function of two pointers that returns nothing."""
+def call_back(typing: Any, function: Any) -> Any:
+    """Call a function that takes nothing and returns an integer."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        byte = ir.IntType(8).as_pointer()
-        kind = ir.FunctionType(ir.VoidType(), [byte, byte])
-        called = builder.inttoptr(arguments[0], kind.as_pointer())
-        builder.call(called, [builder.inttoptr(one, byte) for one in arguments[1:]])
-        return context.get_dummy_value()
+        kind = ir.FunctionType(ir.IntType(64), [])
+        return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), [])
 
-    return types.void(types.int64, types.int64, types.int64), generate
+    return types.int64(types.int64), generate
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -95,19 +100,27 @@ def call_forward(typing: Any, function: Any, model: Any, data: Any, skip_sensors
 
 
 @kernel
+def warnings(table: Any) -> int:
+    """Return how often MuJoCo has warned that it could not evaluate its equations."""
+    total, addresses = 0, integers(table[WARNINGS])
+    for index in range(table[WARNINGS_COUNT]):
+        total += count(addresses[index])
+    return total
+
+
+@kernel
 def forward(table: Any, skip_sensors: int) -> bool:
     """Let MuJoCo evaluate its equations; tell whether it could."""
-    counts = integers(table[WARNINGS])
-    before = counts[0] + counts[1] + counts[2]
+    before = warnings(table)
     call_forward(table[FORWARD], table[MODEL], table[DATA], skip_sensors)
-    return bool(counts[0] + counts[1] + counts[2] == before)
+    return bool(warnings(table) == before)
 
 
 @kernel
 def settle(table: Any) -> bool:
-    """Write the attributes that parameters set, if any changed; tell whether all are finite.
+    """Have the attributes written that parameters set, if any changed; tell whether they are possible.
 
-    The values stand in the scratch memory. Comparing costs little, MuJoCo's derived constants cost much.
+    The values stand in the scratch memory. Comparing costs little, writing and MuJoCo's derived constants cost much.
     """
     wanted, last = numbers(table[SCRATCH]), numbers(table[LAST])
     changed = False
@@ -117,13 +130,7 @@ def settle(table: Any) -> bool:
         if wanted[k] != last[k]:
             changed = True
             last[k] = wanted[k]
-    if changed:
-        addresses, sources = integers(table[SETTINGS]), integers(table[SETTINGS_FROM])
-        factors = numbers(table[SETTINGS_FACTORS])
-        for k in range(table[SETTINGS_COUNT]):
-            numbers(addresses[k])[0] = factors[k] * wanted[sources[k]]
-        call_pair(table[SET_CONSTANTS], table[MODEL], table[DATA])
-    return True
+    return not changed or call_back(table[APPLY]) != 0
 
 
 @kernel

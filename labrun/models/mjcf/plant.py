@@ -4,21 +4,76 @@ import ctypes
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labrun.errors import ModelError
-from labrun.models.mjcf import table as at
-from labrun.models.mjcf.place import Place
-
-if TYPE_CHECKING:
-    import mujoco
 
 _INSTALL = 'pip install "labrun[mujoco]"'
 _SETTLED = ("qpos", "qvel", "act", "ctrl", "mocap_pos", "xfrc_applied")
 """What stands in MuJoCo's memory before its equations are evaluated."""
+
+
+(
+    FORWARD, APPLY, MODEL, DATA, WARNINGS, WARNINGS_COUNT,
+    FORCES, FORCES_COUNT,
+    STATES, STATES_COUNT, RATES,
+    QUATERNIONS, QUATERNIONS_COUNT, QUATERNION_VELOCITIES,
+    INPUTS, INPUTS_COUNT, INPUTS_ADD,
+    SITES, SITES_COUNT,
+    VALUES_COUNT, SCRATCH, LAST,
+    OUTPUTS, OUTPUTS_COUNT, OUTPUTS_NEED_FORWARD,
+    SIZE,
+) = range(26)  # fmt: skip
+"""What stands where in the table of integers through which compiled code reaches MuJoCo.
+
+Functions and what is plural stand for addresses, names with ``COUNT`` for how many there are.
+"""
+_WARNINGS = ("mjWARN_INERTIA", "mjWARN_CONTACTFULL", "mjWARN_CNSTRFULL")
+"""After one of these, what MuJoCo computed is not what its equations say."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One number in MuJoCo's memory, told by name so that it means the same in another process.
+
+    Attributes
+    ----------
+    owner
+        The compiled model, its options, or the data of a simulation.
+    array, index
+        Its field, and where in the flattened field it is.
+    factor
+        What is written there is this times the value.
+    """
+
+    owner: Literal["model", "option", "data"]
+    array: str
+    index: int
+    factor: float = 1.0
+
+    def address(self, model: Any, data: Any) -> int:
+        """Return where it is in this process: in the memory of the array that MuJoCo shows."""
+        field: NDArray[np.float64] = getattr(self._owner(model, data), self.array)
+        return int(field.ctypes.data) + field.itemsize * self.index
+
+    def read(self, model: Any) -> float:
+        """Return the number."""
+        return float(np.ravel(getattr(self._owner(model), self.array))[self.index]) / self.factor
+
+    def write(self, model: Any, value: float) -> None:
+        """Set the number, as a user of MuJoCo would."""
+        owner = self._owner(model)
+        field = getattr(owner, self.array)
+        if isinstance(field, np.ndarray):
+            field.reshape(-1)[self.index] = self.factor * value
+        else:
+            setattr(owner, self.array, self.factor * value)
+
+    def _owner(self, model: Any, data: Any = None) -> Any:
+        return {"model": model, "option": model.opt, "data": data}[self.owner]
 
 
 @dataclass(frozen=True)
@@ -77,7 +132,7 @@ def imported() -> Any:
     return mujoco
 
 
-def pack(model: "mujoco.MjModel") -> bytes:
+def pack(model: Any) -> bytes:
     """Return a compiled model as bytes."""
     mujoco = imported()
     buffer = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
@@ -107,16 +162,32 @@ class Plant:
         if not (self.model.geom_contype.any() or self.model.geom_conaffinity.any() or self.model.npair):
             # nothing can touch anything: not to look for it saves a sixth of the time
             self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        self._settings = layout.settings
         self._loosen([place for _, place in layout.settings])
         self._kept: list[NDArray[Any]] = []
-        library = ctypes.CDLL(mujoco._functions.__file__)
-        _hush(library)
-        self._table = self._filled(layout, library)
+        self._last = np.full(max(1, layout.values), np.nan)
+        self._apply = ctypes.CFUNCTYPE(ctypes.c_int64)(self._set)
+        _hush()
+        self._table = self._filled(layout)
 
     @property
     def address(self) -> int:
         """Address of the table."""
         return int(self._table.ctypes.data)
+
+    def _set(self) -> int:
+        """Write the attributes that parameters set; compiled code calls this where they changed. Returns 0 if refused.
+
+        MuJoCo derives constants from them, which costs more than writing them from Python does.
+        """
+        mujoco = imported()
+        try:
+            for source, place in self._settings:
+                place.write(self.model, float(self._last[source]))
+            mujoco.mj_setConst(self.model, self.data)
+        except (ValueError, mujoco.FatalError):
+            return 0
+        return 1
 
     def _loosen(self, changed: list[Place]) -> None:
         """Undo the shortcuts MuJoCo takes for frames that coincide, where they may cease to."""
@@ -126,50 +197,48 @@ class Plant:
             model.geom_sameframe[model.geom_bodyid == body] = 0
             model.site_sameframe[model.site_bodyid == body] = 0
 
-    def _filled(self, layout: Layout, library: ctypes.CDLL) -> NDArray[np.int64]:
+    def _filled(self, layout: Layout) -> NDArray[np.int64]:
         model, data = self.model, self.data
-        table = np.zeros(at.SIZE, dtype=np.int64)
+        table = np.zeros(SIZE, dtype=np.int64)
 
-        def address(place: Place | None) -> int:
-            return 0 if place is None else place.address(model, data)
+        def addresses(places: Sequence[Place | None]) -> int:
+            return array([0 if one is None else one.address(model, data) for one in places])
 
         def array(values: Any, kind: type = np.int64) -> int:
             self._kept.append(np.array(values, dtype=kind) if len(values) else np.zeros(1, dtype=kind))
             return int(self._kept[-1].ctypes.data)
 
-        def function(name: str) -> int:
-            return int(ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0)
-
-        table[at.FORWARD], table[at.SET_CONSTANTS] = function("mj_forwardSkip"), function("mj_setConst")
-        table[at.MODEL], table[at.DATA] = model._address, data._address
-        numbers = data.warning.number  # of structures of two int32, the number second: eight bytes each
-        table[at.WARNINGS] = numbers.ctypes.data - numbers.itemsize
-        table[at.FORCES], table[at.FORCES_COUNT] = data.qfrc_applied.ctypes.data, model.nv
-        table[at.STATES] = array([address(one) for one in layout.states])
-        table[at.STATES_COUNT] = len(layout.states)
-        table[at.RATES] = array([address(one) for one in layout.rates])
-        table[at.QUATERNIONS] = array([first for first, _ in layout.quaternions])
-        table[at.QUATERNIONS_COUNT] = len(layout.quaternions)
-        table[at.QUATERNION_VELOCITIES] = array([address(spin) for _, spin in layout.quaternions])
-        table[at.INPUTS] = array([address(one) for one in layout.inputs])
-        table[at.INPUTS_COUNT] = len(layout.inputs)
-        table[at.INPUTS_ADD] = array([int(one.array == "qfrc_applied") for one in layout.inputs])
-        table[at.SITES] = array([address(one) for one in layout.sites])
-        table[at.SITES_COUNT] = len(layout.sites)
-        table[at.VALUES_COUNT] = layout.values
-        table[at.SCRATCH] = array([0.0] * layout.values, float)
-        table[at.LAST] = array([np.nan] * layout.values, float)
-        table[at.SETTINGS] = array([address(place) for _, place in layout.settings])
-        table[at.SETTINGS_COUNT] = len(layout.settings)
-        table[at.SETTINGS_FROM] = array([source for source, _ in layout.settings])
-        table[at.SETTINGS_FACTORS] = array([place.factor for _, place in layout.settings], float)
-        table[at.OUTPUTS] = array([address(one) for one in layout.outputs])
-        table[at.OUTPUTS_COUNT] = len(layout.outputs)
-        table[at.OUTPUTS_NEED_FORWARD] = any(one.array not in _SETTLED for one in layout.outputs)
+        warnings = data.warning.number
+        table[FORWARD] = _function("mj_forwardSkip")
+        table[APPLY] = int(ctypes.cast(self._apply, ctypes.c_void_p).value or 0)
+        table[MODEL], table[DATA] = model._address, data._address
+        kinds = [int(getattr(imported().mjtWarning, name)) for name in _WARNINGS]
+        table[WARNINGS] = array([warnings[kind:].ctypes.data for kind in kinds])
+        table[WARNINGS_COUNT] = len(kinds)
+        table[FORCES], table[FORCES_COUNT] = data.qfrc_applied.ctypes.data, model.nv
+        table[STATES], table[STATES_COUNT] = addresses(layout.states), len(layout.states)
+        table[RATES] = addresses(layout.rates)
+        table[QUATERNIONS] = array([first for first, _ in layout.quaternions])
+        table[QUATERNIONS_COUNT] = len(layout.quaternions)
+        table[QUATERNION_VELOCITIES] = addresses([spin for _, spin in layout.quaternions])
+        table[INPUTS], table[INPUTS_COUNT] = addresses(layout.inputs), len(layout.inputs)
+        table[INPUTS_ADD] = array([int(one.array == "qfrc_applied") for one in layout.inputs])
+        table[SITES], table[SITES_COUNT] = addresses(layout.sites), len(layout.sites)
+        table[VALUES_COUNT] = layout.values
+        table[SCRATCH] = array([0.0] * layout.values, float)
+        table[LAST] = self._last.ctypes.data
+        table[OUTPUTS], table[OUTPUTS_COUNT] = addresses(layout.outputs), len(layout.outputs)
+        table[OUTPUTS_NEED_FORWARD] = any(one.array not in _SETTLED for one in layout.outputs)
         return table
 
 
-def _moved_bodies(model: "mujoco.MjModel", places: Sequence[Place]) -> set[int]:
+def _function(name: str) -> int:
+    """Return the address of a function of MuJoCo's C interface, in the library that the package has loaded."""
+    library = ctypes.CDLL(imported()._functions.__file__)
+    return int(ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0)
+
+
+def _moved_bodies(model: Any, places: Sequence[Place]) -> set[int]:
     """Return the bodies whose own frame or mass some of the places change."""
     widths = {"body_mass": 1, "body_inertia": 3, "body_ipos": 3, "body_pos": 3}
     bodies = {one.index // widths[one.array] for one in places if one.array in widths}
@@ -179,19 +248,16 @@ def _moved_bodies(model: "mujoco.MjModel", places: Sequence[Place]) -> set[int]:
     return bodies | {int(model.site_bodyid[one]) for one in sites}
 
 
-def _say_nothing(_message: bytes) -> None:
-    """Take a warning of MuJoCo's: the simulation that it spoils says so itself."""
+def _hush() -> None:
+    """Keep MuJoCo from writing ``MUJOCO_LOG.TXT`` where one works, unless someone listens to its warnings already.
+
+    The simulation that a warning spoils says so itself.
+    """
+    mujoco = imported()
+    if mujoco.get_mju_user_warning() is None:
+        mujoco.set_mju_user_warning(_LISTENER)
 
 
-_LISTENER = ctypes.CFUNCTYPE(None, ctypes.c_char_p)(_say_nothing)
-
-
-def _hush(library: ctypes.CDLL) -> None:
-    """Keep MuJoCo from writing ``MUJOCO_LOG.TXT`` where one works, unless someone listens to its warnings already."""
-    listener = ctypes.c_void_p.in_dll(library, "mju_user_warning")
-    if not listener.value:
-        listener.value = ctypes.cast(_LISTENER, ctypes.c_void_p).value
-
-
+_LISTENER = ctypes.CFUNCTYPE(None, ctypes.c_char_p)(lambda _message: None)
 _PLANTS: dict[tuple[str, int], Plant] = {}
 """Kept for the life of the process: compiled code holds addresses into them."""

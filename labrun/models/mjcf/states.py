@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from labrun.models.fields import Fields
 from labrun.models.mjcf.elements import Elements, ReferenceProblem
-from labrun.models.mjcf.place import Place
+from labrun.models.mjcf.plant import Place
 
 
 @dataclass(frozen=True)

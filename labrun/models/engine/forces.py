@@ -1,11 +1,52 @@
-"""Compiled: laws that depend on acceleration, solved together with the model. Importing this imports numba."""
+"""Compiled: the forces at the sites of a model, and its derivative with them."""
 
-from labrun.compiled import Pointer, kernel
-from labrun.models.calling import beyond, call_law, call_model, few
-from labrun.models.system import System
+from typing import NamedTuple
+
+from labrun.compiled import IntPointer, Pointer, inlined, kernel
+from labrun.models.engine.calling import call_law, call_model, no_vectorise, offset
 
 _PROBE_S = 1e-4
 """Time over which the rate of a site is followed to find its acceleration where the rate is an expression."""
+
+
+class System(NamedTuple):
+    """A model with the laws at its sites.
+
+    The functions called through these addresses take pointers anyway; with pointers throughout, no array is handed
+    from function to function, at each of which numba would count a reference to it.
+
+    Attributes
+    ----------
+    derivative, site_values
+        Addresses; `site_values` is 0 where every site is read from states and parameters (see `Forces.sites`).
+    total
+        States, those of the laws included.
+    coupled
+        Whether a law depends on acceleration.
+    site_table : (5 * sites,), law_table : (5 * laws,)
+        Rows of `Forces.sites` and `Forces.laws`.
+    p, values
+        Values of the model and of the laws.
+    force : (sites,)
+    site : (4 * sites,)
+        Coordinate, rate, load and stiffness of each site.
+    scratch
+        For `couple`; see `labrun.models.layout.Forces.scratch`.
+    """
+
+    derivative: int
+    site_values: int
+    total: int
+    sites: int
+    laws: int
+    coupled: bool
+    site_table: IntPointer
+    law_table: IntPointer
+    p: Pointer
+    values: Pointer
+    force: Pointer
+    site: Pointer
+    scratch: Pointer
 
 
 @kernel
@@ -16,20 +57,20 @@ def accelerations(
 
     `ahead` is scratch memory for the states and, behind them, 4 numbers of each site.
     """
-    probe = beyond(ahead, system.total)
+    probe = offset(ahead, system.total)
     for index in range(system.sites):
-        few()
+        no_vectorise()
         rate_state = system.site_table[5 * index + 1]
         if rate_state >= 0:
             result[index] = slope[rate_state]
             continue
         for k in range(system.total):
-            few()
+            no_vectorise()
             ahead[k] = state[k] + _PROBE_S * slope[k]
         call_model(system.site_values, t, ahead, u, system.p, system.force, probe)
         forward = probe[4 * index + 1]
         for k in range(system.total):
-            few()
+            no_vectorise()
             ahead[k] = state[k] - _PROBE_S * slope[k]
         call_model(system.site_values, t, ahead, u, system.p, system.force, probe)
         result[index] = (forward - probe[4 * index + 1]) / (2.0 * _PROBE_S)
@@ -42,15 +83,15 @@ def solve(matrix: Pointer, right: Pointer, size: int) -> None:
     `matrix` holds its rows one behind the other.
     """
     for column in range(size):
-        few()
+        no_vectorise()
         pivot = column
         for row in range(column + 1, size):
-            few()
+            no_vectorise()
             if abs(matrix[row * size + column]) > abs(matrix[pivot * size + column]):
                 pivot = row
         if pivot != column:
             for k in range(size):
-                few()
+                no_vectorise()
                 kept = matrix[column * size + k]
                 matrix[column * size + k] = matrix[pivot * size + k]
                 matrix[pivot * size + k] = kept
@@ -58,16 +99,16 @@ def solve(matrix: Pointer, right: Pointer, size: int) -> None:
             right[column] = right[pivot]
             right[pivot] = kept
         for row in range(column + 1, size):
-            few()
+            no_vectorise()
             factor = matrix[row * size + column] / matrix[column * size + column]
             for k in range(column, size):
-                few()
+                no_vectorise()
                 matrix[row * size + k] -= factor * matrix[column * size + k]
             right[row] -= factor * right[column]
     for row in range(size - 1, -1, -1):
-        few()
+        no_vectorise()
         for k in range(row + 1, size):
-            few()
+            no_vectorise()
             right[row] -= matrix[row * size + k] * right[k]
         right[row] /= matrix[row * size + row]
 
@@ -77,11 +118,11 @@ def inertial_force(
     t: float, e: int, acceleration: float, state: Pointer, slope: Pointer, system: System
 ) -> float:
     """Return what law `e` gives at an acceleration of its site; its own states' derivatives go to `slope`."""
-    law = beyond(system.law_table, 5 * e)
-    here = beyond(system.site, 4 * law[1])
+    law = offset(system.law_table, 5 * e)
+    here = offset(system.site, 4 * law[1])
     found: float = call_law(
         law[0], t, here[0], here[1], acceleration, here[2], here[3],
-        beyond(system.values, law[3]), beyond(state, law[4]), beyond(slope, law[4]),
+        offset(system.values, law[3]), offset(state, law[4]), offset(slope, law[4]),
     )  # fmt: skip
     return found
 
@@ -95,17 +136,17 @@ def couple(t: float, state: Pointer, u: Pointer, slope: Pointer, system: System)
     """
     sites, force = system.sites, system.force
     free = system.scratch
-    loaded, gain, extra = beyond(free, sites), beyond(free, 2 * sites), beyond(free, 3 * sites)
-    matrix = beyond(free, 4 * sites)
-    ahead = beyond(matrix, sites * sites)
+    loaded, gain, extra = offset(free, sites), offset(free, 2 * sites), offset(free, 3 * sites)
+    matrix = offset(free, 4 * sites)
+    ahead = offset(matrix, sites * sites)
     call_model(system.derivative, t, state, u, system.p, force, slope)
     accelerations(t, state, u, slope, system, ahead, free)
     for at in range(sites):
-        few()
+        no_vectorise()
         gain[at] = 0.0
         extra[at] = 0.0
     for e in range(system.laws):
-        few()
+        no_vectorise()
         if system.law_table[5 * e + 2] != 0:
             at = system.law_table[5 * e + 1]
             still = inertial_force(t, e, 0.0, state, slope, system)
@@ -113,25 +154,79 @@ def couple(t: float, state: Pointer, u: Pointer, slope: Pointer, system: System)
             gain[at] += inertial_force(t, e, 1.0, state, slope, system) - still
     # F = extra + gain * (free + response F), where a column of the response follows from one more newton at a site
     for at in range(sites):
-        few()
+        no_vectorise()
         force[at] += 1.0
         call_model(system.derivative, t, state, u, system.p, force, slope)
         accelerations(t, state, u, slope, system, ahead, loaded)
         force[at] -= 1.0
         for row in range(sites):
-            few()
+            no_vectorise()
             response = loaded[row] - free[row]
             matrix[row * sites + at] = (1.0 if row == at else 0.0) - gain[row] * response
     for row in range(sites):
-        few()
+        no_vectorise()
         extra[row] += gain[row] * free[row]
     solve(matrix, extra, sites)
     for at in range(sites):
-        few()
+        no_vectorise()
         force[at] += extra[at]
     call_model(system.derivative, t, state, u, system.p, force, slope)
     accelerations(t, state, u, slope, system, ahead, loaded)
     for e in range(system.laws):  # internal states of such a law move with the acceleration just found
-        few()
+        no_vectorise()
         if system.law_table[5 * e + 2] != 0:
             inertial_force(t, e, loaded[system.law_table[5 * e + 1]], state, slope, system)
+
+
+@inlined
+def load(t: float, state: Pointer, u: Pointer, slope: Pointer, system: System) -> None:
+    """Write `site`, and to `force` what the laws that do not depend on acceleration give.
+
+    The derivatives of those laws' own states are written to `slope`. Arguments as in `slopes`.
+    """
+    force, site = system.force, system.site
+    if system.site_values != 0:
+        for at in range(system.sites):
+            no_vectorise()
+            force[at] = 0.0
+        call_model(system.site_values, t, state, u, system.p, force, site)
+    else:
+        for at in range(system.sites):
+            no_vectorise()
+            row = offset(system.site_table, 5 * at)
+            site[4 * at] = state[row[0]]
+            site[4 * at + 1] = state[row[1]]
+            site[4 * at + 3] = system.p[row[2]] if row[2] >= 0 else 0.0
+    for at in range(system.sites):
+        no_vectorise()
+        here = offset(site, 4 * at)
+        coordinate, rate, carried, stiffness = here[0], here[1], here[2], here[3]
+        total = 0.0
+        for e in range(system.site_table[5 * at + 3], system.site_table[5 * at + 4]):
+            no_vectorise()
+            law = offset(system.law_table, 5 * e)
+            if law[2] == 0:
+                total += call_law(
+                    law[0], t, coordinate, rate, 0.0, carried, stiffness,
+                    offset(system.values, law[3]), offset(state, law[4]), offset(slope, law[4]),
+                )  # fmt: skip
+        force[at] = total
+
+
+@inlined
+def slopes(t: float, state: Pointer, u: Pointer, slope: Pointer, system: System, loaded: bool) -> None:
+    """Write the forces at the sites to `force` and the derivative of all states to `slope`.
+
+    Parameters
+    ----------
+    state, slope : (model states + effect states,)
+    u : (inputs,)
+    loaded
+        Whether `force` is right already (and `slope`, where a law depends on acceleration).
+    """
+    if not loaded and system.laws > 0:
+        load(t, state, u, slope, system)
+    if not system.coupled:
+        call_model(system.derivative, t, state, u, system.p, system.force, slope)
+    elif not loaded:
+        couple(t, state, u, slope, system)

@@ -1,4 +1,4 @@
-"""Calls through an address from compiled code. Importing this imports numba."""
+"""Calls through an address from compiled code."""
 
 # ruff: noqa: ARG001 - numba reads the arguments of an intrinsic from its signature
 
@@ -37,7 +37,7 @@ def pointer(typing: Any, array: Any) -> Any:
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def beyond(typing: Any, start: Any, count: Any) -> Any:
+def offset(typing: Any, start: Any, count: Any) -> Any:
     """Return the pointer that begins `count` numbers behind `start`."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -47,7 +47,7 @@ def beyond(typing: Any, start: Any, count: Any) -> Any:
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def few(typing: Any) -> Any:
+def no_vectorise(typing: Any) -> Any:
     """Keep a loop as it stands: it runs a few times, and preparing it for many takes longer than all its turns.
 
     An empty piece of assembly, which the compiler neither vectorizes nor removes; it becomes no instruction.

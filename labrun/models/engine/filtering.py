@@ -1,11 +1,10 @@
-"""Compiled: the filters of inputs and outputs. Importing this imports numba."""
+"""Compiled: the filters of inputs and outputs, and what the sites see."""
 
 import numpy as np
 
-from labrun.arrays import FloatArray
+from labrun.arrays import FloatArray, IntArray
 from labrun.compiled import kernel
-from labrun.models.calling import call_filter
-from labrun.models.layout import IntArray
+from labrun.models.engine.calling import call_filter, call_model
 
 
 @kernel
@@ -108,3 +107,25 @@ def filter_outputs(
                 out,
             )
             y[row, c] = out[1]
+
+
+@kernel
+def evaluate_sites(
+    address: int,
+    time_s: FloatArray,
+    states: FloatArray,
+    inputs: FloatArray,
+    p: FloatArray,
+    force: FloatArray,
+    found: FloatArray,
+) -> None:
+    """Write the site quantities of every sample to the rows of `found`."""
+    state, u, row = np.empty(states.shape[1]), np.empty(inputs.shape[1]), np.empty(found.shape[1])
+    for n in range(time_s.size):
+        for k in range(state.size):
+            state[k] = states[n, k]
+        for k in range(u.size):
+            u[k] = inputs[n, k]
+        call_model(address, time_s[n], state, u, p, force, row)
+        for k in range(row.size):
+            found[n, k] = row[k]
