@@ -1,7 +1,7 @@
-"""Tables of the keys of an experiment file, made from the pydantic models that check it.
+"""The tables of keys.md, made from the pydantic models that check an experiment file.
 
-A line ``<!-- keys: TrialTable -->`` of a page becomes the table of that model. What a key means is said in `keys.toml`;
-a key without a word there, or a word without its key, stops the build.
+Below a line ``<!-- keys: TrialTable -->`` stands the table of that model. What a key means is said in `keys.toml`;
+a key without a word there, or a word without its key, is an error. ``python docs/hooks/keys.py`` writes the page anew.
 """
 
 import importlib
@@ -16,21 +16,27 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from labrun.toml import FUNCTIONS
+from labrun.toml import FUNCTIONS, Expression
 
+PAGE = Path(__file__).parents[1] / "keys.md"
 WORDS: dict[str, dict[str, str]] = tomllib.loads(
     Path(__file__).with_name("keys.toml").read_text(encoding="utf-8")
 )
-_MARK = re.compile(r"^<!-- keys: ([\w.:]+) -->$", re.MULTILINE)
-_FUNCTIONS = "<!-- expression functions -->"
+_MARK = re.compile(r"^<!-- keys: ([\w.:]+) -->\n(?:\n(?:\|.*\n)+)?", re.MULTILINE)
+_FUNCTIONS = re.compile(r"^<!-- functions -->\n(?:\n(?:\|.*\n)+)?", re.MULTILINE)
 _EXPERIMENT = "labrun.spec"
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Put the tables in."""
-    if _FUNCTIONS in markdown:
-        markdown = markdown.replace(_FUNCTIONS, ", ".join(f"`{name}`" for name in FUNCTIONS) + ".")
-    return _MARK.sub(lambda mark: table(mark[1]), markdown)
+def page(markdown: str) -> str:
+    """Return the page with its tables as the models are today."""
+    markdown = _FUNCTIONS.sub(lambda mark: f"{mark[0].splitlines()[0]}\n\n{functions()}\n", markdown)
+    return _MARK.sub(lambda mark: f"{mark[0].splitlines()[0]}\n\n{table(mark[1])}\n", markdown)
+
+
+def functions() -> str:
+    """Return the functions of expressions as a Markdown table."""
+    rows = [f"| `{name}` | {function.meaning} |" for name, function in FUNCTIONS.items()]
+    return "\n".join(["| Function | |", "|---|---|", *rows])
 
 
 def model_of(name: str) -> type[BaseModel]:
@@ -81,6 +87,8 @@ def _default(field: FieldInfo) -> str:
 
 
 def _toml(value: Any) -> str:
+    if isinstance(value, Expression):
+        return _toml(value.given)
     if isinstance(value, str):
         return f'"{value}"'
     if isinstance(value, bool):
@@ -127,6 +135,14 @@ def _kinds(annotation: Any) -> Iterator[str]:
     elif isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield "table"
     else:
-        yield {float: "number", int: "whole number", str: "text", bool: "true or false"}.get(
-            annotation, "any value"
-        )
+        yield {
+            Expression: "number or text",
+            float: "number",
+            int: "whole number",
+            str: "text",
+            bool: "true or false",
+        }.get(annotation, "any value")
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -76,24 +76,28 @@ def sweep_conditions(sweep: Sweep, seed: int) -> list[Condition]:
 def axis_values(axis: Range | list[Value]) -> list[Value]:
     """Return the points of a grid's axis, both ends included; 0.2 + 2 * 0.2 is 0.6, not 0.6000000000000001."""
     if isinstance(axis, Range):
-        start, stop, step = (Decimal(repr(value)) for value in (axis.start, axis.stop, axis.step))
-        count = int((stop - start) / step) + 1
-        return [float(start + index * step) for index in range(count)]
+        start, step = Decimal(repr(axis.start)), Decimal(repr(axis.step))
+        return [float(start + index * step) for index in range(_points(axis))]
     return list(dict.fromkeys(float(value) if isinstance(value, int | float) else value for value in axis))
 
 
+def _points(axis: Range) -> int:
+    start, stop, step = (Decimal(repr(value)) for value in (axis.start, axis.stop, axis.step))
+    return int((stop - start) / step) + 1
+
+
 def _grid(sweep: Sweep) -> dict[str, NDArray[np.generic]]:
-    axes = {name: axis_values(axis) for name, axis in sweep.axes.items() if not isinstance(axis, Interval)}
-    empty = [name for name, values in axes.items() if not values]
-    if empty:
-        raise PlanError(f"axis {empty[0]} of the sweep has no values")
-    size = math.prod(len(values) for values in axes.values())
+    crossed = {name: axis for name, axis in sweep.axes.items() if not isinstance(axis, Interval)}
+    # counted before any is made: a step that is too small would fill the memory
+    counts = {name: _points(axis) if isinstance(axis, Range) else len(axis) for name, axis in crossed.items()}
+    size = math.prod(counts.values())
     if size > _LARGEST_GRID:
-        lengths = ", ".join(f"{name}: {len(values)}" for name, values in axes.items())
+        lengths = ", ".join(f"{name}: {count:,}" for name, count in counts.items())
         raise PlanError(
             f"the grid has {size:,} points ({lengths}), more than {_LARGEST_GRID:,}",
             hint='take larger steps, or design = "sobol" with samples',
         )
+    axes = {name: axis_values(axis) for name, axis in crossed.items()}
     product = list(itertools.product(*axes.values()))
     columns = {}
     for position, name in enumerate(axes):

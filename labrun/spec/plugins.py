@@ -184,7 +184,9 @@ def _check_gait(data: Mapping[str, Any]) -> Iterator[Fault]:
         for joint, keys in joints.items():
             yield from validate(model, keys, ("gait", "joints", joint))[1]
     has_cycle = getattr(loaded, "has_cycle", None)
-    if table(data, "trial").get("cycles") is not None and has_cycle is not None and not has_cycle(joints):
+    if not joints or table(data, "trial").get("cycles") is None or has_cycle is None:
+        return
+    if not has_cycle(joints):
         plugin = gait["plugin"]
         advice = (
             "give frequency_hz to one of its joints, or a duration_s"

@@ -1,5 +1,6 @@
 """Where experiments are: the workspace a person works in, and those that ship with labrun."""
 
+import itertools
 import shutil
 import tomllib
 from dataclasses import dataclass
@@ -9,6 +10,8 @@ from labrun.errors import RequestError
 from labrun.toml import suggest
 
 _RESULTS = "results"
+_COPIED = (".toml", ".csv", ".xml")
+"""Experiments and models, the samples of recordings, MJCF models."""
 
 
 def shipped_experiments() -> Path:
@@ -35,7 +38,11 @@ def _is_experiment(path: Path) -> bool:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return False
-    return any(line.split("#")[0].replace(" ", "").startswith(("kind=", "[rig", "[trial]")) for line in lines)
+    bare = [line.split("#")[0].replace(" ", "") for line in lines]
+    top = itertools.takewhile(lambda line: not line.startswith("["), bare)  # a model's sites have a kind, too
+    return any(line.startswith("kind=") for line in top) or any(
+        line.startswith(("[rig", "[trial]")) for line in bare
+    )
 
 
 def list_experiments(workspace: Path) -> list[Path]:
@@ -94,7 +101,7 @@ def find_model_file(name: str, experiment: Path | None, workspace: Path) -> Path
 
 
 def create_workspace(directory: Path) -> tuple[list[Path], list[Path]]:
-    """Make a workspace with copies of the shipped experiments and their models.
+    """Make a workspace with copies of the shipped experiments, their models and recordings.
 
     Parameters
     ----------
@@ -114,7 +121,7 @@ def create_workspace(directory: Path) -> tuple[list[Path], list[Path]]:
     written: list[Path] = []
     left: list[Path] = []
     try:
-        for path in sorted(source.rglob("*.toml")):
+        for path in sorted(path for kind in _COPIED for path in source.rglob(f"*{kind}")):
             target = directory / "experiments" / path.relative_to(source)
             if target.exists():
                 left.append(target)

@@ -149,7 +149,7 @@ def test_still_water_has_no_carriage_and_the_current_is_a_tenth_of_a_metre_per_s
     assert move.speed_m_s.given == 0.1
     assert shipped("turn-torque-current").trial.cycles == "fit"
     slowest = shipped("turn-torque-current").cmaes.variables["f"].start
-    travel_s = (move.to_m - move.from_m) / move.speed_m_s
+    travel_s = (move.to_m - move.from_m) / move.speed_m_s.given
     assert travel_s * slowest >= shipped("turn-torque-current").trial.discard_cycles + 1
 
 

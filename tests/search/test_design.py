@@ -125,3 +125,9 @@ def test_and_adds_misses_while_or_takes_the_least(a, b):
 def test_what_is_no_comparison_is_refused_when_it_is_read(text):
     with pytest.raises(Exception, match="constraint"):
         Constraint(text)
+
+
+def test_a_step_that_is_too_small_is_refused_before_its_points_are_made():
+    sweep = Sweep.model_validate({"axes": {"a": {"from": 0, "to": 60, "step": 1e-9}}})
+    with pytest.raises(PlanError, match=r"60,000,000,001 points \(a: 60,000,000,001\)"):
+        sweep_conditions(sweep, 0)

@@ -1,5 +1,6 @@
 """Loading: what holds is an experiment; what does not is told, all of it, where it stands."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labrun.errors import RequestError, SpecError
+from labrun.gaits import make_gait
 from labrun.spec import load_experiment, loads_experiment
 from labrun.toml import suggest
 
@@ -368,3 +370,37 @@ def test_a_message_names_the_key_and_what_is_allowed_there(problems, old, new, k
 
 def test_nothing_to_choose_from_is_said_in_the_plural():
     assert suggest("x", [], kind="carriages") == "there are no carriages here"
+
+
+@pytest.mark.parametrize(
+    ("joints", "column", "said"),
+    [
+        ("jionts.tail = 5", 1, 'did you mean "joints"?'),
+        ("joints = 5", 10, "expected a table { ... }"),
+        ("joints.tail = 5", 15, "expected a table { ... }"),
+        ('joints.tail = "2*a"', 15, "expected a table { ... }"),
+        (
+            'joints.tail = { amplitude_deg = [1], frequency_hz = "f" }',
+            33,
+            "expected a number or text in quotes",
+        ),
+        (
+            'joints.tail = { amplitude_deg = "2*", frequency_hz = "f" }',
+            33,
+            "something is missing behind this",
+        ),
+    ],
+)
+def test_joints_that_are_none_are_told_with_their_place(problems, joints, column, said):
+    found = problems(('joints.tail = { amplitude_deg = "a", frequency_hz = "f" }', joints))
+    assert any((item.line, item.column) == (19, column) and said in item.message for item in found), found
+
+
+def test_a_plugin_may_stand_beside_the_experiment(write, tmp_path):
+    (tmp_path / "square_beside.py").write_text(
+        "from labrun.gaits.sine import SineGait\n\n\nclass Gait(SineGait):\n    pass\n"
+    )
+    before = list(sys.path)
+    loaded = load_experiment(write(('plugin = "sine"', 'plugin = "square_beside:Gait"')))
+    assert make_gait(loaded.experiment.gait).joints == ("tail",)
+    assert sys.path == before

@@ -10,6 +10,7 @@ from labrun.spec import (
     list_experiments,
     shipped_experiments,
 )
+from labrun.store.recording import read_recording
 
 SHIPPED = {"fin-modulation", "fin-params", "fin-step", "hinge", "turn-torque", "turn-torque-current"}
 
@@ -47,6 +48,13 @@ def test_other_toml_files_are_no_experiments(tmp_path):
     assert "pyproject" not in {path.stem for path in list_experiments(tmp_path)}
 
 
+def test_a_model_is_no_experiment_though_its_sites_have_a_kind(tmp_path):
+    model = shipped_experiments() / "models" / "hinge-pendulum.toml"
+    assert "\nkind" in model.read_text()
+    (tmp_path / "pendulum.toml").write_text(model.read_text())
+    assert "pendulum" not in {path.stem for path in list_experiments(tmp_path)}
+
+
 def test_a_broken_experiment_is_still_listed(tmp_path):
     (tmp_path / "mine.toml").write_text('kind = "run"\n[rig\n')
     assert "mine" in {path.stem for path in list_experiments(tmp_path)}
@@ -58,6 +66,7 @@ def test_a_new_workspace_has_the_shipped_experiments_and_their_models(tmp_path):
     names = {path.relative_to(tmp_path / "bench").as_posix() for path in written}
     assert {f"experiments/{name}.toml" for name in SHIPPED} <= names
     assert "experiments/models/hinge-pendulum.toml" in names
+    assert "experiments/models/hinge-pendulum.xml" in names
     assert find_experiment("hinge", tmp_path / "bench") == tmp_path / "bench" / "experiments" / "hinge.toml"
 
 
@@ -84,3 +93,9 @@ def test_a_model_is_found_beside_its_experiment_or_among_the_shipped(tmp_path):
     create_workspace(tmp_path)
     assert find_model_file(name, None, tmp_path) == tmp_path / "experiments" / name
     assert find_model_file("models/none.toml", None, tmp_path) is None
+
+
+def test_a_recording_of_a_new_workspace_can_be_read(tmp_path):
+    create_workspace(tmp_path)
+    recording = read_recording(tmp_path / "experiments" / "recordings" / "table-7-2")
+    assert recording.trials
