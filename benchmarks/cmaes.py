@@ -37,7 +37,7 @@ from labrun.runner.measurement import Condition, Measurement
 from labrun.runner.progress import SilentProgress
 from labrun.search.cmaes import search_by_cmaes
 from labrun.spec import Experiment
-from labrun.store.trial import TrialOutcome
+from labrun.store import TrialOutcome
 
 NAMES = tuple("abcdef")
 POPULATION, PARENTS, STEP = 60, 30, 0.15

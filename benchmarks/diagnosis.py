@@ -24,7 +24,7 @@ from labrun.gap.candidates import Candidate, candidates, site_scales
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.recalibration import recalibrate
 from labrun.models import Model, parse_model, simulate
-from labrun.store.recording import SignalInfo
+from labrun.store import SignalInfo
 
 MODEL = """
 name = "driven-pendulum"

@@ -25,7 +25,7 @@ from labrun.runner.clock import SimulatedClock
 from labrun.runner.rig import Rig
 from labrun.runner.session import Session
 from labrun.spec import Experiment
-from labrun.store.folder import RunFolder
+from labrun.store import RunFolder
 
 GOAL_MB = 500.0
 RATE_HZ = 7000.0

@@ -40,7 +40,7 @@ from labrun.runner.progress import SilentProgress
 from labrun.runner.rig import Rig
 from labrun.runner.session import Session
 from labrun.spec import Experiment
-from labrun.store.folder import RunFolder
+from labrun.store import RunFolder
 
 INSIDE = ("Ctrl-C", "exception", "lost sensor", "force limit")
 OUTSIDE = ("dead runner", "hung runner")

@@ -18,8 +18,7 @@ import numpy as np
 from measuring import machine
 
 from labrun.devices import Channel, Samples, Trajectory
-from labrun.store.folder import RunFolder
-from labrun.store.trial import SettleSummary, TrialOutcome, settle_curve
+from labrun.store import RunFolder, SettleSummary, TrialOutcome, settle_curve
 
 CHANNELS = tuple(Channel(f"force_{axis}", "N") for axis in "xyz") + tuple(
     Channel(f"torque_{axis}", "N m") for axis in "xyz"

@@ -25,7 +25,7 @@ from labrun.runner.clock import RealClock
 from labrun.runner.emulated.bench import EmulatedBench
 from labrun.runner.resolving import resolve
 from labrun.signals import Signals
-from labrun.store.timing import stream_report
+from labrun.store import stream_report
 from labrun.toml import PluginTable
 
 LOOK_S = 0.02

@@ -118,7 +118,7 @@ class Labrun(Side):
         from labrun.runner.rig import Rig
         from labrun.runner.session import Session
         from labrun.spec import Experiment
-        from labrun.store.folder import RunFolder
+        from labrun.store import RunFolder
 
         self.name = "labrun, trace" + (", with settling and tare" if settle else "")
         text = LABRUN.replace("SETTLE", SETTLE if settle else "")

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from labrun.fit.dataset import Dataset, FitTrial
-from labrun.store.recording import SignalInfo
+from labrun.store import SignalInfo
 
 FloatArray = NDArray[np.float64]
 

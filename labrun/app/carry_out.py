@@ -27,9 +27,7 @@ from labrun.search.forecast import expected_trials
 from labrun.search.leaders import Measured, honest_best
 from labrun.search.result import RESULT_FILE, Best, RunResult, reason_lines, resume_line
 from labrun.spec import LOOP_DEVICE, Experiment, Value, condition_key
-from labrun.store.disk import replace_durably, saving
-from labrun.store.folder import RunFolder
-from labrun.store.trial import TrialOutcome
+from labrun.store import RunFolder, TrialOutcome, replace_durably, saving
 
 
 def carry_out(

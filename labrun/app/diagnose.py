@@ -23,7 +23,7 @@ from labrun.gap.saving import save_model as save
 from labrun.report.gap_figure import FIGURE, draw_gap
 from labrun.report.gap_page import write_gap_page
 from labrun.report.gap_text import gap_lines
-from labrun.store.recording import is_recording
+from labrun.store import is_recording
 
 FOLDER = "gap"
 NUMBERS = "diagnosis.json"

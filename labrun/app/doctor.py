@@ -13,7 +13,7 @@ from labrun.runner.ports import ports_of
 from labrun.runner.progress import SilentProgress
 from labrun.runner.rig import Rig
 from labrun.spec import load_named
-from labrun.store.locks import lock_ports
+from labrun.store import lock_ports
 
 
 def doctor(

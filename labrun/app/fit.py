@@ -20,8 +20,7 @@ from labrun.models import load_model, shipped_models
 from labrun.report.figures.fits import fit_figure
 from labrun.report.style import save
 from labrun.spec import apply_overrides, load_named
-from labrun.store.disk import replace_durably
-from labrun.store.recording import is_recording
+from labrun.store import is_recording, replace_durably
 from labrun.toml import nearest
 
 

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 
 from labrun.errors import RecordingError
 from labrun.spec import condition_text
-from labrun.store import frames
-from labrun.store.locate import SPEC
-from labrun.store.reading import Run, open_target
+from labrun.store import SPEC, Run, open_target, run_dataset, trial_dataset, trials_frame
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -85,7 +83,7 @@ class OpenRun:
         In the units of the experiment file; ``trials.attrs["units"]`` has those of the columns. Rejected and failed
         trials are there too, with their reason: ``run.trials.query("status == 'done'")`` leaves them out.
         """
-        return frames.trials_frame(self._run.outcomes, self.units)
+        return trials_frame(self._run.outcomes, self.units)
 
     def signals(self, device: str, trial: int | None = None, *, tared: bool = True) -> "xr.Dataset":
         """Return what a device measured, in SI units, with ``units`` on every variable.
@@ -115,8 +113,8 @@ class OpenRun:
             There is no such device or trial; names what there is.
         """
         if trial is None:
-            return frames.run_dataset(self._run, device, tared=tared)
-        return frames.trial_dataset(self._run, device, int(trial), tared=tared)
+            return run_dataset(self._run, device, tared=tared)
+        return trial_dataset(self._run, device, int(trial), tared=tared)
 
     @cached_property
     def experiment(self) -> "Experiment":

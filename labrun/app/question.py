@@ -10,9 +10,7 @@ from labrun.fit.method import FitPlan
 from labrun.gap.question import Question
 from labrun.models import Model, load_model
 from labrun.spec import FitTable, GapTable, find_model_file, loads_experiment
-from labrun.store.locate import find_run
-from labrun.store.reading import open_run
-from labrun.store.recording import imported_channels, is_recording
+from labrun.store import find_run, imported_channels, is_recording, open_run
 
 
 def find_data(target: str | Path, results: Path) -> Path:

@@ -16,8 +16,7 @@ from labrun.report.recording_findings import RecordingFindings
 from labrun.report.report_source import ReportSource, StoredGap
 from labrun.search.leaders import t_interval
 from labrun.search.result import Best, stored_result
-from labrun.store.locate import SPEC, find_run
-from labrun.store.reading import Run, open_run, open_target
+from labrun.store import SPEC, Run, find_run, open_run, open_target
 
 REPORT = "report.html"
 

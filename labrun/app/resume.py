@@ -13,8 +13,7 @@ from labrun.runner.progress import Progress
 from labrun.runner.rig import Rig
 from labrun.search.result import RunResult, resume_line, stored_result
 from labrun.spec import load_experiment, loads_experiment
-from labrun.store.folder import RunFolder
-from labrun.store.locate import is_finished
+from labrun.store import RunFolder, is_finished
 
 _MOST_CHANGES = 8
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from labrun.app.diagnose import read_stored
 from labrun.blind import Compared
 from labrun.blind import reveal as open_seal
-from labrun.store.locate import find_run
+from labrun.store import find_run
 
 
 def reveal(target: str | Path, *, results: str | Path = "results") -> Compared:

@@ -18,9 +18,7 @@ from labrun.runner.progress import Progress, SilentProgress
 from labrun.runner.rig import Rig
 from labrun.search.result import RunResult
 from labrun.spec import Experiment, LoadedExperiment, load_named
-from labrun.store.folder import RunFolder
-from labrun.store.locks import lock_ports
-from labrun.store.provenance import collect
+from labrun.store import RunFolder, collect, lock_ports
 
 
 def run(

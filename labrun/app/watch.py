@@ -12,9 +12,7 @@ from labrun.report.snapshot import BestYet, Snapshot, State, event_text
 from labrun.report.text import duration_text
 from labrun.search.result import Best, resume_line, stored_result
 from labrun.spec import Experiment, condition_key, loads_experiment
-from labrun.store.locate import JOURNAL, SPEC
-from labrun.store.table import known_units
-from labrun.store.watching import RunWatch, SeenTrial, Trace, read_trace
+from labrun.store import JOURNAL, SPEC, RunWatch, SeenTrial, Trace, known_units, read_trace
 
 _CLOCKS_AGREE_S = 60.0
 _LAST_TRIALS = 6

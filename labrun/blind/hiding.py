@@ -17,8 +17,7 @@ from labrun.errors import ModelError, PluginError, RequestError
 from labrun.models import Model, Site, load_model
 from labrun.search.design import conditions as conditions_of
 from labrun.spec import Experiment, LoadedExperiment, Value, find_model_file
-from labrun.store.folder import RunFolder
-from labrun.store.locate import find_run
+from labrun.store import RunFolder, find_run
 from labrun.toml import nearest
 
 Condition = Mapping[str, Value]

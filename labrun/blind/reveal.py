@@ -8,8 +8,7 @@ from typing import Any, Literal
 from labrun.blind.concealment import PARAMETER
 from labrun.blind.seal import read_seal, write_seal
 from labrun.errors import RecordingError
-from labrun.store.folder import RunFolder
-from labrun.store.locate import PROVENANCE
+from labrun.store import PROVENANCE, RunFolder
 
 Score = Literal["right", "right, in a stated set", "right in part", "missed", "false alarm", "wrong"]
 

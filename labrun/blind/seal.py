@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from labrun.errors import RecordingError
-from labrun.store.disk import replace_durably, saving
+from labrun.store import replace_durably, saving
 
 SEAL = "seal.json"
 SEALED = "sealed_sha256"

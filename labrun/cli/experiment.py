@@ -113,7 +113,7 @@ def resume(
     """
     with reported(as_json):
         from labrun.app.resume import resume as resume_run
-        from labrun.store.locate import find_unfinished
+        from labrun.store import find_unfinished
 
         folder = find_unfinished(run, results)
         with progress_display() as progress:

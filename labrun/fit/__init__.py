@@ -14,7 +14,7 @@ from labrun.fit.output_error import FEW_TRIALS, fit_model
 from labrun.fit.problem import Problem
 from labrun.fit.resampling import LEVEL, resample_trials, student
 from labrun.fit.result import FitResult, FitSummary, FittedData, TextTable
-from labrun.store.recording import is_recording
+from labrun.store import is_recording
 
 __all__ = [
     "FEW_TRIALS",

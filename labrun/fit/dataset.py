@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from labrun.errors import FitError, RequestError
 from labrun.spec import condition_text
-from labrun.store.recording import (
+from labrun.store import (
     Between,
     Recording,
     SignalInfo,

@@ -12,9 +12,7 @@ from labrun.errors import RecordingError, RequestError
 from labrun.fit.dataset import Dataset, FitTrial, Named, Ports, require_trials, resample
 from labrun.signals import Signals
 from labrun.spec import condition_text
-from labrun.store.recording import SignalInfo, imported_channels
-from labrun.store.trial import TrialOutcome
-from labrun.store.trial_file import COMMAND
+from labrun.store import COMMAND, SignalInfo, TrialOutcome, imported_channels
 
 
 def from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
@@ -31,7 +29,7 @@ def from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
     FitError
         No trial left to fit.
     """
-    from labrun.store.reading import open_run
+    from labrun.store import open_run
 
     run = open_run(target)
     channels = imported_channels(run.experiment_toml)

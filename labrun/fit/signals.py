@@ -12,7 +12,7 @@ from labrun.errors import FitError, RequestError
 from labrun.fit.signal_table import SignalTable
 from labrun.signals import Signals
 from labrun.spec import condition_text
-from labrun.store.recording import (
+from labrun.store import (
     RecordedTrial,
     SignalInfo,
     imported_channels,
@@ -23,7 +23,7 @@ from labrun.toml import nearest
 
 if TYPE_CHECKING:
     from labrun.spec import Experiment
-    from labrun.store.trial import TrialOutcome
+    from labrun.store import TrialOutcome
 
 COMMAND = "command"
 GAIT = "gait"
@@ -132,7 +132,7 @@ def _run(
     target: Path, wanted: Mapping[str, SignalTable], where: Mapping[str, float | str], rate_hz: float | None
 ) -> _Loaded:
     from labrun.spec import loads_experiment
-    from labrun.store.reading import open_run
+    from labrun.store import open_run
 
     run = open_run(target)
     imported = bool(imported_channels(run.experiment_toml))

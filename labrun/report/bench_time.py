@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from labrun.store.trial import TrialOutcome
+from labrun.store import TrialOutcome
 
 STEPS = ("move", "settle", "tare", "record", "safe pose", "store")
 """What a trial consists of, in this order."""

@@ -8,7 +8,7 @@ from typing import Any
 from labrun.report.data import FloatArray, Point, RunView
 from labrun.search.leaders import leading_conditions
 from labrun.spec import Experiment, Value, condition_key
-from labrun.store.trial import TrialOutcome
+from labrun.store import TrialOutcome
 
 
 @dataclass(frozen=True, slots=True)

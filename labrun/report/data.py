@@ -11,8 +11,7 @@ from labrun.errors import PluginError, SpecError
 from labrun.search.leaders import t_interval
 from labrun.search.result import Best
 from labrun.spec import Experiment, Value, condition_key
-from labrun.store.reading import Run
-from labrun.store.trial import TrialOutcome
+from labrun.store import Run, TrialOutcome
 
 FloatArray = NDArray[np.float64]
 

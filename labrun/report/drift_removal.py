@@ -9,10 +9,10 @@ from labrun.errors import RequestError
 from labrun.report.data import RunView
 from labrun.report.recorded import experiment_of
 from labrun.report.statistics import Drift, drift
-from labrun.store.trial import TrialOutcome
+from labrun.store import TrialOutcome
 
 if TYPE_CHECKING:
-    from labrun.store.reading import Run
+    from labrun.store import Run
 
 SUFFIX = "_drift_corrected"
 

@@ -6,7 +6,7 @@ from labrun.report.data import RunView
 from labrun.report.recorded import experiment_of
 from labrun.search.generation import read_generations
 from labrun.search.result import Best
-from labrun.store.reading import open_run
+from labrun.store import open_run
 
 FIGURE = "figure.png"
 

@@ -27,12 +27,12 @@ from labrun.report.statistics import (
 from labrun.report.stored_fits import StoredFit, stored_fits
 from labrun.runner.settling import unsettled
 from labrun.search.result import Best, stored_result
-from labrun.store.locate import SPEC
+from labrun.store import SPEC
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from labrun.store.reading import Run
+    from labrun.store import Run
 
 _STREAMS_LOOKED_AT = 40
 _MOST_CONDITIONS = 100

@@ -7,7 +7,7 @@ from typing import Any
 from labrun.report.html_elements import Content, Html, element, folded, joined, paragraph, section, table
 from labrun.report.report_source import ReportSource
 from labrun.report.text import counted, named_condition, share_text
-from labrun.store.trial import TrialOutcome
+from labrun.store import TrialOutcome
 
 _TRIALS_SHOWN = 200
 _UNFOLDED = 12

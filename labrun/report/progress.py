@@ -13,7 +13,7 @@ from labrun.report.text import condition_text, duration_text, quantity_text
 
 if TYPE_CHECKING:
     from labrun.spec import Value
-    from labrun.store.trial import TrialOutcome
+    from labrun.store import TrialOutcome
 
 _REFRESHES_PER_S = 8
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 from labrun.spec import Experiment, FitTable, loads_experiment
-from labrun.store.recording import imported_channels
+from labrun.store import imported_channels
 
 
 def experiment_of(experiment_toml: str, name: str) -> Experiment:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labrun.spec import Value, condition_key
-from labrun.store.recording import imported_channels
+from labrun.store import imported_channels
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from labrun.store.reading import Run
+    from labrun.store import Run
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,8 +24,7 @@ from labrun.report.statistics import (
 )
 from labrun.search.result import Best
 from labrun.spec import Experiment
-from labrun.store.reading import Run
-from labrun.store.trial import TrialOutcome
+from labrun.store import Run, TrialOutcome
 
 _STREAMS_LOOKED_AT = 40
 

@@ -12,7 +12,7 @@ from labrun.report.data import Point, RunView
 from labrun.report.style import COLOURS, SOFT, heading, new_figure, save, zero_line
 from labrun.report.text import condition_text, interval_text, label, value_text
 from labrun.spec import condition_key
-from labrun.store.trial import TrialOutcome
+from labrun.store import TrialOutcome
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

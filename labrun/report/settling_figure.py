@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from labrun.report.style import COLOURS, new_figure
 from labrun.report.svg import as_svg
-from labrun.store.trial import TrialOutcome
+from labrun.store import TrialOutcome
 
 FloatArray = NDArray[np.float64]
 

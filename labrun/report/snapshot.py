@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from labrun.search.result import Best
 from labrun.spec import Value
-from labrun.store.watching import SeenTrial, Trace
+from labrun.store import SeenTrial, Trace
 
 State = Literal["starting", "running", "silent", "dead", "stopped", "finished"]
 

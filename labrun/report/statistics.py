@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from labrun.report.data import Point, RunView
 from labrun.search.leaders import pooled_variance
 from labrun.signals import Signals
-from labrun.store.timing import JUMP_S, StreamReport, stream_report
-from labrun.store.trial import TrialOutcome
+from labrun.store import JUMP_S, StreamReport, TrialOutcome, stream_report
 
 FloatArray = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from labrun.report.data import RunView
 from labrun.report.style import COLOURS, FAINT, zero_line
-from labrun.store.trial import TrialOutcome
+from labrun.store import TrialOutcome
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

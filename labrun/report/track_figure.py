@@ -12,7 +12,7 @@ from labrun.report.run_overlay import PANEL_TITLE, condition_title, groups_of, o
 from labrun.report.style import COLOURS, INK, heading, new_figure, save
 from labrun.signals import Signals
 from labrun.spec import LOOP_DEVICE, loop_channel
-from labrun.store.trial import TrialOutcome
+from labrun.store import TrialOutcome
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

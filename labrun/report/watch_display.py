@@ -15,10 +15,10 @@ from labrun.devices import Clock
 from labrun.report.braille import braille_curve
 from labrun.report.snapshot import Snapshot, State
 from labrun.report.text import condition_text, duration_text, interval_text, quantity_text, value_text
-from labrun.store.watching import Trace
+from labrun.store import Trace
 
 if TYPE_CHECKING:
-    from labrun.store.watching import SeenTrial
+    from labrun.store import SeenTrial
 
 _COLOURS: dict[State, str] = {
     "starting": "cyan",

@@ -9,7 +9,7 @@ import numpy as np
 from labrun.devices import FloatArray
 from labrun.errors import ExperimentError
 from labrun.spec import condition_text
-from labrun.store.trial import Role, TrialOutcome
+from labrun.store import Role, TrialOutcome
 
 Condition = Mapping[str, float | str]
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Protocol, Self
 
-from labrun.store.trial import TrialOutcome
+from labrun.store import TrialOutcome
 
 
 class Progress(Protocol):

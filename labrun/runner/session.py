@@ -22,8 +22,7 @@ from labrun.runner.settling import needs_baseline, unsettled
 from labrun.runner.trial import TrialRequest, TrialRunner
 from labrun.runner.wiring import check_wiring
 from labrun.spec import Experiment, RepeatRule, condition_text
-from labrun.store.folder import RunFolder
-from labrun.store.trial import Role, TrialOutcome
+from labrun.store import Role, RunFolder, TrialOutcome
 
 _COME_BACK_S = 10.0
 """How long a device that failed may stay away before the run ends: a plug put back takes some seconds to be found."""

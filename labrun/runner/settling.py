@@ -10,7 +10,7 @@ from labrun.runner.rig import Rig
 from labrun.runner.settle import BaselineMeter, Bounds, SettleDetector, Watched
 from labrun.signals import Signals
 from labrun.spec import Settle
-from labrun.store.trial import SettleSummary, TrialOutcome, settle_curve
+from labrun.store import SettleSummary, TrialOutcome, settle_curve
 
 _BASELINE_HOLDS = 6.0
 _BASELINE_S = 10.0

@@ -16,9 +16,7 @@ from labrun.runner.settle import Bounds
 from labrun.runner.settling import Settled, measure_baseline, settle
 from labrun.runner.tare import tare
 from labrun.spec import Experiment, Settle
-from labrun.store.folder import RunFolder
-from labrun.store.trial import Role, TrialOutcome
-from labrun.store.writer import TrialWriter
+from labrun.store import Role, RunFolder, TrialOutcome, TrialWriter
 
 BASELINE_INDEX = 2**31 - 1
 """Stands for the baseline where device noise is derived from a trial's index."""

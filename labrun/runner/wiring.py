@@ -7,7 +7,7 @@ from labrun.runner.rig import Rig
 from labrun.runner.settling import watched_channels
 from labrun.runner.tare import tared_devices
 from labrun.spec import LOOP_DEVICE, Experiment, loop_channels
-from labrun.store.trial_file import check_columns, check_names
+from labrun.store import check_columns, check_names
 
 
 def check_wiring(experiment: Experiment, rig: Rig, gait_joints: Iterable[str]) -> None:

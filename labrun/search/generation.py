@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from labrun.errors import StoreError
-from labrun.store.disk import replace_durably, saving
+from labrun.store import replace_durably, saving
 
 _EXPLAINED = ("restart", "population", "mean", "sigma", "covariance", "path_sigma", "path_c", "candidates")
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from labrun.search.design import Condition
 from labrun.search.result import Best
 from labrun.spec import Leaders, RepeatRule, condition_key
-from labrun.store.trial import Role
+from labrun.store import Role
 
 Goal = Literal["maximise", "minimise"]
 FloatArray = NDArray[np.float64]

@@ -1,1 +1,86 @@
-"""Runs on disk: written so that no crash costs more than the trial in flight, and readable without labrun."""
+"""Runs on disk: the run folder, a trial's file, ``run.h5``, recordings made elsewhere, and what follows a run."""
+
+from labrun.store.disk import in_bytes, lacking_room, replace_durably, require_writable, saving
+from labrun.store.export import export_run
+from labrun.store.folder import RunFolder
+from labrun.store.frames import run_dataset, trial_dataset, trials_frame
+from labrun.store.importing import import_recording
+from labrun.store.locate import (
+    JOURNAL,
+    PACKED,
+    PROVENANCE,
+    SPEC,
+    TRIALS,
+    find_run,
+    find_unfinished,
+    is_finished,
+)
+from labrun.store.locks import lock_ports
+from labrun.store.provenance import collect
+from labrun.store.reading import Run, open_run, open_target
+from labrun.store.recording import (
+    Between,
+    RecordedTrial,
+    Recording,
+    SignalInfo,
+    imported_channels,
+    is_recording,
+    read_recording,
+)
+from labrun.store.table import known_units
+from labrun.store.timing import JUMP_S, StreamReport, stream_report
+from labrun.store.trial import Role, SettleSummary, Status, TrialOutcome, settle_curve
+from labrun.store.trial_file import COMMAND, check_columns, check_names
+from labrun.store.watching import RunWatch, SeenTrial, Trace, read_trace
+from labrun.store.writer import TrialWriter
+
+__all__ = [
+    "COMMAND",
+    "JOURNAL",
+    "JUMP_S",
+    "PACKED",
+    "PROVENANCE",
+    "SPEC",
+    "TRIALS",
+    "Between",
+    "RecordedTrial",
+    "Recording",
+    "Role",
+    "Run",
+    "RunFolder",
+    "RunWatch",
+    "SeenTrial",
+    "SettleSummary",
+    "SignalInfo",
+    "Status",
+    "StreamReport",
+    "Trace",
+    "TrialOutcome",
+    "TrialWriter",
+    "check_columns",
+    "check_names",
+    "collect",
+    "export_run",
+    "find_run",
+    "find_unfinished",
+    "import_recording",
+    "imported_channels",
+    "in_bytes",
+    "is_finished",
+    "is_recording",
+    "known_units",
+    "lacking_room",
+    "lock_ports",
+    "open_run",
+    "open_target",
+    "read_recording",
+    "read_trace",
+    "replace_durably",
+    "require_writable",
+    "run_dataset",
+    "saving",
+    "settle_curve",
+    "stream_report",
+    "trial_dataset",
+    "trials_frame",
+]

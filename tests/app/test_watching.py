@@ -21,9 +21,7 @@ from labrun.errors import RequestError
 from labrun.report.braille import braille_curve
 from labrun.report.watch_display import render
 from labrun.runner.clock import SimulatedClock
-from labrun.store.folder import RunFolder
-from labrun.store.trial import TrialOutcome
-from labrun.store.watching import SeenTrial
+from labrun.store import RunFolder, SeenTrial, TrialOutcome
 
 SPEC = """
 title = "Thrust of a tail"

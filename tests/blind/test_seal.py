@@ -19,7 +19,7 @@ from labrun.report.gap_reveal import revealed_text
 from labrun.runner.progress import SilentProgress
 from labrun.search.design import conditions
 from labrun.spec import load_named
-from labrun.store.reading import open_run
+from labrun.store import open_run
 
 SMALL = ("run.conditions=[{release=20},{release=40}]", "trial.repeats=2", "trial.duration_s=3")
 
@@ -163,7 +163,7 @@ def test_a_run_that_is_not_packed_yet_tells_no_more_than_a_finished_one(tmp_path
 
 
 def _checkpoints(run):
-    from labrun.store.folder import RunFolder
+    from labrun.store import RunFolder
 
     return [json.dumps(outcome.checkpoint) for outcome in RunFolder(run).outcomes().values()]
 

@@ -9,8 +9,7 @@ from labrun.runner.clock import SimulatedClock
 from labrun.runner.rig import Rig
 from labrun.runner.session import Session
 from labrun.spec import Experiment
-from labrun.store.folder import RunFolder
-from labrun.store.reading import open_run
+from labrun.store import RunFolder, open_run
 
 EXPERIMENT = """
 title = "Two axes"

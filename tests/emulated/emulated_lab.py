@@ -14,7 +14,7 @@ from labrun.runner.progress import SilentProgress
 from labrun.runner.rig import Rig
 from labrun.runner.session import Session
 from labrun.spec import Experiment
-from labrun.store.folder import RunFolder
+from labrun.store import RunFolder
 
 CLOCK = RealClock()
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labrun.store.reading import open_run
+from labrun.store import open_run
 
 RUNS = [
     # experiment, its command, channel, and how far two runs of one seed may differ (root mean square): the noise of

@@ -11,9 +11,7 @@ from labrun.devices import Channel, Samples, Trajectory
 from labrun.errors import FitError, RequestError
 from labrun.fit.dataset import load_dataset, resample
 from labrun.models import Model, parse_model
-from labrun.store.folder import RunFolder
-from labrun.store.importing import import_recording
-from labrun.store.trial import TrialOutcome
+from labrun.store import RunFolder, TrialOutcome, import_recording
 
 MODEL = """
 name = "arm"

@@ -14,7 +14,7 @@ from labrun.fit.signal_table import SignalTable
 from labrun.fit.signals import load_signals, trailing_mean
 from labrun.runner.progress import SilentProgress
 from labrun.spec import load_named
-from labrun.store.reading import open_run
+from labrun.store import open_run
 
 
 @pytest.fixture(scope="module")

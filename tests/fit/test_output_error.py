@@ -14,7 +14,7 @@ from labrun.fit.dataset import Dataset, FitTrial
 from labrun.fit.output_error import fit_model
 from labrun.fit.problem import Problem
 from labrun.models import Model, parse_model
-from labrun.store.recording import SignalInfo
+from labrun.store import SignalInfo
 
 FloatArray = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from labrun.fit.dataset import load_dataset
 from labrun.fit.output_error import fit_model
 from labrun.fit.result import FitResult
 from labrun.models import load_model, parse_model
-from labrun.store.recording import read_recording
+from labrun.store import read_recording
 
 
 def fitted(folder: Path, model_text: str | None = None, *, starts: int = 5) -> FitResult:

@@ -11,7 +11,7 @@ from labrun.app.fit import fit
 from labrun.errors import RequestError
 from labrun.fit.estimate import Estimate, rounded
 from labrun.fit.result import FitSummary, FittedData
-from labrun.store.importing import import_recording
+from labrun.store import import_recording
 
 MODEL = """
 name = "pendulum"

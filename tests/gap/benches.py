@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from labrun.fit.dataset import Dataset, FitTrial
 from labrun.models import parse_model
-from labrun.store.recording import SignalInfo
+from labrun.store import SignalInfo
 
 FloatArray = NDArray[np.float64]
 Force = Callable[[float, float, float], float]

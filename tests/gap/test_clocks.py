@@ -12,7 +12,7 @@ from labrun.errors import RecordingError
 from labrun.fit.dataset import Dataset, FitTrial
 from labrun.gap.data_checks import with_sound_clocks
 from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.store.recording import SignalInfo
+from labrun.store import SignalInfo
 
 from .benches import CONDITIONS, dry_friction, pendulum, recorded
 

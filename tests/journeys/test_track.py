@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from labrun.search.leaders import t_interval
-from labrun.store.reading import open_run
+from labrun.store import open_run
 
 SHORT = ("--set", "trial.duration_s=6", "--set", "trial.repeats=1", "--set", "objectives.first_cycle.to_s=3",
          "--set", "objectives.later.from_s=3", "--set", "objectives.later.to_s=6")  # fmt: skip

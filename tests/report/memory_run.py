@@ -10,7 +10,7 @@ from labrun.search.leaders import t_interval
 from labrun.search.result import Best
 from labrun.signals import Signals
 from labrun.spec import Experiment
-from labrun.store.trial import SettleSummary, TrialOutcome
+from labrun.store import SettleSummary, TrialOutcome
 
 
 @dataclass

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labrun.report.bench_time import bench_time
-from labrun.store.trial import SettleSummary, TrialOutcome
+from labrun.store import SettleSummary, TrialOutcome
 
 DURATION = st.floats(min_value=0.0, max_value=500.0)
 

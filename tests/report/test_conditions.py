@@ -16,7 +16,7 @@ from labrun.report.findings import findings
 from labrun.report.run_overlay import condition_title
 from labrun.runner.progress import SilentProgress
 from labrun.spec import load_named
-from labrun.store.reading import open_run
+from labrun.store import open_run
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,7 @@ from typer.testing import CliRunner
 
 from labrun.cli.app import app
 from labrun.spec import find_experiment, load_experiment
-from labrun.store.folder import RunFolder
-from labrun.store.trial import TrialOutcome
+from labrun.store import RunFolder, TrialOutcome
 
 SLOPE_PER_S = 0.1 / 3600
 

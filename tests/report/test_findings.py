@@ -15,9 +15,7 @@ from labrun.report.progress import LiveProgress
 from labrun.report.statistics import drift, repeatability, settling, stream_health
 from labrun.report.text import duration_text, label
 from labrun.spec import loads_experiment
-from labrun.store.folder import RunFolder
-from labrun.store.reading import open_run
-from labrun.store.trial import TrialOutcome
+from labrun.store import RunFolder, TrialOutcome, open_run
 
 
 def with_references(slope_per_h, noise, seed, count=30):

@@ -10,7 +10,7 @@ from labrun.app.run import execute
 from labrun.report.html_gap import gap_section
 from labrun.runner.progress import SilentProgress
 from labrun.spec import load_named
-from labrun.store.reading import open_run
+from labrun.store import open_run
 
 
 def of(folder):

@@ -14,9 +14,7 @@ from labrun.report.text import interval_words
 from labrun.runner.progress import SilentProgress
 from labrun.search.result import stored_result
 from labrun.spec import load_named
-from labrun.store.folder import RunFolder
-from labrun.store.importing import import_recording
-from labrun.store.reading import open_run
+from labrun.store import RunFolder, import_recording, open_run
 
 SMALL = ["sweep.axes.b=[0]", "sweep.axes.a=[20, 60]", "sweep.axes.f=[0.7, 1.4]", "trial.reference.every=5"]
 

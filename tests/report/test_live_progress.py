@@ -3,7 +3,7 @@ from io import StringIO
 from rich.console import Console
 
 from labrun.report.progress import LiveProgress
-from labrun.store.trial import TrialOutcome
+from labrun.store import TrialOutcome
 
 
 def test_trials_and_time_left_are_shown_as_the_most_there_can_be():

@@ -13,9 +13,7 @@ from labrun.errors import RequestError
 from labrun.report.figure import draw_run
 from labrun.report.findings import findings
 from labrun.report.progress import LiveProgress
-from labrun.store.export import export_run
-from labrun.store.importing import import_recording
-from labrun.store.reading import open_target
+from labrun.store import export_run, import_recording, open_target
 
 TOML = """\
 experiment = "swing"

@@ -14,7 +14,7 @@ from labrun.report.loop_health import LoopHealth, loop_health, loop_words
 from labrun.report.recorded import experiment_of
 from labrun.runner.progress import SilentProgress
 from labrun.spec import load_named
-from labrun.store.reading import open_run
+from labrun.store import open_run
 
 
 @pytest.fixture(scope="module")

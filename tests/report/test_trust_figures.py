@@ -11,7 +11,7 @@ from labrun.report.drift_figure import draw_drift, line_band, reference_values
 from labrun.report.repeatability_figure import chance_band, draw_repeatability, grows_with_size
 from labrun.report.settling_figure import draw_settling
 from labrun.report.statistics import drift, repeatability
-from labrun.store.trial import SettleSummary, TrialOutcome
+from labrun.store import SettleSummary, TrialOutcome
 
 
 def references(count=20, noise=0.05, slope_per_h=0.1, seed=1):

@@ -3,7 +3,7 @@
 import pytest
 from paddle_lab import Lab, experiment_with
 
-from labrun.store.folder import RunFolder
+from labrun.store import RunFolder
 
 
 @pytest.fixture

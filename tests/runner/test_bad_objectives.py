@@ -4,7 +4,7 @@ import pytest
 
 from labrun.errors import ExperimentError
 from labrun.runner.judging import Judging
-from labrun.store.reading import open_run
+from labrun.store import open_run
 
 ONE = [{"a": 10, "f": 1.0}]
 

@@ -88,7 +88,7 @@ def test_a_plan_is_not_worn_out_by_a_device_that_fails_in_every_trial(lab):
 
 
 def test_a_stopped_run_goes_on_after_the_fault_with_the_faulty_trial_kept(lab):
-    from labrun.store.folder import RunFolder
+    from labrun.store import RunFolder
 
     broken = lab(rig__devices__cell__silent_trials=[1])
     with pytest.raises(SilentDeviceError):
@@ -135,7 +135,7 @@ def test_a_carriage_that_does_not_arrive_is_an_error_with_its_position(lab):
 
 def test_a_full_disk_ends_the_run_with_actuators_stopped_before(lab, monkeypatch):
     from labrun.errors import StoreError
-    from labrun.store.writer import TrialWriter
+    from labrun.store import TrialWriter
 
     lab = lab()
 

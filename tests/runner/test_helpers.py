@@ -11,7 +11,7 @@ from labrun.runner.order import block_order
 from labrun.runner.outliers import find_outliers, modified_z
 from labrun.runner.repeats import needs_another
 from labrun.spec import Outliers, RepeatRule
-from labrun.store.trial import TrialOutcome
+from labrun.store import TrialOutcome
 
 
 def measured(*values, status="done"):

@@ -17,8 +17,8 @@ from labrun.runner.ports import ports_of
 from labrun.runner.progress import SilentProgress
 from labrun.runner.rig import Rig
 from labrun.spec import loads_experiment
+from labrun.store import lock_ports
 from labrun.store import locks as rig_lock
-from labrun.store.locks import lock_ports
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from paddle_lab import Lab, experiment_with
 
 from labrun.errors import RecordingError
 from labrun.runner.faults import LimitReached
-from labrun.store.folder import RunFolder
+from labrun.store import RunFolder
 
 CONDITIONS = [{"a": 10, "f": 1.0}, {"a": 20, "f": 1.0}, {"a": 30, "f": 2.0}]
 CHANGES = {
@@ -65,7 +65,7 @@ def test_the_uninterrupted_run_holds_what_makes_replay_hard(whole):
 
 
 def test_the_recorded_samples_are_identical_too(whole, tmp_path):
-    from labrun.store.reading import open_run
+    from labrun.store import open_run
 
     lab, _ = whole
     folder = new_folder(tmp_path)

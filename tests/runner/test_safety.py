@@ -8,8 +8,7 @@ import pytest
 from labrun.errors import ExperimentError, StoreError
 from labrun.runner.faults import Interrupted
 from labrun.runner.safety import interruptible, stop_all
-from labrun.store.folder import RunFolder
-from labrun.store.writer import TrialWriter
+from labrun.store import RunFolder, TrialWriter
 
 ONE = [{"a": 10, "f": 1.0}]
 

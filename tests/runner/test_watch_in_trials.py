@@ -4,7 +4,7 @@ import pytest
 
 from labrun.errors import DeviceError, LimitExceededError
 from labrun.runner.progress import SilentProgress
-from labrun.store.folder import RunFolder
+from labrun.store import RunFolder
 
 LONG = {"trial__cycles": 500, "trial__repeats": 1}
 ONE = [{"a": 10, "f": 1.0}]

@@ -18,7 +18,7 @@ RUNNER = """
     from labrun.runner.clock import RealClock
     from labrun.runner.rig import Rig
     from labrun.runner.session import Session
-    from labrun.store.folder import RunFolder
+    from labrun.store import RunFolder
 
     experiment = experiment_with(
         rig__devices__tail__stop_log={log!r},

@@ -6,7 +6,7 @@ import numpy as np
 
 from labrun.runner.measurement import Measurement
 from labrun.spec import Experiment, RepeatRule
-from labrun.store.trial import TrialOutcome
+from labrun.store import TrialOutcome
 
 RIG = {"devices": {"tail": {"plugin": "arduino-servo"}}}
 GAIT = {"plugin": "sine", "joints": {"tail": {"offset_deg": 0, "amplitude_deg": "a", "frequency_hz": 1}}}

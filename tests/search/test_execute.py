@@ -14,7 +14,7 @@ from labrun.runner.faults import Interrupted
 from labrun.runner.progress import SilentProgress
 from labrun.search.result import Best, RunResult
 from labrun.spec import load_experiment
-from labrun.store.folder import RunFolder
+from labrun.store import RunFolder
 
 
 def objectives(run):

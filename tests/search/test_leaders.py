@@ -5,7 +5,7 @@ from analytic_bench import AnalyticBench
 from labrun.runner.measurement import Measurement
 from labrun.search.leaders import honest_best, leading_conditions
 from labrun.spec import Leaders
-from labrun.store.trial import TrialOutcome
+from labrun.store import TrialOutcome
 
 
 def best_of(bench, count, goal="maximise", leaders=None):

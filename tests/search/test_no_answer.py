@@ -13,8 +13,7 @@ from labrun.errors import ExperimentError
 from labrun.report.findings import findings
 from labrun.runner.progress import SilentProgress
 from labrun.search.result import RunResult
-from labrun.store.folder import RunFolder
-from labrun.store.reading import open_run
+from labrun.store import RunFolder, open_run
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from labrun.fit.signal_table import SignalTable
 from labrun.fit.signals import SignalSet, SignalTrial, load_signals
 from labrun.fit.transfer.estimation import ResponseTrial
 from labrun.fit.transfer.response import Hold
-from labrun.store.recording import is_recording, read_recording
+from labrun.store import is_recording, read_recording
 
 _DEFINED = 0.25
 """A direction counts where the force is at least this share of its median in the trial."""

@@ -18,8 +18,7 @@ from labrun.fit.tuning.designs import as_json, controllers_toml
 from labrun.fit.tuning.figure import design_figure
 from labrun.fit.tuning.settings import PidSettings
 from labrun.fit.tuning.study import Study, study
-from labrun.store.reading import open_run
-from labrun.store.recording import is_recording
+from labrun.store import is_recording, open_run
 from labrun.toml import nearest
 
 _LOOP_NAMES = {"magnitude": "force"}

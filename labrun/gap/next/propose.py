@@ -101,8 +101,7 @@ def propose(
 
 
 def _was_imported(target: Path) -> bool:
-    from labrun.store.reading import open_run
-    from labrun.store.recording import imported_channels
+    from labrun.store import imported_channels, open_run
 
     return bool(imported_channels(open_run(target).experiment_toml))
 
@@ -179,7 +178,7 @@ def _for_run(
     note: Note,
 ) -> Proposal:
     from labrun.gap.next.run_bench import RunBench
-    from labrun.store.reading import open_run
+    from labrun.store import open_run
 
     run = open_run(target)
     dataset = question.dataset

@@ -12,7 +12,7 @@ from labrun.errors import LabrunError, RequestError
 from labrun.gap.next.trials import PlannedTrial
 from labrun.gap.next.values import beyond, by_hand, reach, rounded
 from labrun.spec import Condition, condition_text, loads_experiment, resolved
-from labrun.store.trial_file import COMMAND
+from labrun.store import COMMAND
 from labrun.toml import evaluate, names_in
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from labrun.models import Model
     from labrun.runner.plan import Plan
     from labrun.spec import Experiment
-    from labrun.store.reading import Run
+    from labrun.store import Run
 
 FloatArray = NDArray[np.float64]
 

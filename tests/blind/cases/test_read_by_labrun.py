@@ -14,7 +14,7 @@ from labrun.blind.cases.simulate import adaptive
 from labrun.blind.cases.writing import write_model, write_recording
 from labrun.effects import effects
 from labrun.models import parse_model, simulate
-from labrun.store.recording import read_recording
+from labrun.store import read_recording
 
 QUIETEST_SHARE = 1.4e-4
 """The least noise of any case, as a share of the signal."""

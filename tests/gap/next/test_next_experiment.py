@@ -11,7 +11,7 @@ from ambiguous import Bench, sine
 from labrun.app.next import propose_next as propose
 from labrun.errors import RecordingError, RequestError
 from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.store.recording import read_recording
+from labrun.store import read_recording
 
 DRIVEN = """
 name = "driven"

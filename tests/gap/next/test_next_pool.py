@@ -10,7 +10,7 @@ from labrun.gap.next.run_bench import RunBench
 from labrun.runner.plan import Planner
 from labrun.runner.progress import SilentProgress
 from labrun.spec import load_named
-from labrun.store.reading import open_run
+from labrun.store import open_run
 
 
 @pytest.fixture(scope="module")

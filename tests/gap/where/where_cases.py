@@ -11,7 +11,7 @@ from labrun.gap.averaging import averaged
 from labrun.gap.noise import from_repeats, from_residual
 from labrun.gap.where import Difference
 from labrun.models import parse_model, prepare, simulate
-from labrun.store.recording import SignalInfo
+from labrun.store import SignalInfo
 
 JOINT = """
 name = "joint"

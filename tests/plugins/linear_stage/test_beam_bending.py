@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from labrun.cli.app import app
 from labrun.models import load_model, simulate
 from labrun.spec import load_experiment, shipped_experiments
-from labrun.store.reading import open_run
+from labrun.store import open_run
 
 
 def labrun(folder, *arguments):
