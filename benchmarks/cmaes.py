@@ -33,11 +33,10 @@ import cma
 import numpy as np
 from measuring import machine, table
 
-from labrun.runner.measurement import Condition, Measurement
-from labrun.runner.progress import SilentProgress
+from labrun.runner import Measurement, SilentProgress
 from labrun.search.cmaes import search_by_cmaes
-from labrun.spec import Experiment
-from labrun.store import TrialOutcome
+from labrun.spec import Condition, Experiment
+from labrun.store.trial import TrialOutcome
 
 NAMES = tuple("abcdef")
 POPULATION, PARENTS, STEP = 60, 30, 0.15

@@ -21,9 +21,7 @@ from pathlib import Path
 
 from measuring import Stopwatch, machine, peak_mb, table
 
-from labrun.runner.clock import SimulatedClock
-from labrun.runner.rig import Rig
-from labrun.runner.session import Session
+from labrun.runner import Rig, Session, SimulatedClock
 from labrun.spec import Experiment
 from labrun.store import RunFolder
 

@@ -34,11 +34,7 @@ from measuring import machine, table
 
 from labrun.devices import Samples
 from labrun.errors import LabrunError
-from labrun.runner.clock import RealClock
-from labrun.runner.emulated.bench import EmulatedBench
-from labrun.runner.progress import SilentProgress
-from labrun.runner.rig import Rig
-from labrun.runner.session import Session
+from labrun.runner import EmulatedBench, RealClock, Rig, Session, SilentProgress
 from labrun.spec import Experiment
 from labrun.store import RunFolder
 

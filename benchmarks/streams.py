@@ -21,9 +21,7 @@ import numpy as np
 from measuring import machine, table
 
 from labrun.devices import DeviceContext, Samples, Trajectory
-from labrun.runner.clock import RealClock
-from labrun.runner.emulated.bench import EmulatedBench
-from labrun.runner.resolving import resolve
+from labrun.runner import EmulatedBench, RealClock, resolve_device
 from labrun.signals import Signals
 from labrun.store import stream_report
 from labrun.toml import PluginTable
@@ -81,7 +79,7 @@ def main() -> None:
                 bench.keep_logs(Path(logs))
                 benches.append(bench)
                 for name in made:
-                    item = resolve(name, bench.table(name), dry_run=False)
+                    item = resolve_device(name, bench.table(name), dry_run=False)
                     devices[name] = item.make(
                         name, item.settings, DeviceContext(clock, np.random.default_rng(1))
                     )

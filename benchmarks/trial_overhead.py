@@ -114,9 +114,7 @@ class Labrun(Side):
     def __init__(self, folder: Path, *, settle: bool) -> None:
         import tomllib
 
-        from labrun.runner.clock import SimulatedClock
-        from labrun.runner.rig import Rig
-        from labrun.runner.session import Session
+        from labrun.runner import Rig, Session, SimulatedClock
         from labrun.spec import Experiment
         from labrun.store import RunFolder
 

@@ -10,17 +10,21 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
-from labrun.control.conductor import LoopConductor
+from labrun.control.closed_loop import ClosedLoopRecorder
 from labrun.errors import ExperimentError, LabrunError, PlanError
 from labrun.objectives import make_objective
 from labrun.report.figure import draw_run
-from labrun.runner.faults import Interrupted, LimitReached
-from labrun.runner.plan import Planner
-from labrun.runner.progress import Progress
-from labrun.runner.recording import Conduct, conduct_as_planned
-from labrun.runner.rig import Rig
-from labrun.runner.session import Session
-from labrun.runner.settling import unsettled
+from labrun.runner import (
+    Interrupted,
+    LimitReached,
+    Planner,
+    Progress,
+    Recorder,
+    Rig,
+    Session,
+    record_planned,
+    unsettled,
+)
 from labrun.search.cmaes import search_by_cmaes
 from labrun.search.design import conditions
 from labrun.search.forecast import expected_trials
@@ -56,7 +60,7 @@ def carry_out(
         progress = _BestSoFar(progress, *goal, unit, experiment.trial.repeats.min)
     with folder.lock(), _resumable(folder), _terminate_like_interrupt():
         session = Session(
-            experiment, rig, folder, rig.clock, seed, progress, limit, _conduct(experiment, rig)
+            experiment, rig, folder, rig.clock, seed, progress, limit, _recorder(experiment, rig)
         )
         try:
             best = _measure(experiment, rig, session, folder, seed, unit, progress)
@@ -125,11 +129,11 @@ def _measure(
     return honest_best(session, found, objective=name, goal=direction, unit=unit, leaders=experiment.leaders)
 
 
-def _conduct(experiment: Experiment, rig: Rig) -> Conduct:
+def _recorder(experiment: Experiment, rig: Rig) -> Recorder:
     """Return how trials are recorded: with the loops closed where the experiment has any."""
     if experiment.kind == "track":
-        return LoopConductor(experiment, rig)
-    return conduct_as_planned
+        return ClosedLoopRecorder(experiment, rig)
+    return record_planned
 
 
 def _expect(session: Session, folder: RunFolder, trials: int | None) -> None:
@@ -145,7 +149,7 @@ def objective_unit(experiment: Experiment, rig: Rig, name: str) -> str:
     sensor = rig.sensors.get(device)
     units = {item.name: item.unit for item in sensor.channels} if sensor is not None else {}
     if device == LOOP_DEVICE and experiment.kind == "track":
-        units = {item.name: item.unit for item in LoopConductor(experiment, rig).channels}
+        units = {item.name: item.unit for item in ClosedLoopRecorder(experiment, rig).channels}
     return make_objective(name, table).unit(units.get(channel, ""))
 
 

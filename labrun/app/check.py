@@ -3,10 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from labrun.control.conductor import LoopConductor
+from labrun.control.closed_loop import ClosedLoopRecorder
 from labrun.errors import SpecError
-from labrun.runner.plan import ConditionExcess, Plan, Planner
-from labrun.runner.rig import Rig
+from labrun.runner import ConditionExcess, Plan, Planner, Rig
 from labrun.search.constraints import ConstraintError
 from labrun.search.design import Condition, conditions
 from labrun.search.forecast import most_trials
@@ -53,7 +52,7 @@ def whole_plan(loaded: LoadedExperiment, seed: int, rig: Rig | None) -> Plan:
     except ConstraintError as error:
         raise SpecError(f"{loaded.place(error.key)}: {error}") from error
     if experiment.kind == "track":
-        LoopConductor(experiment, planner.rig).require_makeable(chosen)
+        ClosedLoopRecorder(experiment, planner.rig).require_makeable(chosen)
     found = _counted(planner.plan(chosen) if found is None else found, experiment, chosen)
     reference = experiment.trial.reference
     if reference is not None:

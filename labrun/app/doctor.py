@@ -6,12 +6,7 @@ from pathlib import Path
 from labrun.app.run import behind_the_drivers
 from labrun.devices import Remark
 from labrun.errors import RequestError
-from labrun.runner.clock import RealClock
-from labrun.runner.doctor import examine as examine_machine
-from labrun.runner.hardware_doctor import examine_rig, find_devices
-from labrun.runner.ports import ports_of
-from labrun.runner.progress import SilentProgress
-from labrun.runner.rig import Rig
+from labrun.runner import RealClock, Rig, SilentProgress, examine_machine, examine_rig, find_devices, ports_of
 from labrun.spec import load_named
 from labrun.store import lock_ports
 

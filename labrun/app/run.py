@@ -11,11 +11,16 @@ from labrun.app.carry_out import carry_out
 from labrun.app.check import whole_plan
 from labrun.blind import SEALED, hidden_bench, redacted, write_seal
 from labrun.errors import RequestError, SpecError
-from labrun.runner.clock import RealClock, SimulatedClock
-from labrun.runner.emulated.bench import EmulatedBench, has_emulator
-from labrun.runner.ports import ports_of
-from labrun.runner.progress import Progress, SilentProgress
-from labrun.runner.rig import Rig
+from labrun.runner import (
+    EmulatedBench,
+    Progress,
+    RealClock,
+    Rig,
+    SilentProgress,
+    SimulatedClock,
+    has_emulator,
+    ports_of,
+)
 from labrun.search.result import RunResult
 from labrun.spec import Experiment, LoadedExperiment, load_named
 from labrun.store import RunFolder, collect, lock_ports

@@ -7,8 +7,7 @@ from labrun.devices import Scene
 from labrun.effects import Scale
 from labrun.errors import RequestError
 from labrun.models import Site
-from labrun.runner.clock import SimulatedClock
-from labrun.runner.rig import Rig
+from labrun.runner import Rig, SimulatedClock
 from labrun.spec import Experiment, SceneTable
 
 PARAMETER = "parameter"

@@ -12,10 +12,7 @@ from labrun.blind.concealment import concealed, hiding_scene
 from labrun.devices import Scene, Trajectory
 from labrun.errors import ExperimentError
 from labrun.models import Model
-from labrun.runner.clock import SimulatedClock
-from labrun.runner.motion import MotionMaker, TrialMotion
-from labrun.runner.moves import smooth_move
-from labrun.runner.rig import Rig
+from labrun.runner import MotionMaker, Rig, SimulatedClock, TrialMotion, smooth_move
 from labrun.spec import Experiment, Value
 
 _CONDITIONS = 3

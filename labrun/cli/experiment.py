@@ -10,7 +10,7 @@ from labrun.cli import options
 from labrun.cli.output import print_json, reported, to_terminal
 
 if TYPE_CHECKING:
-    from labrun.runner.progress import Progress
+    from labrun.runner import Progress
     from labrun.search.result import RunResult
 
 

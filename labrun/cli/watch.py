@@ -37,8 +37,8 @@ def watch(
 
         from labrun.app.watch import Watcher
         from labrun.report import watch_display
-        from labrun.runner.clock import RealClock
-        from labrun.store import find_run
+        from labrun.runner import RealClock
+        from labrun.store.locate import find_run
 
         clock = RealClock()
         watcher = Watcher(find_run(target, results), clock, channel)

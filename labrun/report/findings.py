@@ -25,7 +25,7 @@ from labrun.report.statistics import (
     stream_health,
 )
 from labrun.report.stored_fits import StoredFit, stored_fits
-from labrun.runner.settling import unsettled
+from labrun.runner import unsettled
 from labrun.search.result import Best, stored_result
 from labrun.store import SPEC
 

@@ -3,7 +3,7 @@
 import sys
 from typing import TextIO
 
-from labrun.runner.progress import SilentProgress
+from labrun.runner import SilentProgress
 
 
 class PlainProgress(SilentProgress):

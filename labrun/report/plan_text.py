@@ -4,7 +4,7 @@ import shutil
 from pathlib import Path
 
 from labrun.report.text import duration_text
-from labrun.runner.plan import JointPeak, Plan, percent
+from labrun.runner import JointPeak, Plan, percent
 
 _NO_LIMIT = "no limit set"
 _NAMED = 6
@@ -17,7 +17,7 @@ def plan_text(plan: Plan, results: Path) -> str:
     Parameters
     ----------
     plan
-        Of `labrun.runner.plan.plan`.
+        Of `labrun.runner.Planner`.
     results
         Where runs will be written; its disk's free space stands beside what the run needs.
     """

@@ -21,7 +21,7 @@ _REFRESHES_PER_S = 8
 class LiveProgress:
     """Shows what is happening now, trials done, time left and the best so far; quiet where nobody watches.
 
-    Implements `labrun.runner.progress.Progress`. Use it as a context manager: the display appears on entering and
+    Implements `labrun.runner.Progress`. Use it as a context manager: the display appears on entering and
     what stands in it at the end stays. Everything goes to standard error, so that standard output is left
     to results.
 

@@ -1,1 +1,53 @@
-"""From plan to trials: prepare, settle, tare, record, safe pose, and only then store."""
+"""From a plan to trials: devices and clock, settle, tare, record, repeat; and everything that stops what moves."""
+
+from labrun.runner.bench import Bench, Handle
+from labrun.runner.clock import RealClock, SimulatedClock
+from labrun.runner.doctor import examine_machine, examine_rig, find_devices
+from labrun.runner.emulated_bench import EmulatedBench, has_emulator
+from labrun.runner.faults import Interrupted, LimitReached
+from labrun.runner.measurement import Measurement
+from labrun.runner.motion import MotionMaker, TrialMotion, smooth_move
+from labrun.runner.plan import ConditionExcess, JointPeak, Plan, Planner, SearchSpace, SpaceBreak, percent
+from labrun.runner.progress import Progress, SilentProgress
+from labrun.runner.recording import LEAD_S, TAIL_S, Recorder, Recording, record_planned
+from labrun.runner.resolve import ports_of, resolve_device
+from labrun.runner.rig import Rig
+from labrun.runner.session import Session
+from labrun.runner.settle import unsettled
+
+__all__ = [
+    "LEAD_S",
+    "TAIL_S",
+    "Bench",
+    "ConditionExcess",
+    "EmulatedBench",
+    "Handle",
+    "Interrupted",
+    "JointPeak",
+    "LimitReached",
+    "Measurement",
+    "MotionMaker",
+    "Plan",
+    "Planner",
+    "Progress",
+    "RealClock",
+    "Recorder",
+    "Recording",
+    "Rig",
+    "SearchSpace",
+    "Session",
+    "SilentProgress",
+    "SimulatedClock",
+    "SpaceBreak",
+    "TrialMotion",
+    "examine_machine",
+    "examine_rig",
+    "find_devices",
+    "has_emulator",
+    "percent",
+    "ports_of",
+    "record_planned",
+    "resolve_device",
+    "smooth_move",
+    "unsettled",
+]

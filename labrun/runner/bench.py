@@ -8,7 +8,7 @@ import numpy as np
 from labrun.devices import Clock, Excess, Samples, Trajectory
 from labrun.errors import DeviceError
 from labrun.runner.faults import NonsenseError, SilentDeviceError, blaming
-from labrun.runner.moves import smooth_move
+from labrun.runner.motion import smooth_move
 from labrun.runner.rig import Rig
 from labrun.runner.sensing import SensorWatch, limit_error
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from labrun.devices import Excess, FloatArray, Limits
 from labrun.gaits import Gait, Steering, steering_of
-from labrun.runner.measurement import Condition
-from labrun.spec import Track
+from labrun.spec import Condition, Track
 
 _VALUES = 5
 """Values of each variable that are looked at, the bounds of its range among them."""

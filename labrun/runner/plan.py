@@ -11,13 +11,11 @@ from labrun.devices import Excess, Limits
 from labrun.errors import LabrunError, PlanError
 from labrun.runner.clock import SimulatedClock
 from labrun.runner.envelope import Envelope, loop_notes
-from labrun.runner.measurement import Condition
-from labrun.runner.motion import MotionMaker, TrialMotion
-from labrun.runner.moves import smooth_move
+from labrun.runner.motion import MotionMaker, TrialMotion, smooth_move
 from labrun.runner.rig import Rig
-from labrun.runner.settling import settle_estimate_s
+from labrun.runner.settle import settle_estimate_s
 from labrun.runner.wiring import check_wiring
-from labrun.spec import Experiment, Settle, condition_text
+from labrun.spec import Condition, Experiment, Settle, condition_text
 
 _SHOWN = 5
 _TRIAL_BYTES = 40_000
@@ -234,7 +232,22 @@ class Planner:
         return self._excess(self._motion(condition), self._motions.envelope(condition))
 
     def plan(self, conditions: Sequence[Condition]) -> Plan:
-        """Check all conditions; see `plan`."""
+        """Check all conditions, with time and disk; nothing is connected, nothing moves.
+
+        Returns
+        -------
+        Plan
+            With every condition that leaves a limit; `Plan.require_feasible` makes an error of them.
+
+        Raises
+        ------
+        PlanError
+            There is no condition, or one that gives no motion.
+        """
+        if not conditions:
+            raise PlanError(
+                "the plan has no condition to run", hint="check the axes and the where constraints"
+            )
         trial = self._experiment.trial
         peaks = _Peaks()
         broken: list[ConditionExcess] = []
@@ -252,10 +265,10 @@ class Planner:
                 broken.append(ConditionExcess(condition, tuple(excess)))
         broken += self._fixed_excess()
         least, most = (self._with_references(len(times) * n) for n in (trial.repeats.min, trial.repeats.max))
-        mean_s = float(np.mean(times)) if times else 0.0
+        mean_s = float(np.mean(times))
         settle_s, settle_at_most_s = settle_estimate_s(trial.settle), _settle_at_most_s(trial.settle)
         slow_s = mean_s - settle_s + settle_at_most_s
-        recorded_s = float(np.mean(samples)) if samples else 0.0
+        recorded_s = float(np.mean(samples))
         bytes_s = sum(s.rate_hz * _SAMPLE_BYTES * (len(s.channels) + 3) for s in self._rig.sensors.values())
         return Plan(
             conditions=len(conditions),
@@ -355,37 +368,3 @@ def _settle_at_most_s(rule: Settle | None) -> float:
 
 def _describe_rig(experiment: Experiment) -> Rig:
     return Rig.build(experiment, clock=SimulatedClock(), seed=0, dry_run=True)
-
-
-def plan(experiment: Experiment, conditions: Sequence[Condition], *, rig: Rig | None = None) -> Plan:
-    """Check a whole plan; nothing is connected, nothing moves.
-
-    Parameters
-    ----------
-    experiment
-        What is planned.
-    conditions
-        All conditions it would measure.
-    rig
-        The devices; without it, stand-ins tell which device moves which joint.
-
-    Returns
-    -------
-    Plan
-        With every condition that leaves a limit; `Plan.require_feasible` makes an error of them.
-
-    Raises
-    ------
-    PlanError
-        There is no condition, or one that gives no motion.
-    SpecError
-        The file names what the rig does not have.
-    """
-    if not conditions:
-        raise PlanError("the plan has no condition to run", hint="check the axes and the where constraints")
-    return Planner(experiment, rig).plan(conditions)
-
-
-def excess_of(experiment: Experiment, condition: Condition, *, rig: Rig | None = None) -> list[Excess]:
-    """Return every limit a condition would leave; `Planner.excess_of` is cheaper for many conditions."""
-    return Planner(experiment, rig).excess_of(condition)

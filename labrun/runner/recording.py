@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 
 from labrun.devices import Samples, Trajectory
 from labrun.runner.bench import Bench
-from labrun.runner.measurement import Condition
 from labrun.runner.motion import TrialMotion
 from labrun.runner.sensing import loss_share
-from labrun.store import TrialWriter
+from labrun.spec import Condition
+from labrun.store.writer import TrialWriter
 
 LEAD_S = 0.05
 """Time to hand every device its command before the common start."""
@@ -17,7 +17,7 @@ TAIL_S = 0.1
 
 
 @dataclass
-class Recorder:
+class SampleCollector:
     """Hands samples to the trial's writer, and counts what is wrong with them."""
 
     bench: Bench
@@ -52,7 +52,7 @@ class Recorder:
 
 
 @dataclass
-class Take:
+class Recording:
     """One recording: what there is to do it with, and what becomes known of it on the way.
 
     Attributes
@@ -71,7 +71,7 @@ class Take:
     motion: TrialMotion
     condition: Condition
     tare: Mapping[str, float]
-    recorder: Recorder
+    collector: SampleCollector
     on_begin: Callable[[float], object]
     command: Callable[[], Trajectory | None] = lambda: None
     fault: str = ""
@@ -89,17 +89,17 @@ class Take:
             self.bench.travel(travel.device, travel.to_m, travel.speed_m_s)
 
 
-Conduct = Callable[[Take], None]
+Recorder = Callable[[Recording], None]
 """A way to record a trial: moves, waits, and hands over the samples."""
 
 
-def conduct_as_planned(take: Take) -> None:
+def record_planned(recording: Recording) -> None:
     """Send the whole motion at once, and record from its start to its end."""
-    bench, motion = take.bench, take.motion
+    bench, motion = recording.bench, recording.motion
     start_s = bench.clock.now() + LEAD_S
     bench.follow(motion.trajectory, start_s)
-    take.begin(start_s)
+    recording.begin(start_s)
     if motion.travel is not None and motion.travel.speed_m_s > 0:
-        bench.watch(start_s, take.recorder.take)
-        take.start_travel()
-    bench.watch(start_s + motion.duration_s + TAIL_S, take.recorder.take)
+        bench.watch(start_s, recording.collector.take)
+        recording.start_travel()
+    bench.watch(start_s + motion.duration_s + TAIL_S, recording.collector.take)

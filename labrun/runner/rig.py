@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -21,15 +21,11 @@ from labrun.devices import (
 )
 from labrun.errors import DeviceError, LabrunError, RequestError, SpecError
 from labrun.registry import load
+from labrun.runner.emulated_bench import EmulatedBench
 from labrun.runner.faults import blaming
-from labrun.runner.guard import Watchdog, start_watchdog
-from labrun.runner.ports import missing_ports
-from labrun.runner.resolving import STAND_IN, ResolvedDevice, resolve
-from labrun.runner.safety import PATIENCE_S, stop_all
+from labrun.runner.resolve import STAND_IN, ResolvedDevice, missing_ports, resolve_device
+from labrun.runner.safety import PATIENCE_S, Watchdog, start_watchdog, stop_all
 from labrun.spec import Experiment
-
-if TYPE_CHECKING:
-    from labrun.runner.emulated.bench import EmulatedBench
 
 _SCENE_STREAM = 0x5CE
 _DEVICE_STREAM = 0xDEF
@@ -102,7 +98,7 @@ class Rig:
         clock: Clock,
         seed: int,
         dry_run: bool,
-        emulated: "EmulatedBench | None" = None,
+        emulated: EmulatedBench | None = None,
         require_ports: bool = True,
     ) -> "Rig":
         """Make the devices of an experiment; connects nothing.
@@ -132,7 +128,7 @@ class Rig:
         for name, written in experiment.rig.devices.items():
             table = written if emulated is None else emulated.table(name)
             try:
-                resolved.append(resolve(name, table, dry_run=dry_run))
+                resolved.append(resolve_device(name, table, dry_run=dry_run))
             except RequestError as error:
                 problems.append(error)
         if require_ports and not dry_run:

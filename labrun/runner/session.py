@@ -9,16 +9,21 @@ from labrun.errors import DeviceError, ExperimentError, LimitExceededError, Reco
 from labrun.runner.bench import Bench
 from labrun.runner.clock import RealClock
 from labrun.runner.faults import LimitReached
-from labrun.runner.measurement import Condition, Measurement
+from labrun.runner.measurement import (
+    OUTLIER,
+    Condition,
+    Measurement,
+    Order,
+    block_order,
+    find_outliers,
+    needs_another,
+)
 from labrun.runner.motion import MotionMaker
-from labrun.runner.order import Order, block_order
-from labrun.runner.outliers import PREFIX, find_outliers
 from labrun.runner.progress import Progress, SilentProgress
-from labrun.runner.recording import Conduct, conduct_as_planned
-from labrun.runner.repeats import needs_another
+from labrun.runner.recording import Recorder, record_planned
 from labrun.runner.rig import Rig
 from labrun.runner.safety import StopRequest, interruptible
-from labrun.runner.settling import needs_baseline, unsettled
+from labrun.runner.settle import needs_baseline, unsettled
 from labrun.runner.trial import TrialRequest, TrialRunner
 from labrun.runner.wiring import check_wiring
 from labrun.spec import Experiment, RepeatRule, condition_text
@@ -55,8 +60,8 @@ class Session:
         Told what happens.
     limit
         Stop, resumably, after this many new trials.
-    conduct
-        How a trial is recorded, see `labrun.runner.recording.Conduct`.
+    recorder
+        How a trial is recorded, see `labrun.runner.Recorder`.
 
     Raises
     ------
@@ -73,7 +78,7 @@ class Session:
         seed: int,
         progress: Progress | None = None,
         limit: int | None = None,
-        conduct: Conduct = conduct_as_planned,
+        recorder: Recorder = record_planned,
     ) -> None:
         self.motions = MotionMaker(experiment)
         """Motion of each condition."""
@@ -93,7 +98,7 @@ class Session:
             self.motions,
             seed=seed,
             phase=self._progress.phase,
-            conduct=conduct,
+            recorder=recorder,
         )
         self._stored = folder.outcomes()
         self._stopwatch = RealClock()
@@ -210,7 +215,7 @@ class Session:
                 f"but the plan has {condition_text(request.condition)} ({request.role}) there",
                 hint="the plan, the seed or labrun itself is not the one this run began with: start a new run",
             )
-        if outcome.reason.startswith(PREFIX):
+        if outcome.reason.startswith(OUTLIER):
             # Rejected later, by the repeats that followed: at this point of the run it still counted.
             outcome = outcome.marked("done", "")
         return self._note(outcome)

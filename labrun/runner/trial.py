@@ -7,16 +7,16 @@ from typing import Any
 
 from labrun.errors import DeviceError, LabrunError
 from labrun.runner.bench import Bench
+from labrun.runner.evaluation import ObjectiveError, ObjectiveEvaluation
 from labrun.runner.faults import blaming
-from labrun.runner.judging import Judging, ObjectiveError
-from labrun.runner.measurement import Condition
 from labrun.runner.motion import MotionMaker, TrialMotion
-from labrun.runner.recording import Conduct, Recorder, Take, conduct_as_planned
-from labrun.runner.settle import Bounds
-from labrun.runner.settling import Settled, measure_baseline, settle
-from labrun.runner.tare import tare
-from labrun.spec import Experiment, Settle
-from labrun.store import Role, RunFolder, TrialOutcome, TrialWriter
+from labrun.runner.recording import Recorder, Recording, SampleCollector, record_planned
+from labrun.runner.settle import Settled, measure_baseline, settle, tare
+from labrun.runner.settle_detector import Bounds
+from labrun.spec import Condition, Experiment, Settle
+from labrun.store.folder import RunFolder
+from labrun.store.trial import Role, TrialOutcome
+from labrun.store.writer import TrialWriter
 
 BASELINE_INDEX = 2**31 - 1
 """Stands for the baseline where device noise is derived from a trial's index."""
@@ -46,7 +46,7 @@ class _Draft:
     """What is known of a trial so far; enough to store it whenever it ends."""
 
     def __init__(self, request: TrialRequest, bench: Bench, writer: TrialWriter, discard_cycles: int) -> None:
-        self.recorder = Recorder(bench, writer)
+        self.collector = SampleCollector(bench, writer)
         self.motion: TrialMotion | None = None
         self.settled = Settled(None, None)
         self.recorded = False
@@ -78,7 +78,7 @@ class TrialRunner:
         Each trial's device noise derives from it and the trial's index.
     phase
         Told what is happening now.
-    conduct
+    recorder
         How a trial is recorded: its whole motion sent at once, unless something else is asked for.
     """
 
@@ -91,7 +91,7 @@ class TrialRunner:
         *,
         seed: int,
         phase: Callable[[str], object],
-        conduct: Conduct = conduct_as_planned,
+        recorder: Recorder = record_planned,
     ) -> None:
         self._experiment = experiment
         self._table = experiment.trial
@@ -100,9 +100,9 @@ class TrialRunner:
         self._folder = folder
         self._seed = seed
         self._phase = phase
-        self._conduct = conduct
+        self._recorder = recorder
         self._motions = motions
-        self._judging = Judging(experiment)
+        self._evaluation = ObjectiveEvaluation(experiment)
         self._speed_rad_s = math.radians(self._table.move_speed_deg_s)
         self._safe_pose = {joint: math.radians(deg) for joint, deg in self._table.safe_pose_deg.items()}
         self.baseline: Bounds | None = None
@@ -134,7 +134,7 @@ class TrialRunner:
             self._keep_unfinished(draft, writer, error)
             raise
         try:
-            raised = self._judge(draft, writer)
+            raised = self._evaluate(draft, writer)
         except BaseException as error:
             self._keep_unfinished(draft, writer, error)
             raise
@@ -199,12 +199,14 @@ class TrialRunner:
 
         for device in self._rig.paced.values():
             device.restart_pacing()  # what moved it here does not count
-        take = Take(self._bench, motion, request.condition, draft.outcome.tare, draft.recorder, begun)
+        recording = Recording(
+            self._bench, motion, request.condition, draft.outcome.tare, draft.collector, begun
+        )
         try:
-            self._conduct(take)
+            self._recorder(recording)
         finally:
-            draft.fault = take.fault
-            sent = take.command()
+            draft.fault = recording.fault
+            sent = recording.command()
             if sent is not None:
                 draft.motion = replace(motion, trajectory=sent)
             for name, device in self._rig.paced.items():
@@ -216,18 +218,18 @@ class TrialRunner:
             self._journal("safe-pose", index=index)
             self._bench.move(self._safe_pose, self._speed_rad_s)
 
-    def _judge(self, draft: _Draft, writer: TrialWriter) -> str:
+    def _evaluate(self, draft: _Draft, writer: TrialWriter) -> str:
         """Compute the objectives; return what a plugin raised."""
         outcome, motion, raised = draft.outcome, draft.motion, ""
         if motion is None or not draft.recorded:
             return raised
         try:
             signals = writer.signals(outcome.started_s, outcome.tare)
-            draft.know(objectives=self._judging.judge(signals, motion, outcome.condition))
+            draft.know(objectives=self._evaluation.evaluate(signals, motion, outcome.condition))
         except ObjectiveError as error:
             draft.know(status="failed", reason=str(error).splitlines()[0])
             raised = error.raised
-        fault = draft.recorder.fault(self._table.max_lost_share) or draft.fault
+        fault = draft.collector.fault(self._table.max_lost_share) or draft.fault
         if fault:
             draft.know(status="rejected", reason=fault)
         return raised

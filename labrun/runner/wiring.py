@@ -4,8 +4,7 @@ from collections.abc import Iterable
 
 from labrun.errors import SpecError, StoreError
 from labrun.runner.rig import Rig
-from labrun.runner.settling import watched_channels
-from labrun.runner.tare import tared_devices
+from labrun.runner.settle import tared_devices, watched_channels
 from labrun.spec import LOOP_DEVICE, Experiment, loop_channels
 from labrun.store import check_columns, check_names
 

@@ -19,7 +19,7 @@ from labrun.search.strategy import Strategy
 from labrun.spec import CmaEs, Experiment, condition_key
 
 if TYPE_CHECKING:
-    from labrun.runner.progress import Progress
+    from labrun.runner import Progress
 
 FloatArray = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 
 
 class Measured(Protocol):
-    """What a measurement of one condition offers (`labrun.runner.session.Measurement`)."""
+    """What a measurement of one condition offers (`labrun.runner.Measurement`)."""
 
     @property
     def condition(self) -> Condition:
@@ -40,7 +40,7 @@ class Measured(Protocol):
 
 
 class Measures(Protocol):
-    """What a search needs of a session (`labrun.runner.session.Session`)."""
+    """What a search needs of a session (`labrun.runner.Session`)."""
 
     def measure(
         self,

@@ -7,7 +7,7 @@ import numpy as np
 
 from labrun.devices import Excess
 from labrun.errors import PlanError
-from labrun.runner.plan import ConditionExcess, Plan, SearchSpace, SpaceBreak, percent
+from labrun.runner import ConditionExcess, Plan, SearchSpace, SpaceBreak, percent
 from labrun.search.constraints import constraints
 from labrun.search.design import Condition, start_of_search
 from labrun.search.feasibility import Feasibility, LimitExcesses, probes

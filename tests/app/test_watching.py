@@ -20,8 +20,10 @@ from labrun.devices import Channel, Samples
 from labrun.errors import RequestError
 from labrun.report.braille import braille_curve
 from labrun.report.watch_display import render
-from labrun.runner.clock import SimulatedClock
-from labrun.store import RunFolder, SeenTrial, TrialOutcome
+from labrun.runner import SimulatedClock
+from labrun.store.folder import RunFolder
+from labrun.store.trial import TrialOutcome
+from labrun.store.watching import SeenTrial
 
 SPEC = """
 title = "Thrust of a tail"
@@ -252,7 +254,7 @@ def test_files_that_others_have_locked_are_read_all_the_same(folder):
     store(folder, 0)
     script = (
         "from pathlib import Path\nfrom labrun.app.watch import Watcher\n"
-        "from labrun.runner.clock import SimulatedClock\n"
+        "from labrun.runner import SimulatedClock\n"
         f"seen = Watcher(Path({str(folder.path)!r}), SimulatedClock()).look()\n"
         "print(seen.total, seen.trace.index)"
     )

@@ -4,10 +4,8 @@ import json
 import tomllib
 from pathlib import Path
 
-from labrun.control.conductor import LoopConductor
-from labrun.runner.clock import SimulatedClock
-from labrun.runner.rig import Rig
-from labrun.runner.session import Session
+from labrun.control.closed_loop import ClosedLoopRecorder
+from labrun.runner import Rig, Session, SimulatedClock
 from labrun.spec import Experiment
 from labrun.store import RunFolder, open_run
 
@@ -71,8 +69,8 @@ class PlantLab:
         self.clock = clock or SimulatedClock()
         self.rig = Rig.build(self.experiment, clock=self.clock, seed=seed, dry_run=True)
         self.rig.open()
-        conduct = LoopConductor(self.experiment, self.rig)
-        self.session = Session(self.experiment, self.rig, self.folder, self.clock, seed, conduct=conduct)
+        recorder = ClosedLoopRecorder(self.experiment, self.rig)
+        self.session = Session(self.experiment, self.rig, self.folder, self.clock, seed, recorder=recorder)
 
     def run(self):
         """Measure every condition of the file; return the outcomes in their order."""

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from labrun.devices.emulated_wire import FaultyWire
 from labrun.devices.emulation import Faults
-from labrun.runner.clock import SimulatedClock
+from labrun.runner import SimulatedClock
 
 MESSAGES = [bytes([number] * 8) for number in range(1, 7)]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labrun.devices import CommandStream, Trajectory
-from labrun.runner.clock import RealClock
+from labrun.runner import RealClock
 
 CLOCK = RealClock()
 

@@ -4,7 +4,7 @@ import pytest
 from labrun.devices import DeviceError, SerialPort
 from labrun.devices.emulated_ports import PtyEndpoint
 from labrun.devices.emulation import EmulatorContext, EmulatorLog
-from labrun.runner.clock import RealClock
+from labrun.runner import RealClock
 
 CLOCK = RealClock()
 

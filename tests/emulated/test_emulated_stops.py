@@ -10,7 +10,7 @@ import pytest
 from emulated_lab import CLOCK, emulated_lab
 
 from labrun.errors import DeviceError, LimitExceededError
-from labrun.runner.faults import Interrupted
+from labrun.runner import Interrupted
 
 LONG = {"trial__cycles": 30}
 SOON_S = 1.0

@@ -9,7 +9,7 @@ from labrun.app.run import execute
 from labrun.blind import named_model
 from labrun.fit.dataset import load_dataset
 from labrun.fit.output_error import fit_model
-from labrun.runner.progress import SilentProgress
+from labrun.runner import SilentProgress
 from labrun.spec import load_named
 
 SMALLER = {

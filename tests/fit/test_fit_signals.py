@@ -12,7 +12,7 @@ from labrun.app.run import execute
 from labrun.errors import FitError, RequestError
 from labrun.fit.signal_table import SignalTable
 from labrun.fit.signals import load_signals, trailing_mean
-from labrun.runner.progress import SilentProgress
+from labrun.runner import SilentProgress
 from labrun.spec import load_named
 from labrun.store import open_run
 

@@ -8,7 +8,7 @@ import pytest
 
 from labrun.app.fit import fit
 from labrun.app.run import execute
-from labrun.runner.progress import SilentProgress
+from labrun.runner import SilentProgress
 from labrun.spec import load_named
 
 PUBLISHED = {

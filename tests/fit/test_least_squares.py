@@ -14,7 +14,7 @@ from labrun.fit.regression.least_squares import (
     solve,
     term_values,
 )
-from labrun.runner.progress import SilentProgress
+from labrun.runner import SilentProgress
 from labrun.spec import load_named
 
 STEP_S = 0.05

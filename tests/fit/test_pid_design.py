@@ -32,7 +32,7 @@ from labrun.fit.tuning.optimum import Wanted, loop_error, optimum
 from labrun.fit.tuning.rules import Reduced, reduce_order, rules, simc
 from labrun.fit.tuning.settings import PidSettings
 from labrun.fit.tuning.study import Study, study
-from labrun.runner.progress import SilentProgress
+from labrun.runner import SilentProgress
 from labrun.spec import load_named
 
 CYCLE_S = 1 / 1.4

@@ -10,7 +10,7 @@ from labrun.errors import RequestError
 from labrun.gap.diagnose import Options
 from labrun.gap.saving import save_model
 from labrun.models import load_model
-from labrun.runner.progress import SilentProgress
+from labrun.runner import SilentProgress
 from labrun.spec import load_named
 
 SMALL = (

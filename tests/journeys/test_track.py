@@ -21,7 +21,7 @@ ALL_P = ("P-100", "P-109", "P-120")
 def found(request, tmp_path_factory):
     """Return every accepted value of each objective by controller, of one whole dry run."""
     from labrun.app.run import execute
-    from labrun.runner.progress import SilentProgress
+    from labrun.runner import SilentProgress
     from labrun.spec import load_experiment, shipped_experiments
 
     loaded = load_experiment(shipped_experiments() / "force-control.toml")

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from labrun.app.watch import Watcher
-from labrun.runner.clock import RealClock
+from labrun.runner import RealClock
 
 SWEEP = (
     "sweep", "fin-params", "--dry-run", "--json", "--seed", "7",

@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 
 from labrun.devices import DeviceContext
-from labrun.runner.clock import RealClock
-from labrun.runner.emulated.bench import EmulatedBench
-from labrun.runner.resolving import resolve
+from labrun.runner import EmulatedBench, RealClock, resolve_device
 from labrun.toml import PluginTable
 
 POLL_S = 0.005
@@ -77,7 +75,7 @@ def emulated(
     bench_of = {"plugin": scene, **(scene_settings or {})}
     scene_table = None if scene is None else PluginTable.model_validate(bench_of)
     with EmulatedBench({name: table}, scene_table, seed=seed, faults={name: faults or {}}) as bench:
-        item = resolve(name, bench.table(name), dry_run=False)
+        item = resolve_device(name, bench.table(name), dry_run=False)
         clock = RealClock()
         driver = item.make(name, item.settings, DeviceContext(clock, np.random.default_rng(seed)))
         try:

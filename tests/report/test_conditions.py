@@ -14,7 +14,7 @@ from labrun.app.run import execute
 from labrun.report.conditions import condition_results, in_order, most_promising, varying
 from labrun.report.findings import findings
 from labrun.report.run_overlay import condition_title
-from labrun.runner.progress import SilentProgress
+from labrun.runner import SilentProgress
 from labrun.spec import load_named
 from labrun.store import open_run
 

@@ -8,7 +8,7 @@ from labrun.app.diagnose import store
 from labrun.app.report import stored_gap, write_report
 from labrun.app.run import execute
 from labrun.report.html_gap import gap_section
-from labrun.runner.progress import SilentProgress
+from labrun.runner import SilentProgress
 from labrun.spec import load_named
 from labrun.store import open_run
 

@@ -11,7 +11,7 @@ from labrun.app.report import read_source, write_report
 from labrun.app.run import execute
 from labrun.cli.app import app
 from labrun.report.text import interval_words
-from labrun.runner.progress import SilentProgress
+from labrun.runner import SilentProgress
 from labrun.search.result import stored_result
 from labrun.spec import load_named
 from labrun.store import RunFolder, import_recording, open_run

@@ -12,7 +12,7 @@ from labrun.report.findings import findings
 from labrun.report.html import report_html
 from labrun.report.loop_health import LoopHealth, loop_health, loop_words
 from labrun.report.recorded import experiment_of
-from labrun.runner.progress import SilentProgress
+from labrun.runner import SilentProgress
 from labrun.spec import load_named
 from labrun.store import open_run
 

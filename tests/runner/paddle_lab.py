@@ -4,9 +4,7 @@ import copy
 import tomllib
 from pathlib import Path
 
-from labrun.runner.clock import SimulatedClock
-from labrun.runner.rig import Rig
-from labrun.runner.session import Session
+from labrun.runner import Rig, Session, SimulatedClock
 from labrun.spec import Experiment
 
 EXPERIMENT = """

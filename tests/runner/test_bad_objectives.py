@@ -3,8 +3,8 @@
 import pytest
 
 from labrun.errors import ExperimentError
-from labrun.runner.judging import Judging
-from labrun.store import open_run
+from labrun.runner.evaluation import ObjectiveEvaluation
+from labrun.store.reading import open_run
 
 ONE = [{"a": 10, "f": 1.0}]
 
@@ -40,7 +40,7 @@ def test_a_judgement_that_breaks_altogether_keeps_the_recording(lab, monkeypatch
     def broken(self, *_):
         raise RuntimeError("out of memory")
 
-    monkeypatch.setattr(Judging, "judge", broken)
+    monkeypatch.setattr(ObjectiveEvaluation, "evaluate", broken)
     lab = lab(trial__repeats=1)
     with pytest.raises(RuntimeError, match="out of memory"):
         lab.session.measure(ONE)

@@ -25,7 +25,7 @@ def _of(findings, subject):
 
 def test_a_slow_latency_timer_is_a_warning_with_the_command_that_mends_it(adapter, tmp_path):
     adapter.write_text("16\n")
-    found = _of(doctor.examine(tmp_path, tmp_path / "usb-serial"), "ttyUSB0")
+    found = _of(doctor.examine_machine(tmp_path, tmp_path / "usb-serial"), "ttyUSB0")
     assert found.verdict == "warning"
     assert "16 ms" in found.message
     assert str(adapter) in found.advice
@@ -33,12 +33,12 @@ def test_a_slow_latency_timer_is_a_warning_with_the_command_that_mends_it(adapte
 
 def test_a_quick_latency_timer_is_fine(adapter, tmp_path):
     adapter.write_text("1\n")
-    assert _of(doctor.examine(tmp_path, tmp_path / "usb-serial"), "ttyUSB0").verdict == "ok"
+    assert _of(doctor.examine_machine(tmp_path, tmp_path / "usb-serial"), "ttyUSB0").verdict == "ok"
 
 
 def test_a_port_without_permission_is_a_problem(adapter, tmp_path, monkeypatch):
     monkeypatch.setattr(doctor.os, "access", lambda path, mode: False)
-    found = _of(doctor.examine(tmp_path, tmp_path / "usb-serial"), "ttyUSB0")
+    found = _of(doctor.examine_machine(tmp_path, tmp_path / "usb-serial"), "ttyUSB0")
     assert found.verdict == "problem"
     assert "dialout" in found.advice
 
@@ -48,4 +48,4 @@ def test_a_disk_that_cannot_be_written_is_a_problem(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(doctor.os, "fsync", full)
-    assert _of(doctor.examine(tmp_path), "disk").verdict == "problem"
+    assert _of(doctor.examine_machine(tmp_path), "disk").verdict == "problem"

@@ -11,9 +11,8 @@ import pytest
 
 from labrun.devices import Trajectory
 from labrun.errors import ExperimentError, PluginError, SpecError
-from labrun.runner.clock import RealClock
-from labrun.runner.emulated import bench as bench_module
-from labrun.runner.emulated.bench import EmulatedBench
+from labrun.runner import EmulatedBench, RealClock
+from labrun.runner import emulated_bench as bench_module
 from labrun.toml import PluginTable
 
 CLOCK = RealClock()
@@ -142,8 +141,8 @@ def test_emulators_outlive_a_killed_runner_for_the_watchdog_and_then_end_by_them
     script = tmp_path / "runner.py"
     script.write_text(
         "import sys, time\n"
-        "from labrun.runner.emulated.bench import EmulatedBench\n"
-        "from labrun.toml import PluginTable\n"
+        "from labrun.runner import EmulatedBench\n"
+        "from labrun.spec.experiment import PluginTable\n"
         "wrench = PluginTable.model_validate({'plugin': 'robotiq-ft300', 'port': '/dev/ttyUSB0'})\n"
         "bench = EmulatedBench({'wrench': wrench}, PluginTable(plugin='caudal-tank'), seed=1)\n"
         "bench.open()\n"

@@ -151,8 +151,7 @@ def test_a_full_disk_ends_the_run_with_actuators_stopped_before(lab, monkeypatch
 def test_a_missing_port_is_named_with_its_device_and_the_way_round(tmp_path):
     from paddle_lab import experiment_with
 
-    from labrun.runner.clock import RealClock
-    from labrun.runner.rig import Rig
+    from labrun.runner import RealClock, Rig
 
     experiment = experiment_with(rig__devices__tail__port="/dev/ttyNOTHERE7")
     with pytest.raises(RequestError) as caught:
@@ -165,8 +164,7 @@ def test_a_missing_port_is_named_with_its_device_and_the_way_round(tmp_path):
 def test_a_driver_that_is_not_installed_is_named_with_its_port_and_the_way_round():
     from paddle_lab import experiment_with
 
-    from labrun.runner.clock import RealClock
-    from labrun.runner.rig import Rig
+    from labrun.runner import RealClock, Rig
 
     experiment = experiment_with(
         rig__devices__tail={"plugin": "servo", "port": "/dev/ttyACM0"},

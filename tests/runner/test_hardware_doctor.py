@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 
 from labrun.devices import DeviceContext, DeviceError, Identity
-from labrun.runner import hardware_doctor
-from labrun.runner.clock import RealClock
-from labrun.runner.emulated.bench import EmulatedBench
-from labrun.runner.hardware_doctor import examine_rig, find_devices
-from labrun.runner.resolving import resolve
-from labrun.runner.rig import Rig
+from labrun.runner import (
+    EmulatedBench,
+    RealClock,
+    Rig,
+    doctor,
+    examine_rig,
+    find_devices,
+    resolve_device,
+)
 from labrun.spec import Experiment
 
 EXPERIMENT = Experiment.model_validate(
@@ -82,10 +85,8 @@ def test_a_kind_whose_library_is_missing_says_what_to_install_and_keeps_no_other
         probe = staticmethod(lambda port: Identity("a thing", firmware="1.0"))
 
     kinds = {"missing": Missing, "there": There}
-    monkeypatch.setattr(
-        hardware_doctor, "_probes", lambda: {name: kind.probe for name, kind in kinds.items()}
-    )
-    monkeypatch.setattr(hardware_doctor, "_require_free", lambda port: None)
+    monkeypatch.setattr(doctor, "_probes", lambda: {name: kind.probe for name, kind in kinds.items()})
+    monkeypatch.setattr(doctor, "_require_free", lambda port: None)
     missing, found = find_devices(["/dev/ttyUSB7"])
     assert (missing.verdict, missing.subject) == ("warning", "/dev/ttyUSB7, missing")
     assert missing.message == "needs a library"
@@ -100,7 +101,7 @@ def test_a_machine_without_a_port_is_told_so():
 
 
 def test_a_port_that_a_run_holds_is_told_as_such(bench):
-    item = resolve("tail", bench.table("tail"), dry_run=False)
+    item = resolve_device("tail", bench.table("tail"), dry_run=False)
     tail = item.make("tail", item.settings, DeviceContext(CLOCK, np.random.default_rng(1)))
     tail.open()
     (remark,) = find_devices([item.settings.port])

@@ -5,11 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labrun.runner.clock import RealClock, SimulatedClock
-from labrun.runner.measurement import Measurement
-from labrun.runner.order import block_order
-from labrun.runner.outliers import find_outliers, modified_z
-from labrun.runner.repeats import needs_another
+from labrun.runner import RealClock, SimulatedClock
+from labrun.runner.measurement import Measurement, block_order, find_outliers, modified_z, needs_another
 from labrun.spec import Outliers, RepeatRule
 from labrun.store import TrialOutcome
 

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from paddle_lab import experiment_with
 
 from labrun.errors import LimitExceededError, PlanError
-from labrun.runner.moves import smooth_move
-from labrun.runner.plan import excess_of, plan
+from labrun.runner import Planner, smooth_move
 
 ONE = [{"a": 10, "f": 1.0}]
 SLEDGE = {
@@ -65,7 +64,7 @@ def test_a_hot_servo_is_not_driven(lab):
 def test_the_plan_finds_every_condition_that_leaves_a_limit_before_anything_moves():
     experiment = experiment_with()
     conditions = [{"a": float(a), "f": 1.0} for a in range(10, 90, 5)]
-    found = plan(experiment, conditions)
+    found = Planner(experiment).plan(conditions)
     assert [item.condition["a"] for item in found.excess] == [65.0, 70.0, 75.0, 80.0, 85.0]
     with pytest.raises(PlanError) as caught:
         found.require_feasible()
@@ -77,19 +76,19 @@ def test_the_plan_finds_every_condition_that_leaves_a_limit_before_anything_move
 
 def test_the_size_of_an_excess_grows_with_the_distance_from_the_limit():
     experiment = experiment_with()
-    sizes = [excess_of(experiment, {"a": a, "f": 0.5})[0].value for a in (61.0, 65.0, 80.0)]
+    sizes = [Planner(experiment).excess_of({"a": a, "f": 0.5})[0].value for a in (61.0, 65.0, 80.0)]
     assert sizes == pytest.approx([61.0, 65.0, 80.0], rel=1e-3)
-    assert excess_of(experiment, {"a": 59.9, "f": 0.5}) == []
+    assert Planner(experiment).excess_of({"a": 59.9, "f": 0.5}) == []
 
 
 def test_speed_is_checked_too():
-    (excess,) = excess_of(experiment_with(), {"a": 50.0, "f": 3.0})
+    (excess,) = Planner(experiment_with()).excess_of({"a": 50.0, "f": 3.0})
     assert excess.unit == "deg/s"
     assert excess.bound == 600
 
 
 def test_a_safe_pose_outside_the_limits_is_found_in_the_plan():
-    found = plan(experiment_with(trial__safe_pose_deg={"tail": 75}), ONE)
+    found = Planner(experiment_with(trial__safe_pose_deg={"tail": 75})).plan(ONE)
     assert "safe pose of tail 75 deg is above the limit of 60 deg" in str(found.excess[0].excess[0])
 
 
@@ -97,7 +96,9 @@ def test_the_plan_counts_trials_time_disk_and_demand():
     experiment = experiment_with(
         trial__repeats={"min": 2, "max": 5}, trial__reference={"every": 3, "condition": {"a": 15, "f": 1.0}}
     )
-    report = plan(experiment, [{"a": 10, "f": 1.0}, {"a": 20, "f": 2.0}, {"a": 30, "f": 1.0}]).report()
+    report = (
+        Planner(experiment).plan([{"a": 10, "f": 1.0}, {"a": 20, "f": 2.0}, {"a": 30, "f": 1.0}]).report()
+    )
     assert report["conditions"] == 3
     assert report["trials"] == 6 + 2
     assert report["trials_at_most"] == 15 + 5
@@ -113,7 +114,7 @@ def test_the_plan_counts_trials_time_disk_and_demand():
 def test_the_estimated_time_is_close_to_what_the_run_takes(lab):
     lab = lab()
     conditions = [{"a": 10, "f": 1.0}, {"a": 20, "f": 2.0}]
-    estimate = plan(lab.experiment, conditions, rig=lab.rig)
+    estimate = Planner(lab.experiment, lab.rig).plan(conditions)
     start_s = lab.clock.now()
     lab.session.measure(conditions)
     assert lab.clock.now() - start_s == pytest.approx(estimate.time_s, rel=0.25)
@@ -121,7 +122,7 @@ def test_the_estimated_time_is_close_to_what_the_run_takes(lab):
 
 def test_an_empty_plan_is_refused():
     with pytest.raises(PlanError, match="no condition"):
-        plan(experiment_with(), [])
+        Planner(experiment_with()).plan([])
 
 
 def test_as_many_whole_cycles_as_the_travel_allows_are_recorded(lab):
@@ -137,21 +138,20 @@ def test_as_many_whole_cycles_as_the_travel_allows_are_recorded(lab):
 
 def test_a_travel_that_ends_before_the_recording_is_an_excess():
     experiment = experiment_with(**SLEDGE, trial__cycles=10)
-    (excess,) = excess_of(experiment, {"a": 10, "f": 1.0, "v": 0.2})
+    (excess,) = Planner(experiment).excess_of({"a": 10, "f": 1.0, "v": 0.2})
     assert "against the carriage's travel" in str(excess)
-    assert excess_of(experiment, {"a": 10, "f": 1.0, "v": 0.08}) == []
+    assert Planner(experiment).excess_of({"a": 10, "f": 1.0, "v": 0.08}) == []
 
 
 def test_a_carriage_faster_than_its_limit_is_an_excess():
-    found = excess_of(
-        experiment_with(**SLEDGE, trial__cycles=1, trial__discard_cycles=0), {"a": 10, "f": 5.0, "v": 0.6}
-    )
+    experiment = experiment_with(**SLEDGE, trial__cycles=1, trial__discard_cycles=0)
+    found = Planner(experiment).excess_of({"a": 10, "f": 5.0, "v": 0.6})
     assert any(str(excess) == "speed 0.6 m/s is above the limit of 0.5 m/s" for excess in found)
 
 
 def test_cycles_that_fit_need_a_carriage_that_moves():
     with pytest.raises(PlanError, match="stands still"):
-        plan(experiment_with(**SLEDGE, trial__cycles="fit"), [{"a": 10, "f": 1.0, "v": 0.0}])
+        Planner(experiment_with(**SLEDGE, trial__cycles="fit")).plan([{"a": 10, "f": 1.0, "v": 0.0}])
 
 
 @given(

@@ -12,10 +12,7 @@ from paddle_lab import EXPERIMENT, experiment_with
 from labrun.app.run import connected, execute
 from labrun.devices import DeviceSettings, Port
 from labrun.errors import PluginError, RigBusyError
-from labrun.runner.clock import RealClock
-from labrun.runner.ports import ports_of
-from labrun.runner.progress import SilentProgress
-from labrun.runner.rig import Rig
+from labrun.runner import RealClock, Rig, SilentProgress, ports_of
 from labrun.spec import loads_experiment
 from labrun.store import lock_ports
 from labrun.store import locks as rig_lock
@@ -52,7 +49,7 @@ def test_a_second_run_on_a_rig_is_refused_and_connects_and_writes_nothing(tmp_pa
 
 def test_a_dry_run_needs_no_port(locks):
     experiment = experiment_with(rig__devices__tail__port="/dev/null")
-    from labrun.runner.clock import SimulatedClock
+    from labrun.runner import SimulatedClock
 
     rig = Rig.build(experiment, clock=SimulatedClock(), seed=1, dry_run=True)
     with lock_ports(["/dev/null"]), connected(rig):
@@ -89,8 +86,8 @@ HANGING = """
 import sys
 sys.path.insert(0, sys.argv[1])
 from paddle_lab import experiment_with
-from labrun.runner.clock import RealClock
-from labrun.runner.rig import Rig
+from labrun.runner import RealClock
+from labrun.runner import Rig
 experiment = experiment_with(rig__devices__tail__stop_log=sys.argv[2], rig__devices__tail__stop_hangs_s=60.0)
 rig = Rig.build(experiment, clock=RealClock(), seed=1, dry_run=False)
 rig.open()

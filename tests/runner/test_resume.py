@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from paddle_lab import Lab, experiment_with
 
 from labrun.errors import RecordingError
-from labrun.runner.faults import LimitReached
-from labrun.store import RunFolder
+from labrun.runner import LimitReached
+from labrun.store.folder import RunFolder
 
 CONDITIONS = [{"a": 10, "f": 1.0}, {"a": 20, "f": 1.0}, {"a": 30, "f": 2.0}]
 CHANGES = {

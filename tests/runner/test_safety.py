@@ -6,7 +6,7 @@ import signal
 import pytest
 
 from labrun.errors import ExperimentError, StoreError
-from labrun.runner.faults import Interrupted
+from labrun.runner import Interrupted
 from labrun.runner.safety import interruptible, stop_all
 from labrun.store import RunFolder, TrialWriter
 

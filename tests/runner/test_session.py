@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labrun.errors import ExperimentError, SpecError
-from labrun.runner.faults import LimitReached
+from labrun.runner import LimitReached
 from labrun.spec import RepeatRule
 
 CONDITIONS = [{"a": 10, "f": 1.0}, {"a": 20, "f": 1.0}, {"a": 30, "f": 2.0}]

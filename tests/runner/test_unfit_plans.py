@@ -4,7 +4,7 @@ import pytest
 from paddle_lab import experiment_with
 
 from labrun.errors import PlanError
-from labrun.runner.plan import excess_of, plan
+from labrun.runner import Planner
 
 CONDITION = {"a": 10, "f": 1.0}
 
@@ -14,7 +14,10 @@ CONDITION = {"a": 10, "f": 1.0}
 )
 def test_a_gait_that_is_not_a_number_is_a_plan_error_naming_gait_and_condition(gait, why):
     experiment = experiment_with(gait__plugin=f"bad_gaits:{gait}")
-    for check in (lambda: plan(experiment, [CONDITION]), lambda: excess_of(experiment, CONDITION)):
+    for check in (
+        lambda: Planner(experiment).plan([CONDITION]),
+        lambda: Planner(experiment).excess_of(CONDITION),
+    ):
         with pytest.raises(PlanError) as caught:
             check()
         text = str(caught.value)
@@ -24,7 +27,7 @@ def test_a_gait_that_is_not_a_number_is_a_plan_error_naming_gait_and_condition(g
 
 def test_a_condition_that_is_not_a_number_is_a_plan_error():
     with pytest.raises(PlanError, match="a = nan"):
-        plan(experiment_with(), [{"a": float("nan"), "f": 1.0}])
+        Planner(experiment_with()).plan([{"a": float("nan"), "f": 1.0}])
 
 
 @pytest.mark.parametrize("timeout_s", [0.001, 1.9])
@@ -34,4 +37,4 @@ def test_a_watchdog_less_patient_than_a_stop_is_refused(timeout_s):
     with pytest.raises(
         SpecError, match=r"rig.watchdog_s = .* is shorter than the 2 s that devices get to stop"
     ):
-        plan(experiment_with(rig__watchdog_s=timeout_s), [CONDITION])
+        Planner(experiment_with(rig__watchdog_s=timeout_s)).plan([CONDITION])

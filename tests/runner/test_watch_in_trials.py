@@ -3,8 +3,8 @@
 import pytest
 
 from labrun.errors import DeviceError, LimitExceededError
-from labrun.runner.progress import SilentProgress
-from labrun.store import RunFolder
+from labrun.runner import SilentProgress
+from labrun.store.folder import RunFolder
 
 LONG = {"trial__cycles": 500, "trial__repeats": 1}
 ONE = [{"a": 10, "f": 1.0}]

@@ -15,10 +15,10 @@ RUNNER = """
     sys.path.insert(0, {here!r})
     from pathlib import Path
     from conftest import experiment_with
-    from labrun.runner.clock import RealClock
-    from labrun.runner.rig import Rig
-    from labrun.runner.session import Session
-    from labrun.store import RunFolder
+    from labrun.runner import RealClock
+    from labrun.runner import Rig
+    from labrun.runner import Session
+    from labrun.store.folder import RunFolder
 
     experiment = experiment_with(
         rig__devices__tail__stop_log={log!r},
@@ -128,7 +128,7 @@ def test_ctrl_c_reaches_the_runner_and_not_the_watchdog(runner):
 
 def test_the_watchdog_imports_nothing_heavy():
     code = (
-        "import sys, labrun.runner.watchdog as w;"
+        "import sys, labrun.devices.processes.watchdog as w;"
         "w.load_stoppable('tail', 'pond:Servo', {});"
         "print([m for m in ('scipy', 'numba', 'matplotlib', 'h5py', 'cma') if m in sys.modules])"
     )

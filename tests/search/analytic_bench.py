@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from labrun.runner.measurement import Measurement
+from labrun.runner import Measurement
 from labrun.spec import Experiment, RepeatRule
 from labrun.store import TrialOutcome
 

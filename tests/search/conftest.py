@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from labrun.app.run import execute
-from labrun.runner.progress import SilentProgress
+from labrun.runner import SilentProgress
 from labrun.spec import load_experiment
 
 TANK = """

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from analytic_bench import AnalyticBench
 
-from labrun.runner.measurement import Measurement
+from labrun.runner import Measurement
 from labrun.search.leaders import honest_best, leading_conditions
 from labrun.spec import Leaders
 from labrun.store import TrialOutcome

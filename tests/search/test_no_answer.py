@@ -11,7 +11,7 @@ from labrun.app.resume import resume
 from labrun.cli.app import app
 from labrun.errors import ExperimentError
 from labrun.report.findings import findings
-from labrun.runner.progress import SilentProgress
+from labrun.runner import SilentProgress
 from labrun.search.result import RunResult
 from labrun.store import RunFolder, open_run
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from labrun.errors import LabrunError, RequestError
 from labrun.gap.next.trials import PlannedTrial
 from labrun.gap.next.values import beyond, by_hand, reach, rounded
+from labrun.runner import MotionMaker, Plan, Planner
 from labrun.spec import Condition, condition_text, loads_experiment, resolved
 from labrun.store import COMMAND
 from labrun.toml import evaluate, names_in
@@ -18,7 +19,6 @@ from labrun.toml import evaluate, names_in
 if TYPE_CHECKING:
     from labrun.fit.dataset import Dataset
     from labrun.models import Model
-    from labrun.runner.plan import Plan
     from labrun.spec import Experiment
     from labrun.store import Run
 
@@ -111,9 +111,6 @@ class RunBench:
 
     def pool(self, rng: np.random.Generator) -> list[PlannedTrial]:
         """Return trials at conditions that were not measured and that stay inside every limit."""
-        from labrun.runner.motion import MotionMaker
-        from labrun.runner.plan import Planner
-
         planner, maker = Planner(self.experiment), MotionMaker(self.experiment)
         found = []
         for condition in self._conditions(planner, rng):
@@ -150,9 +147,7 @@ class RunBench:
 
     def plan(self, trials: Sequence[PlannedTrial]) -> "Plan":
         """Return the plan of chosen trials, checked against every limit."""
-        from labrun.runner.plan import plan
-
-        made = plan(self.experiment, [dict(trial.condition) for trial in trials])
+        made = Planner(self.experiment).plan([dict(trial.condition) for trial in trials])
         made.require_feasible()
         return made
 

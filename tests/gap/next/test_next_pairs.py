@@ -8,8 +8,7 @@ from diagnosing import diagnose
 from labrun.app.next import propose_next as propose
 from labrun.app.run import execute
 from labrun.gap.diagnose import Options
-from labrun.runner.plan import plan
-from labrun.runner.progress import SilentProgress
+from labrun.runner import Planner, SilentProgress
 from labrun.spec import load_experiment, load_named
 
 SEED = 1
@@ -69,7 +68,7 @@ def test_what_slow_motion_leaves_open_the_proposed_experiment_settles(case, tmp_
     assert {pair.truth, pair.other} <= set(proposal.rivals)
     assert proposal.file == tmp_path / "experiments" / f"{pair.experiment}-next.toml"
     experiment = load_experiment(proposal.file).experiment
-    made = plan(experiment, experiment.run.conditions)
+    made = Planner(experiment).plan(experiment.run.conditions)
     made.require_feasible()
     assert 0 < proposal.time_s <= proposal.time_at_most_s
     second = dry_run(tmp_path, proposal.file.stem, f"same-as:{pair.experiment}")

@@ -7,8 +7,7 @@ from labrun.app.run import execute
 from labrun.blind import named_model
 from labrun.fit.dataset import load_dataset
 from labrun.gap.next.run_bench import RunBench
-from labrun.runner.plan import Planner
-from labrun.runner.progress import SilentProgress
+from labrun.runner import Planner, SilentProgress
 from labrun.spec import load_named
 from labrun.store import open_run
 

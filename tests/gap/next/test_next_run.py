@@ -7,8 +7,7 @@ from labrun.app.next import propose_next as propose
 from labrun.app.run import execute
 from labrun.gap.diagnose import Options
 from labrun.gap.next.values import beyond, by_hand, rounded
-from labrun.runner.plan import plan
-from labrun.runner.progress import SilentProgress
+from labrun.runner import Planner, SilentProgress
 from labrun.spec import load_experiment, load_named
 
 HIDDEN = ["quadratic-drag@hinge"]
@@ -34,7 +33,7 @@ def test_from_a_run_to_its_next_experiment_and_to_the_diagnosis_of_both(tmp_path
     loaded = load_experiment(proposal.file)
     conditions = loaded.experiment.run.conditions
     assert [dict(trial.condition) for trial in proposal.trials] == conditions
-    plan(loaded.experiment, conditions).require_feasible()
+    Planner(loaded.experiment).plan(conditions).require_feasible()
     second = dry_run(tmp_path, "hinge-next")
     found = diagnose(first, more=[second], workspace=tmp_path, options=Options(places=False))
     assert [str(cause.name) for cause in found.causes] == ["quadratic-drag at hinge"]

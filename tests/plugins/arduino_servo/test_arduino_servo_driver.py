@@ -14,7 +14,7 @@ from labrun_plugins.arduino_servo.driver import ArduinoServo
 from labrun import registry
 from labrun.devices import Actuator, DeviceContext, Trajectory
 from labrun.errors import DeviceError, LimitExceededError
-from labrun.runner.clock import RealClock
+from labrun.runner import RealClock
 
 KEYS = {
     "port": "/dev/ttyACM0",
@@ -261,7 +261,7 @@ CHILD = """
 import json, sys, time, numpy as np
 from labrun import registry
 from labrun.devices import DeviceContext, Trajectory
-from labrun.runner.clock import RealClock
+from labrun.runner import RealClock
 make = registry.load("labrun.devices", "arduino-servo")
 clock = RealClock()
 driver = make("fins", make.Settings(**json.loads(sys.argv[1])), DeviceContext(clock, np.random.default_rng(0)))

@@ -19,7 +19,7 @@ from labrun_plugins.simulated.scenes.caudal_tank import CaudalTank
 
 from labrun.devices import DeviceContext, DeviceError, Samples, Sensor
 from labrun.devices.emulation import EmulatorContext, EmulatorLog, Faults
-from labrun.runner.clock import RealClock, SimulatedClock
+from labrun.runner import RealClock, SimulatedClock
 
 _FAULTS = (
     "silence", "overrun", "saturate", "open-gauge", "nonsense", "restart", "unplug", "drop", "half-frame", "late",

@@ -8,7 +8,7 @@ from labrun_plugins.ati_netft.driver import AtiNetFt
 from labrun_plugins.ati_netft.settings import AtiNetFtSettings
 
 from labrun.devices import DeviceContext, Samples
-from labrun.runner.clock import RealClock
+from labrun.runner import RealClock
 
 
 def beside(bench: EmulatedDevice, **keys: Any) -> EmulatedDevice:

@@ -12,7 +12,7 @@ from labrun_plugins.ati_netft.settings import AtiNetFtSettings
 from netft_bench import beside, heard, is_gapless
 
 from labrun.devices import DeviceContext, DeviceError, Sensor
-from labrun.runner.clock import RealClock
+from labrun.runner import RealClock
 
 _HOST = {"host": "192.168.1.1"}
 _RECORD = struct.Struct(">IIIiiiiii")

@@ -17,7 +17,7 @@ from netft_bench import beside, failure, heard, is_gapless
 from labrun.devices import DeviceError
 from labrun.devices.emulation import EmulatorContext, EmulatorLog, Faults
 from labrun.errors import LimitExceededError
-from labrun.runner.clock import RealClock
+from labrun.runner import RealClock
 
 _FAULTS = (
     "silence", "drop", "truncate", "duplicate", "reorder", "late", "wrap", "saturate", "error", "condition", "stale",

@@ -13,7 +13,7 @@ from labrun_plugins.linear_stage.reception import Reception
 from labrun_plugins.simulated.linear_stage import SimulatedLinearStageSettings
 
 from labrun.devices.emulation import EmulatorContext, EmulatorLog
-from labrun.runner.clock import SimulatedClock
+from labrun.runner import SimulatedClock
 
 ARGUMENTS = st.one_of(
     st.floats(-100, 100).map(lambda value: f"{value:.3f}"),

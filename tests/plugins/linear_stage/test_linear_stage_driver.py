@@ -13,7 +13,7 @@ from stage_bench import SETTINGS, bend, commands
 
 from labrun.devices import Actuator, Carriage, DeviceContext, DeviceError, Sensor
 from labrun.errors import LimitExceededError
-from labrun.runner.clock import RealClock, SimulatedClock
+from labrun.runner import RealClock, SimulatedClock
 
 SHARED = {**SETTINGS, "watchdog_ms": 400}
 """A patient watchdog: tests share their processors, and only the test of the watchdog is about it."""

@@ -15,11 +15,8 @@ from labrun_plugins.operator.terminal import Terminal
 
 from labrun.devices import Actuator, DeviceContext, Trajectory
 from labrun.errors import DeviceError, LimitExceededError
-from labrun.runner.bench import Bench
-from labrun.runner.clock import RealClock
-from labrun.runner.faults import Interrupted
-from labrun.runner.resolving import ResolvedDevice
-from labrun.runner.rig import Rig
+from labrun.runner import Bench, Interrupted, RealClock, Rig
+from labrun.runner.resolve import ResolvedDevice
 from labrun.runner.safety import StopRequest
 
 KEYS = {"instruction": "Hold {joint} at {angle_deg} deg {and still}", "limits": {"angle_deg": [-90, 90]}}

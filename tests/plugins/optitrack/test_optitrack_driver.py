@@ -12,7 +12,7 @@ from optitrack_bench import BENCH, KEYS, at_least, collect, is_one_row_of_frames
 
 from labrun.devices import DeviceContext, Sensor, Tracker
 from labrun.errors import DeviceError
-from labrun.runner.clock import RealClock
+from labrun.runner import RealClock
 
 SERVERS = [
     {"natnet": "3.0", "extra-nul": True},

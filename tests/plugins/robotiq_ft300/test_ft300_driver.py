@@ -19,7 +19,7 @@ from labrun_plugins.robotiq_ft300.settings import RobotiqFt300Settings
 from labrun import registry
 from labrun.devices import DeviceContext, Sensor, SerialPort
 from labrun.errors import DeviceError
-from labrun.runner.clock import RealClock
+from labrun.runner import RealClock
 
 # Other programs may keep this machine from running the emulator for a while: no test here is about the 160 ms.
 PATIENT = {"port": "/dev/ttyUSB0", "silence_ms": 3000}

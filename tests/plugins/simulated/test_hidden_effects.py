@@ -7,8 +7,7 @@ from simulated_bench import line, sine
 from labrun import registry
 from labrun.effects import effects
 from labrun.errors import SpecError
-from labrun.runner.clock import SimulatedClock
-from labrun.runner.rig import Rig
+from labrun.runner import Rig, SimulatedClock
 from labrun.spec import load_experiment, shipped_experiments
 
 

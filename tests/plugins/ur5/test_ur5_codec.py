@@ -12,7 +12,7 @@ from labrun_plugins.ur5.recipe import Recipe
 from labrun_plugins.ur5.script import STOP, STOP_PROGRAM, move_program
 
 from labrun.devices.emulation import EmulatorLog, Faults
-from labrun.runner.clock import RealClock
+from labrun.runner import RealClock
 
 POSE = (0.1, -0.4, 0.3, 0.0, 3.14, 0.0)
 OUTPUTS = bytes.fromhex("00 24 4F 40 7F 40 00 00 00 00 00") + b"timestamp,actual_TCP_pose"

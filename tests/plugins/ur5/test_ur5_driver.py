@@ -257,7 +257,7 @@ RUNNER = """
 import sys, numpy as np
 from labrun import registry
 from labrun.devices import DeviceContext
-from labrun.runner.clock import RealClock
+from labrun.runner import RealClock
 make = registry.load("labrun.devices", "ur5")
 settings = make.Settings.model_validate_json(sys.argv[1])
 clock = RealClock()

@@ -17,7 +17,7 @@ from labrun.app.fit import fit
 from labrun.app.run import execute
 from labrun.errors import FitError, RequestError
 from labrun.models import hinge_maps, load_model
-from labrun.runner.progress import SilentProgress
+from labrun.runner import SilentProgress
 from labrun.spec import load_named, shipped_experiments
 
 PLATE = shipped_experiments() / "models" / "hinge-specimens.toml"

@@ -13,9 +13,7 @@ from labrun.control.stream import channels_of, samples_of
 from labrun.devices import Channel, Samples
 from labrun.errors import SpecError
 from labrun.gaits import make_gait, steering_of
-from labrun.runner.bench import Handle
-from labrun.runner.recording import LEAD_S, TAIL_S, Take
-from labrun.runner.rig import Rig
+from labrun.runner import LEAD_S, TAIL_S, Handle, Recording, Rig
 from labrun.spec import LOOP_DEVICE, Experiment, Track, condition_text
 
 _ON_TIME = 1e-9
@@ -78,8 +76,8 @@ class _Clockwork:
         return missed
 
 
-class LoopConductor:
-    """Records trials with the loops of an experiment closed. Give it to a session as its `conduct`.
+class ClosedLoopRecorder:
+    """Records trials with the loops of an experiment closed. Give it to a session as its `recorder`.
 
     At each step: wait until it is due, look at everything as always, compute feedback, reference and output, bound
     the output by range and slew rate, send the next piece of the motion (checked against the limits once more), record.
@@ -129,14 +127,17 @@ class LoopConductor:
             except SpecError as error:
                 raise SpecError(f"{condition_text(condition)}: {error}") from error
 
-    def __call__(self, take: Take) -> None:
+    def __call__(self, recording: Recording) -> None:
         """Record one trial."""
-        bench, motion, clock = take.bench, take.motion, take.bench.clock
+        bench, motion, clock = recording.bench, recording.motion, recording.bench.clock
         period_s = 1.0 / self._track.rate_hz
-        loops = self._loops(take.condition, period_s, motion.period_s)
+        loops = self._loops(recording.condition, period_s, motion.period_s)
         pieces = Pieces(
             steering_of(
-                self._gait, self._experiment.gait.plugin, take.condition, [loop.variable for loop in loops]
+                self._gait,
+                self._experiment.gait.plugin,
+                recording.condition,
+                [loop.variable for loop in loops],
             ),
             motion.trajectory.joints,
             {loop.variable: loop.start for loop in loops},
@@ -151,32 +152,32 @@ class LoopConductor:
             cycle_s=motion.period_s,
         )
         start_s = clock.now() + LEAD_S
-        history = self._history(take.tare, start_s, motion.period_s)
+        history = self._history(recording.tare, start_s, motion.period_s)
         bench.follow(pieces.first(), start_s)
         pieces.sent()
-        take.begin(start_s, pieces.command)
+        recording.begin(start_s, pieces.command)
 
         def handle(blocks: Mapping[str, Samples]) -> None:
-            take.recorder.take(blocks)
+            recording.collector.take(blocks)
             history.take(blocks)
 
         bench.watch(start_s, handle)
-        take.start_travel()
+        recording.start_travel()
         while not history.complete:  # a device that never answers is found silent by the bench
             bench.watch(clock.now() + min(clock.poll_s, period_s), handle)
-        self._run(take, _Clockwork(start_s, period_s, motion.duration_s), loops, pieces, history, handle)
+        self._run(recording, _Clockwork(start_s, period_s, motion.duration_s), loops, pieces, history, handle)
         bench.watch(start_s + motion.duration_s + TAIL_S, handle)
 
     def _run(
         self,
-        take: Take,
+        recording: Recording,
         clockwork: _Clockwork,
         loops: list[Loop],
         pieces: Pieces,
         history: History,
         handle: Handle,
     ) -> None:
-        bench, clock, start_s = take.bench, take.bench.clock, clockwork.start_s
+        bench, clock, start_s = recording.bench, recording.bench.clock, clockwork.start_s
         before_s = -clockwork.period_s
         while (due_s := clockwork.due_s) is not None:
             if due_s > clock.now():
@@ -186,7 +187,7 @@ class LoopConductor:
             now_s = clock.now()
             late_s, skipped = clockwork.begin(now_s)
             if clockwork.due_s is None:  # the recording is over
-                self._record(take, replace(Samples.empty(len(self.channels)), lost=skipped))
+                self._record(recording, replace(Samples.empty(len(self.channels)), lost=skipped))
                 break
             time_s = now_s - start_s
             drives = pieces.drives(time_s)
@@ -204,11 +205,11 @@ class LoopConductor:
             newest_s = start_s + min(history.newest_s(loop.channels) for loop in loops)
             missed = clockwork.end(sent_s)
             step = samples_of(now_s, records, sent_s - newest_s, late_s, missed=missed, skipped=skipped)
-            self._record(take, step)
-        take.fault = clockwork.timing.fault(self._track.max_missed_share, self._track.rate_hz)
+            self._record(recording, step)
+        recording.fault = clockwork.timing.fault(self._track.max_missed_share, self._track.rate_hz)
 
-    def _record(self, take: Take, step: Samples) -> None:
-        take.recorder.writer.append(LOOP_DEVICE, self.channels, self._track.rate_hz, step)
+    def _record(self, recording: Recording, step: Samples) -> None:
+        recording.collector.writer.append(LOOP_DEVICE, self.channels, self._track.rate_hz, step)
 
     def _loops(self, condition: Condition, period_s: float, cycle_s: float | None) -> list[Loop]:
         return [

@@ -1,6 +1,6 @@
 """One emulator in a process of its own.
 
-Started as ``python -m labrun.runner.emulated.emulator_process``; its standard input gives first the task, one line of
+Started as ``python -m labrun.devices.processes.emulator``; its standard input gives first the task, one line of
 JSON, then orders, one line each: ``{"fault": name, "value": value}``, ``{"log": path}``, ``{"quit": true}``. It answers
 with one line: the settings by which a driver reaches it.
 """
@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from labrun.devices.emulation import Emulator, EmulatorContext, EmulatorLog, Faults
+from labrun.devices.host_clock import HostClock
+from labrun.devices.processes.scene import LINGER_S, RemoteScene
 from labrun.errors import LabrunError
 from labrun.registry import load
-from labrun.runner.clock import RealClock
-from labrun.runner.emulated.scene_server import LINGER_S, RemoteScene
 
 _LONGEST_WAIT_S = 0.05
 
@@ -66,7 +66,7 @@ class _Orders:
 
 def make_emulator(task: dict[str, Any]) -> tuple[Emulator, EmulatorContext]:
     """Return the emulator that a task asks for, not yet open, and what it lives in."""
-    clock = RealClock()
+    clock = HostClock()
     scene = None
     if task["scene"] is not None:
         scene = RemoteScene(task["scene"]["address"], bytes.fromhex(task["scene"]["key"]))

@@ -1,8 +1,8 @@
 """The watchdog: a process of its own that stops the actuators when the runner hangs or dies.
 
-Started as ``python -m labrun.runner.watchdog`` by the runner, which talks to it through its standard input: first one
-line of JSON, then single bytes. It imports the actuators' plugins at once, so that nothing is left to load when it
-matters, and answers ``ready``.
+Started as ``python -m labrun.devices.processes.watchdog`` by the runner, which talks to it through its standard
+input: first one line of JSON, then single bytes. It imports the actuators' plugins at once, so that nothing is left to
+load when it matters, and answers ``ready``.
 """
 
 import json

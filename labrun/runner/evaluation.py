@@ -7,10 +7,9 @@ from collections.abc import Iterator, Mapping
 from labrun.errors import LabrunError
 from labrun.objectives import make_objective
 from labrun.objectives.protocol import Objective, TrialSignals
-from labrun.runner.measurement import Condition
 from labrun.runner.motion import TrialMotion
 from labrun.signals import LongSignals, Signal, Signals
-from labrun.spec import Experiment
+from labrun.spec import Condition, Experiment
 
 
 class ObjectiveError(LabrunError):
@@ -27,7 +26,7 @@ class ObjectiveError(LabrunError):
         self.raised = raised
 
 
-class Judging:
+class ObjectiveEvaluation:
     """Computes every objective of an experiment."""
 
     def __init__(self, experiment: Experiment) -> None:
@@ -37,7 +36,7 @@ class Judging:
             name: make_objective(name, table) for name, table in experiment.objectives.items()
         }
 
-    def judge(
+    def evaluate(
         self,
         measured: Mapping[str, Signals | LongSignals],
         motion: TrialMotion,

@@ -1,6 +1,6 @@
 """One simulated bench for all emulators: a process of its own that moves it on, and what stands for it elsewhere.
 
-Started as ``python -m labrun.runner.emulated.scene_server`` with one line of JSON on its standard input; answers
+Started as ``python -m labrun.devices.processes.scene`` with one line of JSON on its standard input; answers
 ``ready``. It ends a little after its standard input does.
 """
 
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from labrun.devices import FloatArray, Scene, Trajectory
-from labrun.runner.clock import RealClock
+from labrun.devices.host_clock import HostClock
 
 READY = "ready"
 LINGER_S = 3.0
@@ -137,7 +137,7 @@ def _end_with_input(address: Path) -> None:
     """End a little after the runner has, and leave nothing behind: who was killed cannot tidy up."""
     while os.read(sys.stdin.fileno(), 4096):
         pass
-    RealClock().sleep(2 * LINGER_S)
+    HostClock().sleep(2 * LINGER_S)
     address.unlink(missing_ok=True)
     with contextlib.suppress(OSError):
         address.parent.rmdir()

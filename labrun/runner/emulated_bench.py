@@ -13,11 +13,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from labrun.devices.processes.scene import READY, RemoteScene
 from labrun.errors import DeviceError, ExperimentError, LabrunError, SpecError
 from labrun.registry import is_installed
 from labrun.runner.clock import RealClock
-from labrun.runner.emulated.scene_server import READY, RemoteScene
-from labrun.runner.resolving import resolve, stand_in_name
+from labrun.runner.resolve import resolve_device, stand_in_name
 from labrun.toml import PluginTable
 
 _GROUP = "labrun.emulators"
@@ -103,7 +103,7 @@ class EmulatedBench:
         tables = {name: table for name, table in self._devices.items() if has_emulator(table.plugin)}
         for name, table in self._devices.items():
             if name not in tables:
-                resolve(name, table, dry_run=True)  # has a stand-in, or says what is missing
+                resolve_device(name, table, dry_run=True)  # has a stand-in, or says what is missing
         folder = self._folder = Path(tempfile.mkdtemp(prefix="labrun-"))
         served = None
         if self._scene_table is not None:
@@ -187,7 +187,7 @@ class EmulatedBench:
             **served,
         }
         # Kept before it is waited for: whoever presses Ctrl-C meanwhile leaves no process behind.
-        process = self._scene_process = _started("labrun.runner.emulated.scene_server", task)
+        process = self._scene_process = _started("labrun.devices.processes.scene", task)
         if _answer(process, "the simulated bench").strip() != READY.encode():
             raise ExperimentError("the simulated bench did not start", hint="its own message stands above")
 
@@ -195,7 +195,7 @@ class EmulatedBench:
         self, number: int, name: str, table: PluginTable, served: Mapping[str, str] | None
     ) -> "subprocess.Popen[bytes]":
         assert self._folder is not None  # noqa: S101  made by the caller
-        resolved = resolve(name, table, dry_run=True)
+        resolved = resolve_device(name, table, dry_run=True)
         self._logs[name] = self._folder / f"{name}.jsonl"
         task = {
             "name": name,
@@ -208,7 +208,7 @@ class EmulatedBench:
             "log": str(self._logs[name]),
             "faults": dict(self._faults.get(name, {})),
         }
-        return _started("labrun.runner.emulated.emulator_process", task)
+        return _started("labrun.devices.processes.emulator", task)
 
     def _order(self, device: str, order: Mapping[str, Any]) -> None:
         process = self._processes.get(device)

@@ -5,7 +5,7 @@ import pytest
 from plant_lab import PlantLab
 
 from labrun.errors import ExperimentError
-from labrun.runner.clock import RealClock
+from labrun.runner import RealClock
 
 
 def test_two_loops_at_once_bring_each_axis_where_it_should_be(tmp_path):
