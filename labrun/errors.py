@@ -14,6 +14,8 @@ class LabrunError(Exception):
         What to do next; printed on a line of its own.
     """
 
+    exit_code = 1
+
     def __init__(self, message: str, *, hint: str | None = None) -> None:
         super().__init__(message)
         self.hint = hint
@@ -26,7 +28,9 @@ class LabrunError(Exception):
 
 
 class RequestError(LabrunError):
-    """The request itself was wrong: nothing moved, nothing was written (exit code 2)."""
+    """The request itself was wrong: nothing moved, nothing was written."""
+
+    exit_code = 2
 
 
 class SpecError(RequestError):
@@ -54,7 +58,7 @@ class RigBusyError(RequestError):
 
 
 class ExperimentError(LabrunError):
-    """The experiment failed while it ran; what was saved stays (exit code 1)."""
+    """The experiment failed while it ran; what was saved stays."""
 
 
 class DeviceError(ExperimentError):

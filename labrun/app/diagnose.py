@@ -13,17 +13,17 @@ from typing import Any
 
 from rich.text import Text
 
-from labrun.app.question import ask, find_data
+from labrun.app.question import ask, find_data, require_writable
 from labrun.errors import RequestError, StoreError
 from labrun.fit.notes import Note, silent
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Diagnosis
-from labrun.gap.saving import recalibrated_only
-from labrun.gap.saving import save_model as save
+from labrun.gap.saving import recalibrated_only, require_new
+from labrun.gap.saving import save_model as write_model
 from labrun.report.gap_figure import FIGURE, draw_gap
 from labrun.report.gap_page import write_gap_page
 from labrun.report.gap_text import gap_lines
-from labrun.store import is_recording
+from labrun.store import find_run, is_recording
 
 FOLDER = "gap"
 NUMBERS = "diagnosis.json"
@@ -52,12 +52,7 @@ class StoredDiagnosis:
     @property
     def warning(self) -> str:
         """What to know before using the saved model; "" where there is nothing, or no model was saved."""
-        if self.model is None or not recalibrated_only(self.diagnosis):
-            return ""
-        return (
-            f"{self.model} is recalibrated only: the cause is not in the library, and its parameters imitate what is "
-            "missing on these data; do not rely on it elsewhere"
-        )
+        return "" if self.model is None else _warning(self.model, self.diagnosis.to_json())
 
     def to_text(self, width: int | None = None) -> list[Text]:
         """Return the lines of `gap_lines`, and what to open; the terminal's width if none is given."""
@@ -123,7 +118,8 @@ def diagnose(
     folder = find_data(target, results)
     further = [find_data(one, results) for one in more]
     if save_model is not None:
-        _require_place(save_model)
+        require_new(save_model)
+    require_writable(_folder(folder, results))
     began = time.perf_counter()
     note(f"reading {folder}")
     question = ask(folder, model, further, signals, workspace)
@@ -133,14 +129,52 @@ def diagnose(
     found = diagnose_dataset(question.dataset, question.model, options, note=note, began=began)
     diagnosis = replace(found, source=str(folder))
     note("writing the report" if page else "storing the diagnosis")
-    stored = store(diagnosis, folder, results, page=page)
+    stored = store(diagnosis, folder, results, page=page, source=question.model.source)
     if save_model is None:
         return stored
-    save(diagnosis, question.model.source if model is None else model, save_model)
+    write_model(diagnosis.to_json(), question.model.source, save_model)
     return replace(stored, model=save_model)
 
 
-def store(diagnosis: Diagnosis, target: Path, results: Path, *, page: bool = True) -> StoredDiagnosis:
+def save(
+    target: str | Path, file: Path, *, model: str | Path | None = None, results: str | Path = "results"
+) -> str:
+    """Write the corrected model of a diagnosis that is kept with a run.
+
+    Parameters
+    ----------
+    target
+        An experiment's name (its latest run), or a run folder, that was diagnosed.
+    file
+        A new file.
+    model
+        The model that was diagnosed, if it has moved since.
+
+    Returns
+    -------
+    str
+        What to know before using it; "" where there is nothing.
+
+    Raises
+    ------
+    RequestError
+        There is no diagnosis, the file is there already, or the model that was diagnosed is not where it was.
+    """
+    run = find_run(str(target), Path(results))
+    stored = read_stored(run)
+    require_new(file)
+    source = model or stored.get("model_source")
+    if source is None:
+        raise RequestError(
+            f"the diagnosis in {run} does not say where its model is", hint="name the model with --model"
+        )
+    write_model(stored, source, file)
+    return _warning(file, stored)
+
+
+def store(
+    diagnosis: Diagnosis, target: Path, results: Path, *, page: bool = True, source: str | Path | None = None
+) -> StoredDiagnosis:
     """Write ``diagnosis.json`` and, if asked for, the page and its picture.
 
     Parameters
@@ -153,6 +187,8 @@ def store(diagnosis: Diagnosis, target: Path, results: Path, *, page: bool = Tru
         ``results/<recording>/gap-<time>``.
     results
         Folder of the runs.
+    source
+        Where the model came from, for a later `save`.
 
     Raises
     ------
@@ -165,7 +201,12 @@ def store(diagnosis: Diagnosis, target: Path, results: Path, *, page: bool = Tru
     try:
         _put_aside(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        partial.write_text(json.dumps(_finite(diagnosis.to_json()), indent=2) + "\n", encoding="utf-8")
+        numbers_of = _finite(diagnosis.to_json())
+        if source is not None:
+            numbers_of["model_source"] = (
+                str(Path(source).resolve()) if Path(source).is_file() else str(source)
+            )
+        partial.write_text(json.dumps(numbers_of, indent=2) + "\n", encoding="utf-8")
         partial.replace(numbers)
         if not page:
             return StoredDiagnosis(diagnosis, numbers)
@@ -223,14 +264,15 @@ def _finite(value: Any) -> Any:
     return [_finite(item) for item in value] if isinstance(value, list) else value
 
 
+def _warning(model: Path, diagnosis: Mapping[str, Any]) -> str:
+    if not recalibrated_only(diagnosis):
+        return ""
+    return (
+        f"{model} is recalibrated only: the cause is not in the library, and its parameters imitate what is "
+        "missing on these data; do not rely on it elsewhere"
+    )
+
+
 def _cores() -> int:
     """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _require_place(path: Path) -> None:
-    """Raise RequestError before minutes of computing if the corrected model could not be written."""
-    if path.is_dir():
-        raise RequestError(f"{path} is a folder", hint="--save-model takes a file, e.g. corrected.toml")
-    if not path.absolute().parent.is_dir():
-        raise RequestError(f"there is no folder {path.parent} to save the corrected model in")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from labrun import registry
-from labrun.app.question import declared_plan, find_data, fit_plan
+from labrun.app.question import declared_plan, find_data, fit_plan, require_writable
 from labrun.errors import RequestError
 from labrun.fit.method import GROUP, FitJob, FitPlan, is_method, make_method
 from labrun.fit.notes import Note, silent
@@ -94,12 +94,15 @@ def fit(
     chosen: dict[str, Any] = dict(settings or {})
     apply_overrides(chosen, overrides)
     way = make_method(method, {**plan.settings_of(method), **chosen})
+    kept = _output_folder(folder, results)
+    require_writable(kept)
     note(f"reading {folder}")
     wired = {**plan.signals, **(signals or {})}
     rng = np.random.default_rng(seed or 0)
     result = way(FitJob(folder, rng, further, given or plan.model, wired, starts, note, plan.settings_of))
     note("drawing")
-    kept, stem = _output_folder(folder, result, results), _stem(result)
+    kept.mkdir(parents=True, exist_ok=True)
+    stem = _stem(result)
     for name, text in result.files.items():
         replace_durably(kept / name, text.encode())
     drawn = fit_figure(result)
@@ -159,11 +162,8 @@ def _stem(result: FitSummary) -> str:
     return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name) or "model"
 
 
-def _output_folder(target: Path, result: FitSummary, results: Path) -> Path:
-    if result.data.kind == "run":
-        folder = (target.parent if target.is_file() else target) / "fit"
-    else:
-        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-        folder = results / result.data.name / f"fit-{stamp}-{secrets.token_hex(2)}"
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
+def _output_folder(target: Path, results: Path) -> Path:
+    if not is_recording(target):
+        return (target.parent if target.is_file() else target) / "fit"
+    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+    return results / target.resolve().name / f"fit-{stamp}-{secrets.token_hex(2)}"

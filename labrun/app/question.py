@@ -1,5 +1,6 @@
 """What a person names: data, how they are fitted, and the model they are held against."""
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from labrun.fit.method import FitPlan
 from labrun.gap.question import Question
 from labrun.models import Model, load_model
 from labrun.spec import FitTable, GapTable, find_model_file, loads_experiment
-from labrun.store import find_run, imported_channels, is_recording, open_run
+from labrun.store import all_runs, find_run, imported_channels, is_recording, open_run
 
 
 def find_data(target: str | Path, results: Path) -> Path:
@@ -30,6 +31,41 @@ def find_data(target: str | Path, results: Path) -> Path:
     """
     folder = Path(target).expanduser()
     return folder if is_recording(folder) else find_run(str(target), results)
+
+
+def find_run_or_latest(target: str | Path | None, results: Path) -> Path:
+    """Return the run a person means, or the latest of all where nobody names one.
+
+    Raises
+    ------
+    RequestError
+        There is none.
+    """
+    if target is not None:
+        return find_run(str(target), results)
+    runs = all_runs(results)
+    if not runs:
+        raise RequestError(
+            f"there is no run yet in {results}",
+            hint="labrun run hinge --dry-run makes one; labrun list shows more",
+        )
+    return runs[-1]
+
+
+def require_writable(folder: Path) -> None:
+    """Raise RequestError, before anything is computed, if a folder cannot be made or written to.
+
+    Parameters
+    ----------
+    folder
+        Where results will go; it need not be there yet.
+    """
+    there = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        raise RequestError(
+            f"{there} cannot be written to, so that the result could not be kept",
+            hint="copy the run to a folder that you may write to",
+        )
 
 
 def fit_plan(target: Path, workspace: Path, *, need_model: bool = True) -> FitPlan:

@@ -6,6 +6,7 @@ import numpy as np
 
 from labrun.app.diagnose import FOLDER as GAP_FOLDER
 from labrun.app.diagnose import read_stored
+from labrun.app.question import find_run_or_latest
 from labrun.errors import RequestError, StoreError
 from labrun.report.data import RunView
 from labrun.report.findings import Findings, findings
@@ -16,37 +17,48 @@ from labrun.report.recording_findings import RecordingFindings
 from labrun.report.report_source import ReportSource, StoredGap
 from labrun.search.leaders import t_interval
 from labrun.search.result import Best, stored_result
-from labrun.store import SPEC, Run, find_run, open_run, open_target
+from labrun.store import SPEC, Run, is_recording, open_target
 
 REPORT = "report.html"
 
 
-def report(target: str | Path, output: Path | None = None, *, results: str | Path = "results") -> Path:
+def report(
+    target: str | Path | None = None, output: Path | None = None, *, results: str | Path = "results"
+) -> Path:
     """Write a run as one HTML file that opens offline; see `write_report`.
 
     Parameters
     ----------
     target
-        An experiment's name (its latest run), a run folder, or a run.h5.
+        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder; the latest run if None.
+    output
+        The file. Else ``report.html`` in the run's folder; of a ``run.h5`` that stands alone, ``<name>-report.html``
+        beside it; of a recording, which is never written to, ``<name>-report.html`` in the current folder.
     results
         Where runs are.
     """
-    with open_run(find_run(str(target), Path(results))) as run:
+    with open_target(_named(target, results), Path(results)) as run:
         return write_report(run, output)
 
 
-def show(target: str | Path, *, results: str | Path = "results") -> Findings | RecordingFindings:
+def show(
+    target: str | Path | None = None, *, results: str | Path = "results"
+) -> Findings | RecordingFindings:
     """Return what a run found, or what a recording holds.
 
     Parameters
     ----------
     target
-        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder.
+        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder; the latest run if None.
     results
         Where runs are.
     """
-    with open_target(str(target), Path(results)) as run:
+    with open_target(_named(target, results), Path(results)) as run:
         return findings(run)
+
+
+def _named(target: str | Path | None, results: str | Path) -> str:
+    return str(find_run_or_latest(None, Path(results)) if target is None else target)
 
 
 def write_report(run: Run, output: Path | None = None) -> Path:
@@ -151,6 +163,8 @@ def confirmed_best(view: RunView) -> Best | None:
 
 
 def _beside(source: ReportSource) -> Path:
+    if is_recording(source.run.path):
+        return Path(f"{source.run.path.name}-{REPORT}")
     if source.folder is not None:
         return source.folder / REPORT
     return source.run.path.with_name(f"{source.run.path.stem}-{REPORT}")

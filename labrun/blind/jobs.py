@@ -145,11 +145,7 @@ def fingerprint() -> str:
 def _diagnosed(folder: Path, seed: int) -> dict[str, Any]:
     model = load_model(folder / _MODEL)
     found = diagnose_dataset(load_dataset(folder, model), model, Options(places=False, seed=seed))
-    effects = [
-        {"effect": one.effect.id, "kind": one.effect.kind, "site": one.site, "values": list(one.values)}
-        for one in found.effects
-    ]
-    return {**found.to_json(), "effects": effects}
+    return found.to_json()
 
 
 def _excess(model: Model, units: Dataset, noise: Noise) -> Excess:

@@ -9,9 +9,10 @@ from labrun.cli import bench, data, experiment, fit, gap, report, watch, workspa
 
 app = typer.Typer(
     name="labrun",
-    help="Run experiments on a robot bench, or without one (--dry-run): settled and repeated trials by sweep\n"
-    "or CMA-ES, every sample kept, models fitted with their uncertainty.\n\n"
-    "Start with:  labrun cmaes turn-torque --dry-run",
+    help="Say why a simulation disagrees with a robot bench, and run the experiments that show it:\n"
+    "settled, repeated trials by sweep or CMA-ES, every sample kept, models fitted with their uncertainty;\n"
+    "on the bench, or without one (--dry-run).\n\n"
+    "Start with:  labrun run hinge --dry-run && labrun gap diagnose hinge",
     no_args_is_help=True,
     rich_markup_mode=None,  # rich would cost half of the time that --help may take
     pretty_exceptions_enable=False,

@@ -19,7 +19,9 @@ class Format(StrEnum):
 
 
 def show(
-    target: options.Target, results: options.Results = options.RESULTS, as_json: options.Json = False
+    target: options.LatestTarget = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
 ) -> None:
     """Show what a run found.
 

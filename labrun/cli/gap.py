@@ -1,4 +1,4 @@
-"""`labrun gap diagnose`, `next`, `check`, `reveal`."""
+"""`labrun gap diagnose`, `save`, `next`, `check`, `reveal`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -110,6 +110,38 @@ def diagnose(
             typer.echo(f"labrun: {stored.warning}", err=True)
     if open_page:
         typer.launch(str(stored.page))
+
+
+def save(
+    target: Annotated[
+        str,
+        typer.Argument(
+            metavar="RUN",
+            help="A run that was diagnosed: an experiment's name (its latest run), or the run's folder.",
+            autocompletion=options.complete_experiment,
+        ),
+    ],
+    file: Annotated[Path, typer.Argument(help="The file to write.", dir_okay=False)],
+    model: Annotated[
+        str | None, typer.Option(help="The model that was diagnosed, if it has moved since.")
+    ] = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Write the corrected model of the diagnosis that is kept with a run.
+
+    Example:  labrun gap save hinge corrected.toml
+    """
+    with reported(as_json):
+        from labrun.app.diagnose import save as save_stored
+
+        warning = save_stored(target, file, model=model, results=results)
+        if as_json:
+            print_json({"saved_model": file, "warning": warning or None})
+        else:
+            typer.echo(f"wrote {file}")
+            if warning:
+                typer.echo(f"labrun: {warning}", err=True)
 
 
 def next_(
@@ -234,6 +266,7 @@ def reveal(
 def register(app: typer.Typer) -> None:
     """Add this module's commands, under ``labrun gap``."""
     gap.command()(diagnose)
+    gap.command()(save)
     gap.command("next")(next_)
     gap.command()(check)
     gap.command()(reveal)

@@ -21,12 +21,11 @@ Name = Annotated[
         help="Experiment: its name, or the path of its TOML file.", autocompletion=complete_experiment
     ),
 ]
-Target = Annotated[
-    str,
-    typer.Argument(
-        help="An experiment's name (its latest run), a run folder or run.h5, or a recording folder.",
-        autocompletion=complete_experiment,
-    ),
+_TARGET = "An experiment's name (its latest run), a run folder or run.h5, or a recording folder"
+Target = Annotated[str, typer.Argument(help=f"{_TARGET}.", autocompletion=complete_experiment)]
+LatestTarget = Annotated[
+    str | None,
+    typer.Argument(help=f"{_TARGET}; the latest run if not given.", autocompletion=complete_experiment),
 ]
 DryRun = Annotated[
     bool, typer.Option("--dry-run", help="Simulated devices in simulated time; nothing moves.")

@@ -1,4 +1,4 @@
-"""What a command prints, and how it ends: 0 done, 1 the experiment failed, 2 the request was wrong."""
+"""What a command prints, and how it ends: 0 done, 1 the experiment failed, 2 the request was wrong, 130 Ctrl-C."""
 
 import json
 import math
@@ -9,7 +9,10 @@ from typing import Any
 
 import typer
 
-from labrun.errors import LabrunError, RequestError
+from labrun.errors import LabrunError
+
+INTERRUPTED = 130
+"""As shells say it: 128 and the number of the signal."""
 
 
 @contextmanager
@@ -31,12 +34,12 @@ def reported(
         if as_json:
             print_json({"error": interrupted, "hint": None})
         typer.echo(f"labrun: {interrupted}", err=True)
-        raise typer.Exit(1) from None
+        raise typer.Exit(INTERRUPTED) from None
     except LabrunError as error:
         if as_json:
             print_json({"error": str(error.args[0]), "hint": error.hint, **error.details})
         typer.echo(f"labrun: {error}", err=True)
-        raise typer.Exit(2 if isinstance(error, RequestError) else 1) from None
+        raise typer.Exit(error.exit_code) from None
 
 
 def print_json(value: Any) -> None:

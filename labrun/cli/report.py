@@ -10,7 +10,7 @@ from labrun.cli.output import print_json, reported
 
 
 def report(
-    target: options.Target,
+    target: options.LatestTarget = None,
     output: Annotated[
         Path | None, typer.Option(help="File to write; report.html in the run's folder if not given.")
     ] = None,

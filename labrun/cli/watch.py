@@ -10,13 +10,7 @@ from labrun.cli.output import print_json, reported
 
 
 def watch(
-    target: Annotated[
-        str,
-        typer.Argument(
-            help="An experiment's name (its latest run), or a run folder.",
-            autocompletion=options.complete_experiment,
-        ),
-    ],
+    target: options.LatestTarget = None,
     channel: Annotated[
         str | None,
         typer.Option(help="Whose last trace to show, e.g. wrench.force_x; the objective's if not given."),
@@ -35,13 +29,13 @@ def watch(
     with reported(as_json):
         from rich.console import Console
 
+        from labrun.app.question import find_run_or_latest
         from labrun.app.watch import Watcher
         from labrun.report import watch_display
         from labrun.runner import RealClock
-        from labrun.store.locate import find_run
 
         clock = RealClock()
-        watcher = Watcher(find_run(target, results), clock, channel)
+        watcher = Watcher(find_run_or_latest(target, results), clock, channel)
         if as_json:
             print_json(watcher.look().to_json())
             return

@@ -267,6 +267,7 @@ class Diagnosis:
         return {
             "verdict": self.verdict,
             "sentence": self.sentence,
+            "name": self.name,
             "model": self.model,
             "source": self.source,
             "gap": {
@@ -301,6 +302,15 @@ class Diagnosis:
                 for name, (stated, tolerance, found) in self.recalibration.items()
             },
             "corrected": dict(self.corrected),
+            "effects": [
+                {
+                    "effect": one.effect.id,
+                    "kind": one.effect.kind,
+                    "site": one.site,
+                    "values": list(one.values),
+                }
+                for one in self.effects
+            ],
             "limitations": list(self.limitations),
             "notes": list(self.notes),
             "what_next": list(self.what_next),

@@ -1,18 +1,22 @@
 """The corrected model as a file that is usable wherever a model is named."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+from labrun.effects import AttachedEffect, load_effect
 from labrun.errors import RequestError
-from labrun.gap.diagnosis import Diagnosis
+from labrun.gap.diagnosis import Name
+from labrun.models import corrected_model_text, load_model
 
-_ONLY = "Recalibrated only: the cause is not in the library. By labrun"
 
-
-def save_model(diagnosis: Diagnosis, source: str | Path, path: Path) -> None:
+def save_model(diagnosis: Mapping[str, Any], source: str | Path, path: Path) -> None:
     """Write the model with its corrected parameters and with the causes at their sites.
 
     Parameters
     ----------
+    diagnosis
+        As `Diagnosis.to_json` gives it, and as it is stored.
     source
         Where the model comes from: what `labrun.models.load_model` took.
     path
@@ -25,38 +29,54 @@ def save_model(diagnosis: Diagnosis, source: str | Path, path: Path) -> None:
     ModelError
         A value that the model does not allow.
     """
-    from labrun.models import corrected_model_text, load_model
-
-    if path.exists():
-        raise RequestError(f"{path} is there already", hint="name another file, or move that one away")
-    model = load_model(source)
+    require_new(path)
+    effects = tuple(
+        AttachedEffect(load_effect(one["effect"], one["kind"]), one["site"], tuple(one["values"]))
+        for one in diagnosis["effects"]
+    )
+    only = recalibrated_only(diagnosis)
     text = corrected_model_text(
-        model,
+        load_model(source),
         source,
-        diagnosis.corrected,
-        diagnosis.effects,
+        diagnosis["corrected"],
+        effects,
         _remarks(diagnosis),
         folder=path.parent,
-        heading=_ONLY if recalibrated_only(diagnosis) else "Corrected by labrun",
+        heading="Recalibrated only: the cause is not in the library. By labrun"
+        if only
+        else "Corrected by labrun",
     )
     path.write_text(text, encoding="utf-8")
 
 
-def recalibrated_only(diagnosis: Diagnosis) -> bool:
+def require_new(path: Path) -> None:
+    """Raise RequestError, before minutes of computing, if a model cannot be written there."""
+    if path.is_dir():
+        raise RequestError(f"{path} is a folder", hint="name a file, e.g. corrected.toml")
+    if path.exists():
+        raise RequestError(f"{path} is there already", hint="name another file, or move that one away")
+    if not path.absolute().parent.is_dir():
+        raise RequestError(f"there is no folder {path.parent} to save the corrected model in")
+
+
+def recalibrated_only(diagnosis: Mapping[str, Any]) -> bool:
     """Tell whether a gap remains that nothing corrects: parameters then imitate what is missing."""
-    return diagnosis.verdict == "not-in-library"
+    return bool(diagnosis["verdict"] == "not-in-library")
 
 
-def _remarks(diagnosis: Diagnosis) -> list[str]:
-    data = f"a diagnosis of {diagnosis.name}: {diagnosis.trials} trials, {diagnosis.conditions} conditions."
+def _remarks(diagnosis: Mapping[str, Any]) -> list[str]:
+    count = diagnosis["data"]
+    data = f"a diagnosis of {diagnosis['name']}: {count['trials']} trials, {count['conditions']} conditions."
     if recalibrated_only(diagnosis):
         return [
             f"By {data}",
-            diagnosis.sentence,
+            diagnosis["sentence"],
             "Its parameters imitate what is missing, as far as they can on these data: do not rely on them elsewhere.",
         ]
-    found = [f"Corrected by {data}", diagnosis.sentence]
-    for cause in diagnosis.causes:
-        for name, one in cause.values.items():
-            found.append(f"{cause.name}: {name} = {one.value:.5g} [{one.low:.5g}, {one.high:.5g}] {one.unit}")
+    found = [f"Corrected by {data}", diagnosis["sentence"]]
+    for cause in diagnosis["causes"]:
+        name = Name(cause["effect"], cause["site"], cause["kind"])
+        for key, one in cause["values"].items():
+            low, high = one["ci95"]
+            found.append(f"{name}: {key} = {one['value']:.5g} [{low:.5g}, {high:.5g}] {one['unit']}")
     return found

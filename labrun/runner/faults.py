@@ -8,6 +8,8 @@ from labrun.errors import DeviceError, LabrunError
 class Interrupted(LabrunError):  # noqa: N818  being asked to stop is not an error
     """Ctrl-C or SIGTERM: actuators stopped, data kept, the run can be resumed."""
 
+    exit_code = 130
+
 
 class LimitReached(Exception):  # noqa: N818  a stop that was asked for is not an error
     """The number of trials asked for is done; the run can be resumed."""

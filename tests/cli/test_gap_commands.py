@@ -70,6 +70,6 @@ def test_ctrl_c_says_that_nothing_was_written(command, lost, called, monkeypatch
 
     monkeypatch.setattr(called, interrupted)
     done = typed(command, "hinge", "--json")
-    assert done.exit_code == 1
+    assert done.exit_code == 130
     assert json.loads(done.stdout)["error"] == f"interrupted; no {lost} was written"
     assert "moved" not in done.stderr

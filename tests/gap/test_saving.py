@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 import pytest
+from diagnosing import diagnose
 
-from labrun.app.diagnose import StoredDiagnosis, diagnose
+from labrun.app.diagnose import StoredDiagnosis, save, store
 from labrun.app.run import execute
 from labrun.errors import RequestError
 from labrun.gap.diagnose import Options
@@ -33,7 +34,7 @@ def bench(tmp_path_factory):
     run = dry_run(folder, ["coulomb-friction@hinge:torque=3e-4"])
     diagnosis = diagnose(run, options=QUICK)
     model = folder / "corrected.toml"
-    save_model(diagnosis, "hinge-pendulum", model)
+    save_model(diagnosis.to_json(), "hinge-pendulum", model)
     return folder, run, diagnosis, model
 
 
@@ -75,13 +76,22 @@ def test_a_model_that_cannot_be_this_bench_is_refused(tmp_path):
 def test_a_file_that_is_there_is_not_overwritten(bench):
     _, _, diagnosis, model = bench
     with pytest.raises(RequestError, match="there already"):
-        save_model(diagnosis, "hinge-pendulum", model)
+        save_model(diagnosis.to_json(), "hinge-pendulum", model)
+
+
+def test_a_stored_diagnosis_gives_the_same_model(bench, tmp_path):
+    folder, run, diagnosis, model = bench
+    store(diagnosis, run, folder / "results", page=False, source="hinge-pendulum")
+    assert save(run, tmp_path / "saved.toml") == ""
+    assert (tmp_path / "saved.toml").read_text() == model.read_text()
+    with pytest.raises(RequestError, match="there already"):
+        save(run, model)
 
 
 def test_parameters_that_only_imitate_what_is_missing_are_not_called_a_correction(bench, tmp_path):
     _, _, diagnosis, _ = bench
     unknown = replace(diagnosis, verdict="not-in-library", causes=(), effects=())
-    save_model(unknown, "hinge-pendulum", tmp_path / "saved.toml")
+    save_model(unknown.to_json(), "hinge-pendulum", tmp_path / "saved.toml")
     text = (tmp_path / "saved.toml").read_text()
     assert text.startswith("# Recalibrated only: the cause is not in the library.")
     assert "orrected by a diagnosis" not in text

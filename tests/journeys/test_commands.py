@@ -141,7 +141,7 @@ def test_a_recording_is_imported_shown_exported_and_fitted(labrun, recordings):
     assert labrun("resume", run).code == 2
 
 
-def test_ctrl_c_keeps_the_data_prints_the_resume_line_and_exits_with_1(command, tmp_path):
+def test_ctrl_c_keeps_the_data_prints_the_resume_line_and_exits_as_the_shell_says(command, tmp_path):
     with subprocess.Popen(
         [*command, "sweep", "fin-params", "--dry-run", "--json"],
         cwd=tmp_path,
@@ -154,7 +154,7 @@ def test_ctrl_c_keeps_the_data_prints_the_resume_line_and_exits_with_1(command, 
             time.sleep(0.01)
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=60)
-    assert process.returncode == 1
+    assert process.returncode == 130
     run = next(tmp_path.glob("results/*/*"))
     assert f"labrun resume {run.relative_to(tmp_path)}" in err
     assert json.loads(out)["run"] == str(run.relative_to(tmp_path))

@@ -1,0 +1,75 @@
+"""labrun as a Python package: its functions are the commands."""
+
+import os
+
+import pytest
+
+import labrun
+from labrun.errors import RequestError
+
+
+def test_dir_lists_the_api():
+    assert {"run", "resume", "check", "fit", "diagnose", "propose_next", "open", "report", "export"} <= set(
+        dir(labrun)
+    )
+
+
+def test_every_name_of_the_api_is_a_function_whatever_was_imported_before():
+    from labrun.fit import Dataset
+    from labrun.report.text import duration_text
+
+    assert Dataset
+    assert duration_text
+    assert all(callable(getattr(labrun, name)) for name in dir(labrun) if not name.startswith("_"))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    results = tmp_path_factory.mktemp("results")
+    small = ["run.conditions=[{release=30}]", "trial.repeats=2", "trial.duration_s=2.5"]
+    return labrun.run("hinge", dry_run=True, seed=1, overrides=small, results=results).run
+
+
+def test_a_run_is_made_opened_and_reported_by_functions(run):
+    assert len(labrun.open(run)) == 2
+    assert labrun.report(run) == run / "report.html"
+    written, removed = labrun.export(run, "csv")
+    assert written.read_text().count("\n") == 3
+    assert removed == []
+
+
+def test_the_latest_run_is_reported_where_nobody_names_one(run):
+    assert labrun.report(results=run.parent.parent) == run / "report.html"
+
+
+def test_without_any_run_it_says_how_to_make_one(tmp_path):
+    with pytest.raises(RequestError, match="there is no run yet") as raised:
+        labrun.report(results=tmp_path)
+    assert "--dry-run" in str(raised.value.hint)
+
+
+@pytest.mark.parametrize("use_case", [labrun.fit, labrun.diagnose])
+def test_a_folder_that_cannot_be_written_to_is_told_before_anything_is_computed(use_case, run, monkeypatch):
+    # a person's own account; the super-user may write anywhere
+    allowed = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: not mode & os.W_OK and allowed(path, mode))
+    notes = []
+    with pytest.raises(RequestError, match="cannot be written to"):
+        use_case(run, note=notes.append)
+    assert notes == []
+
+
+def test_a_recording_has_a_report_in_the_current_folder_and_is_left_as_it_is(tmp_path, monkeypatch):
+    recording = tmp_path / "swing"
+    recording.mkdir()
+    (recording / "0.csv").write_text("time_s,angle\n0,0.1\n0.1,0.2\n0.2,0.1\n")
+    (recording / "recording.toml").write_text(
+        'experiment = "swing"\n[channels.angle]\nkind = "output"\nunit = "rad"\n[[trials]]\nfile = "0.csv"\n'
+        "condition = { release = 0.1 }\n"
+    )
+    before = sorted(path.name for path in recording.iterdir())
+    monkeypatch.chdir(tmp_path)
+    written = labrun.report(recording)
+    assert written.resolve() == tmp_path / "swing-report.html"
+    assert "angle" in written.read_text()
+    assert sorted(path.name for path in recording.iterdir()) == before
