@@ -1,10 +1,20 @@
-"""Plugins by name: entry points of labrun's groups, or "package.module:Class"."""
+"""Plugins by name: entry points of labrun's groups, what rigs declare, or "package.module:Class".
+
+A rig is a folder with a ``rig.toml``, in a package that an entry point of group ``labrun.rigs`` names. Its tables are
+groups, its values ``"module:Object"`` inside of the folder::
+
+    [scenes]
+    my-tank = "scene:MyTank"
+"""
 
 import importlib
 import sys
+import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +34,8 @@ GROUPS = (
     "labrun.effects",
     "labrun.scenes",
 )
+RIGS = "labrun.rigs"
+RIG_FILE = "rig.toml"
 
 
 _folders: dict[Path, None] = {}
@@ -47,17 +59,57 @@ class PluginEntry:
 
 
 @lru_cache(maxsize=len(GROUPS))
-def _entries(group: str) -> dict[str, EntryPoint]:
-    return {entry.name: entry for entry in entry_points(group=group)}
+def _entries(group: str) -> dict[str, tuple[EntryPoint, str]]:
+    """Return entry points by name, each with the distribution and version that brings it."""
+    found = {entry.name: (entry, _origin(entry)) for entry in entry_points(group=group)}
+    found |= {entry.name: (entry, origin) for entry, origin in _of_rigs() if entry.group == group}
+    return found
+
+
+@lru_cache(maxsize=1)
+def _of_rigs() -> list[tuple[EntryPoint, str]]:
+    """Return what the folders of all rigs declare; imports none of them."""
+    found = []
+    for package in entry_points(group=RIGS):
+        try:
+            spec = find_spec(package.value)
+        except ModuleNotFoundError as error:
+            raise PluginError(f"the rigs of {_origin(package)} cannot be found: {error}") from error
+        for place in (spec.submodule_search_locations or ()) if spec is not None else ():
+            for path in sorted(Path(place).glob(f"*/{RIG_FILE}")):
+                rig = f"{package.value}.{path.parent.name}"
+                found += [(entry, _origin(package)) for entry in _declared(path, rig)]
+    return found
+
+
+def _declared(path: Path, rig: str) -> Iterator[EntryPoint]:
+    """Yield the entry points in a rig's file, whose modules are those of the package `rig`."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, tomllib.TOMLDecodeError) as error:
+        raise PluginError(f"{path} cannot be read: {error}") from error
+    kinds = [group.removeprefix("labrun.") for group in GROUPS]
+    for kind, plugins in content.items():
+        if kind not in kinds or not isinstance(plugins, dict):
+            near = nearest(kind, kinds)
+            raise PluginError(
+                f"{path}: a rig declares no {kind!r}",
+                hint=f"did you mean [{near}]?" if near else f"it declares tables {', '.join(kinds)}",
+            )
+        for name, target in plugins.items():
+            yield EntryPoint(name, f"{rig}.{target}", f"labrun.{kind}")
+
+
+def _origin(entry: EntryPoint) -> str:
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else "unknown"
 
 
 def installed(group: str) -> list[PluginEntry]:
     """Return the plugins of a group, sorted by name; imports none of them."""
-    found = []
-    for name, entry in sorted(_entries(group).items()):
-        origin = f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else "unknown"
-        found.append(PluginEntry(group, name, entry.value, origin))
-    return found
+    return [
+        PluginEntry(group, name, entry.value, origin)
+        for name, (entry, origin) in sorted(_entries(group).items())
+    ]
 
 
 def names(group: str) -> list[str]:
@@ -88,7 +140,7 @@ def load(group: str, name: str) -> Any:
     kind = group.removeprefix("labrun.").removesuffix("s")
     if ":" in name:
         return _load_dotted(kind, name)
-    entry = _entries(group).get(name)
+    entry, origin = _entries(group).get(name, (None, ""))
     if entry is None:
         near = nearest(name, names(group))
         known = ", ".join(names(group)) or "none"
@@ -97,9 +149,9 @@ def load(group: str, name: str) -> Any:
     try:
         return entry.load()
     except Exception as error:  # whatever a third party's module raises while it is imported
-        origin = entry.dist.name if entry.dist is not None else entry.value
+        brought_by = entry.value if origin == "unknown" else origin.partition(" ")[0]
         raise PluginError(
-            f"{kind} plugin {name!r} of {origin} cannot be imported: {type(error).__name__}: {error}",
+            f"{kind} plugin {name!r} of {brought_by} cannot be imported: {type(error).__name__}: {error}",
             hint=f"python -c 'import {entry.module}' shows the whole cause",
         ) from error
 

@@ -20,7 +20,7 @@ def fit(
     model: Annotated[
         str | None,
         typer.Option(
-            help="A model (TOML file, plugin, package.module:object), or a fit by name: hinge, hinge-maps, "
+            help="A model (TOML file, plugin, package.module:object), or a fit by name: "
             "least-squares, fopdt, transfer-function, pid.",
         ),
     ] = None,

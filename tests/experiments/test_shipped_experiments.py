@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from labrun_plugins.rigs.hinge.dimensions import damping, stiffness
 
 from labrun.devices import Limits
 from labrun.gaits import make_gait
-from labrun.models.hinge_maps import damping, stiffness
 from labrun.search.design import conditions
 from labrun.spec import find_model_file, load_experiment, loads_experiment, shipped_experiments
 

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from labrun_plugins.ati_daq import emulator
 from labrun_plugins.ati_daq.driver import AtiDaq
 from labrun_plugins.ati_daq.settings import AtiDaqSettings
+from labrun_plugins.rigs.caudal_fin.scene import CaudalTank
 from labrun_plugins.simulated.ati_daq import SimulatedAtiDaq
-from labrun_plugins.simulated.scenes.caudal_tank import CaudalTank
 
 from labrun.devices import DeviceContext, DeviceError, Samples, Sensor
 from labrun.devices.emulation import EmulatorContext, EmulatorLog, Faults

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from labrun_plugins.carriage_reset.line_motion import line_motion
 from labrun_plugins.carriage_reset.settings import CarriageResetSettings
-from labrun_plugins.simulated.scenes.fire_tank import FireTank
+from labrun_plugins.rigs.fish.scene import FireTank
 from pydantic import ValidationError
 
 from labrun import registry

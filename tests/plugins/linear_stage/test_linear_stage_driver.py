@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from emulated import emulated
 from labrun_plugins.linear_stage.driver import LinearStage
+from labrun_plugins.rigs.beam.scene import BeamBench
 from labrun_plugins.simulated.linear_stage import SimulatedLinearStage
-from labrun_plugins.simulated.scenes.beam_bench import BeamBench
 from stage_bench import SETTINGS, bend, commands
 
 from labrun.devices import Actuator, Carriage, DeviceContext, DeviceError, Sensor

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from labrun_plugins.simulated.scenes.hinge_bench import HingeBench
+from labrun_plugins.rigs.hinge.scene import HingeBench
 from simulated_bench import HandClock, StillScene, device, line, sine
 
 from labrun import registry

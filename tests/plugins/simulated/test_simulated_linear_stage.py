@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from labrun_plugins.rigs.beam.scene import BeamBench
 from labrun_plugins.simulated.linear_stage import LoadCell, SimulatedLinearStageSettings
-from labrun_plugins.simulated.scenes.beam_bench import BeamBench
 from simulated_bench import HandClock, StillScene, device, line
 
 from labrun.devices import Actuator, Carriage, Sensor

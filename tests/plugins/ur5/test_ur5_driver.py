@@ -93,7 +93,7 @@ def test_a_move_tows_the_scene_along_and_is_told_with_the_controllers_time(bench
 
 
 def test_the_emulated_scene_is_towed_as_in_a_dry_run(bench):
-    from labrun_plugins.simulated.scenes.tow import Carriage as Towed
+    from labrun_plugins.simulated.bench import Carriage as Towed
 
     arm = bench.driver
     arm.open()

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from labrun_plugins.simulated.scenes.tow import ACCELERATION_M_S2
-from labrun_plugins.simulated.scenes.tow import Carriage as Towed
+from labrun_plugins.simulated.bench import ACCELERATION_M_S2
+from labrun_plugins.simulated.bench import Carriage as Towed
 from labrun_plugins.ur5.emulated_motion import StraightMove, braking, half_way_s
 
 HOME = np.array([-0.35, -0.4, 0.3, 0.0, 3.14, 0.0])

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from labrun_plugins.simulated.scenes.tow import Carriage as Towed
+from labrun_plugins.simulated.bench import Carriage as Towed
 from labrun_plugins.ur5.line import Line
 from labrun_plugins.ur5.settings import Ur5Settings, channels_of
 from scipy.spatial.transform import Rotation

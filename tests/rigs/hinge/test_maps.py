@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from labrun_plugins.rigs.hinge import dimensions
 from labrun_plugins.rigs.hinge.body import body_of
 from labrun_plugins.rigs.hinge.map_findings import map_warnings
 from labrun_plugins.rigs.hinge.polynomial import fit_polynomial
@@ -16,7 +17,7 @@ from swings import swing
 from labrun.app.fit import fit
 from labrun.app.run import execute
 from labrun.errors import FitError, RequestError
-from labrun.models import hinge_maps, load_model
+from labrun.models import load_model
 from labrun.runner import SilentProgress
 from labrun.spec import load_named, shipped_experiments
 
@@ -50,13 +51,13 @@ def fitted(form, sizes, values, *, seed=0, scatter=0.0, releases=5, between_rele
 def test_the_published_maps_are_those_of_the_models_package(a, w, length):
     at = {"a": a, "w": w, "l": length}
     same = {
-        ("damping", ("a",)): hinge_maps.damping_of_area(a),
-        ("damping", ("w",)): hinge_maps.damping_of_width(w),
-        ("damping", ("l",)): hinge_maps.damping_of_length(length),
-        ("damping", ("a", "l", "w")): hinge_maps.damping(a, w, length),
-        ("stiffness", ("w",)): hinge_maps.stiffness_of_width(w),
-        ("stiffness", ("l",)): hinge_maps.stiffness_of_length(length),
-        ("stiffness", ("l", "w")): hinge_maps.stiffness(w, length),
+        ("damping", ("a",)): dimensions.damping_of_area(a),
+        ("damping", ("w",)): dimensions.damping_of_width(w),
+        ("damping", ("l",)): dimensions.damping_of_length(length),
+        ("damping", ("a", "l", "w")): dimensions.damping(a, w, length),
+        ("stiffness", ("w",)): dimensions.stiffness_of_width(w),
+        ("stiffness", ("l",)): dimensions.stiffness_of_length(length),
+        ("stiffness", ("l", "w")): dimensions.stiffness(w, length),
     }
     assert set(same) == set(PUBLISHED)
     for key, value in same.items():

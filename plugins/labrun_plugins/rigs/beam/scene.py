@@ -1,0 +1,182 @@
+"""A curved beam between a linear stage and a load cell (section 7.2 of the source work)."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import Field, NonNegativeFloat, PositiveFloat
+
+from labrun.devices import FloatArray, Trajectory
+from labrun.effects import Scale, load_effect
+from labrun.errors import ExperimentError, SpecError
+from labrun.models import Stepper
+from labrun_plugins.rigs.beam.model import STIFFNESS_N_M, Beam, beam_model
+from labrun_plugins.simulated.bench import (
+    Bench,
+    BenchSettings,
+    described,
+    hidden_effects,
+    joint_model,
+    joint_stepper,
+)
+
+_SCALE = Scale(coordinate=0.2, rate=0.01, acceleration=0.05, force=0.2, signal=2.0, time_s=10.0)
+_PUSHER_SCALE = Scale(signal=0.02, time_s=10.0)
+_YIELD_RAD = 0.01
+"""Half a millimetre of the pusher's way at 50 mm: how far a turn of the motion takes to show (chosen)."""
+_BETWEEN_MOUNTINGS = (0.01, 0.02)
+"""Relative scatter of stiffness and limits from mounting to mounting (chosen)."""
+
+
+class BeamBenchSettings(BenchSettings):
+    """The beam, and where the pusher touches it.
+
+    Attributes
+    ----------
+    beam
+        "long" or "short", see `beam_model`; a condition ``beam`` changes it.
+    lever_mm
+        From the beam's clamp to the pusher. The source bends over 50 mm of way and gives no lever; 100 mm keeps the
+        long beam's opposite-sense limit out of reach of 25 mm (chosen).
+    hysteresis
+        Half the width of the loop between loading and unloading, as a share of the torque at which the beam buckles in
+        equal sense (chosen; the source names pusher slip and friction, section 7.2.1).
+    scatter
+        Factor on the scatter between mountings.
+    """
+
+    beam: Beam = "long"
+    lever_mm: PositiveFloat = 100.0
+    hysteresis: float = Field(default=0.03, ge=0.0, le=1.0)
+    scatter: NonNegativeFloat = 1.0
+
+
+class BeamBench(Bench):
+    """Force on a curved beam over the displacement of a pusher on a linear stage.
+
+    The pusher holds the arm on the beam, so that it pushes and pulls. Its displacement is counted from where the beam
+    is at rest; positive is the opposite sense, in which the beam is stiff. Physics and sources: see `beam_model`.
+    Loading and unloading differ by a small loop. With `as_modelled` there is no loop, and no scatter.
+
+    The joint ``pusher`` is driven in metres: what a trajectory calls an angle is its displacement.
+
+    Signals: ``force`` of the pusher on the beam (N), ``position`` of the pusher (m), and ``bend``, the equivalent angle
+    of the beam (rad), displacement over lever: the source converts so, too (section 7.5.1).
+    """
+
+    Settings: ClassVar[type[BenchSettings]] = BeamBenchSettings
+    step_s = 0.005
+    scale = _SCALE
+    joints = ("pusher",)
+    sensed = ("force",)
+    signals: Mapping[str, str] = {"force": "N", "position": "m", "bend": "rad"}
+
+    def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
+        super().__init__(settings, rng)
+        spread = 0.0 if self._settings.as_modelled else self._settings.scatter * self._settings.noise
+        self._spread = spread * np.array(_BETWEEN_MOUNTINGS)
+        at_pusher = [one for one in self._settings.hide if one.site in self.joints]
+        at_cell = [one for one in self._settings.hide if one.site in self.sensed]
+        hidden_pusher = hidden_effects(at_pusher, joint_model(self.joints), _PUSHER_SCALE)
+        hidden_cell = hidden_effects(at_cell, joint_model(self.sensed), _SCALE)
+        self._elsewhere = hidden_pusher + hidden_cell
+        self._pusher = joint_stepper(self.joints, self.step_s, hidden_pusher) if hidden_pusher else None
+        self._cell = joint_stepper(self.sensed, self.step_s, hidden_cell) if hidden_cell else None
+        self._told_before = np.zeros(1)
+        self._moved_before = np.zeros(1)
+        self._force_before = np.zeros(1)
+        self._put(self._settings.beam, self._mounted())
+
+    def arrange(self, condition: Mapping[str, float | str]) -> None:
+        """Mount the beam that the condition names; what is mounted already stays as it is."""
+        wanted = condition.get("beam", self._beam)
+        if wanted not in STIFFNESS_N_M:
+            raise SpecError(f"this bench has no beam {wanted!r}", hint=f"it has {', '.join(STIFFNESS_N_M)}")
+        if wanted != self._beam:
+            state = self._stepper.state
+            self._put(wanted, self._mounted())
+            self._stepper.state = state
+
+    def tow(self, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:
+        """Move the pusher at constant speed from `start_s` on; a slow stage starts and stops within a step."""
+        way = abs(to_m - from_m)
+        if way == 0.0 or speed_m_s <= 0.0:
+            path = Trajectory(self.joints, np.zeros(1), np.array([[to_m]]))
+        else:
+            path = Trajectory(self.joints, np.array([0.0, way / speed_m_s]), np.array([[from_m], [to_m]]))
+        self.drive("pusher", path, start_s)
+
+    def truth(self) -> dict[str, Any]:
+        """Return the mounted beam, parameters as they are on the bench, and hidden effects."""
+        names = (one.name for one in self._model.parameters)
+        return {
+            "beam": self._beam,
+            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
+            "parameter_errors": dict(self._settings.parameters),
+            "built_in": [described(self._loop)],
+            "hidden": [described(effect) for effect in (*self._hidden, *self._elsewhere)],
+        }
+
+    def _mounted(self) -> FloatArray:
+        """Return the factors on stiffness and limits that one mounting has."""
+        factors: FloatArray = 1.0 + self._spread * self._rng.standard_normal(2)
+        return factors
+
+    def _put(self, beam: Beam, factors: FloatArray) -> None:
+        self._beam, self._factors = beam, factors
+        model = beam_model(beam, 1e-3 * self._settings.lever_mm)
+        names = [one.name for one in model.parameters]
+        nominal = dict(zip(names, model.values.tolist(), strict=True))
+        mounted = {name: nominal[name] * factors[0] for name in ("stiffness", "buckled_stiffness")}
+        mounted |= {name: nominal[name] * factors[1] for name in ("equal_limit", "opposite_limit")}
+        self._model = self._with_errors(model.with_values(mounted))
+        share = 0.0 if self._settings.as_modelled else self._settings.hysteresis
+        limit = float(self._model.values[names.index("equal_limit")])
+        self._loop = load_effect("hysteresis").attach(
+            "beam", force=share * limit, yield_displacement=_YIELD_RAD
+        )
+        at_beam = [one for one in self._settings.hide if one.site not in (*self.joints, *self.sensed)]
+        self._hidden = hidden_effects(at_beam, self._model, _SCALE)
+        self._stepper = Stepper(self._model, effects=[self._loop, *self._hidden], step_s=self.step_s)
+
+    def _advance(self, time_s: FloatArray) -> FloatArray:
+        told = self._drives["pusher"].angles(time_s)
+        moved = _through(self._pusher, self._told_before, told)
+        force = self._stepper.advance(np.append(self._moved_before, moved)[:, None])[:, 0]
+        felt = _through(self._cell, self._force_before, force)
+        self._told_before, self._moved_before = told[-1:].copy(), moved[-1:].copy()
+        self._force_before = force[-1:].copy()
+        if not self._stepper.finite:
+            raise ExperimentError("the simulated beam bench blew up", hint="hide a weaker effect, or none")
+        return np.column_stack([felt, moved, moved / (1e-3 * self._settings.lever_mm)])
+
+    def _memory(self) -> dict[str, Any]:
+        return {
+            "beam": self._beam,
+            "factors": self._factors.tolist(),
+            "told_before": self._told_before.tolist(),
+            "moved_before": self._moved_before.tolist(),
+            "force_before": self._force_before.tolist(),
+            "pusher": None if self._pusher is None else self._pusher.snapshot(),
+            "cell": None if self._cell is None else self._cell.snapshot(),
+            "stepper": self._stepper.snapshot(),
+        }
+
+    def _recall(self, memory: Mapping[str, Any]) -> None:
+        self._put(memory["beam"], np.array(memory["factors"]))
+        self._told_before = np.array(memory["told_before"])
+        self._moved_before = np.array(memory["moved_before"])
+        self._force_before = np.array(memory["force_before"])
+        if self._pusher is not None:
+            self._pusher.restore(memory["pusher"])
+        if self._cell is not None:
+            self._cell.restore(memory["cell"])
+        self._stepper.restore(memory["stepper"])
+
+
+def _through(stepper: Stepper | None, before: FloatArray, values: FloatArray) -> FloatArray:
+    """Return a signal after the effects that hide in it; as it is where none does."""
+    if stepper is None:
+        return values
+    passed: FloatArray = stepper.advance(np.append(before, values)[:, None])[:, 0]
+    return passed

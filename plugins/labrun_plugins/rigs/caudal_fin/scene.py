@@ -1,0 +1,222 @@
+"""A fish with one tail fin, held by a bar in a small tank (section 5 of the source work)."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import PositiveFloat
+
+from labrun.devices import FloatArray
+from labrun.effects import Scale
+from labrun.errors import ExperimentError
+from labrun.models import Stepper, kernel
+from labrun_plugins.rigs.caudal_fin.model import (
+    AMPLITUDE_DEAD_S,
+    ANGLE_DEAD_S,
+    ECHO_S,
+    QUARTER_S,
+    TIP_LAG_S,
+    caudal_model,
+)
+from labrun_plugins.simulated.bench import (
+    Bench,
+    BenchSettings,
+    described,
+    hidden_effects,
+    joint_model,
+    joint_stepper,
+    packed,
+    unpacked,
+)
+
+_SCALE = Scale(coordinate=1.0, rate=0.5, acceleration=5.0, force=0.3, signal=0.5, time_s=2.0)
+_NOT_IN_THE_STEP_MODELS = ("echo", "left_over", "bend")
+"""Parameters of what (5.5) and (5.6) do not have: what walls and saturation do to a tail off its best gait."""
+
+
+class CaudalTankSettings(BenchSettings):
+    """`bar_length_m`: the fish hangs this far below the sensor, which so feels torque = force x bar length."""
+
+    bar_length_m: PositiveFloat = 0.4
+
+
+class DelayLine:
+    """Remembers the last `length` values of a signal; before the first one it was zero."""
+
+    def __init__(self, length: int) -> None:
+        self._past = np.zeros(length)
+
+    def after(self, values: FloatArray, *delays: int) -> tuple[FloatArray, ...]:
+        """Take the next values, and return what the signal was `delays` steps before each of them."""
+        line = np.concatenate([self._past, values])
+        end = len(line)
+        count = len(values)
+        self._past = line[end - len(self._past) :].copy()
+        return tuple(line[end - count - delay : end - delay] for delay in delays)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the memory as JSON-ready values."""
+        return packed(self._past)
+
+    def restore(self, stored: dict[str, Any]) -> None:
+        """Take back what `snapshot` gave."""
+        self._past = unpacked(stored)
+
+
+class CaudalTank(Bench):
+    """Thrust of a flapping tail over offset, amplitude and frequency.
+
+    Physics and sources: see `caudal_model`.
+
+    A gait's mean thrust is 0.00912 N/deg times its amplitude at 1.4 Hz, but somewhat more between
+    40 and 60 deg (it saturates); off that frequency the waves
+    that come back from the walls of the 0.305 m tank turn the thrust round. A trial leaves sloshing waves
+    (time constant about 3 s), a returning current (4 s) and random vortices (3 s) behind, which the next
+    trial feels unless it waits.
+
+    With `as_modelled` no wave comes back and the thrust is straight in amplitude: (5.5), (5.6), what a stroke's own
+    momentum does, and vortices.
+
+    Signals: ``force_x`` (forward), ``force_y`` (side), ``force_z`` and the torques about the sensor (the fish
+    hangs `bar_length_m` below it: torque_x = bar * force_y, torque_y = -bar * force_x), and ``tail``, the
+    servo's angle (rad).
+    """
+
+    Settings: ClassVar[type[BenchSettings]] = CaudalTankSettings
+    step_s = 0.01
+    scale = _SCALE
+    joints = ("tail",)
+    sensed = ("torque_y", "torque_x")
+    signals: Mapping[str, str] = {
+        "force_x": "N", "force_y": "N", "force_z": "N", "torque_x": "N m", "torque_y": "N m", "torque_z": "N m",
+        "tail": "rad",
+    }  # fmt: skip
+
+    def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
+        super().__init__(settings, rng)
+        self._model = self._with_errors(caudal_model())
+        if self._settings.as_modelled:
+            self._model = self._model.with_values(dict.fromkeys(_NOT_IN_THE_STEP_MODELS, 0.0))
+        on_joints = [one for one in self._settings.hide if one.site in self.joints]
+        in_sensor = [one for one in self._settings.hide if one.site in self.sensed]
+        elsewhere = (*self.joints, *self.sensed)
+        in_water = [one for one in self._settings.hide if one.site not in elsewhere]
+        hidden_joints = hidden_effects(on_joints, joint_model(self.joints), _SCALE)
+        water = hidden_effects(in_water, self._model, _SCALE)
+        hidden_sensors = hidden_effects(in_sensor, joint_model(self.sensed), _SCALE)
+        self._hidden = water + hidden_joints + hidden_sensors
+        self._servo = joint_stepper(self.joints, self.step_s, hidden_joints) if hidden_joints else None
+        self._sensor = joint_stepper(self.sensed, self.step_s, hidden_sensors) if hidden_sensors else None
+        self._stepper = Stepper(self._model, effects=water, step_s=self.step_s)
+        self._tip_rad = 0.0
+        self._servo_rad = 0.0
+        self._late = DelayLine(self._steps(AMPLITUDE_DEAD_S + ECHO_S) + 2)
+        self._angle = DelayLine(self._steps(ANGLE_DEAD_S) + 2)
+        self._joint_before = np.zeros(1)
+        self._sensor_before = np.zeros((1, len(self.sensed)))
+        self._momentum = np.zeros(2)
+        self._inputs_before = np.zeros((1, len(self._model.inputs)))
+
+    def truth(self) -> dict[str, Any]:
+        """Return parameters as they are on the bench, and hidden effects."""
+        return {
+            "parameters": dict(
+                zip((one.name for one in self._model.parameters), self._model.values.tolist(), strict=True)
+            ),
+            "parameter_errors": dict(self._settings.parameters),
+            "bar_length_m": self._settings.bar_length_m,
+            "hidden": [described(effect) for effect in self._hidden],
+        }
+
+    def _steps(self, duration_s: float) -> int:
+        return round(duration_s / self.step_s)
+
+    def _advance(self, time_s: FloatArray) -> FloatArray:
+        commanded = self._drives["tail"].angles(time_s)
+        servo = commanded
+        if self._servo is not None:
+            servo = self._servo.advance(np.append(self._joint_before, commanded)[:, None])[:, 0]
+            self._joint_before = commanded[-1:].copy()
+        tip = self._tip(servo)
+        rate = (servo - tip) / TIP_LAG_S
+        late_s = (0.0, ECHO_S, QUARTER_S)
+        late = self._late.after(rate, *(self._steps(AMPLITUDE_DEAD_S + more_s) for more_s in late_s))
+        (late_angle,) = self._angle.after(servo, self._steps(ANGLE_DEAD_S))
+        noise = self._settings.noise / math.sqrt(self.step_s) * self._rng.standard_normal((len(time_s), 2))
+        inputs = np.empty((len(time_s) + 1, len(self._model.inputs)))
+        inputs[0] = self._inputs_before
+        for column, values in enumerate((tip, rate, *late, late_angle, *self._momentum_rate(tip, rate))):
+            inputs[1:, column] = values
+        inputs[1:, -2:] = noise
+        force = self._stepper.advance(inputs)
+        self._inputs_before = inputs[-1:].copy()
+        if not self._stepper.finite:
+            raise ExperimentError("the simulated caudal tank blew up", hint="hide a weaker effect, or none")
+        bar = self._settings.bar_length_m
+        rows = np.zeros((len(time_s), len(self.signals)))
+        rows[:, :2] = force
+        rows[:, 3], rows[:, 4] = bar * force[:, 1], -bar * force[:, 0]
+        rows[:, 6] = servo
+        if self._sensor is not None:
+            felt = [self._columns[signal] for signal in self.sensed]
+            true = rows[:, felt]
+            rows[:, felt] = self._sensor.advance(np.concatenate([self._sensor_before, true]))
+            self._sensor_before = true[-1:].copy()
+        return rows
+
+    def _tip(self, servo: FloatArray) -> FloatArray:
+        """Return the tip's angle: the servo's, behind by a first-order lag."""
+        tip = _lagged(servo, self._servo_rad, self._tip_rad, self.step_s / TIP_LAG_S)
+        self._servo_rad, self._tip_rad = float(servo[-1]), float(tip[-1])
+        return tip
+
+    def _momentum_rate(self, tip: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how fast the momentum of the water along with the fin changes, forward and sideways, rad/s^2."""
+        momentum = np.column_stack([rate * np.sin(tip), rate * np.cos(tip)])
+        changed = np.diff(momentum, axis=0, prepend=self._momentum[None]) / self.step_s
+        self._momentum = momentum[-1].copy()
+        return changed[:, 0], changed[:, 1]
+
+    def _memory(self) -> dict[str, Any]:
+        return {
+            "tip_rad": self._tip_rad,
+            "servo_rad": self._servo_rad,
+            "late": self._late.snapshot(),
+            "angle": self._angle.snapshot(),
+            "joint_before": self._joint_before.tolist(),
+            "momentum": self._momentum.tolist(),
+            "inputs_before": self._inputs_before.tolist(),
+            "servo": None if self._servo is None else self._servo.snapshot(),
+            "sensor_before": self._sensor_before.tolist(),
+            "sensor": None if self._sensor is None else self._sensor.snapshot(),
+            "stepper": self._stepper.snapshot(),
+        }
+
+    def _recall(self, memory: Mapping[str, Any]) -> None:
+        self._tip_rad = float(memory["tip_rad"])
+        self._servo_rad = float(memory["servo_rad"])
+        self._late.restore(memory["late"])
+        self._angle.restore(memory["angle"])
+        self._joint_before = np.array(memory["joint_before"])
+        self._momentum = np.array(memory["momentum"])
+        self._inputs_before = np.array(memory["inputs_before"])
+        if self._servo is not None:
+            self._servo.restore(memory["servo"])
+        self._sensor_before = np.array(memory["sensor_before"])
+        if self._sensor is not None:
+            self._sensor.restore(memory["sensor"])
+        self._stepper.restore(memory["stepper"])
+
+
+@kernel
+def _lagged(values: FloatArray, value: float, lagged: float, step: float) -> FloatArray:
+    """Return values behind by a first-order lag, exact where they go straight; `step` is in time constants."""
+    decay = math.exp(-step)
+    ramp = (1.0 - decay) / step
+    behind = np.empty(len(values))
+    for i in range(len(values)):
+        lagged = decay * lagged + (ramp - decay) * value + (1.0 - ramp) * values[i]
+        value = values[i]
+        behind[i] = lagged
+    return behind

@@ -1,0 +1,1 @@
+"""A body on a pin that a servo swings through an elastic strip, with cameras on both."""

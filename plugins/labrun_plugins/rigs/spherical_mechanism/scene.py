@@ -1,0 +1,109 @@
+"""A camera on a spherical mechanism, to stay level while its base is moved (section 2 of the source work, S2.4)."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import Field, PositiveFloat
+
+from labrun.devices import FloatArray
+from labrun.effects import Scale
+from labrun.errors import ExperimentError
+from labrun.models import Stepper
+from labrun_plugins.rigs.spherical_mechanism.bodies import BODIES, SIGNALS, orientations
+from labrun_plugins.rigs.spherical_mechanism.model import spm_model
+from labrun_plugins.simulated.bench import Bench, BenchSettings, described, hidden_effects, packed, unpacked
+
+_STOP_RAD = math.radians(85.0)
+_LEVEL = np.array([[1.0, 0.0, 0.0, 0.0]] * len(BODIES))
+_SCALE = Scale(coordinate=0.15, rate=1.5, acceleration=50.0, force=0.01, signal=0.15, time_s=0.5)
+
+
+class SpmStabiliserSettings(BenchSettings):
+    """How the base is moved; the source says only that it is done by hand and at random.
+
+    Attributes
+    ----------
+    base_tilt_deg
+        Root mean square of the base's tilt about each of its axes; beyond 15 the mechanism leaves its workspace now and
+        then. The setting `noise` multiplies it, too.
+    base_bandwidth_hz
+        Frequency above which the base hardly moves: half the power at this frequency, and 1/256 of it at twice.
+    """
+
+    base_tilt_deg: float = Field(default=6.0, ge=0.0, le=15.0)
+    base_bandwidth_hz: PositiveFloat = Field(default=0.5, le=5.0)
+
+
+class SpmStabiliser(Bench):
+    """The two-axis spherical mechanism of `kinematics`, of laminate, on a base that is moved at random.
+
+    Joints ``servo_1`` and ``servo_2`` are the servos; a rising servo_1 turns the end-effector about the base's -x axis,
+    a rising servo_2 about +y. Between a servo and the end-effector there is the laminate, with its lag and its sag
+    (see `spm_model`, where the chosen values stand); the links stop at 85 degrees.
+
+    Signals, for each body (``base``, ``end_effector``): ``<body>_qw`` ... ``_qz``, its orientation in the room (z up;
+    body to room), ``<body>_wx`` ... ``_wz``, its angular velocity in its own frame, and ``<body>_tilt``, how far its
+    normal leans from the vertical. Besides ``servo_1``, ``servo_2`` (what the servos do), ``theta_1``, ``theta_2``
+    (what comes of it) and ``base_x``, ``base_y`` (tilt of the base about its axes), rad.
+    """
+
+    Settings: ClassVar[type[BenchSettings]] = SpmStabiliserSettings
+    step_s = 0.005
+    scale = _SCALE
+    joints = ("servo_1", "servo_2")
+    signals: Mapping[str, str] = {
+        **{f"{body}_{signal}": unit for body in BODIES for signal, unit in SIGNALS},
+        **dict.fromkeys(("servo_1", "servo_2", "theta_1", "theta_2", "base_x", "base_y"), "rad"),
+    }
+
+    def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
+        super().__init__(settings, rng)
+        base_tilt_rad = math.radians(self._settings.base_tilt_deg) * self._settings.noise
+        self._model = self._with_errors(spm_model(base_tilt_rad, self._settings.base_bandwidth_hz))
+        self._hidden = hidden_effects(self._settings.hide, self._model, _SCALE)
+        self._stepper = Stepper(self._model, effects=self._hidden, step_s=self.step_s)
+        self._servos_before = np.zeros(2)
+        self._bodies = _LEVEL.copy()
+
+    def truth(self) -> dict[str, Any]:
+        """Return parameters as they are on the bench, and hidden effects."""
+        names = (one.name for one in self._model.parameters)
+        return {
+            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
+            "parameter_errors": dict(self._settings.parameters),
+            "hidden": [described(effect) for effect in self._hidden],
+        }
+
+    def _advance(self, time_s: FloatArray) -> FloatArray:
+        count = len(time_s)
+        servos = np.empty((count + 1, 2))
+        servos[0] = self._servos_before
+        for column, joint in enumerate(self.joints):
+            servos[1:, column] = self._drives[joint].angles(time_s)
+        self._servos_before = servos[-1].copy()
+        inputs = np.empty((count, 3, 4))
+        inputs[:, 0, :2], inputs[:, 2, :2] = servos[:-1], servos[1:]
+        inputs[:, 1, :2] = 0.5 * (servos[:-1] + servos[1:])
+        # White noise, held over a step: one number for its start, middle and end.
+        inputs[:, :, 2:] = self._rng.standard_normal((count, 1, 2)) / math.sqrt(self.step_s)
+        angles = self._stepper.advance(inputs)
+        if not self._stepper.finite:
+            raise ExperimentError("the simulated stabiliser blew up", hint="hide a weaker effect, or none")
+        rows = np.empty((count, len(self.signals)))
+        rows[:, :16] = orientations(angles, self._bodies, self.step_s, _STOP_RAD)
+        rows[:, 16:18], rows[:, 18:] = servos[1:], angles
+        return rows
+
+    def _memory(self) -> dict[str, Any]:
+        return {
+            "stepper": self._stepper.snapshot(),
+            "servos_before": packed(self._servos_before),
+            "bodies": packed(self._bodies),
+        }
+
+    def _recall(self, memory: Mapping[str, Any]) -> None:
+        self._stepper.restore(memory["stepper"])
+        self._servos_before = unpacked(memory["servos_before"])
+        self._bodies = unpacked(memory["bodies"])

@@ -1,0 +1,85 @@
+"""Effects that a bench has and its model lacks: in the model, and between command and joint."""
+
+import functools
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from labrun.effects import AttachedEffect, Scale, load_effect
+from labrun.errors import ModelError, PluginError, SpecError
+from labrun.models import Input, Model, Output, Stepper, native
+from labrun_plugins.simulated.bench.settings import HiddenEffect
+
+
+def hidden_effects(wanted: Iterable[HiddenEffect], model: Model, scale: Scale) -> list[AttachedEffect]:
+    """Return the effects at their sites of the model; values not given take their first start.
+
+    Raises
+    ------
+    SpecError
+        No such site, or no such effect for its kind of site.
+    """
+    return [_attached(one, model, scale) for one in wanted]
+
+
+def described(effect: AttachedEffect) -> dict[str, Any]:
+    """Return an effect as JSON-ready values."""
+    return {"effect": effect.effect.id, "site": effect.site, "values": dict(effect.named_values)}
+
+
+def _nothing(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None:
+    """No state changes, and no site takes a force."""
+
+
+def _pass_on(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
+    """Output = input, as many as the first parameter says."""
+    for i in range(int(p[0])):
+        y[i] = u[i]
+
+
+@functools.cache
+def joint_model(joints: tuple[str, ...]) -> Model:
+    """Return the model whose inputs and outputs are the joints' angles, rad."""
+    return Model(
+        name="joints",
+        states=(),
+        inputs=tuple(Input(joint, "rad") for joint in joints),
+        outputs=tuple(Output(joint, "rad") for joint in joints),
+        parameters=(),
+        conditions=(),
+        sites=(),
+        initial={},
+        derivative=native("model", _nothing),
+        output=native("model", _pass_on),
+        site_values=native("model", _nothing),
+        constants=np.array([float(len(joints))]),
+        source="joints of a simulated bench",
+    )
+
+
+def joint_stepper(joints: tuple[str, ...], step_s: float, effects: Sequence[AttachedEffect] = ()) -> Stepper:
+    """Return what turns commanded into true joint angles, with the effects that hide there."""
+    return Stepper(joint_model(joints), effects=effects, step_s=step_s)
+
+
+def _attached(wanted: HiddenEffect, model: Model, scale: Scale) -> AttachedEffect:
+    places = [
+        place for place in model.places if place.name == wanted.site and wanted.kind in (None, place.kind)
+    ]
+    if not places:
+        known = ", ".join(dict.fromkeys(place.name for place in model.places))
+        raise SpecError(f"rig.scene.hide: this bench has no site {wanted.site!r}", hint=f"it has {known}")
+    refusals = []
+    for place in places:
+        try:
+            effect = load_effect(wanted.effect, place.kind)
+            attached = effect.attach(wanted.site, scale, **wanted.values)
+            attached.check(model)
+        except (PluginError, ModelError) as error:
+            refusals.append(str(error))
+        else:
+            return attached
+    raise SpecError(
+        f"rig.scene.hide: {wanted.effect!r} at {wanted.site!r}: " + "; ".join(dict.fromkeys(refusals))
+    )
