@@ -1,36 +1,86 @@
-"""Recorded trials as the signals a fit is made of, each on one even time base."""
+"""The signals a fit is made of: what its settings name, from runs and recordings, on one even time base."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
-from labrun.fit.signal_table import SignalTable
 from labrun.signals import Signals
-from labrun.spec import condition_text
-from labrun.store import (
-    RecordedTrial,
-    SignalInfo,
-    imported_channels,
-    is_recording,
-    read_recording,
-)
-from labrun.toml import nearest
+from labrun.spec import Experiment, condition_text, loads_experiment
+from labrun.store import COMMAND, TrialOutcome, imported_channels, is_recording, open_run
+from labrun.toml import nearest, resolve
 
-if TYPE_CHECKING:
-    from labrun.spec import Experiment
-    from labrun.store import TrialOutcome
-
-COMMAND = "command"
 GAIT = "gait"
 """The pseudo device of a gait's named quantities over time."""
 _EVEN = 1e-6
 Channel = tuple[FloatArray, str]
 """Values at the trial's times, and their unit."""
+Take = Literal["value", "magnitude", "direction"]
+UNITS = {"N m": "N"}
+"""What a unit becomes when it is divided by a length, m."""
+
+
+class SignalTable(BaseModel):
+    """A signal of a fit; a text alone is its channel.
+
+    Attributes
+    ----------
+    channel
+        ``"device.channel"`` as recorded; ``"command.joint"``; ``"gait.a"``, a named part of the gait's formulas or of
+        the condition, over time; of a recording, the name of a channel.
+    side_channel
+        The second axis of a force, for `take`.
+    take
+        ``"value"`` of the channel; ``"magnitude"`` or ``"direction"`` (deg, 0 along `channel`, +90 along
+        `side_channel`) of the vector of both, each averaged first.
+    scale, side_scale
+        Each channel is multiplied by its own.
+    divide_by_m
+        Both are divided by this length, m: a torque at the end of a bar becomes the force that made it.
+    average
+        ``"cycle"``: mean over the gait cycle that has just passed, as a controller sees it; it delays by half a cycle.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    channel: str
+    side_channel: str | None = None
+    take: Take = "value"
+    scale: Annotated[float, Field()] = 1.0
+    side_scale: float = 1.0
+    divide_by_m: PositiveFloat | None = None
+    average: Literal["none", "cycle"] = "none"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _text_or_table(cls, data: Any) -> Any:
+        return {"channel": data} if isinstance(data, str) else data
+
+    @model_validator(mode="after")
+    def _two_channels_for_a_vector(self) -> "SignalTable":
+        if self.take != "value" and self.side_channel is None:
+            raise ValueError(f'take = "{self.take}" needs a side_channel')
+        if self.take == "value" and self.side_channel is not None:
+            raise ValueError('a side_channel needs take = "magnitude" or "direction"')
+        return self
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels it is made of."""
+        return (self.channel,) if self.side_channel is None else (self.channel, self.side_channel)
+
+    def unit(self, channel_unit: str) -> str:
+        """Return the signal's unit, given its channel's."""
+        if self.take == "direction":
+            return "deg"
+        if self.divide_by_m is None:
+            return channel_unit
+        return UNITS.get(channel_unit, f"{channel_unit}/m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,16 +155,30 @@ def load_signals(
     FitError
         No trial is left, or one is too short.
     """
-    load = _recording if is_recording(target) else _run
-    name, kind, trials, left_out = load(target, wanted, dict(where or {}), rate_hz)
+    run = open_run(target)
+    recorded = is_recording(target)
+    imported = bool(imported_channels(run.experiment_toml))
+    experiment = (
+        None if imported else loads_experiment(run.experiment_toml, run.name, plugins=False).experiment
+    )
+    only = dict(where or {})
+    here = [one for one in run.outcomes if all(one.condition.get(name) == only[name] for name in only)]
+    accepted = [one for one in here if one.status == "done"]
+    trials: list[SignalTrial] = []
+    units: dict[str, str] = {}
+    for outcome in accepted:
+        channels = _Channels(outcome, run.measured(outcome.index), experiment, target, bare=recorded)
+        trial, units = _trial(channels, wanted, rate_hz)
+        trials.append(trial)
     if not trials:
-        why = "no accepted trial" if left_out else "no trial"
-        only = f" with {condition_text(dict(where))}" if where else ""
+        why = "no accepted trial" if here else "no trial"
+        condition = f" with {condition_text(only)}" if only else ""
         raise FitError(
-            f"nothing to fit in {target}: it has {why}{only}", hint=f"labrun show {target} lists its trials"
+            f"nothing to fit in {target}: it has {why}{condition}",
+            hint=f"labrun show {target} lists its trials",
         )
-    units = trials[0][1]
-    return SignalSet(name, kind, tuple(trial for trial, _ in trials), units, left_out)
+    kind: Literal["recording", "run"] = "recording" if recorded else "run"
+    return SignalSet(run.name, kind, tuple(trials), units, len(here) - len(accepted))
 
 
 def trailing_mean(values: FloatArray, samples: int) -> FloatArray:
@@ -125,127 +189,95 @@ def trailing_mean(values: FloatArray, samples: int) -> FloatArray:
     return np.asarray((total[last] - total[first]) / (last - first))
 
 
-_Loaded = tuple[str, Literal["recording", "run"], list[tuple[SignalTrial, dict[str, str]]], int]
+class _Channels:
+    """The channels of one trial on an even time base.
 
+    Parameters
+    ----------
+    bare
+        Whether channels are named without their device, as in a recording, and count from its first sample to its last.
+    """
 
-def _run(
-    target: Path, wanted: Mapping[str, SignalTable], where: Mapping[str, float | str], rate_hz: float | None
-) -> _Loaded:
-    from labrun.spec import loads_experiment
-    from labrun.store import open_run
+    def __init__(
+        self,
+        outcome: TrialOutcome,
+        measured: Mapping[str, Signals],
+        experiment: Experiment | None,
+        target: Path,
+        *,
+        bare: bool,
+    ) -> None:
+        self.outcome = outcome
+        self.bare = bare
+        self.label = f"trial {outcome.index}: {condition_text(outcome.condition)}".rstrip(": ")
+        self._experiment = experiment
+        self._target = target
+        self._measured = measured
+        self._known = {
+            column if bare else f"{device}.{column}": (device, column)
+            for device, signals in measured.items()
+            for column in signals.columns
+        }
 
-    run = open_run(target)
-    imported = bool(imported_channels(run.experiment_toml))
-    experiment = (
-        None if imported else loads_experiment(run.experiment_toml, run.name, plugins=False).experiment
-    )
-    wanted_here = [one for one in run.outcomes if _matches(one.condition, where)]
-    accepted = [one for one in wanted_here if one.status == "done"]
-    trials = []
-    for outcome in accepted:
-        measured = run.measured(outcome.index)
-        trials.append(_run_trial(outcome, measured, experiment, wanted, rate_hz, target))
-    return run.name, "run", trials, len(wanted_here) - len(accepted)
+    def time_base(self, wanted: Mapping[str, SignalTable], rate_hz: float | None) -> FloatArray:
+        """Return times at the given rate, or that of the first wanted device that was measured."""
+        devices = [one.channel.partition(".")[0] for one in wanted.values()]
+        measured = [self._measured[one] for one in devices if one in self._measured and one != COMMAND]
+        found = [one for one in self._measured.values() if len(one)] if self.bare else self._measured.values()
+        base = measured[0] if measured else next(iter(found))
+        start_s = float(base.time_s[0]) if self.bare else 0.0
+        end_s = self.outcome.duration_s if self.outcome.duration_s > 0 else float(base.time_s[-1])
+        return _even(start_s, end_s, rate_hz or base.rate_hz, self.label)
 
-
-def _run_trial(
-    outcome: "TrialOutcome",
-    signals: Mapping[str, Signals],
-    experiment: "Experiment | None",
-    wanted: Mapping[str, SignalTable],
-    rate_hz: float | None,
-    target: Path,
-) -> tuple[SignalTrial, dict[str, str]]:
-    devices = [one.channel.partition(".")[0] for one in wanted.values()]
-    measured = [signals[device] for device in devices if device in signals and device != COMMAND]
-    base = measured[0] if measured else next(iter(signals.values()))
-    end_s = outcome.duration_s if outcome.duration_s > 0 else float(base.time_s[-1])
-    label = f"trial {outcome.index}: {condition_text(outcome.condition)}".rstrip(": ")
-    time_s = _even(0.0, end_s, rate_hz or base.rate_hz, label)
-
-    def channel(name: str) -> Channel:
+    def at(self, name: str, time_s: FloatArray) -> Channel:
+        """Return a channel at these times, with its unit."""
         device, _, part = name.partition(".")
-        if device == GAIT and experiment is not None:
-            return _gait_value(experiment, outcome.condition, part, time_s)
-        known = {f"{device}.{column}": None for device, table in signals.items() for column in table.columns}
-        if name not in known:
-            raise _unknown(name, known, target)
-        found = signals[device].signal(part)
-        return _at(found.time_s, found.values, time_s, name, label), found.unit
-
-    return _trial(label, outcome.condition, outcome.repeat, time_s, outcome.period_s, wanted, channel)
-
-
-def _recording(
-    target: Path, wanted: Mapping[str, SignalTable], where: Mapping[str, float | str], rate_hz: float | None
-) -> _Loaded:
-    recording = read_recording(target)
-    infos = (*recording.inputs, *recording.outputs)
-    trials = []
-    for number, trial in enumerate(recording.trials):
-        if _matches(trial.condition, where):
-            trials.append(_recorded_trial(number, trial, infos, wanted, rate_hz, target))
-    return recording.name, "recording", trials, 0
-
-
-def _recorded_trial(
-    number: int,
-    trial: RecordedTrial,
-    infos: Sequence[SignalInfo],
-    wanted: Mapping[str, SignalTable],
-    rate_hz: float | None,
-    target: Path,
-) -> tuple[SignalTrial, dict[str, str]]:
-    label = f"trial {number}: {condition_text(trial.condition)}".rstrip(": ")
-    rate = rate_hz or 1.0 / float(np.median(np.diff(trial.time_s)))
-    time_s = _even(float(trial.time_s[0]), float(trial.time_s[-1]), rate, label)
-    table = np.column_stack([trial.inputs, trial.outputs])
-    known = {info.name: column for column, info in enumerate(infos)}
-
-    def channel(name: str) -> Channel:
-        if name not in known:
-            raise _unknown(name, known, target)
-        column = known[name]
-        return _at(trial.time_s, table[:, column], time_s, name, label), infos[column].unit
-
-    return _trial(label, trial.condition, trial.repeat, time_s, None, wanted, channel)
+        if device == GAIT and self._experiment is not None:
+            return _gait_value(self._experiment, self.outcome.condition, part, time_s)
+        if name not in self._known:
+            near = nearest(name, list(self._known))
+            hint = f"did you mean {near!r}?" if near else f"recorded were {', '.join(self._known)}"
+            raise RequestError(f"no channel {name!r} in {self._target}", hint=hint)
+        device, column = self._known[name]
+        signal = self._measured[device].signal(column)
+        finite = np.isfinite(signal.values)
+        if np.count_nonzero(finite) < 2:
+            raise FitError(
+                f"{name} has fewer than 2 samples in {self.label}",
+                hint="mark the trial rejected, or measure again",
+            )
+        return np.interp(time_s, signal.time_s[finite], signal.values[finite]), signal.unit
 
 
 def _trial(
-    label: str,
-    condition: Mapping[str, float | str],
-    repeat: int,
-    time_s: FloatArray,
-    period_s: float | None,
-    wanted: Mapping[str, SignalTable],
-    channel: Callable[[str], Channel],
+    channels: _Channels, wanted: Mapping[str, SignalTable], rate_hz: float | None
 ) -> tuple[SignalTrial, dict[str, str]]:
+    outcome = channels.outcome
+    time_s = channels.time_base(wanted, rate_hz)
     values, units = {}, {}
     for name, table in wanted.items():
-        values[name], unit = _signal(table, channel, time_s, period_s, label)
+        values[name], unit = _signal(table, channels, time_s)
         units[name] = table.unit(unit)
-    return SignalTrial(label, condition, repeat, time_s, values, period_s), units
+    repeat = outcome.repeat + 1 if channels.bare else outcome.repeat  # recordings count from 1
+    trial = SignalTrial(channels.label, outcome.condition, repeat, time_s, values, outcome.period_s)
+    return trial, units
 
 
-def _signal(
-    table: SignalTable,
-    channel: Callable[[str], Channel],
-    time_s: FloatArray,
-    period_s: float | None,
-    label: str,
-) -> Channel:
+def _signal(table: SignalTable, channels: _Channels, time_s: FloatArray) -> Channel:
     parts, unit = [], ""
     for name, scale in zip(table.channels, (table.scale, table.side_scale), strict=False):
-        values, named = channel(name)
+        values, named = channels.at(name, time_s)
         unit = unit or named
         values = values * scale / (table.divide_by_m or 1.0)
         if table.average == "cycle":
-            if period_s is None:
+            if channels.outcome.period_s is None:
                 raise RequestError(
-                    f"{name} cannot be averaged over a cycle: the gait of {label} has none",
+                    f"{name} cannot be averaged over a cycle: the gait of {channels.label} has none",
                     hint='give the gait a frequency_hz, or use average = "none"',
                 )
-            values = trailing_mean(values, max(1, round(period_s / float(time_s[1] - time_s[0]))))
+            values = trailing_mean(
+                values, max(1, round(channels.outcome.period_s / float(time_s[1] - time_s[0])))
+            )
         parts.append(values)
     if table.take == "magnitude":
         return np.hypot(*parts), unit
@@ -255,9 +287,8 @@ def _signal(
 
 
 def _gait_value(
-    experiment: "Experiment", condition: Mapping[str, float | str], name: str, time_s: FloatArray
+    experiment: Experiment, condition: Mapping[str, float | str], name: str, time_s: FloatArray
 ) -> Channel:
-    from labrun.toml import resolve
 
     known = resolve(experiment.gait.let, {**condition, "t": time_s})
     value = known.get(name)
@@ -269,27 +300,8 @@ def _gait_value(
     return np.broadcast_to(np.asarray(value, dtype=float), time_s.shape).copy(), unit
 
 
-def _matches(condition: Mapping[str, float | str], where: Mapping[str, float | str]) -> bool:
-    return all(condition.get(name) == value for name, value in where.items())
-
-
 def _even(start_s: float, end_s: float, rate_hz: float, label: str) -> FloatArray:
     count = int((end_s - start_s) * rate_hz * (1 + _EVEN)) + 1
     if count < 2:
         raise FitError(f"{label} is too short to be fitted: {end_s - start_s:.3g} s at {rate_hz:.3g} Hz")
     return start_s + np.arange(count) / rate_hz
-
-
-def _at(time_s: FloatArray, values: FloatArray, at_s: FloatArray, name: str, label: str) -> FloatArray:
-    finite = np.isfinite(values)
-    if np.count_nonzero(finite) < 2:
-        raise FitError(
-            f"{name} has fewer than 2 samples in {label}", hint="mark the trial rejected, or measure again"
-        )
-    return np.interp(at_s, time_s[finite], values[finite])
-
-
-def _unknown(name: str, known: Mapping[str, object], target: Path) -> RequestError:
-    near = nearest(name, list(known))
-    hint = f"did you mean {near!r}?" if near else f"recorded were {', '.join(known)}"
-    return RequestError(f"no channel {name!r} in {target}", hint=hint)

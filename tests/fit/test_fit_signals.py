@@ -10,8 +10,7 @@ from pydantic import ValidationError
 
 from labrun.app.run import execute
 from labrun.errors import FitError, RequestError
-from labrun.fit.signal_table import SignalTable
-from labrun.fit.signals import load_signals, trailing_mean
+from labrun.fit.signals import SignalTable, load_signals, trailing_mean
 from labrun.runner import SilentProgress
 from labrun.spec import load_named
 from labrun.store import open_run

@@ -22,8 +22,7 @@ from labrun.fit.regression.least_squares import (
     term_values,
 )
 from labrun.fit.result import FitSummary, FittedData, TextTable
-from labrun.fit.signal_table import SignalTable
-from labrun.fit.signals import SignalSet, SignalTrial, load_signals, trailing_mean
+from labrun.fit.signals import SignalSet, SignalTable, SignalTrial, load_signals, trailing_mean
 
 _ENDS = 4
 _FEW = 3

@@ -6,8 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFlo
 
 from labrun.errors import RequestError
 from labrun.fit.method import FitJob
-from labrun.fit.signal_table import SignalTable
-from labrun.fit.signals import SignalSet
+from labrun.fit.signals import SignalSet, SignalTable
 from labrun.fit.transfer.estimation import Initial, Shape
 from labrun.fit.transfer.fitting import STARTS, TransferFit, compare_orders, fit_transfer
 from labrun.fit.transfer.summary import TransferSummary, summarise

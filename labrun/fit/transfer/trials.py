@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
-from labrun.fit.signal_table import SignalTable
-from labrun.fit.signals import SignalSet, SignalTrial, load_signals
+from labrun.fit.signals import SignalSet, SignalTable, SignalTrial, load_signals
 from labrun.fit.transfer.estimation import ResponseTrial
 from labrun.fit.transfer.response import Hold
 from labrun.store import is_recording, read_recording
