@@ -4,7 +4,7 @@ from labrun.arrays import FloatArray
 from labrun.compiled import NativeFunction, Pointer, kernel, native
 from labrun.effects import Site, SiteKind
 from labrun.models.inputs import Drive
-from labrun.models.loading import load_model, shipped_models
+from labrun.models.loading import load_model, parse_model, shipped_models
 from labrun.models.model import Between, Condition, Input, Model, Output, Parameter
 from labrun.models.python_model import compile_derivative, compile_output, python_model
 from labrun.models.simulation import (
@@ -18,7 +18,6 @@ from labrun.models.simulation import (
     suggest_substeps,
 )
 from labrun.models.stepper import Stepper
-from labrun.models.toml_model import parse_model
 from labrun.models.writing import corrected_model_text
 
 __all__ = [

@@ -1,17 +1,21 @@
-"""The corrected model as a file: another model's text with other values, and with effects at its sites."""
+"""The corrected model as a file: another model's text with other values, and with effects at its sites.
+
+Comments and layout of the text stay as they are.
+"""
 
 import math
 import os
+import re
+import sys
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from labrun.effects import AttachedEffect
+from labrun.effects import AttachedEffect, Effect, effects
 from labrun.errors import ModelError
 from labrun.models.loading import model_file
 from labrun.models.model import Model
-from labrun.models.toml_edits import quoted, replaced, with_effects, with_parameters, with_values
-from labrun.toml import suggest
+from labrun.toml import KeyPath, locate, suggest
 
 
 def corrected_model_text(
@@ -58,20 +62,20 @@ def corrected_model_text(
     text = given if "\n" in given else path.read_text(encoding="utf-8") if path is not None else ""
     data = tomllib.loads(text)
     if "base" in data:
-        body = with_values(text, changed)
+        body = _with_values(text, changed)
         if path is not None and str(data["base"]).endswith(".toml"):
             base = _from_folder(path.parent / data["base"], folder)
-            body = replaced(body, {("base",): quoted(base)})
+            body = _replaced(body, {("base",): _quoted(base)})
     elif "mujoco" in data or not text:
         named = path is None or (path.suffix == ".toml" and Path(given).suffix != ".toml")
         base = given if named or path is None else _from_folder(path, folder)
-        body = with_values(f"base = {quoted(base)}\n", changed)
+        body = _with_values(f"base = {_quoted(base)}\n", changed)
     else:
         _refuse_strangers(model, text, changed)
-        body = with_parameters(text, changed)
+        body = _with_parameters(text, changed)
     origin = path.name if path is not None else given if not text else model.source or model.name
     top = _comment(model, f"{heading} from {origin}", changed, remarks)
-    return top + with_effects(body, effects)
+    return top + _with_effects(body, effects)
 
 
 def _from_folder(path: Path, folder: Path | None) -> str:
@@ -114,3 +118,104 @@ def _comment(model: Model, heading: str, changed: Mapping[str, float], remarks: 
         unit = "" if parameters[name].unit == "1" else f" {parameters[name].unit}"
         lines.append(f"{name}: {parameters[name].value:g}{unit} became {value:g}{unit}")
     return "".join(f"# {line}\n" for one in lines for line in one.splitlines()) + "\n"
+
+
+def _quoted(text: str) -> str:
+    """Return text as TOML writes it."""
+    import tomli_w
+
+    return tomli_w.dumps({"a": text}).removeprefix("a = ").strip()
+
+
+def _replaced(text: str, values: Mapping[KeyPath, str]) -> str:
+    """Put other values where those of the text stand."""
+    found = locate(text).spans
+    encoded = text.encode()
+    places = {found[path]: value for path, value in values.items()}
+    for (begin, end), value in sorted(places.items(), reverse=True):
+        encoded = encoded[:begin] + value.encode() + encoded[end:]
+    return encoded.decode()
+
+
+def _with_parameters(text: str, values: Mapping[str, float]) -> str:
+    """Replace parameter values of a model with equations, however it writes them."""
+    found = locate(text).spans
+    paths: dict[KeyPath, str] = {}
+    for name, value in values.items():
+        path = ("parameters", name)
+        paths[(*path, "value") if (*path, "value") in found else path] = repr(value)
+    return _replaced(text, paths)
+
+
+def _with_values(text: str, values: Mapping[str, float]) -> str:
+    """Replace the values of a model with a base, and add those that are not there yet."""
+    there = {("values", name) for name in values} & locate(text).spans.keys()
+    text = _replaced(text, {path: repr(values[str(path[-1])]) for path in there})
+    new = {name: repr(value) for name, value in values.items() if ("values", name) not in there}
+    if not new:
+        return text
+    found = locate(text)
+    rows = text.splitlines()
+    head = found.keys.get(("values",))
+    place = None if head is None else head.line
+    if ("values",) in found.spans:  # values = { ... }
+        inner = [f"{name} = {value}" for name, value in new.items()]
+        names = [path for path in found.spans if path[:1] == ("values",) and len(path) == 2]
+        if not names:
+            return _replaced(text, {("values",): f"{{ {', '.join(inner)} }}"})
+        last = max(names, key=lambda path: found.spans[path])
+        return _behind(text, found.spans[last][1], f", {', '.join(inner)}")
+    if place is None:  # before the first table, behind the keys that stand alone
+        place = next((index for index, row in enumerate(rows) if row.lstrip().startswith("[")), len(rows))
+        lines = ["", "[values]", *(f"{name} = {value}" for name, value in new.items())]
+    elif re.match(r"\s*\[", rows[place - 1]):  # [values]
+        lines = [f"{name} = {value}" for name, value in new.items()]
+    else:  # values.name = ...
+        lines = [f"values.{name} = {value}" for name, value in new.items()]
+    return "\n".join([*rows[:place], *lines, *rows[place:]]) + "\n"
+
+
+def _with_effects(text: str, effects: Sequence[AttachedEffect]) -> str:
+    """Add effects behind those the text has."""
+    found = locate(text).spans
+    if ("effects",) not in found:
+        return "\n".join([text.rstrip() + "\n", *(f"[[effects]]\n{_rows(one)}" for one in effects)])
+    if not effects:
+        return text
+    inline = ", ".join("{ " + ", ".join(_rows(one).splitlines()) + " }" for one in effects)
+    last = [span for path, span in found.items() if path[:1] == ("effects",) and len(path) == 2]
+    if not last:
+        return _replaced(text, {("effects",): f"[{inline}]"})
+    return _behind(text, max(last)[1], f", {inline}")
+
+
+def _behind(text: str, place: int, more: str) -> str:
+    encoded = text.encode()
+    return (encoded[:place] + more.encode() + encoded[place:]).decode()
+
+
+def _rows(attached: AttachedEffect) -> str:
+    effect = attached.effect
+    values = ", ".join(f"{name} = {value!r}" for name, value in attached.named_values.items())
+    return (
+        f"effect = {_quoted(_name_of(effect))}\n"
+        f"site = {_quoted(attached.site)}\n"
+        f"kind = {_quoted(effect.kind)}\n"
+        f"values = {{ {values} }}\n"
+    )
+
+
+def _name_of(effect: Effect) -> str:
+    """Return what `labrun.effects.load_effect` takes for it: its id, its file, or where its module keeps it."""
+    if any(one.id == effect.id and one.kind == effect.kind for one in effects(without=())):
+        return effect.id
+    if effect.origin:
+        return f"{effect.origin}:{effect.id}"
+    module = sys.modules[effect.function.python.__module__]
+    for name, value in vars(module).items():
+        if value == effect or (isinstance(value, tuple) and effect in value):
+            return f"{module.__name__}:{name}"
+    raise ModelError(
+        f"effect {effect.id} cannot be named in a file",
+        hint="install it as an entry point of the group labrun.effects, or keep it at the top of its module",
+    )

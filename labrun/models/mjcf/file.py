@@ -1,8 +1,10 @@
-"""Model files with a ``mujoco`` key: what of the MJCF file is a parameter, an input, an output, a site."""
+"""Model files with a ``mujoco`` key: what of the MJCF file is a state, a parameter, an input, an output, a site."""
 
 import dataclasses
 import hashlib
+import re
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -10,20 +12,21 @@ import numpy as np
 
 from labrun.effects import Site
 from labrun.models.attaching import read_effects
-from labrun.models.fields import Fields
+from labrun.models.fields import Fields, Key
 from labrun.models.mjcf.elements import Elements, ReferenceProblem
 from labrun.models.mjcf.model import MujocoModel, functions
 from labrun.models.mjcf.plant import Layout, Place, imported, pack
-from labrun.models.mjcf.states import States, read_states
 from labrun.models.model import Input, Output, Parameter
-from labrun.models.names import conditions_of, only_in_loads, places_of, refuse_unused
-from labrun.models.problems import Key
-from labrun.models.tables import (
+from labrun.models.toml_model import (
+    conditions_of,
+    only_in_loads,
+    places_of,
     read_initial,
     read_inputs,
     read_outputs,
     read_parameters,
     read_site_quantities,
+    refuse_unused,
 )
 from labrun.toml import Expression, ExpressionError, KeyPath, suggest
 
@@ -33,6 +36,31 @@ KEYS = (
 )  # fmt: skip
 _SITE_KEYS = ("kind", "joint", "stiffness", "load")
 Found = TypeVar("Found")
+
+
+@dataclass(frozen=True)
+class States:
+    """All positions, then all velocities, then all activations.
+
+    Attributes
+    ----------
+    names, places
+    rates
+        Where each derivative is found; None for parts of quaternions.
+    quaternions : (first state, its angular velocity)
+    reference
+        Where the MJCF file begins.
+    """
+
+    names: tuple[str, ...]
+    places: tuple[Place, ...]
+    rates: tuple[Place | None, ...]
+    quaternions: tuple[tuple[int, Place], ...]
+    reference: tuple[float, ...]
+
+    def named(self, place: Place) -> str:
+        """Return the name of the state at a place."""
+        return self.names[self.places.index(place)]
 
 
 def mujoco_model(fields: Fields) -> MujocoModel:
@@ -51,7 +79,7 @@ def mujoco_model(fields: Fields) -> MujocoModel:
         raise fields.text.error("name", 'a model needs a name = "..."')
     native = _compiled(fields)
     elements = Elements(native)
-    states = read_states(fields, elements)
+    states = _states(fields, elements)
     inputs, driven = _inputs(fields, elements)
     outputs, shown = _outputs(fields, elements)
     parameters, settings = _parameters(fields, elements)
@@ -261,3 +289,70 @@ def _notes(native: Any) -> tuple[str, ...]:
     if native.nplugin:
         notes.append("plugins of MuJoCo with states of their own are not advanced")
     return tuple(notes)
+
+
+def _states(fields: Fields, elements: Elements) -> States:
+    """Return the states; the file's table ``[states]`` names those it wants to name.
+
+    A position is otherwise called ``<joint>_position``, a velocity ``<joint>_velocity``, an activation
+    ``<actuator>_activation``; those of ball and free joints ``<joint>_qw``, ``<joint>_wx``, ``<joint>_x`` and so on.
+
+    Raises
+    ------
+    ModelError
+        A name for something that is no state, or a name that stands for two.
+    """
+    model = elements.model
+    names: list[str] = []
+    places: list[Place] = []
+    rates: list[Place | None] = []
+    quaternions: list[tuple[int, Place]] = []
+    joints = elements.joints()
+    for joint, label in enumerate(joints):
+        positions, _, _ = elements.joint_quantities(joint)
+        first, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+        for index, quantity in enumerate(positions):
+            turning = quantity.startswith("q")
+            if quantity == "qw":
+                quaternions.append((len(names), Place("data", "qvel", dof + index)))
+            names.append(_name(label, quantity))
+            places.append(Place("data", "qpos", first + index))
+            rates.append(None if turning else Place("data", "qvel", dof + index))
+    for joint, label in enumerate(joints):
+        for index, quantity in enumerate(elements.joint_quantities(joint)[1]):
+            dof = int(model.jnt_dofadr[joint]) + index
+            names.append(_name(label, quantity))
+            places.append(Place("data", "qvel", dof))
+            rates.append(Place("data", "qacc", dof))
+    for index, label in enumerate(elements.activations()):
+        names.append(_name(label, "activation"))
+        places.append(Place("data", "act", index))
+        rates.append(Place("data", "act_dot", index))
+    _rename(fields, elements, names, places)
+    reference = (*(float(one) for one in model.qpos0), *[0.0] * (model.nv + model.na))
+    return States(tuple(names), tuple(places), tuple(rates), tuple(quaternions), reference)
+
+
+def _rename(fields: Fields, elements: Elements, names: list[str], places: list[Place]) -> None:
+    for name, text in fields.table("states").items():
+        key = f"states.{name}"
+        fields.check_name(key, name)
+        joint, _, quantity = fields.string(key, text).removeprefix("joint.").rpartition(".")
+        try:
+            place = elements.moving(joint, quantity)
+        except ReferenceProblem as problem:
+            raise fields.text.error(key, str(problem), problem.hint) from None
+        if place not in places:
+            raise fields.text.error(key, f"{text!r} is no state", "a joint's position or velocity is one")
+        names[places.index(place)] = name
+    for name in names:
+        if names.count(name) > 1:
+            raise fields.text.error(
+                "states", f"two states are called {name!r}", "give one another name in [states]"
+            )
+
+
+def _name(label: str, quantity: str) -> str:
+    """Return a name that equations can use."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", f"{label}_{quantity}")
+    return name if name[:1].isalpha() else f"joint_{name}"
