@@ -4,7 +4,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +12,9 @@ from labrun.arrays import FloatArray
 from labrun.errors import RecordingError
 from labrun.signals import Signals
 from labrun.store._recording_csv import read_columns
-from labrun.store._recording_toml import ChannelEntry, TrialEntry, read_toml
+from labrun.store._recording_toml import Between as Between
+from labrun.store._recording_toml import TrialEntry, read_toml
 
-Between = Literal["linear", "hold", "band-limited"]
 _SHOWN_FAULTS = 25
 
 
@@ -115,9 +115,15 @@ def read_recording(folder: Path) -> Recording:
             hint="a recording is a folder with recording.toml and one CSV file per trial",
         )
     contents, faults = read_toml(path)
-    names = [channel.name for channel in contents.channels]
-    inputs = [channel for channel in contents.channels if channel.kind == "input"]
-    outputs = [channel for channel in contents.channels if channel.kind == "output"]
+    names = list(contents.channels)
+    inputs, outputs = (
+        tuple(
+            SignalInfo(name, channel.unit, channel.between)
+            for name, channel in contents.channels.items()
+            if channel.kind == kind
+        )
+        for kind in ("input", "output")
+    )
     trials = []
     for entry in contents.trials:
         columns, found = read_columns(folder / entry.file, ["time_s", *names], f"{path}:{entry.line}")
@@ -126,19 +132,19 @@ def read_recording(folder: Path) -> Recording:
             trials.append(_trial(entry, columns, inputs, outputs, folder / entry.file))
     if faults:
         raise RecordingError(_report(folder, faults), hint="nothing was read; the files are left as they are")
-    return Recording(contents.name, _signals(inputs), _signals(outputs), tuple(trials))
+    return Recording(contents.name, inputs, outputs, tuple(trials))
 
 
 def _trial(
     entry: TrialEntry,
     columns: Mapping[str, FloatArray],
-    inputs: list[ChannelEntry],
-    outputs: list[ChannelEntry],
+    inputs: tuple[SignalInfo, ...],
+    outputs: tuple[SignalInfo, ...],
     source_file: Path,
 ) -> RecordedTrial:
     time_s = columns["time_s"]
 
-    def table(channels: list[ChannelEntry]) -> FloatArray:
+    def table(channels: tuple[SignalInfo, ...]) -> FloatArray:
         return (
             np.stack([columns[channel.name] for channel in channels], axis=1)
             if channels
@@ -146,10 +152,6 @@ def _trial(
         )
 
     return RecordedTrial(entry.condition, entry.repeat, time_s, table(inputs), table(outputs), source_file)
-
-
-def _signals(channels: list[ChannelEntry]) -> tuple[SignalInfo, ...]:
-    return tuple(SignalInfo(channel.name, channel.unit, channel.between) for channel in channels)
 
 
 def _report(folder: Path, faults: list[str]) -> str:

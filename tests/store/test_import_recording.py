@@ -74,7 +74,9 @@ def test_a_name_that_is_not_one_folder_is_refused_with_file_and_line(tmp_path, n
     path = folder / "recording.toml"
     path.write_text(path.read_text().replace('"swing"', f'"{name}"'))
     before = sorted(tmp_path.rglob("*"))
-    with pytest.raises(RecordingError, match=r"recording\.toml:1: experiment is .* the name of one folder"):
+    with pytest.raises(
+        RecordingError, match=r"recording\.toml:1:\d+: experiment = (.|\n)* the name of one folder"
+    ):
         import_recording(folder, tmp_path / "inner" / "results")
     assert sorted(tmp_path.rglob("*")) == before
 
