@@ -1,21 +1,22 @@
-"""What the objectives of one channel share."""
+"""Objectives of one channel: mean (over cycles, in magnitude), peak, amplitude, direction with another."""
 
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from typing import Annotated, Any, ClassVar, cast
+from itertools import chain
+from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import NonNegativeFloat, PositiveFloat, model_validator
 
-from labrun.devices import FloatArray
-from labrun.errors import SpecError
+from labrun.arrays import FloatArray
+from labrun.errors import ExperimentError, SpecError
 from labrun.objectives.protocol import TrialSignals
 from labrun.signals import Signal
-from labrun.toml import dotted, validate
+from labrun.toml import Faults, Table, checked
 
 
-class ChannelSettings(BaseModel):
+class ChannelSettings(Table):
     """Keys of an objective of one channel.
 
     Attributes
@@ -26,10 +27,8 @@ class ChannelSettings(BaseModel):
         The channel is divided by this length, m: a torque at the end of a bar becomes the force that made it.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
     scale: float = 1.0
-    divide_by_m: Annotated[float, Field(gt=0)] | None = None
+    divide_by_m: PositiveFloat | None = None
 
 
 class ChannelObjective(ABC):
@@ -54,11 +53,8 @@ class ChannelObjective(ABC):
     def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
         if channel is None:
             raise SpecError('the key "channel" is missing: which channel this number is made of')
-        checked, problems = validate(self.Settings, settings)
-        if problems:
-            raise SpecError("; ".join(f"{dotted(item.path)}: {item.message}" for item in problems))
         self.channel = channel
-        self._settings = cast("ChannelSettings", checked)
+        self._settings = checked(self.Settings, settings)
 
     def unit(self, channel_unit: str) -> str:
         """Return the number's unit: that of the channel, divided by metres where the file asks for it."""
@@ -100,3 +96,185 @@ def time_mean(pieces: Iterable[Signal], of: Callable[[FloatArray], FloatArray] =
         parts.append(float(np.trapezoid(of(piece.values), piece.time_s)))
         end_s = piece.time_s[-1]
     return math.fsum(parts) / float(end_s - start_s)
+
+
+class Mean(ChannelObjective):
+    """Mean of a channel over the recording; over its whole cycles after the discarded ones if the gait has any."""
+
+    def _number(self, pieces: Iterable[Signal]) -> float:
+        return time_mean(pieces)
+
+
+class CycleMean(ChannelObjective):
+    """Mean of a channel over whole gait cycles after the discarded ones.
+
+    Cut to whole cycles, so that what a symmetric gait does to and fro cancels (the source's own sanity check on side
+    force); integrated over time, so that lost samples do not weight the rest of the cycle.
+    """
+
+    def __call__(self, signals: TrialSignals) -> float:
+        """Return the mean, in the unit of `unit`.
+
+        Raises
+        ------
+        ExperimentError
+            The gait has no cycle, or the recording holds no whole one.
+        """
+        if signals.period_s is None:
+            raise ExperimentError(
+                f"{self.channel}: cycle-mean needs a gait with a cycle",
+                hint='give the gait a frequency_hz, or use plugin = "mean"',
+            )
+        return super().__call__(signals)
+
+    def _number(self, pieces: Iterable[Signal]) -> float:
+        return time_mean(pieces)
+
+
+class MeanAbsoluteSettings(ChannelSettings):
+    """Keys of `mean-absolute`: `from_s` and `to_s` narrow the part of the recording that counts."""
+
+    from_s: NonNegativeFloat | None = None
+    to_s: NonNegativeFloat | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "MeanAbsoluteSettings":
+        with Faults() as faults:
+            if self.from_s is not None and self.to_s is not None and not self.from_s < self.to_s:
+                faults.add(
+                    "to_s", f"{self.to_s:g} s is not after from_s = {self.from_s:g} s", of=("from_s", "to_s")
+                )
+        return self
+
+
+class MeanAbsolute(ChannelObjective):
+    """Mean over time of a channel's magnitude: of an error, how far off a loop was on average (MAE).
+
+    Without `from_s` and `to_s` it counts what every objective counts: the recording after the discarded cycles.
+    """
+
+    Settings: ClassVar[type[ChannelSettings]] = MeanAbsoluteSettings
+
+    def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
+        super().__init__(channel, settings)
+        keys = checked(MeanAbsoluteSettings, settings)
+        self._from_s, self._to_s = keys.from_s, keys.to_s
+
+    def __call__(self, signals: TrialSignals) -> float:
+        """Return the mean, in the unit of `unit`.
+
+        Raises
+        ------
+        ExperimentError
+            Fewer than two samples lie between `from_s` and `to_s`.
+        """
+        # A stated end need not be that of a gait cycle: up to there, the whole recording counts.
+        start_s, end_s = (signals.start_s, signals.end_s) if self._to_s is not None else signals.window()
+        start_s = start_s if self._from_s is None else max(start_s, self._from_s)
+        end_s = end_s if self._to_s is None else min(end_s, self._to_s)
+        whole = signals.counting_pieces if self._to_s is None else signals.pieces
+        parts = (piece.between(start_s, end_s) for piece in whole(self.channel))
+        first = next((part for part in parts if len(part.time_s) > 1), None)
+        if first is None:
+            raise ExperimentError(
+                f"{self.channel} has fewer than 2 samples between {start_s:.4g} and {end_s:.4g} s",
+                hint=f"the recording lasts {signals.end_s - signals.start_s:.4g} s: look at from_s and to_s",
+            )
+        rest = (part for part in parts if len(part.time_s) > 1)
+        return self._number(map(self._scaled, chain([first], rest)))
+
+    def _number(self, pieces: Iterable[Signal]) -> float:
+        return time_mean(pieces, np.abs)
+
+
+class Rms(ChannelObjective):
+    """Root of the mean square of a channel over the recording, mean included, integrated over time."""
+
+    def _number(self, pieces: Iterable[Signal]) -> float:
+        return math.sqrt(time_mean(pieces, np.square))
+
+
+class Peak(ChannelObjective):
+    """The value of a channel that is farthest from zero, with its sign."""
+
+    def _number(self, pieces: Iterable[Signal]) -> float:
+        peaks = (float(piece.values[np.argmax(np.abs(piece.values))]) for piece in pieces)
+        return max(peaks, key=abs)
+
+
+class Amplitude(ChannelObjective):
+    """Amplitude of a channel: at the gait's frequency if there is one, else half of its range.
+
+    At the gait's frequency it is the length of the first Fourier component over whole cycles, which noise and other
+    frequencies do not enlarge as they do the range.
+    """
+
+    def __call__(self, signals: TrialSignals) -> float:
+        """Return the amplitude, in the unit of `unit`."""
+        if signals.period_s is None:
+            return super().__call__(signals)
+        mean = self._plain_mean(signals)
+        start_s: float | None = None
+        end_s, total = 0.0, 0j
+        for piece in map(self._scaled, signals.counting_pieces(self.channel)):
+            start_s, end_s = float(piece.time_s[0]) if start_s is None else start_s, float(piece.time_s[-1])
+            turn = np.exp(-2j * np.pi * (piece.time_s - start_s) / signals.period_s)
+            total += complex(np.trapezoid((piece.values - mean) * turn, piece.time_s))
+        component = 2 / (end_s - (start_s or 0.0)) * total
+        if not np.isfinite(component):
+            raise ExperimentError(f"{self.channel}: no amplitude at {1 / signals.period_s:.4g} Hz")
+        return float(abs(component))
+
+    def _plain_mean(self, signals: TrialSignals) -> float:
+        total, count = 0.0, 0
+        for piece in map(self._scaled, signals.counting_pieces(self.channel)):
+            values = piece.values[min(count, 1) :]  # the first of a later piece has been counted
+            total, count = total + float(values.sum()), count + len(values)
+        return total / count
+
+    def _number(self, pieces: Iterable[Signal]) -> float:
+        ends = [(piece.values.min(), piece.values.max()) for piece in pieces]
+        return float((max(high for _, high in ends) - min(low for low, _ in ends)) / 2)
+
+
+class DirectionSettings(ChannelSettings):
+    """Keys of `direction`: `side_channel` is the second axis, and `side_scale` turns it round (-1) or weights it."""
+
+    side_channel: str
+    side_scale: float = 1.0
+
+
+class Direction(ChannelObjective):
+    """Angle of the mean force vector of two channels, deg: 0 along `channel`, +90 along `side_channel`.
+
+    Source, section 5: direction is the angle of the vector of forward and side force.
+    """
+
+    Settings: ClassVar[type[ChannelSettings]] = DirectionSettings
+    channel_settings: ClassVar[tuple[str, ...]] = ("side_channel",)
+
+    def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
+        super().__init__(channel, settings)
+        keys = checked(DirectionSettings, settings)
+        self.side_channel, self._side_scale = keys.side_channel, keys.side_scale
+
+    def unit(self, channel_unit: str) -> str:  # noqa: ARG002
+        """Return "deg": an angle, whatever the channels are."""
+        return "deg"
+
+    def __call__(self, signals: TrialSignals) -> float:
+        """Return the angle, deg, in (-180, 180].
+
+        Raises
+        ------
+        ExperimentError
+            Both means are zero: there is no direction.
+        """
+        forward = self._number(signals.counting_pieces(self.channel)) * self._settings.scale
+        side = self._number(signals.counting_pieces(self.side_channel)) * self._side_scale
+        if forward == 0 and side == 0:
+            raise ExperimentError(f"{self.channel} and {self.side_channel} are both zero: no direction")
+        return math.degrees(math.atan2(side, forward))
+
+    def _number(self, pieces: Iterable[Signal]) -> float:
+        return time_mean(pieces)

@@ -1,5 +1,6 @@
 """Runs on disk: the run folder, a trial's file, ``run.h5``, recordings made elsewhere, and what follows a run."""
 
+from labrun.store._recording_toml import Between
 from labrun.store.disk import in_bytes, lacking_room, replace_durably, require_writable, saving
 from labrun.store.export import export_run
 from labrun.store.folder import RunFolder
@@ -20,7 +21,6 @@ from labrun.store.locks import lock_ports
 from labrun.store.provenance import collect
 from labrun.store.reading import Run, open_run, open_target
 from labrun.store.recording import (
-    Between,
     RecordedTrial,
     Recording,
     SignalInfo,

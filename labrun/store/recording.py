@@ -12,8 +12,7 @@ from labrun.arrays import FloatArray
 from labrun.errors import RecordingError
 from labrun.signals import Signals
 from labrun.store._recording_csv import read_columns
-from labrun.store._recording_toml import Between as Between
-from labrun.store._recording_toml import TrialEntry, read_toml
+from labrun.store._recording_toml import Between, TrialEntry, read_toml
 
 _SHOWN_FAULTS = 25
 

@@ -5,8 +5,7 @@ import pytest
 
 from labrun.devices import Trajectory
 from labrun.errors import ExperimentError, SpecError
-from labrun.objectives import make_objective
-from labrun.objectives.protocol import TrialSignals
+from labrun.objectives import TrialSignals, make_objective
 from labrun.signals import Signal
 from labrun.spec import ObjectiveTable
 

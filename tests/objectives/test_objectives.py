@@ -8,12 +8,7 @@ from hypothesis import strategies as st
 from labrun.devices import Trajectory
 from labrun.errors import ExperimentError, SpecError
 from labrun.objectives import Signal, TrialSignals, make_objective
-from labrun.objectives.amplitude import Amplitude
-from labrun.objectives.cycle_mean import CycleMean
-from labrun.objectives.direction import Direction
-from labrun.objectives.mean import Mean
-from labrun.objectives.peak import Peak
-from labrun.objectives.rms import Rms
+from labrun.objectives.channel import Amplitude, CycleMean, Direction, Mean, Peak, Rms
 from labrun.spec import ObjectiveTable
 
 
@@ -135,7 +130,7 @@ def test_keys_are_checked_when_the_objective_is_made():
     with pytest.raises(SpecError, match="wrong unit mm: divide_by is given in m"):
         Mean("wrench.x", {"divide_by_mm": 400})
     table = ObjectiveTable.model_validate(
-        {"plugin": "labrun.objectives.mean:Mean", "channel": "wrench.x", "scael": 2}
+        {"plugin": "labrun.objectives.channel:Mean", "channel": "wrench.x", "scael": 2}
     )
     with pytest.raises(SpecError, match=r'objective thrust: scael: unknown key; did you mean "scale"\?'):
         make_objective("thrust", table)

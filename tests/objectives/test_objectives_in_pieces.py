@@ -10,14 +10,8 @@ from hypothesis import strategies as st
 
 from labrun.devices import Trajectory
 from labrun.errors import ExperimentError
-from labrun.objectives.amplitude import Amplitude
-from labrun.objectives.cycle_mean import CycleMean
-from labrun.objectives.direction import Direction
-from labrun.objectives.mean import Mean
-from labrun.objectives.mean_absolute import MeanAbsolute
-from labrun.objectives.peak import Peak
-from labrun.objectives.protocol import TrialSignals
-from labrun.objectives.rms import Rms
+from labrun.objectives import TrialSignals
+from labrun.objectives.channel import Amplitude, CycleMean, Direction, Mean, MeanAbsolute, Peak, Rms
 from labrun.signals import Signal
 
 EVERY = [
