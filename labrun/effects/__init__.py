@@ -12,7 +12,7 @@ from labrun.effects.effect import (
     signal_filter,
     unit_of,
 )
-from labrun.effects.library import effects, load_effect
+from labrun.effects.library import effects, load_effect, shipped
 from labrun.effects.reading import read_effects
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "force_law",
     "load_effect",
     "read_effects",
+    "shipped",
     "signal_filter",
     "unit_of",
 ]

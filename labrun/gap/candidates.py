@@ -6,14 +6,15 @@ from itertools import product
 
 import numpy as np
 
+from labrun import registry
 from labrun.arrays import FloatArray
-from labrun.effects import AttachedEffect, Effect, EffectParameter, Scale, force_law
+from labrun.effects import AttachedEffect, Effect, EffectParameter, Scale, effects, force_law, shipped
 from labrun.errors import ModelError, RequestError
 from labrun.fit.problem import Problem
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Name
-from labrun.models import Model, Pointer
-from labrun.toml import nearest
+from labrun.models import Model, Pointer, simulate, site_course
+from labrun.toml import suggest
 
 # ruff: noqa: ARG001 - the signature is fixed, whatever of it a form uses
 
@@ -45,8 +46,6 @@ def site_scales(problem: Problem, z: FloatArray) -> dict[tuple[str, str], Scale]
     The typical force at a joint is the constant force that would move it as much as it moves in the data: as far, or,
     where nothing holds it, as fast. A site that does not move, or that a force does not move, is left out.
     """
-    from labrun.effects import Scale
-
     model = problem.model
     period = typical_time_s(problem)
     found: dict[tuple[str, str], Scale] = {}
@@ -91,8 +90,6 @@ def typical_time_s(problem: Problem) -> float:
 
 
 def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> Scale | None:
-    from labrun.effects import Scale
-
     still = _answers(problem, z)
     if still is None:
         return None
@@ -148,12 +145,10 @@ def _force(
     return None
 
 
-def _answers(problem: Problem, z: FloatArray, effects: Sequence[AttachedEffect] = ()) -> list[_Answer] | None:
+def _answers(problem: Problem, z: FloatArray, added: Sequence[AttachedEffect] = ()) -> list[_Answer] | None:
     """Return the course of the sites and the outputs of every unit; None if any is not finite."""
-    from labrun.models import simulate, site_course
-
     parameters = problem.model_parameters(z)
-    attached = (*problem.attached(problem.parameters(z)), *effects)
+    attached = (*problem.attached(problem.parameters(z)), *added)
     found: list[_Answer] = []
     for index, trial in enumerate(problem.data.trials):
         simulation = simulate(
@@ -232,17 +227,12 @@ def candidates(
     RequestError
         An effect to withhold that does not exist.
     """
-    from labrun import registry
-    from labrun.effects import effects
-
     library = effects(without=withhold)
-    known = sorted({*registry.names("labrun.effects"), *(effect.id for effect in library)})
+    known = sorted({*registry.names("labrun.effects"), *(effect.id for effect in (*shipped(), *library))})
     for name in withhold:
         if name not in known:
-            near = nearest(name, known)
             raise RequestError(
-                f"there is no effect {name!r} to withhold",
-                hint=f"did you mean {near!r}?" if near else f"effects: {', '.join(known)}",
+                f"there is no effect {name!r} to withhold", hint=suggest(name, known, kind="effects")
             )
     found = []
     for effect in library:

@@ -36,7 +36,7 @@ from labrun.gap.diagnosis import (
     Trace,
     Verdict,
 )
-from labrun.gap.held_out import excess, mean_residuals
+from labrun.gap.held_out import fitted_excess, mean_residuals
 from labrun.gap.nuisance import information
 from labrun.gap.pipeline import Search
 from labrun.gap.rating import Rated
@@ -49,8 +49,8 @@ def causes_of(search: Search, dataset: Dataset, moved: FloatArray) -> tuple[Caus
     final = search.selection.final
     model = final.problem.model
     found = []
-    for one, rivals in zip(search.selection.chosen, search.selection.rivals, strict=True):
-        name = one.candidate.name
+    for one in search.selection.chosen:
+        name = one.name
         if name.kind == "parameter":
             values = parameter_value(final.problem, final.z, name.effect, moved, model)
             stated = next(parameter.value for parameter in model.parameters if parameter.name == name.effect)
@@ -58,13 +58,13 @@ def causes_of(search: Search, dataset: Dataset, moved: FloatArray) -> tuple[Caus
         else:
             place = _place(search, name)
             values = values_of(final.problem, final.z, place, moved, model, dataset)
-            remark = "; ".join(filter(None, (_bound_remark(search, place), _caution(one))))
+            remark = "; ".join(filter(None, (_bound_remark(search, place), _caution(one.rated))))
         found.append(
             Cause(
                 name,
                 confidence(search, one),
                 values,
-                tuple(rival.candidate.name for rival, _ in rivals),
+                tuple(rival.candidate.name for rival, _ in one.rivals),
                 remark,
             )
         )
@@ -97,18 +97,18 @@ def candidate_table(
         there = last if last.find(candidate) else first
         early = first.find(candidate) or screened
         visible = screened.visible**2 if name.kind == "effect" else told[name.effect]
-        seen = max(visible, early.gain) > there.guard.threshold
+        seen = max(visible, early.gain) > there.threshold.gain
         judged = _judged(name, chosen, rivals, seen=seen)
         bounds: dict[str, Estimate] = {}
         if judged == "ruled-out" and candidate.attached is not None:
             units = effect_units(candidate.attached, search.model, dataset)
-            bounds = upper_bounds(screened, there.base, there.guard.dispersion, units)
+            bounds = upper_bounds(screened, there.base, there.threshold.dispersion, units)
         found.append(
             Candidate(
                 name,
                 judged,
                 rated[name].share if name in rated else None,
-                early.gain / first.guard.threshold,
+                early.gain / first.threshold.gain,
                 chosen[name].values if name in chosen else {},
                 bounds,
                 chosen[name].indistinguishable_from if name in chosen else tuple(rivals.get(name, ())),
@@ -123,7 +123,7 @@ def _far_off(search: Search) -> dict[str, float]:
     """Return by how much the sum of squares would grow were a parameter as far off as its statement allows."""
     base = search.selection.rounds[0].base
     problem = base.problem
-    known = information(problem, base.z, base.absorption.jacobian)
+    known = information(problem, base.z, base.nuisance.jacobian)
     return {
         name: float(
             max(one * (sigma / scale) ** 2 - 1.0, 0.0) * criteria.WITHIN_TOLERANCES**2
@@ -278,32 +278,32 @@ def conclude(
     """
     dataset = search.dataset
     problem, noise, z = search.recalibration.problem, search.noise, search.recalibration.z
-    selection = search.selection
-    floor = floor_of(search.units, noise, rng)
+    selection, final = search.selection, search.selection.final
+    floor = floor_of(search.data, noise, rng)
     if selection.chosen:
         sizes = Sizes(search.raw.gap, search.held_out.gap, selection.held_out.gap, floor)
     else:  # nothing to compare on withheld conditions, where extrapolated parameters alone would leave a gap
         sizes = Sizes(search.raw.gap, search.recalibrated.gap, search.recalibrated.gap, floor)
     shrunk: Shrinkage | None = None
     if selection.chosen:
-        shrunk = shrinkage(search.units, noise, search.held_out_residual, selection.residual, rng)
-    kinds = [one.candidate.name.kind for one in selection.chosen]
+        shrunk = shrinkage(search.data, noise, search.held_out, selection.held_out, rng)
+    kinds = [one.name.kind for one in selection.chosen]
     findings = Findings(
         sizes,
         search.recalibrated.gap > floor,
-        _remaining(search) > floor,
+        fitted_excess(final.problem, final.z, noise).gap > floor,
         noise.basis == "repeats",
         kinds.count("effect"),
         kinds.count("parameter"),
         shrunk,
     )
     decided = verdict(findings)
-    moved = scatter(selection.final, search.draws)
+    moved = scatter(final, search.draws)
     announced = decided not in ("no-gap", "not-in-library") and not findings.unproven
     causes = causes_of(search, dataset, moved) if announced else ()
     if findings.unproven:
         sizes = replace(sizes, recalibrated=search.recalibrated.gap, after=search.recalibrated.gap)
-    effects = selection.final.problem.attached(selection.final.problem.parameters(selection.final.z))
+    effects = final.problem.attached(final.problem.parameters(final.z))
     found: tuple[Place, ...] = ()
     missing: tuple[MissingForce, ...] = ()
     if places and (causes or decided == "not-in-library" or search.recalibrated.gap > floor):
@@ -317,14 +317,14 @@ def conclude(
             missing = missing_forces(difference)
     rated = selection.rounds[0].rated
     nearest = max(rated, key=lambda one: one.share).candidate.name if rated else None
-    recalibrated, last = _named(problem, z), _named(selection.final.problem, selection.final.z)
-    repeats = search.units.repeats
+    recalibrated, last = _named(problem, z), _named(final.problem, final.z)
+    repeats = search.data.repeats
     return Diagnosis(
         name=dataset.name,
         model=problem.model.name,
         source=str(dataset.source),
         verdict=decided,
-        sentence=sentence(decided, sizes, causes, shrunk, nearest, conditions=len(search.units.conditions)),
+        sentence=sentence(decided, sizes, causes, shrunk, nearest, conditions=len(search.data.conditions)),
         gap=sizes,
         where=found,
         causes=causes,
@@ -338,7 +338,7 @@ def conclude(
         limitations=(
             *limitations(
                 repeats=repeats,
-                conditions=len(search.units.conditions),
+                conditions=len(search.data.conditions),
                 basis=noise.basis,
                 single_trial=len(dataset.trials) == 1,
                 rejected=dataset.left_out,
@@ -357,7 +357,7 @@ def conclude(
         input_channels=tuple((one.name, one.unit) for one in dataset.inputs),
         noise={one.name: float(sd) for one, sd in zip(dataset.outputs, noise.sd, strict=True)},
         trials=len(dataset.trials),
-        conditions=len(search.units.conditions),
+        conditions=len(search.data.conditions),
         repeats=repeats,
         missing=missing,
         traces=traces_of(search, with_causes=bool(causes)),
@@ -372,18 +372,12 @@ def _unannounced(search: Search, found: Findings) -> tuple[str, ...]:
     """Return what is said of causes that are not announced."""
     if not found.unproven or found.shrinkage is None:
         return ()
-    names = " and ".join(str(one.candidate.name) for one in search.selection.chosen)
+    names = " and ".join(str(one.name) for one in search.selection.chosen)
     return (
         f"{names} fits the recorded trials, but on withheld conditions it removes {100 * found.shrinkage.value:.0f} % "
         f"[{100 * found.shrinkage.low:.0f}, {100 * found.shrinkage.high:.0f}] of the gap, which may be nothing: "
         "it is not announced",
     )
-
-
-def _remaining(search: Search) -> float:
-    """Return the gap that the final model leaves, fitted to everything."""
-    final = search.selection.final
-    return excess(search.units, search.noise, mean_residuals(final.problem, final.z)).gap
 
 
 def _guard_words(search: Search) -> str:

@@ -10,25 +10,23 @@ from labrun.fit.dataset import Dataset
 from labrun.fit.problem import Problem
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Estimate, Shrinkage
-from labrun.gap.held_out import Excess, group_means
+from labrun.gap.held_out import Excess, excess, group_means
 from labrun.gap.noise import Basis, Noise
 from labrun.gap.pipeline import Search
-from labrun.gap.rating import Rated
 from labrun.gap.screening import Base, Screened
+from labrun.gap.selection import Chosen
 from labrun.models import Model
 
 
-def confidence(search: Search, one: Rated) -> float:
+def confidence(search: Search, one: Chosen) -> float:
     """Return the probability that a chosen cause, or the first of its rivals, is the right one.
 
     Their weight among all that explains the data as well, less what even a cause without rivals turned out to be wrong.
     """
-    place = search.selection.chosen.index(one)
-    rivals = search.selection.rivals[place]
-    weight = search.selection.weights[place] + (rivals[0][1] if rivals else 0.0)
-    beyond_chance = 1.0 - np.exp(-max(one.evidence - criteria.CHANCE_EVIDENCE, criteria.LEAST_BEYOND_CHANCE))
-    most = ceiling(search.noise.basis, len(search.units.conditions))
-    return float(np.clip(most * weight * beyond_chance, criteria.LEAST_CONFIDENCE, most))
+    weight = one.weight + (one.rivals[0][1] if one.rivals else 0.0)
+    evidence = max(one.rated.evidence - criteria.CHANCE_EVIDENCE, criteria.LEAST_BEYOND_CHANCE)
+    most = ceiling(search.noise.basis, len(search.data.conditions))
+    return float(np.clip(most * weight * (1.0 - np.exp(-evidence)), criteria.LEAST_CONFIDENCE, most))
 
 
 def ceiling(basis: Basis, conditions: int) -> float:
@@ -45,7 +43,7 @@ _RIDGE = 1e-10
 
 def scatter(base: Base, draws: Sequence[Sequence[FloatArray]]) -> FloatArray:
     """Return how the scaled shared variables move with noise drawn from whole trials, (draws, size), linearly."""
-    jacobian = base.absorption.jacobian
+    jacobian = base.nuisance.jacobian
     size = base.problem.size
     prior = np.diag(base.problem.priors.slope)
     rows, noise = [], []
@@ -150,23 +148,19 @@ def upper_bounds(
 
 
 def shrinkage(
-    units: Dataset,
-    noise: Noise,
-    before: Sequence[FloatArray],
-    after: Sequence[FloatArray],
-    rng: np.random.Generator,
+    data: Dataset, noise: Noise, before: Excess, after: Excess, rng: np.random.Generator
 ) -> Shrinkage:
     """Return the share of the excess that is removed on withheld conditions, with a 90 % interval.
 
     It says what an experiment of a few new conditions would show: conditions are resampled whole, each with the noise
     that its mean has. Both ends may lie beyond 1, as a measured share may.
     """
-    then, now = group_means(units, before), group_means(units, after)
+    then, now = group_means(data, before.residual), group_means(data, after.residual)
     groups = len(then)
     sizes = np.array([len(mean) for mean, _ in then], dtype=float)
     shares = []
     for _ in range(criteria.RESAMPLES):
-        drawn = group_means(units, noise.draw(units, rng))
+        drawn = group_means(data, noise.draw(data, rng))
         first, second = np.empty(groups), np.empty(groups)
         for group in range(groups):
             disturbance = drawn[group][0]
@@ -177,9 +171,7 @@ def shrinkage(
         total = float(sizes[chosen] @ first[chosen])
         if total > 0:
             shares.append(1.0 - float(sizes[chosen] @ second[chosen]) / total)
-    whole = Excess(*_plain(units, noise, then)).total
-    rest = Excess(*_plain(units, noise, now)).total
-    value = 1.0 - rest / whole if whole > 0 else 0.0
+    value = 1.0 - after.total / before.total if before.total > 0 else 0.0
     low, high = np.percentile(shares, [5.0, 95.0]) if shares else (value, value)
     # new conditions ask for more than those between the old ones: forms and parameters are extrapolated
     low = min(low, value) - criteria.FORM_ERROR - criteria.EXTRAPOLATED * max(1.0 - value, 0.0)
@@ -194,28 +186,10 @@ def _shaken(mean: FloatArray, drawn: FloatArray, sd: FloatArray, floor: FloatArr
     return float(np.mean(again))
 
 
-def _plain(
-    units: Dataset, noise: Noise, groups: Sequence[tuple[FloatArray, int]]
-) -> tuple[FloatArray, FloatArray]:
-    present = [group for group in range(len(units.conditions)) if units.of_group(group)]
-    values = [
-        np.mean(np.square(mean / noise.sd), axis=0) - noise.mean_floor(group, count)
-        for group, (mean, count) in zip(present, groups, strict=True)
-    ]
-    sizes = np.array([float(len(mean)) for mean, _ in groups])
-    return np.array(values), sizes / sizes.sum()
-
-
-def floor_of(
-    units: Dataset, noise: Noise, rng: np.random.Generator, draws: int = criteria.FLOOR_DRAWS
-) -> float:
+def floor_of(data: Dataset, noise: Noise, rng: np.random.Generator) -> float:
     """Return the systematic residual that noise alone shows at most in 95 of 100 experiments."""
-    found = []
-    for _ in range(draws):
-        means = group_means(units, noise.draw(units, rng))
-        values, shares = _plain(units, noise, means)
-        found.append(Excess(values, shares).gap)
-    return float(np.percentile(found, criteria.FLOOR_PERCENTILE))
+    drawn = [excess(data, noise, noise.draw(data, rng)).gap for _ in range(criteria.FLOOR_DRAWS)]
+    return float(np.percentile(drawn, criteria.FLOOR_PERCENTILE))
 
 
 def least_levels(
@@ -259,7 +233,7 @@ class _Levels:
         self._base, self._fitted, self._room = base, fitted, room
         self._problem = screened.problem
         self._shared, self._own = base.z[: base.problem.size], base.problem.own_states(base.z)
-        self._before = base.absorption.left(base.residual, base.problem.priors.residual(base.z))
+        self._before = base.nuisance.remainder(base.residual, base.problem.priors.residual(base.z))
         self._ended = screened.sizes
         self._starts = screened.candidate.starts
 
@@ -316,7 +290,7 @@ class _Levels:
         parts = [
             after - now for after, now in zip(self._problem.residuals(z), self._base.residual, strict=True)
         ]
-        return float(np.sum(np.square(self._before + self._base.absorption.left(parts))))
+        return float(np.sum(np.square(self._before + self._base.nuisance.remainder(parts))))
 
 
 def _far(parameter: EffectParameter) -> float:

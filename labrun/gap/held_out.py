@@ -1,7 +1,7 @@
 """What a fit leaves beyond the noise, on conditions it never saw."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -25,10 +25,13 @@ class Excess:
         Mean over a condition's samples, in units of the variance of one trial's noise. May be slightly negative.
     weights : (groups,)
         Share of the samples.
+    residual : per trial (n, m)
+        What it was made from, in the units of the outputs.
     """
 
     values: FloatArray
     weights: FloatArray
+    residual: Sequence[FloatArray] = field(repr=False)
 
     @property
     def total(self) -> float:
@@ -63,15 +66,26 @@ def group_means(units: Dataset, residual: Sequence[FloatArray]) -> list[tuple[Fl
     return found
 
 
-def excess(units: Dataset, noise: Noise, residual: Sequence[FloatArray]) -> Excess:
-    """Return the excess of mean residuals (one array per unit) over the noise floor."""
-    groups = group_means(units, residual)
-    present = [group for group in range(len(units.conditions)) if units.of_group(group)]
-    values = []
-    for group, (mean, count) in zip(present, groups, strict=True):
-        values.append(np.mean(np.square(mean / noise.sd), axis=0) - noise.mean_floor(group, count))
+def excess(data: Dataset, noise: Noise, residual: Sequence[FloatArray]) -> Excess:
+    """Return the excess of mean residuals (one array per trial) over the noise floor."""
+    groups = group_means(data, residual)
+    present = [group for group in range(len(data.conditions)) if data.of_group(group)]
+    values = [
+        np.mean(np.square(mean / noise.sd), axis=0) - noise.mean_floor(group, count)
+        for group, (mean, count) in zip(present, groups, strict=True)
+    ]
     sizes = np.array([float(len(mean)) for mean, _ in groups])
-    return Excess(np.array(values), sizes / sizes.sum())
+    return Excess(np.array(values), sizes / sizes.sum(), residual)
+
+
+def fitted_excess(problem: Problem, z: FloatArray, noise: Noise) -> Excess:
+    """Return what a fit leaves of the data it has seen."""
+    return excess(problem.data, noise, mean_residuals(problem, z))
+
+
+def held_out_excess(problem: Problem, z: FloatArray, noise: Noise) -> Excess:
+    """Return what fits from `z` leave of conditions they have not seen."""
+    return excess(problem.data, noise, held_out_residuals(problem, z))
 
 
 def folds(groups: int) -> list[list[int]]:
@@ -90,7 +104,7 @@ def held_out_residuals(problem: Problem, z: FloatArray) -> list[FloatArray]:
     """
     groups = len(problem.data.conditions)
     if groups == 1:
-        return _of_fit(problem, z)
+        return mean_residuals(problem, z)
     residual: list[FloatArray | None] = [None] * len(problem.data.trials)
     everything = range(len(problem.data.trials))
     # leaving a condition out moves the fit a little: derivatives taken once show every fold its way
@@ -134,11 +148,6 @@ def not_withheld(problem: Problem, z: FloatArray, jacobian: Jacobian) -> tuple[s
             "was not learned from the others"
         )
     return tuple(sentences)
-
-
-def _of_fit(problem: Problem, z: FloatArray) -> list[FloatArray]:
-    trials = problem.data.trials
-    return [one.outputs - got for one, got in zip(trials, problem.simulated(z), strict=True)]
 
 
 def _own(problem: Problem, z: FloatArray, chosen: Sequence[int]) -> FloatArray:

@@ -11,11 +11,13 @@ from labrun.fit.levenberg_marquardt import NormalEquations
 from labrun.fit.problem import Problem
 from labrun.gap import criteria
 
+_RIDGE = 1e-12
 
-class Absorption:
+
+class NuisanceProjection:
     """Projection onto what no small change of parameters and initial states can imitate.
 
-    A parameter of stated tolerance absorbs only as much as its tolerance allows: its prior counts as one measurement
+    A parameter of stated tolerance takes up only as much as its tolerance allows: its prior counts as one measurement
     more (a row behind the data).
 
     Parameters
@@ -38,7 +40,7 @@ class Absorption:
         self._shared = basis(np.concatenate([*rows, prior]))
         self.jacobian = jacobian
 
-    def left(self, parts: Sequence[FloatArray], prior: FloatArray | None = None) -> FloatArray:
+    def remainder(self, parts: Sequence[FloatArray], prior: FloatArray | None = None) -> FloatArray:
         """Return what is left of residuals, or of a change of them (one array per unit), as one vector.
 
         Parameters
@@ -66,9 +68,6 @@ def basis(columns: FloatArray) -> FloatArray:
 
 def _off(span: FloatArray, values: FloatArray) -> FloatArray:
     return values - span @ (span.T @ values)
-
-
-_RIDGE = 1e-12
 
 
 def information(problem: Problem, z: FloatArray, jacobian: Jacobian) -> FloatArray:

@@ -14,9 +14,9 @@ from labrun.gap.averaging import averaged
 from labrun.gap.candidates import Candidate, candidates, site_scales, without
 from labrun.gap.data_checks import require_informative, with_sound_clocks
 from labrun.gap.diagnosis import Name
-from labrun.gap.held_out import Excess, excess, held_out_residuals, mean_residuals, not_withheld
+from labrun.gap.held_out import Excess, fitted_excess, held_out_excess, not_withheld
 from labrun.gap.noise import Noise, from_residual
-from labrun.gap.noise_threshold import full_strictness, guard, noise_draws
+from labrun.gap.noise_threshold import full_strictness, noise_draws, noise_threshold
 from labrun.gap.recalibration import (
     Recalibrated,
     bound_remarks,
@@ -26,7 +26,7 @@ from labrun.gap.recalibration import (
     unsearched,
 )
 from labrun.gap.screening import Base, ends_of, screen_all, survey
-from labrun.gap.selection import Selection, Selector, look
+from labrun.gap.selection import Selection, Selector
 from labrun.models import Model
 
 
@@ -36,28 +36,27 @@ class Search:
 
     Attributes
     ----------
-    dataset
-        The trials that were looked at.
+    dataset, data
+        The trials that were looked at, and the same with repeats averaged.
     limitations, notes
         What to know about them, in sentences.
     draws
-        Noise of the units' means, whitened, as the guard saw it.
+        Noise of the averaged trials, whitened, that set the threshold.
     raw, recalibrated
         Excess with the stated and the recalibrated parameters; `held_out` that of recalibrations that did not
-        see the condition, with its residuals.
+        see the condition.
     """
 
     dataset: Dataset
+    data: Dataset
     limitations: tuple[str, ...]
     notes: tuple[str, ...]
-    units: Dataset
     recalibration: Recalibrated
     candidates: list[Candidate]
     draws: list[list[FloatArray]]
     raw: Excess
     recalibrated: Excess
     held_out: Excess
-    held_out_residual: list[FloatArray]
     selection: Selection
     full_guard: bool
 
@@ -67,6 +66,11 @@ class Search:
         return self.recalibration.problem.model
 
     @property
+    def noise(self) -> Noise:
+        """The noise floor."""
+        return self.recalibration.noise
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """What to know about the recalibration and the causes, and which candidates were not tried."""
         problem, final = self.recalibration.problem, self.selection.final
@@ -74,14 +78,9 @@ class Search:
         left_out = [one.name for one in self.candidates if one.name not in tried]
         return (
             *bound_remarks(problem, self.recalibration.z),
-            *not_withheld(final.problem, final.z, final.absorption.jacobian),
+            *not_withheld(final.problem, final.z, final.nuisance.jacobian),
             *(f"effect {name} gives no finite numbers at any size: it was not tried" for name in left_out),
         )
-
-    @property
-    def noise(self) -> Noise:
-        """The noise floor."""
-        return self.recalibration.noise
 
 
 def search_causes(
@@ -94,7 +93,7 @@ def search_causes(
     each: Each = one_by_one,
     note: Note = silent,
 ) -> Search:
-    """Search the library for what a model lacks.
+    """Search the library for what a model lacks: recalibration, noise, candidates, threshold, withheld conditions.
 
     Parameters
     ----------
@@ -110,42 +109,38 @@ def search_causes(
     """
     require_informative(dataset)
     clocks = with_sound_clocks(dataset)
-    units = averaged(clocks.dataset, model)
-    recalibration = recalibrate(model, units, rng, note)
+    data = averaged(clocks.dataset, model)
+    recalibration = recalibrate(model, data, rng, note)
     unfinished = unsearched(recalibration.problem, recalibration.z)
     scales = site_scales(recalibration.problem, recalibration.z)
     every = candidates(recalibration.problem.model, scales, withhold)
     known: dict[Name, FloatArray] = {}
+    strictness = 1.0
     if recalibration.noise.basis == "residual":
         recalibration, known = _without_repeats(recalibration, every, note, each)
+        strictness = criteria.UNREPEATED_STRICTNESS
     problem, noise, z = recalibration.problem, recalibration.noise, recalibration.z
     note(f"trying {len(every)} candidates")
     draws = noise_draws(problem, noise, rng)
-    residual = held_out_residuals(problem, z)
-    reference = excess(units, noise, residual)
+    held_out = held_out_excess(problem, z, noise)
     base = Base.of(problem, z)
-    strictness = 1.0 if noise.basis == "repeats" else criteria.UNREPEATED_STRICTNESS
     if full_guard:
         note("running the whole search on noise alone, for the guard")
-        linear = guard(base, each(lambda one: survey(base, one), every), draws)
-        strictness *= full_strictness(base, every, noise, linear, rng, each=each)
-    first = look(base, every, noise, draws, reference, strictness, each, known)
-    selection = Selector(
-        first, every, noise, draws, reference, residual, note, strictness, each, known
-    ).select()
+        linear = noise_threshold(base, each(lambda one: survey(base, one), every), draws)
+        strictness *= full_strictness(base, every, noise, linear, rng, each)
+    selector = Selector(base, every, noise, draws, held_out, strictness, known, each, note)
     return Search(
         clocks.dataset,
+        data,
         (*clocks.limitations, *unfinished, *_without(withhold)),
         clocks.notes,
-        units,
         recalibration,
         every,
         draws,
-        excess(units, noise, mean_residuals(problem, recalibration.raw)),
-        excess(units, noise, mean_residuals(problem, z)),
-        reference,
-        residual,
-        selection,
+        fitted_excess(problem, recalibration.raw, noise),
+        fitted_excess(problem, z, noise),
+        held_out,
+        selector.select(),
         full_guard,
     )
 

@@ -12,7 +12,7 @@ from labrun.fit.workers import Each, one_by_one
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnosis import Name
-from labrun.gap.nuisance import Absorption
+from labrun.gap.nuisance import NuisanceProjection
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Base:
         Whitened.
     squares
         Sum of squared residuals, prior included.
-    absorption
+    nuisance
         What its variables can imitate.
     """
 
@@ -33,7 +33,7 @@ class Base:
     z: FloatArray
     residual: list[FloatArray]
     squares: float
-    absorption: Absorption
+    nuisance: NuisanceProjection
     added: tuple[Candidate, ...] = ()
 
     @classmethod
@@ -41,7 +41,7 @@ class Base:
         """Take the state of a problem at `z`."""
         residual, prior = problem.residuals(z), problem.priors.residual(z)
         squares = float(prior @ prior) + sum(float(part @ part) for part in residual)
-        return cls(problem, z, residual, squares, Absorption(problem, z, residual), added)
+        return cls(problem, z, residual, squares, NuisanceProjection(problem, z, residual), added)
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def survey(base: Base, candidate: Candidate) -> Survey:
     """
     problem = candidate.added_to(base.problem)
     shared, own = base.z[: base.problem.size], base.problem.own_states(base.z)
-    before = base.absorption.left(base.residual, base.problem.priors.residual(base.z))
+    before = base.nuisance.remainder(base.residual, base.problem.priors.residual(base.z))
     rated: list[tuple[float, int, FloatArray, FloatArray, float]] = []
     for number, start in enumerate(candidate.starts):
         z = np.concatenate([shared, start, own])
@@ -149,7 +149,7 @@ def survey(base: Base, candidate: Candidate) -> Survey:
         if there is None:
             continue
         parts = [after - now for after, now in zip(there, base.residual, strict=True)]
-        change = base.absorption.left(parts)
+        change = base.nuisance.remainder(parts)
         whole = float(np.sqrt(sum(float(part @ part) for part in parts)))
         rated.append((float(np.sum((before + change) ** 2)), number, z, change, whole))
     rated.sort(key=lambda one: one[:2])
@@ -285,5 +285,5 @@ def _released(base: Base, problem: Problem) -> tuple[FloatArray, float]:
         if mine != theirs
     )
     size = base.problem.priors.pull[variable] / base.problem.priors.scale[variable]
-    parts = [shared[:, variable] * size for shared in base.absorption.jacobian.shared]
-    return base.absorption.left(parts), float(np.sqrt(sum(float(part @ part) for part in parts)))
+    parts = [shared[:, variable] * size for shared in base.nuisance.jacobian.shared]
+    return base.nuisance.remainder(parts), float(np.sqrt(sum(float(part @ part) for part in parts)))

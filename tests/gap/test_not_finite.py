@@ -69,7 +69,7 @@ def test_an_effect_that_gives_no_numbers_is_not_ruled_out_but_said_not_to_have_b
     monkeypatch,
 ) -> None:
     library = [one for one in labrun.effects.effects() if one.id in ("coulomb-friction", "bias")]
-    monkeypatch.setattr(labrun.effects, "effects", lambda **_: (*library, NEVER))
+    monkeypatch.setattr("labrun.gap.candidates.effects", lambda **_: (*library, NEVER))
     found = diagnose_dataset(recorded(dry_friction(0.006)), pendulum(), Options(places=False))
     assert "no-number" not in {one.name.effect for one in found.candidates}
     assert "effect no-number at hinge gives no finite numbers at any size: it was not tried" in found.notes

@@ -148,7 +148,7 @@ def _for_recording(
     question: "Question", search: "Search", out: Path | None, workspace: Path, note: Note
 ) -> Proposal:
     dataset = question.dataset
-    bench = RecordingBench(search.units, question.model, REPEATS)
+    bench = RecordingBench(search.data, question.model, REPEATS)
     found = design(search, dataset, inside(search, dataset, bench.pool()), note)
     notes = [
         "The recording does not say what its rig allows: every input stays within the range it was recorded in; "

@@ -96,11 +96,9 @@ def rivals_of(search: Search) -> Rivals:
     selection = search.selection
     base = selection.rounds[0].base
     null = Rival(NOTHING, None, base.problem, base.z, 0, base.squares)
-    dispersion = selection.rounds[0].guard.dispersion
+    dispersion = selection.rounds[0].threshold.dispersion
     doubtful = [
-        (cause, [rival for rival, _ in rivals])
-        for cause, rivals in zip(selection.chosen, selection.rivals, strict=True)
-        if rivals
+        (cause.rated, [rival for rival, _ in cause.rivals]) for cause in selection.chosen if cause.rivals
     ]
     if doubtful:
         # several doubtful causes: the one taken in last stands beside all others
@@ -111,7 +109,7 @@ def rivals_of(search: Search) -> Rivals:
             tuple(found), null, True, f"The data cannot tell {found[0].name} from {names}.", dispersion
         )
     if selection.chosen:
-        cause = selection.chosen[-1]
+        cause = selection.chosen[-1].rated
         runner_up = _runner_up(search.selection.rounds[-2], cause) if len(selection.chosen) == 1 else None
         found = [_fitted(cause), null if runner_up is None else _fitted(runner_up)]
         why = f"The diagnosis is not in doubt: {found[0].name} is held against {_as_runner_up(found[1])}."
