@@ -16,8 +16,7 @@ from PIL import Image
 
 from labrun.effects import AttachedEffect, Effect, Scale
 from labrun.models import FloatArray, Model, parse_model, simulate, site_course
-from labrun.report.gap_canvas import plain_figure
-from labrun.report.style import COLOURS, SOFT
+from labrun.report.style import COLOURS, SOFT, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -145,7 +144,7 @@ def picture(effect: Effect) -> bytes:
     found = signature(effect)
     (channel, *_), time_s = found.rig.model.outputs, found.rig.time_s
     unit = f", {channel.unit}" if channel.unit not in ("", "1") else ""
-    with plain_figure(6.6, 2.5) as figure:
+    with new_figure(6.6, 2.5) as figure:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1.7, 1.0])
         above.plot(time_s, found.bare, color=SOFT, linewidth=2.2, label="without")
         for one, output, colour in zip(found.sizes, found.outputs, COLOURS, strict=False):

@@ -13,7 +13,8 @@ from typing import Any, Literal, Self
 from labrun.control.closed_loop import ClosedLoopRecorder
 from labrun.errors import ExperimentError, LabrunError, PlanError
 from labrun.objectives import make_objective
-from labrun.report.figure import draw_run
+from labrun.report.data import RunView
+from labrun.report.recorded import experiment_of
 from labrun.runner import (
     Interrupted,
     LimitReached,
@@ -28,10 +29,13 @@ from labrun.runner import (
 from labrun.search.cmaes import search_by_cmaes
 from labrun.search.design import conditions
 from labrun.search.forecast import expected_trials
+from labrun.search.generation import read_generations
 from labrun.search.leaders import Measured, honest_best
 from labrun.search.result import RESULT_FILE, Best, RunResult, reason_lines, resume_line
 from labrun.spec import LOOP_DEVICE, Experiment, Value, condition_key
-from labrun.store import RunFolder, TrialOutcome, replace_durably, saving
+from labrun.store import RunFolder, TrialOutcome, open_run, replace_durably, saving
+
+FIGURE = "figure.png"
 
 
 def carry_out(
@@ -175,11 +179,22 @@ def _finish(folder: RunFolder, best: Best | None, progress: Progress, draw: bool
     return _result(folder, best=best, figure=figure, finished=True)
 
 
+def draw(folder: Path, best: Best | None) -> Path | None:
+    """Draw a run as its kind asks for, into its folder; None where there is nothing to draw."""
+    from labrun.report.figures import run_figure  # matplotlib
+    from labrun.report.style import save
+
+    with open_run(folder) as run:
+        view = RunView(run, experiment_of(run.experiment_toml, run.name), best)
+        figure = run_figure(view, read_generations(folder / "search"))
+    return None if figure is None else save(figure, folder / FIGURE)
+
+
 def _drawn(run: Path, best: Best | None, progress: Progress) -> Path | None:
     """Draw the run. Whatever goes wrong with a picture, the data are safe and the run counts as done."""
     progress.phase("drawing")
     try:
-        return draw_run(run, best)
+        return draw(run, best)
     except Exception as error:
         progress.note(f"the figure could not be drawn: {type(error).__name__}: {error}")
         return None

@@ -20,13 +20,13 @@ from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Diagnosis
 from labrun.gap.saving import recalibrated_only, require_new
 from labrun.gap.saving import save_model as write_model
-from labrun.report.gap_figure import FIGURE, draw_gap
-from labrun.report.gap_page import write_gap_page
 from labrun.report.gap_text import gap_lines
-from labrun.store import find_run, is_recording
+from labrun.store import find_run, is_recording, replace_durably
 
 FOLDER = "gap"
 NUMBERS = "diagnosis.json"
+PAGE = "gap.html"
+FIGURE = "gap_figure.png"
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,10 +210,16 @@ def store(
         partial.replace(numbers)
         if not page:
             return StoredDiagnosis(diagnosis, numbers)
-        figure = draw_gap(diagnosis, folder / FIGURE)
+        # matplotlib
+        from labrun.report.figures import diagnosis_figure
+        from labrun.report.gap_page import diagnosis_page
+        from labrun.report.style import save
+
+        figure = save(diagnosis_figure(diagnosis), folder / FIGURE)
+        replace_durably(folder / PAGE, diagnosis_page(diagnosis).encode())
     except OSError as error:
         raise StoreError(f"{folder} cannot be written to: {error.strerror}") from error
-    return StoredDiagnosis(diagnosis, numbers, write_gap_page(diagnosis, folder), figure)
+    return StoredDiagnosis(diagnosis, numbers, folder / PAGE, figure)
 
 
 def read_stored(run: Path) -> Mapping[str, Any]:

@@ -5,16 +5,16 @@ from pathlib import Path
 import numpy as np
 
 from labrun.app.diagnose import FOLDER as GAP_FOLDER
-from labrun.app.diagnose import read_stored
+from labrun.app.diagnose import PAGE, read_stored
 from labrun.app.question import find_run_or_latest
 from labrun.errors import RequestError, StoreError
 from labrun.report.data import RunView
-from labrun.report.findings import Findings, findings
-from labrun.report.gap_page import PAGE
-from labrun.report.html import report_html
+from labrun.report.findings import Findings, RecordingFindings, findings
 from labrun.report.recorded import experiment_of
-from labrun.report.recording_findings import RecordingFindings
 from labrun.report.report_source import ReportSource, StoredGap
+from labrun.report.run_page import run_page
+from labrun.report.stored_fits import stored_fits
+from labrun.search.generation import read_generations
 from labrun.search.leaders import t_interval
 from labrun.search.result import Best, stored_result
 from labrun.store import SPEC, Run, is_recording, open_target
@@ -86,7 +86,7 @@ def write_report(run: Run, output: Path | None = None) -> Path:
     """
     source = read_source(run)
     path = output if output is not None else _beside(source)
-    text = report_html(source)
+    text = run_page(source)
     partial = path.with_name(f".{path.name}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -116,14 +116,14 @@ def read_source(run: Run) -> ReportSource:
     finished = result is not None or ended or run.path.is_file()
     view = RunView(run, experiment, None)
     best = result.best if result is not None else confirmed_best(view)
-    figure = result.figure if result is not None else None
     return ReportSource(
         run=run,
         view=RunView(run, experiment, best),
         folder=None if alone else folder,
         finished=finished,
-        figure=figure if figure is not None and figure.is_file() else None,
+        fits=[] if alone else stored_fits(folder),
         diagnosis=None if alone else stored_gap(folder),
+        generations=[] if alone else read_generations(folder / "search"),
     )
 
 

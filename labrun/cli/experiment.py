@@ -33,7 +33,7 @@ def check(
         if as_json:
             print_json(plan.report())
             raise typer.Exit(2 if plan.excess else 0)
-        from labrun.report.plan_text import plan_text
+        from labrun.report.terminal import plan_text
 
         typer.echo(plan_text(plan, results))
         plan.require_feasible()

@@ -5,10 +5,25 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from labrun.report.data import FloatArray, Point, RunView
+from labrun.arrays import FloatArray
+from labrun.report.data import Point, RunView
+from labrun.report.page import Table
+from labrun.report.text import (
+    counted,
+    decimal_text,
+    decimals_for,
+    label,
+    named_condition,
+    spaced,
+    value_text,
+    with_unit,
+)
 from labrun.search.leaders import leading_conditions
-from labrun.spec import Experiment, Value, condition_key
+from labrun.spec import Condition, Experiment, Value, condition_key
 from labrun.store import TrialOutcome
+
+_LEADERS_SHOWN = 12
+_CONDITIONS_SHOWN = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,3 +163,134 @@ def varying(conditions: Iterable[Mapping[str, Value]]) -> list[str]:
 
 def _sortable(value: Value) -> tuple[int, float, str]:
     return (1, 0.0, value) if isinstance(value, str) else (0, float(value), "")
+
+
+def conditions_context(view: RunView) -> Mapping[str, Any]:
+    """Return the tables of a page: the leaders and their fresh repeats where there is a goal, else all conditions."""
+    goal = view.experiment.goal
+    if goal is not None and view.points(goal[0]):
+        return {"fresh": _fresh(view, *goal), "best": _leaders(view, goal[0]), "every": None}
+    return {"fresh": None, "best": None, "every": _every(view)}
+
+
+def _leaders(view: RunView, name: str) -> Mapping[str, Any]:
+    results = [result for result in condition_results(view) if name in result.points]
+    leading = most_promising(view, results)[:_LEADERS_SHOWN]
+    others = [other for other in view.experiment.objectives if other != name]
+    keys = _names(result.condition for result in leading)
+    decimals = {each: _decimals(leading, each) for each in (name, *others)}
+    rows = [
+        [
+            str(rank),
+            *_values(result.condition, keys),
+            *_mean(result.points[name], decimals[name]),
+            *(
+                _mean(result.points[other], decimals[other])[0] if other in result.points else ""
+                for other in others
+            ),
+        ]
+        for rank, result in enumerate(leading, start=1)
+    ]
+    marked = [place for place, result in enumerate(leading) if result.best]
+    columns = ["", *_labels(keys, view), _quantity(name, view.unit), "standard error", "n"]
+    columns += [_quantity(other, view.unit_of(other)) for other in others]
+    return {
+        "table": Table(columns, rows, words=(), marked=marked),
+        "shown": f"The {len(leading)} most promising of {counted(len(results), 'condition')}",
+        "marked": bool(marked),
+    }
+
+
+def _fresh(view: RunView, name: str, direction: str) -> tuple[Table, str] | None:
+    points = view.points(name, roles=("fresh",))
+    if len(points) < 2:
+        return None
+    points.sort(key=lambda point: point.mean, reverse=direction == "maximise")
+    keys = _names(point.condition for point in points)
+    decimals = decimals_for(standard_error(point) for point in points)
+    rows = [
+        [
+            *_values(point.condition, keys),
+            *_mean(point, decimals),
+            " to ".join(decimal_text(end, decimals) for end in point.ci95 or ()),
+        ]
+        for point in points
+    ]
+    winner = None if view.best is None else condition_key(view.best.parameters)
+    marked = [place for place, point in enumerate(points) if condition_key(point.condition) == winner]
+    columns = [*_labels(keys, view), _quantity(name, view.unit), "standard error", "n", "95 % interval"]
+    return Table(columns, rows, words=(), marked=marked), _separation(points, direction == "maximise")
+
+
+def _separation(points: Sequence[Point], maximise: bool) -> str:
+    """Tell whether the first of the leaders is better than the second beyond chance (Welch's interval)."""
+    first, second = points[0], points[1]
+    if min(len(first.values), len(second.values)) < 2:
+        return "Too few fresh repeats to tell the leaders apart."
+    if float(first.values.std()) == 0.0 and float(second.values.std()) == 0.0:
+        return "The fresh repeats of the two first leaders do not scatter at all."
+    from scipy.stats import ttest_ind  # slow to import
+
+    found = ttest_ind(first.values, second.values, equal_var=False).confidence_interval(0.95)
+    low, high = float(found.low), float(found.high)
+    interval = f"(95 % interval of the difference {low:.3g} to {high:.3g})"
+    if (low if maximise else -high) > 0:
+        return f"The first leads the second beyond chance {interval}."
+    return (
+        f"The first two cannot be told apart by these repeats {interval}: their order may be chance, what the winner "
+        "reaches is not."
+    )
+
+
+def _every(view: RunView) -> Mapping[str, Any]:
+    objectives = list(view.experiment.objectives)
+    results = condition_results(view)
+    decimals = {name: _decimals(results, name) for name in objectives}
+    keys = varying(result.condition for result in results)
+    rows = []
+    for result in results[:_CONDITIONS_SHOWN]:
+        row = _values(result.condition, keys)
+        for name in objectives:
+            point = result.points.get(name)
+            row += ["", ""] if point is None else _mean(point, decimals[name])[:2]
+        spoiled = str(len(result.trials) - result.accepted)
+        rows.append([*row, str(result.accepted), spoiled, f"{result.recorded_s:.4g}"])
+    columns = list(_labels(keys, view))
+    for name in objectives:
+        columns += [_quantity(name, view.unit_of(name)), "standard error"]
+    left = len(results) - len(rows)
+    alike = (
+        {name: value for name, value in results[0].condition.items() if name not in keys} if results else {}
+    )
+    return {
+        "table": Table([*columns, "accepted", "rejected or failed", "recorded (s)"], rows, words=()),
+        "alike": named_condition(alike, view.experiment.units) if alike else "",
+        "more": counted(left, "more condition") if left else "",
+    }
+
+
+def _names(conditions: Iterable[Condition]) -> list[str]:
+    return list(dict.fromkeys(name for condition in conditions for name in condition))
+
+
+def _labels(names: Sequence[str], view: RunView) -> list[str]:
+    return [label(name, view.experiment.units) for name in names]
+
+
+def _values(condition: Condition, names: Sequence[str]) -> list[str]:
+    return [value_text(condition[name]) if name in condition else "" for name in names]
+
+
+def _quantity(name: str, unit: str) -> str:
+    return with_unit(f"mean {spaced(name)}", unit)
+
+
+def _decimals(results: Iterable[ConditionResult], objective: str) -> int | None:
+    return decimals_for(
+        standard_error(result.points[objective]) for result in results if objective in result.points
+    )
+
+
+def _mean(point: Point, decimals: int | None) -> list[str]:
+    error = standard_error(point)
+    return [decimal_text(point.mean, decimals), decimal_text(error, decimals), str(len(point.values))]

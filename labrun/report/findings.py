@@ -1,4 +1,4 @@
-"""What `labrun show` tells of a run."""
+"""What `labrun show` tells of a run, or of a recording made elsewhere."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -10,24 +10,14 @@ import numpy as np
 
 from labrun.report.conditions import ConditionResult, condition_results, most_promising
 from labrun.report.data import RunView
-from labrun.report.loop_health import LoopHealth, loop_health
 from labrun.report.recorded import experiment_of
-from labrun.report.recording_findings import RecordingFindings, is_imported, recording_findings
-from labrun.report.statistics import (
-    Drift,
-    Repeatability,
-    Settling,
-    StreamHealth,
-    as_json,
-    drift,
-    repeatability,
-    settling,
-    stream_health,
-)
+from labrun.report.statistics import Drift, Repeatability, Settling, as_json, drift, repeatability, settling
 from labrun.report.stored_fits import StoredFit, stored_fits
+from labrun.report.timing import LoopHealth, StreamHealth, loop_health, stream_health
 from labrun.runner import unsettled
 from labrun.search.result import Best, stored_result
-from labrun.store import SPEC
+from labrun.spec import Value, condition_key
+from labrun.store import SPEC, imported_channels
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -137,9 +127,148 @@ class Findings:
 
     def print(self, console: "Console | None" = None) -> None:
         """Print it for a person; to standard output if no console is given."""
-        from labrun.report.tables import print_findings
+        from labrun.report.terminal import print_findings
 
         print_findings(self, console)
+
+
+def _most(conditions: list[ConditionResult]) -> tuple[ConditionResult, ...]:
+    """Return the first conditions, and the honest best among them in any case."""
+    most = conditions[:_MOST_CONDITIONS]
+    rest = conditions[_MOST_CONDITIONS:]
+    return (*most, *(result for result in rest if result.best))
+
+
+def _evenly(items: list[int], most: int) -> list[int]:
+    if len(items) <= most:
+        return items
+    return [items[k] for k in np.linspace(0, len(items) - 1, most).round().astype(int)]
+
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from labrun.store import Run
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelFindings:
+    """One channel: whether it is an ``"input"`` or an ``"output"``, its unit, and its median rate over the trials."""
+
+    name: str
+    kind: str
+    unit: str
+    rate_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionFindings:
+    """The trials of one condition: how many, how many of them count, and how long the shortest and longest are."""
+
+    condition: Mapping[str, Value]
+    trials: int
+    done: int
+    shortest_s: float
+    longest_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingFindings:
+    """A recording made elsewhere.
+
+    Attributes
+    ----------
+    run
+        Where it is: the run it was imported as, or the recording folder itself.
+    experiment
+        Its name.
+    imported_from
+        The folder it was read from.
+    finished
+        Whether all of it is there: an import is whole or absent.
+    trials
+        Their number.
+    duration_s
+        Of all trials together.
+    faults
+        What was found damaged on disk.
+    """
+
+    run: Path
+    experiment: str
+    imported_from: Path
+    finished: bool
+    trials: int
+    duration_s: float
+    channels: list[ChannelFindings]
+    conditions: list[ConditionFindings]
+    faults: list[str]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return everything, JSON-ready."""
+        return {
+            "run": str(self.run),
+            "experiment": self.experiment,
+            "kind": "recording",
+            "finished": self.finished,
+            "imported_from": str(self.imported_from),
+            "trials": self.trials,
+            "duration_s": self.duration_s,
+            "channels": [asdict(channel) for channel in self.channels],
+            "conditions": [asdict(condition) for condition in self.conditions],
+            "faults": self.faults,
+        }
+
+    def print(self, console: "Console | None" = None) -> None:
+        """Print it for a person; to standard output if no console is given."""
+        from labrun.report.terminal import print_recording
+
+        print_recording(self, console)
+
+
+def is_imported(run: "Run") -> bool:
+    """Tell whether a run was recorded elsewhere: it has a ``recording.toml`` in place of an experiment file."""
+    return bool(imported_channels(run.experiment_toml))
+
+
+def recording_findings(run: "Run") -> RecordingFindings:
+    """Read what there is in a recording.
+
+    Parameters
+    ----------
+    run
+        For which `is_imported` holds.
+    """
+    rates: dict[str, list[float]] = {"input": [], "output": []}
+    groups: dict[object, list[int]] = {}
+    for number, outcome in enumerate(run.outcomes):
+        groups.setdefault(condition_key(outcome.condition), []).append(number)
+        for name, stream in run.signals(outcome.index).items():
+            rates.setdefault(name, []).append(stream.rate_hz)
+    median_hz = {kind: float(np.median(found)) if found else 0.0 for kind, found in rates.items()}
+    origin = Path(run.provenance.get("imported_from", run.path))
+    conditions = []
+    for numbers in groups.values():
+        trials = [run.outcomes[number] for number in numbers]
+        durations_s = [trial.duration_s for trial in trials]
+        done = sum(trial.status == "done" for trial in trials)
+        conditions.append(
+            ConditionFindings(trials[0].condition, len(trials), done, min(durations_s), max(durations_s))
+        )
+    return RecordingFindings(
+        run=run.path,
+        experiment=run.name,
+        imported_from=origin,
+        finished=True,
+        trials=len(run.outcomes),
+        duration_s=sum(outcome.duration_s for outcome in run.outcomes),
+        channels=[
+            ChannelFindings(name, table["kind"], table["unit"], median_hz[table["kind"]])
+            for name, table in imported_channels(run.experiment_toml).items()
+        ],
+        conditions=conditions,
+        faults=list(run.faults),
+    )
 
 
 def findings(run: "Run") -> Findings | RecordingFindings:
@@ -194,16 +323,3 @@ def findings(run: "Run") -> Findings | RecordingFindings:
         objective_units={name: view.unit_of(name) for name in experiment.objectives},
         condition_units=experiment.units,
     )
-
-
-def _most(conditions: list[ConditionResult]) -> tuple[ConditionResult, ...]:
-    """Return the first conditions, and the honest best among them in any case."""
-    most = conditions[:_MOST_CONDITIONS]
-    rest = conditions[_MOST_CONDITIONS:]
-    return (*most, *(result for result in rest if result.best))
-
-
-def _evenly(items: list[int], most: int) -> list[int]:
-    if len(items) <= most:
-        return items
-    return [items[k] for k in np.linspace(0, len(items) - 1, most).round().astype(int)]

@@ -1,62 +1,181 @@
-"""A diagnosis as one HTML file: read from the top down, offline, on a screen and on paper."""
+"""The page of a diagnosis: what its template tells of, made from the diagnosis alone."""
 
-from pathlib import Path
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from labrun.errors import StoreError
-from labrun.gap.diagnosis import Diagnosis
-from labrun.report.gap_candidates import candidates_section
-from labrun.report.gap_details import data_section, limits_section, origin_section, recalibration_section
-from labrun.report.gap_head import gap_head
-from labrun.report.gap_sections import how_far_section, next_section, where_section
-from labrun.report.html_page import page
+from labrun.gap.diagnosis import Candidate, Diagnosis, MissingForce, Trace
+from labrun.report.figures.gap import how_far_figure, where_figure
+from labrun.report.figures.gap_traces import force_figure, shown_traces, traces_figure, worst_outputs
+from labrun.report.gap_places import hot_spots, place_words, ranked
+from labrun.report.page import Drawing, Table, drawn, render
+from labrun.report.text import (
+    HEADLINES,
+    VERDICTS,
+    bound_words,
+    listed,
+    number,
+    percent,
+    scatter_text,
+    spaced,
+    unit_text,
+    value_words,
+    with_unit,
+)
+from labrun.spec import condition_key
 
-PAGE = "gap.html"
-
-
-def write_gap_page(diagnosis: Diagnosis, folder: Path) -> Path:
-    """Write the page of a diagnosis.
-
-    Parameters
-    ----------
-    diagnosis
-        What was found.
-    folder
-        Made if it is not there.
-
-    Returns
-    -------
-    Path
-        ``gap.html`` in it, which holds everything it shows and loads nothing.
-
-    Raises
-    ------
-    StoreError
-        The file cannot be written.
-    """
-    path = folder / PAGE
-    text = gap_html(diagnosis)
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        raise StoreError(f"{path} cannot be written: {error.strerror}") from error
-    return path
+_SHOWN = 10
+_MOST_FORCES = 2
+_FAR = 3.0
+"""Of more than so many stated tolerances a parameter is not just recalibrated, it was wrong."""
+_ALT_WHERE = "Shares of the excess over the noise; the table below has all of them"
+_ALT_FAR = "Gap as stated, recalibrated, with the causes, and the noise floor"
 
 
-def gap_html(diagnosis: Diagnosis) -> str:
-    """Return the page; the same diagnosis gives the same text, byte for byte."""
-    makers = [
-        ("where", "where", where_section),
-        ("which", "which cause", candidates_section),
-        ("far", "how far", how_far_section),
-        ("next", "what next", next_section),
-        ("limits", "limitations", limits_section),
-        ("recalibration", "parameters", recalibration_section),
-        ("data", "data and noise", data_section),
-        ("origin", "origin", origin_section),
+def diagnosis_page(diagnosis: Diagnosis) -> str:
+    """Return the page of a diagnosis; the same diagnosis gives the same text, byte for byte."""
+    return render("gap.html.j2", diagnosis_context(diagnosis))
+
+
+def diagnosis_context(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return what the template ``gap.html.j2`` tells of."""
+    every = ranked(diagnosis.candidates)
+    first = max(_SHOWN, sum(one.verdict in ("cause", "indistinguishable") for one in every))
+    parameters = parameter_table(diagnosis)
+    links = [
+        ("where", "where"), ("which", "which cause"), ("far", "how far"),
+        ("next", "what next" if diagnosis.what_next else ""),
+        ("limits", "limitations" if diagnosis.limitations else ""),
+        ("recalibration", "parameters" if parameters.rows else ""),
+        ("data", "data and noise"), ("origin", "origin"),
+    ]  # fmt: skip
+    return {
+        "title": f"{diagnosis.name} against {diagnosis.model}",
+        "d": diagnosis,
+        "headline": HEADLINES[diagnosis.verdict],
+        "links": [(anchor, name) for anchor, name in links if name],
+        "hot_spots": hot_spots(diagnosis.where),
+        "where": drawn(lambda: where_figure(diagnosis), "where", _ALT_WHERE),
+        "places": _places(diagnosis),
+        "traces": _traces(diagnosis),
+        "chosen_traces": _chosen(diagnosis, shown_traces(diagnosis)),
+        "has_courses": any(len(trace.time_s) > 1 for trace in shown_traces(diagnosis)),
+        "forces": [
+            (one, found)
+            for one in sorted(diagnosis.missing, key=lambda one: -one.share)[:_MOST_FORCES]
+            if (found := _force(one)) is not None
+        ],
+        "tally": _tally(every),
+        "candidates": [_candidate(one, rank) for rank, one in enumerate(every[:first], start=1)],
+        "other_candidates": [
+            _candidate(one, rank) for rank, one in enumerate(every[first:], start=first + 1)
+        ],
+        "how_far": drawn(lambda: how_far_figure(diagnosis), "far", _ALT_FAR),
+        "parameters": parameters,
+        "noise": _noise(diagnosis),
+        "inputs": ", ".join(with_unit(spaced(name), unit) for name, unit in diagnosis.input_channels)
+        or "none",
+    }
+
+
+def _places(diagnosis: Diagnosis) -> Table:
+    rows = [
+        [place.by, place_words(place), percent(place.share), "" if place.p is None else f"{place.p:.3g}"]
+        for place in diagnosis.where
     ]
-    made = [(anchor, name, make(diagnosis)) for anchor, name, make in makers]
-    sections = [(anchor, name, content) for anchor, name, content in made if content is not None]
-    return page(f"{diagnosis.name} against {diagnosis.model}", gap_head(diagnosis), sections)
+    return Table(("by", "part", "share of the excess", "p"), rows, words=(0, 1))
+
+
+def _traces(diagnosis: Diagnosis) -> Drawing | None:
+    return drawn(
+        lambda: traces_figure(diagnosis), "traces", "Measured and simulated outputs where they differ most"
+    )
+
+
+def _chosen(diagnosis: Diagnosis, traces: Sequence[Trace]) -> str:
+    """Return which conditions and outputs are shown, where it is not all of them."""
+    if not traces:
+        return ""
+    conditions = len({condition_key(trace.condition) for trace in traces})
+    outputs = len(worst_outputs(diagnosis, traces))
+    told = []
+    if conditions < diagnosis.conditions:
+        told.append(f"{conditions} of {diagnosis.conditions} conditions")
+    if outputs < len(diagnosis.channels):
+        told.append(f"{outputs} of {len(diagnosis.channels)} outputs")
+    return listed(told)
+
+
+def _force(missing: MissingForce) -> Drawing | None:
+    return drawn(lambda: force_figure(missing), "force", f"What is missing at {missing.site}", points=True)
+
+
+def _tally(every: Sequence[Candidate]) -> str:
+    counts = {verdict: sum(one.verdict == verdict for one in every) for verdict in VERDICTS}
+    words = {
+        "cause": "asked for by the data",
+        "indistinguishable": "that would explain them as well",
+        "ruled-out": "ruled out",
+        "not-visible": "that these data could not show",
+    }
+    told = [f"{count} {words[verdict]}" for verdict, count in counts.items() if count]
+    if not counts["cause"]:
+        told.insert(0, "none asked for by the data")
+    return f"{len(every)} candidates: {listed(told)}."
+
+
+def _candidate(one: Candidate, rank: int) -> Mapping[str, Any]:
+    same = listed([name.words for name in one.same_as], "or")
+    parts = bound_words(one.upper_bound) if one.verdict == "ruled-out" else []
+    parts = parts or ([] if one.verdict == "not-visible" else value_words(one.values))
+    return {
+        "rank": rank,
+        "name": one.name.words,
+        "is_cause": one.verdict == "cause",
+        "verdict": VERDICTS[one.verdict] + (f"; cannot be told from {same}" if same else ""),
+        "share": one.held_out_share,
+        "evidence": number(one.evidence, 2),
+        "size": "; ".join([*parts, one.remark] if one.remark else parts),
+    }
+
+
+def parameter_table(diagnosis: Diagnosis) -> Table:
+    """Return the parameters as stated and as recalibrated; without rows of a model without any that may move."""
+    rows, marked = [], []
+    for place, (name, (stated, tolerance, found)) in enumerate(diagnosis.recalibration.items()):
+        told, far = _moved(stated, tolerance, found)
+        if far:
+            marked.append(place)
+        corrected = number(diagnosis.corrected[name], 4) if name in diagnosis.corrected else ""
+        unit = unit_text(diagnosis.parameter_units.get(name, ""))
+        rows.append(
+            [spaced(name), number(stated, 4), _tolerance(tolerance), number(found, 4), corrected, unit, told]
+        )
+    columns = ("parameter", "stated", "known to", "recalibrated", "with the causes", "unit", "moved by")
+    return Table(columns, rows, words=(0, 5, 6), marked=marked)
+
+
+def _tolerance(tolerance: float | str) -> str:
+    if isinstance(tolerance, str):
+        return "not known" if tolerance == "free" else tolerance
+    return "exactly" if tolerance == 0 else f"\u00b1 {100 * tolerance:.3g} %"
+
+
+def _moved(stated: float, tolerance: float | str, found: float) -> tuple[str, bool]:
+    """Return by how much a parameter moved, and whether that is farther than its tolerance makes likely."""
+    if found == stated:
+        return "not at all", False
+    if stated == 0 or not math.isfinite(found / stated):
+        return f"by {number(found - stated)}", False
+    factor = found / stated
+    told = f"{number(factor)} times the stated" if not 0.5 <= factor <= 2 else f"{100 * (factor - 1):+.2g} %"
+    if isinstance(tolerance, str) or tolerance == 0:
+        return told, False
+    steps = abs(factor - 1) / tolerance
+    return f"{told}, {number(steps, 2)} of its tolerances", steps >= _FAR
+
+
+def _noise(diagnosis: Diagnosis) -> Table:
+    units = dict(diagnosis.channels)
+    rows = [[spaced(name), scatter_text(sd, units.get(name, "1"))] for name, sd in diagnosis.noise.items()]
+    return Table(("output", "noise of one trial (sd)"), rows)

@@ -1,6 +1,6 @@
 """Everything a report tells of, read once."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
@@ -10,18 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from labrun.report.bench_time import BenchTime, bench_time
 from labrun.report.data import RunView
-from labrun.report.loop_health import LoopHealth, loop_health
 from labrun.report.recorded import trial_tare_s
-from labrun.report.statistics import (
-    Drift,
-    Repeatability,
-    StreamHealth,
-    drift,
-    repeatability,
-    stream_health,
-)
+from labrun.report.statistics import Drift, Repeatability, drift, repeatability
+from labrun.report.stored_fits import StoredFit
+from labrun.report.timing import BenchTime, LoopHealth, StreamHealth, bench_time, loop_health, stream_health
 from labrun.search.result import Best
 from labrun.spec import Experiment
 from labrun.store import Run, TrialOutcome
@@ -52,18 +45,21 @@ class ReportSource:
         The run's folder; None for a ``run.h5`` that stands alone.
     finished
         Whether the run came to its end.
-    figure
-        The picture that was drawn at its end, if it is still there.
+    fits
+        What `labrun fit` made of it.
     diagnosis
         The newest diagnosis that is kept with it.
+    generations
+        Of its search, if it has one.
     """
 
     run: Run
     view: RunView
     folder: Path | None
     finished: bool
-    figure: Path | None
+    fits: Sequence[StoredFit] = ()
     diagnosis: StoredGap | None = None
+    generations: Sequence[Mapping[str, Any]] = ()
 
     @property
     def experiment(self) -> Experiment:

@@ -1,23 +1,22 @@
-"""What a run's trials say of the bench: repeatability, drift, settling, streams."""
+"""What a run's trials say of the bench: repeatability, drift and how to remove it, settling."""
 
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.errors import RequestError
 from labrun.report.data import Point, RunView
+from labrun.report.recorded import experiment_of
 from labrun.search.leaders import pooled_variance
-from labrun.signals import Signals
-from labrun.store import JUMP_S, StreamReport, TrialOutcome, stream_report
+from labrun.store import TrialOutcome
 
 FloatArray = NDArray[np.float64]
-
-LEAST_JITTER_S = 1e-8
-"""Below this, jitter is the rounding of the stored times."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,43 +65,6 @@ class Settling:
     longest_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class StreamHealth:
-    """One device's stream, over the trials that were looked at.
-
-    Attributes
-    ----------
-    nominal_hz, actual_hz
-        Rate it should have, and median rate at which it sampled, samples that were lost on the way included.
-    jitter_s
-        Standard deviation of the time between samples, by the device's clock, gaps of lost samples left out; median
-        over trials.
-    lost, saturated
-        Samples that never arrived, and that stood at the end of the range.
-    lost_share
-        Of all samples the device made.
-    clock_offset_s
-        Run clock minus device clock, median over trials; None without samples. Sample times have it in them already.
-    clock_drift_ppm
-        How fast the offset changes, parts per million, over the run, or within trials where the device's clock began
-        anew between them; None where that is too short to tell.
-    glitches
-        Places where the device's time jumped, stood still or ran backwards.
-    """
-
-    device: str
-    nominal_hz: float
-    actual_hz: float
-    jitter_s: float
-    samples: int
-    lost: int
-    lost_share: float
-    saturated: int
-    clock_offset_s: float | None
-    clock_drift_ppm: float | None
-    glitches: int
-
-
 def repeatability(view: RunView) -> list[Repeatability]:
     """Return the repeatability of every objective that was measured more than once at some condition."""
     found = []
@@ -147,15 +109,6 @@ def settling(outcomes: Iterable[TrialOutcome]) -> Settling | None:
     return Settling(reasons, float(np.median(durations)), float(durations.max()))
 
 
-def stream_health(view: RunView, indices: Sequence[int]) -> list[StreamHealth]:
-    """Return the health of every device's stream over the given trials."""
-    streams: dict[str, list[Signals]] = {}
-    for index in indices:
-        for name, stream in view.run.signals(index).items():
-            streams.setdefault(name, []).append(stream)
-    return [_health(name, items) for name, items in streams.items()]
-
-
 def as_json(items: Sequence[Any]) -> list[dict[str, Any]]:
     """Return dataclasses as JSON-ready values."""
     return [asdict(item) for item in items]
@@ -166,41 +119,131 @@ def _between(points: Sequence[Point]) -> float | None:
     return float(np.std(means, ddof=1)) if len(means) > 1 else None
 
 
-def _health(name: str, streams: Sequence[Signals]) -> StreamHealth:
-    reports = [stream_report(stream) for stream in streams if len(stream.time_s)]
-    regular = [report for report in reports if math.isfinite(report.rate_hz)]
-    samples = sum(len(stream.time_s) for stream in streams)
-    lost = sum(stream.lost for stream in streams)
-    return StreamHealth(
-        device=name,
-        nominal_hz=streams[0].rate_hz,
-        actual_hz=float(np.median([report.rate_hz for report in regular])) if regular else 0.0,
-        jitter_s=float(np.median([report.jitter_s for report in regular])) if regular else 0.0,
-        samples=samples,
-        lost=lost,
-        lost_share=lost / (samples + lost) if samples + lost else 0.0,
-        saturated=sum(stream.saturated for stream in streams),
-        clock_offset_s=float(np.median([report.offset_s for report in reports])) if reports else None,
-        clock_drift_ppm=_clock_drift_ppm([stream for stream in streams if len(stream.time_s)], reports),
-        glitches=sum(report.glitches for report in reports),
-    )
+def reference_values(view: RunView, objective: str) -> tuple[FloatArray, FloatArray]:
+    """Return hours since the run's first trial and values of the accepted reference trials, both (n,)."""
+    start_s = view.run.outcomes[0].started_s
+    trials = [
+        outcome
+        for outcome in view.run.outcomes
+        if outcome.role == "reference" and outcome.status == "done" and objective in outcome.objectives
+    ]
+    hours = np.array([(outcome.started_s - start_s) / 3600 for outcome in trials])
+    return hours, np.array([outcome.objectives[objective] for outcome in trials])
 
 
-def _clock_drift_ppm(streams: Sequence[Signals], reports: Sequence[StreamReport]) -> float | None:
-    """Return the drift from trial to trial, which tells most; within trials, where the device's clock began anew."""
-    starts_s = np.array([s.device_time_s[0] for s in streams if s.device_time_s is not None])
-    offsets_s = np.array([report.offset_s for report in reports])
-    anew = (np.diff(starts_s) <= 0) | (np.abs(np.diff(offsets_s)) > JUMP_S)
-    if len(starts_s) > 2 and not anew.any():
-        return float(np.polyfit(starts_s - starts_s[0], offsets_s, 1)[0] * 1e6)
-    within = [report.drift_ppm for report in reports if report.drift_ppm is not None]
-    return float(np.median(within)) if within else None
+def line_band(hours: FloatArray, values: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the least-squares line and the half-width of its 95 % confidence band.
+
+    Parameters
+    ----------
+    hours, values : (n,)
+        At least three points that are not all at one time.
+    at : (m,)
+        Where line and band are wanted.
+
+    Returns
+    -------
+    line, half : (m,)
+        Working-Hotelling is not used: the band holds at each point, not for the line as a whole.
+    """
+    from scipy.stats import t
+
+    centre, n = hours.mean(), len(hours)
+    square = float(((hours - centre) ** 2).sum())
+    slope = float(((hours - centre) * values).sum()) / square
+    residual = values - values.mean() - slope * (hours - centre)
+    sd = math.sqrt(float(residual @ residual) / (n - 2))
+    half = float(t.ppf(0.975, n - 2)) * sd * np.sqrt(1 / n + (at - centre) ** 2 / square)
+    return values.mean() + slope * (at - centre), half
 
 
-def clock_text(stream: StreamHealth) -> tuple[str, str]:
-    """Return a device's clock offset and drift: ``12.03 s``, ``5.2 ppm``; empty where they are not known."""
-    offset_s, drift_ppm = stream.clock_offset_s, stream.clock_drift_ppm
+def spreads(view: RunView, objective: str) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+    """Return mean, standard deviation and number of trials of every condition that was repeated, each (n,)."""
+    points = [point for point in view.points(objective) if len(point.values) > 1]
     return (
-        "" if offset_s is None else f"{offset_s:.4g} s",
-        "" if drift_ppm is None else f"{drift_ppm:.3g} ppm",
+        np.array([point.mean for point in points]),
+        np.array([point.values.std(ddof=1) for point in points]),
+        np.array([len(point.values) for point in points], dtype=np.int64),
     )
+
+
+def chance_band(sd: float, repeats: int) -> tuple[float, float]:
+    """Return within what 95 % of the standard deviations of `repeats` values lie if the true one is `sd`.
+
+    Of normal values: s^2 (n - 1) / sd^2 has a chi-squared distribution with n - 1 degrees of freedom.
+    """
+    from scipy.stats import chi2
+
+    low, high = (float(chi2.ppf(q, repeats - 1)) for q in (0.025, 0.975))
+    return sd * math.sqrt(low / (repeats - 1)), sd * math.sqrt(high / (repeats - 1))
+
+
+def grows_with_size(means: FloatArray, sds: FloatArray) -> float | None:
+    """Return Spearman's correlation of spread and size of the mean where it is beyond chance (p < 0.01), else None."""
+    from scipy.stats import spearmanr
+
+    if len(means) < 8 or np.ptp(np.abs(means)) == 0.0 or np.ptp(sds) == 0.0:
+        return None
+    found: Any = spearmanr(np.abs(means), sds)
+    return float(found.statistic) if float(found.pvalue) < 0.01 else None
+
+
+if TYPE_CHECKING:
+    from labrun.store import Run
+
+SUFFIX = "_drift_corrected"
+
+
+def drift_of(run: "Run") -> list[Drift]:
+    """Return the drift of every objective that at least three reference trials measured.
+
+    Raises
+    ------
+    RequestError
+        There are not so many, or the run's clock began anew in its course, so that their times do not compare.
+    """
+    found = drift(RunView(run, experiment_of(run.experiment_toml, run.name), None))
+    if not found:
+        references = sum(o.role == "reference" and o.status == "done" for o in run.outcomes)
+        raise RequestError(
+            f"no drift can be removed from {run.path}: it takes three accepted reference trials at different times, "
+            f"and there are {references or 'none'}",
+            hint="trial.reference in the experiment file asks for one every so many trials",
+        )
+    starts = [outcome.started_s for outcome in run.outcomes]
+    if any(later < earlier for earlier, later in pairwise(starts)):
+        raise RequestError(
+            f"no drift can be removed from {run.path}: its clock began anew in its course (the machine was restarted), "
+            "so that times before and after do not compare",
+            hint="export it without --remove-drift",
+        )
+    return found
+
+
+def without_drift(outcomes: Sequence[TrialOutcome], found: Sequence[Drift]) -> list[TrialOutcome]:
+    """Return the trials with an objective more for every one that drifts: ``<objective>_drift_corrected``.
+
+    From each value the line through the reference trials is subtracted, from where it stands at the first trial's
+    start: values become those the bench would have given then. The objectives themselves stay as measured.
+
+    Parameters
+    ----------
+    outcomes
+        Of one run, in the order they ran.
+    found
+        From `drift_of`.
+    """
+    start_s = outcomes[0].started_s if outcomes else 0.0
+    return [
+        replace(
+            outcome,
+            objectives=outcome.objectives
+            | {
+                f"{item.objective}{SUFFIX}": outcome.objectives[item.objective]
+                - item.slope_per_h * (outcome.started_s - start_s) / 3600
+                for item in found
+                if item.objective in outcome.objectives
+            },
+        )
+        for outcome in outcomes
+    ]

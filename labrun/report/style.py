@@ -3,12 +3,17 @@
 import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.axis import XAxis, YAxis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import NullFormatter
 
 INK = "#1a1a1a"
 SOFT = "#8a8a8a"
@@ -16,6 +21,9 @@ FAINT = "#d9d9d9"
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#6a51a3", "#000000")
 """Okabe & Ito (2008), told apart by all common kinds of colour vision; yellow, too light for lines, is replaced."""
 DIVERGING = "RdBu_r"
+"""Of values of both signs, centred at zero."""
+SEQUENTIAL = "viridis"
+"""Of values of one sign."""
 BEST = "#111111"
 DPI = 160
 _HEADING_IN = 0.46
@@ -53,17 +61,18 @@ _RC: Any = {
     "hatch.linewidth": 0.5,
     "figure.facecolor": "white",
     "savefig.facecolor": "white",
+    "svg.hashsalt": "labrun",
+    "svg.fonttype": "path",
+    "text.parse_math": False,
 }
 
 
 @contextmanager
-def new_figure(width_in: float, height_in: float) -> "Iterator[Figure]":
-    """Make a figure in labrun's style; draw on it inside the context."""
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
+def new_figure(width_in: float, height_in: float) -> Iterator[Figure]:
+    """Make a figure in labrun's style; draw on it inside the context.
 
+    Texts are names from people's files and are taken as they stand: a dollar sign begins no formula.
+    """
     with rc_context(_RC):
         layout = ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.06, wspace=0.03, hspace=0.03)
         figure = Figure(figsize=(width_in, height_in), layout=layout)
@@ -71,12 +80,32 @@ def new_figure(width_in: float, height_in: float) -> "Iterator[Figure]":
         yield figure
 
 
-def save(figure: "Figure", path: Path) -> Path:
+def as_svg(figure: Figure) -> bytes:
+    """Return a figure as SVG, the same bytes for the same drawing.
+
+    Letters become outlines, so that it looks alike where the font is missing.
+    """
+    return _written(figure, "svg", {"Date": None, "Creator": None})
+
+
+def as_png(figure: Figure) -> bytes:
+    """Return a figure as PNG, the same bytes for the same drawing."""
+    return _written(figure, "png", {"Software": None})
+
+
+def save(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG; whole or not at all."""
     temporary = path.with_name(f".{path.name}.partial")
-    figure.savefig(temporary, dpi=DPI, format="png")
+    temporary.write_bytes(as_png(figure))
     temporary.replace(path)
     return path
+
+
+def _written(figure: Figure, kind: str, metadata: dict[str, None]) -> bytes:
+    buffer = BytesIO()
+    with rc_context(_RC):
+        figure.savefig(buffer, dpi=DPI, format=kind, metadata=metadata)
+    return buffer.getvalue()
 
 
 def heading_height_in(width_in: float, subtitle: str) -> float:
@@ -89,10 +118,8 @@ def _wrapped(subtitle: str, width_in: float) -> list[str]:
     return textwrap.wrap(whole, int(width_in * _CHARACTERS_PER_IN), break_on_hyphens=False)
 
 
-def heading(figure: "Figure", title: str, subtitle: str) -> None:
+def heading(figure: Figure, title: str, subtitle: str) -> None:
     """Put the title, and below it what the reader has to know, over the whole figure."""
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
     width, height = (float(side) for side in figure.get_size_inches())
     lines = _wrapped(subtitle, width)
     band = heading_height_in(width, subtitle) / height
@@ -103,13 +130,22 @@ def heading(figure: "Figure", title: str, subtitle: str) -> None:
     figure.text(0.012, 1 - 0.36 / height, "\n".join(lines), ha="left", va="top", fontsize=9, color="#444444")
 
 
-def zero_line(axes: "Axes") -> None:
+def zero_line(axes: Axes) -> None:
     """Mark zero if it lies within the axes."""
     low, high = axes.get_ylim()
     if low < 0 < high:
         axes.axhline(0, color=SOFT, linewidth=0.7, zorder=0)
 
 
-def panel_letter(axes: "Axes", letter: str, title: str) -> None:
+def plain_numbers(axis: XAxis | YAxis) -> None:
+    """Write the ticks of a logarithmic axis as numbers, 0.01, rather than as powers of ten."""
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_minor_formatter(NullFormatter())
+
+
+def panel_letter(axes: Axes, letter: str, title: str) -> None:
     """Name a panel: bold letter, then what it shows."""
-    axes.set_title(rf"$\bf{{{letter}}}$   {title}")
+    axes.set_title(f"     {title}")
+    axes.annotate(
+        letter, (0, 1), xytext=(0, 6), xycoords="axes fraction", textcoords="offset points", fontweight="bold"
+    )

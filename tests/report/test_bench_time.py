@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labrun.report.bench_time import bench_time
+from labrun.report.timing import bench_time
 from labrun.store import SettleSummary, TrialOutcome
 
 DURATION = st.floats(min_value=0.0, max_value=500.0)

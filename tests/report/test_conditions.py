@@ -3,29 +3,16 @@
 import io
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from memory_run import sweep_view
 from rich.console import Console
 
-from labrun.app.run import execute
 from labrun.report.conditions import condition_results, in_order, most_promising, varying
+from labrun.report.figures.runs import condition_title
 from labrun.report.findings import findings
-from labrun.report.run_overlay import condition_title
-from labrun.runner import SilentProgress
-from labrun.spec import load_named
 from labrun.store import open_run
-
-
-@pytest.fixture(scope="module")
-def tracked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    results = tmp_path_factory.mktemp("results")
-    short = ("trial.duration_s=6", "trial.repeats=2")
-    objectives = ("objectives.first_cycle.to_s=3", "objectives.later.from_s=3", "objectives.later.to_s=6")
-    loaded = load_named("force-control", results, (*short, *objectives))
-    return execute(loaded, results=results, dry_run=True, seed=2, limit=5, progress=SilentProgress()).run
 
 
 def test_every_accepted_trial_but_references_counts_once_in_its_condition():

@@ -1,4 +1,3 @@
-import matplotlib.image
 import numpy as np
 import pytest
 from hypothesis import given
@@ -6,11 +5,11 @@ from hypothesis import strategies as st
 from memory_run import MemoryRun, sweep_view
 
 from labrun.report.data import RunView
-from labrun.report.grid_axes import Axis, axes_of, best_over_others, most_telling
-from labrun.report.run_overlay import draw_plain_run
-from labrun.report.search_progress import draw_search
-from labrun.report.sweep_map import draw_sweep
-from labrun.report.traces import folded_cycle
+from labrun.report.figures.runs import draw_plain_run
+from labrun.report.figures.search import draw_search
+from labrun.report.figures.sweep import Axis, axes_of, best_over_others, draw_sweep, map_colours, most_telling
+from labrun.report.figures.traces import folded_cycle
+from labrun.report.style import DIVERGING, SEQUENTIAL, save
 
 GRID = {"from": 0, "to": 10, "step": 2.5}
 
@@ -19,12 +18,12 @@ def ridge(c):
     return 0.5 - 0.1 * abs(c["f"] - 4) + 0.02 * c.get("a", 0) - 0.03 * abs(c.get("b", 0))
 
 
-def is_a_picture(path):
-    pixels = matplotlib.image.imread(path)
-    assert pixels.shape[0] > 400
+def is_a_picture(figure):
+    figure.canvas.draw()
+    pixels = np.asarray(figure.canvas.buffer_rgba())
+    assert pixels.shape[0] > 250
     assert pixels.shape[1] > 600
-    assert np.ptp(pixels[..., :3]) > 0.5
-    return pixels
+    assert np.ptp(pixels[..., :3]) > 120
 
 
 @pytest.mark.parametrize(
@@ -39,24 +38,24 @@ def is_a_picture(path):
     ],
     ids=["curve", "map", "panels", "best-over-others", "words", "one-condition"],
 )
-def test_a_sweep_over_any_number_of_parameters_has_its_picture(tmp_path, axes):
+def test_a_sweep_over_any_number_of_parameters_has_its_picture(axes):
     view = sweep_view(ridge, axes, units={"f": "Hz", "a": "deg", "b": "deg"})
-    is_a_picture(draw_sweep(view, tmp_path / "figure.png"))
+    is_a_picture(draw_sweep(view))
 
 
 @pytest.mark.parametrize("names", [["f", "a"], ["f", "a", "b"]])
-def test_a_scattered_design_has_its_picture(tmp_path, names):
+def test_a_scattered_design_has_its_picture(names):
     axes = {name: {"from": 0, "to": 10} for name in names}
     view = sweep_view(ridge, axes, design="sobol", samples=64, repeats=1)
-    is_a_picture(draw_sweep(view, tmp_path / "figure.png"))
+    is_a_picture(draw_sweep(view))
 
 
-def test_a_plain_run_has_its_picture(tmp_path):
-    is_a_picture(draw_plain_run(sweep_view(ridge, {"f": [1, 2, 3, 4]}, kind="run"), tmp_path / "figure.png"))
+def test_a_plain_run_has_its_picture():
+    is_a_picture(draw_plain_run(sweep_view(ridge, {"f": [1, 2, 3, 4]}, kind="run")))
 
 
 def test_a_picture_is_whole_or_absent(tmp_path):
-    draw_sweep(sweep_view(ridge, {"f": GRID}), tmp_path / "figure.png")
+    save(draw_sweep(sweep_view(ridge, {"f": GRID})), tmp_path / "figure.png")
     assert [path.name for path in tmp_path.iterdir()] == ["figure.png"]
 
 
@@ -86,18 +85,18 @@ def search_view():
 
 
 @pytest.mark.parametrize("count", [1, 12])
-def test_a_search_has_its_picture_after_one_generation_and_after_many(tmp_path, count):
+def test_a_search_has_its_picture_after_one_generation_and_after_many(count):
     generations = [generation(k, restart=k > 8) for k in range(1, count + 1)]
-    is_a_picture(draw_search(search_view(), generations, tmp_path / "figure.png"))
+    is_a_picture(draw_search(search_view(), generations))
 
 
-def test_a_generation_in_which_nothing_could_run_does_not_break_the_picture(tmp_path):
+def test_a_generation_in_which_nothing_could_run_does_not_break_the_picture():
     nothing = {
         **generation(1),
         "candidates": [{"value": None, "values": [], "feasible": False}],
         "feasible_share": 0.0,
     }
-    is_a_picture(draw_search(search_view(), [nothing, generation(2)], tmp_path / "figure.png"))
+    is_a_picture(draw_search(search_view(), [nothing, generation(2)]))
 
 
 def test_axes_are_what_varies_and_cells_lie_around_their_values():
@@ -133,3 +132,18 @@ def test_a_folded_cycle_keeps_mean_and_shape_at_any_sample_rate(rate_hz, level):
     assert cycle.mean() == pytest.approx(level, abs=0.06)
     phase = (np.arange(len(cycle)) + 0.5) / len(cycle)
     assert np.corrcoef(cycle, np.sin(4 * np.pi * phase))[0, 1] > 0.9
+
+
+@pytest.mark.parametrize(("lift", "colours"), [(0.0, DIVERGING), (5.0, SEQUENTIAL), (-5.0, SEQUENTIAL)])
+def test_only_an_objective_of_both_signs_has_colours_on_either_side_of_zero(lift, colours):
+    view = sweep_view(lambda c: c["f"] - 5 + lift, {"f": GRID, "a": GRID}, noise=0.0, repeats=1)
+    found, scale = map_colours(view.points("thrust"))
+    assert found == colours
+    assert (scale.vmin, scale.vmax) == ((-5.0, 5.0) if colours == DIVERGING else (lift - 5, lift + 5))
+
+
+def test_a_run_without_a_sensor_has_no_empty_picture():
+    view = sweep_view(ridge, {"f": [1]}, kind="run")
+    view.run.signals = lambda index: {}
+    experiment = view.experiment.model_copy(update={"objectives": {}})
+    assert draw_plain_run(RunView(view.run, experiment, None)) is None

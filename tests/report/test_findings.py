@@ -12,8 +12,8 @@ from labrun.errors import SpecError
 from labrun.report.data import RunView
 from labrun.report.findings import Findings, findings
 from labrun.report.progress import LiveProgress
-from labrun.report.statistics import drift, repeatability, settling, stream_health
-from labrun.report.text import duration_text, label
+from labrun.report.statistics import drift, repeatability, settling
+from labrun.report.timing import stream_health
 from labrun.spec import loads_experiment
 from labrun.store import RunFolder, TrialOutcome, open_run
 
@@ -188,17 +188,3 @@ def test_the_live_display_is_quiet_where_nobody_watches():
     console = Console(file=io.StringIO(), force_terminal=False)
     drive(LiveProgress(console))
     assert console.file.getvalue() == ""
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [(3.4, "3 s"), (59.7, "1 min 00 s"), (200, "3 min 20 s"), (18420, "5 h 07 min"), (187200, "2 d 4 h")],
-)
-def test_durations_read_as_people_say_them(seconds, text):
-    assert duration_text(seconds) == text
-
-
-def test_axis_labels_carry_units_from_the_file_or_from_the_name():
-    assert label("f", {"f": "Hz"}) == "f (Hz)"
-    assert label("angle_deg", {}) == "angle (deg)"
-    assert label("release", {}) == "release"

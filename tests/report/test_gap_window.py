@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from labrun.report.gap_window import telling_window
+from labrun.report.figures.gap_traces import telling_window
 
 TIME_S = np.arange(0.0, 10.0, 0.01)
 SWING = np.sin(2 * np.pi * 3.0 * TIME_S + 0.3)

@@ -8,9 +8,9 @@ import tempfile
 import pytest
 from rich.console import Console
 
+from labrun.app.carry_out import draw
 from labrun.app.resume import resume
 from labrun.errors import RequestError
-from labrun.report.figure import draw_run
 from labrun.report.findings import findings
 from labrun.report.progress import LiveProgress
 from labrun.store import export_run, import_recording, open_target
@@ -105,4 +105,4 @@ def test_an_imported_recording_has_nothing_to_resume(recording, tmp_path):
 
 def test_an_imported_recording_has_its_picture(recording, tmp_path):
     run_folder = import_recording(recording, tmp_path / "results")
-    assert draw_run(run_folder, None).is_file()
+    assert draw(run_folder, None).is_file()

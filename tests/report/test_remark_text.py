@@ -2,7 +2,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labrun.devices import Remark
-from labrun.report.remark_text import remark_text
+from labrun.report.terminal import remark_text
 
 WORDS = st.lists(st.text("abcdef0123456789=_/.-", min_size=1, max_size=12), min_size=1, max_size=40).map(
     " ".join

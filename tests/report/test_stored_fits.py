@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from labrun.report.stored_fits import StoredFit, stored_fits
-from labrun.report.tables import print_fit
+from labrun.report.terminal import print_fit
 
 
 def write(folder, name, numbers):

@@ -1,39 +1,23 @@
 """The picture and the findings of a closed-loop run, from a short dry run."""
 
-from pathlib import Path
-
-import pytest
-
+from labrun.app.carry_out import draw
 from labrun.app.report import read_source
-from labrun.app.run import execute
 from labrun.report.data import RunView
-from labrun.report.figure import draw_run
 from labrun.report.findings import findings
-from labrun.report.html import report_html
-from labrun.report.loop_health import LoopHealth, loop_health, loop_words
 from labrun.report.recorded import experiment_of
-from labrun.runner import SilentProgress
-from labrun.spec import load_named
+from labrun.report.run_page import run_page
+from labrun.report.timing import LoopHealth, loop_health, loop_words
 from labrun.store import open_run
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    results = tmp_path_factory.mktemp("results")
-    short = ("trial.duration_s=6", "trial.repeats=1")
-    objectives = ("objectives.first_cycle.to_s=3", "objectives.later.from_s=3", "objectives.later.to_s=6")
-    loaded = load_named("force-control", results, (*short, *objectives))
-    return execute(loaded, results=results, dry_run=True, seed=2, limit=3, progress=SilentProgress()).run
-
-
-def test_a_closed_loop_run_is_drawn_even_when_only_some_controllers_have_run(run):
-    figure = draw_run(run, None)
+def test_a_closed_loop_run_is_drawn_even_when_only_some_controllers_have_run(tracked):
+    figure = draw(tracked, None)
     assert figure is not None
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_loop_s_time_is_told_from_what_it_recorded(run):
-    with open_run(run) as stored:
+def test_the_loop_s_time_is_told_from_what_it_recorded(tracked):
+    with open_run(tracked) as stored:
         view = RunView(stored, experiment_of(stored.experiment_toml, stored.name), None)
         health = loop_health(view, [0, 1, 2])
     assert health is not None
@@ -42,9 +26,9 @@ def test_the_loop_s_time_is_told_from_what_it_recorded(run):
     assert 0 <= health.latency_median_s <= health.latency_p99_s < 0.05
 
 
-def test_show_and_report_tell_the_same_of_it(run):
-    with open_run(run) as stored:
-        found, text = findings(stored), report_html(read_source(stored))
+def test_show_and_report_tell_the_same_of_it(tracked):
+    with open_run(tracked) as stored:
+        found, text = findings(stored), run_page(read_source(stored))
     assert found.loop is not None
     assert loop_words(found.loop) in text.replace("\u00a0", " ")
 
@@ -55,7 +39,7 @@ def test_missed_deadlines_are_counted_in_words():
     assert "latency 12 ms in the median, 40 ms at 99 %" in words
 
 
-def test_an_open_loop_run_has_no_loop_to_tell_of(run):
-    with open_run(run) as stored:
+def test_an_open_loop_run_has_no_loop_to_tell_of(tracked):
+    with open_run(tracked) as stored:
         experiment = experiment_of(stored.experiment_toml, stored.name).model_copy(update={"track": None})
         assert loop_health(RunView(stored, experiment, None), [0]) is None

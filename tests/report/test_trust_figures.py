@@ -7,10 +7,16 @@ import pytest
 from memory_run import MemoryRun, sweep_view
 
 from labrun.report.data import RunView
-from labrun.report.drift_figure import draw_drift, line_band, reference_values
-from labrun.report.repeatability_figure import chance_band, draw_repeatability, grows_with_size
-from labrun.report.settling_figure import draw_settling
-from labrun.report.statistics import drift, repeatability
+from labrun.report.figures.trust import draw_drift, draw_repeatability, draw_settling
+from labrun.report.statistics import (
+    chance_band,
+    drift,
+    grows_with_size,
+    line_band,
+    reference_values,
+    repeatability,
+)
+from labrun.report.style import as_svg
 from labrun.store import SettleSummary, TrialOutcome
 
 
@@ -67,9 +73,9 @@ def drawings():
     waits = [TrialOutcome(k, {}, 0, settle=SettleSummary("quiet", 5.0 + k)) for k in range(5)]
     waits.append(TrialOutcome(5, {}, 0, settle=SettleSummary("timeout", 60.0)))
     return {
-        "drift": draw_drift(view, drift(view)),
-        "repeatability": draw_repeatability(swept, repeatability(swept)[0]),
-        "settling": draw_settling(waits),
+        "drift": as_svg(draw_drift(view, drift(view))),
+        "repeatability": as_svg(draw_repeatability(swept, repeatability(swept)[0])),
+        "settling": as_svg(draw_settling(waits)),
     }
 
 
@@ -84,4 +90,5 @@ def test_figures_are_whole_drawings_that_load_nothing_and_repeat_byte_for_byte()
 
 
 def test_a_run_that_settled_at_once_everywhere_can_be_drawn():
-    assert draw_settling([TrialOutcome(0, {}, 0, settle=SettleSummary("time", 0.0))]).startswith(b"<?xml")
+    figure = draw_settling([TrialOutcome(0, {}, 0, settle=SettleSummary("time", 0.0))])
+    assert as_svg(figure).startswith(b"<?xml")

@@ -9,7 +9,7 @@ from labrun.app.check import check
 from labrun.app.resume import resume
 from labrun.app.run import execute
 from labrun.errors import LabrunError, PlanError, RequestError, SpecError
-from labrun.report.plan_text import plan_text
+from labrun.report.terminal import plan_text
 from labrun.runner import Interrupted, SilentProgress
 from labrun.search.result import Best, RunResult
 from labrun.spec import load_experiment

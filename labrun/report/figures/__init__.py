@@ -1,1 +1,36 @@
-"""Figures of runs, fits and diagnoses, in one style."""
+"""Figures of runs, fits and diagnoses: functions that return a matplotlib figure, one module for each kind."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from labrun.report.data import RunView
+from labrun.report.figures.gap import diagnosis_figure
+from labrun.report.figures.runs import draw_plain_run
+from labrun.report.figures.search import draw_search
+from labrun.report.figures.sweep import draw_sweep
+from labrun.report.figures.track import draw_track
+
+__all__ = ["diagnosis_figure", "run_figure"]
+
+
+def run_figure(view: RunView, generations: Sequence[Mapping[str, Any]] = ()) -> Figure | None:
+    """Draw a run as its kind asks for; None where it has no accepted trial, or nothing that could be drawn.
+
+    Parameters
+    ----------
+    view
+        The run.
+    generations
+        Of its search, if it has one.
+    """
+    if not any(outcome.status == "done" for outcome in view.run.outcomes):
+        return None
+    if view.experiment.kind == "cmaes" and generations:
+        return draw_search(view, generations)
+    if view.experiment.kind == "sweep" and view.objective is not None:
+        return draw_sweep(view)
+    if view.experiment.kind == "track":
+        return draw_track(view)
+    return draw_plain_run(view)

@@ -135,8 +135,10 @@ def _draw_panel(axes: "Axes", panel: Panel, width_in: float, *, own_legend: bool
         _draw_curve(axes, curve)
     if "x" in panel.log:
         axes.set_xscale("log")
+        style.plain_numbers(axes.xaxis)
     if "y" in panel.log:
         axes.set_yscale("log")
+        style.plain_numbers(axes.yaxis)
     if panel.x_range is not None:
         axes.set_xlim(*panel.x_range)
     if panel.y_range is not None:

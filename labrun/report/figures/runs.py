@@ -1,0 +1,161 @@
+"""The figure of a plain run: traces of every condition, and its objectives with their repeats."""
+
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from labrun.report.conditions import in_order, varying
+from labrun.report.data import Point, RunView
+from labrun.report.style import COLOURS, SOFT, heading, new_figure, zero_line
+from labrun.report.text import condition_text, interval_text, label, value_text
+from labrun.spec import condition_key
+from labrun.store import TrialOutcome
+
+_TITLE_WIDTH = 48
+_MOST_CONDITIONS = 12
+_MOST_REPEATS = 8
+_COLUMNS = 3
+_WIDTH_IN = 9.6
+_CHARACTERS_PER_IN = 10.0
+PANEL_TITLE = "mean and 95 % interval; dots are single trials"
+
+
+def draw_plain_run(view: RunView) -> Figure | None:
+    """Draw a run of listed conditions: traces by condition, then the objective over all of them.
+
+    None of a run that recorded no channel and has no objective: there is nothing to draw.
+    """
+    groups = groups_of(view)
+    channel = view.channel
+    shown = list(groups.values())[:_MOST_CONDITIONS] if channel is not None else []
+    points = view.points(view.objective) if view.objective is not None else []
+    columns = min(_COLUMNS, max(len(shown), 1))
+    rows = -(-len(shown) // columns) if shown else 0
+    heights = [1.75 * rows] * bool(rows) + [2.6] * bool(points)
+    if not heights:
+        return None
+    with new_figure(_WIDTH_IN, sum(heights) + 0.9) as figure:
+        parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
+        if rows and channel is not None:
+            grid = parts[0][0].subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+            for number, axes in enumerate(grid.flat):
+                if number >= len(shown):
+                    axes.set_visible(False)
+                    continue
+                _traces(axes, view, shown[number], channel)
+                if number + columns >= len(shown):
+                    axes.set_xlabel("time (s)")
+                    axes.tick_params(labelbottom=True)
+                if number % columns == 0:
+                    axes.set_ylabel(view.trace_label)
+        if points:
+            axes = parts[-1][0].subplots(1, 1)
+            objective_panel(axes, view, points, objective=str(view.objective), width_in=_WIDTH_IN)
+            axes.set_title(PANEL_TITLE)
+        heading(figure, view.experiment.title, _subtitle(view, groups, len(shown)))
+    return figure
+
+
+def groups_of(view: RunView) -> dict[object, list[TrialOutcome]]:
+    """Return the accepted trials of every condition, in the order of `in_order`."""
+    groups: dict[object, list[TrialOutcome]] = {}
+    for outcome in view.run.outcomes:
+        if outcome.status == "done" and outcome.role != "reference":
+            groups.setdefault(condition_key(outcome.condition), []).append(outcome)
+    ordered = in_order(view.experiment, (trials[0].condition for trials in groups.values()))
+    return {key: groups[key] for key in map(condition_key, ordered)}
+
+
+def _subtitle(view: RunView, groups: dict[object, list[TrialOutcome]], shown: int) -> str:
+    text = f"{len(groups)} conditions, {sum(len(trials) for trials in groups.values())} accepted trials"
+    if shown < len(groups):
+        text += f" (traces of the first {shown} conditions)"
+    best = view.best
+    if best is None:
+        return text
+    value = interval_text(best.value, best.ci95, best.unit)
+    return f"{text}.  Best: {best.objective_name} {value} at {condition_text(best.parameters)}"
+
+
+def _traces(axes: Axes, view: RunView, trials: Sequence[TrialOutcome], channel: str) -> None:
+    repeats = trials[:_MOST_REPEATS]
+    for number, trial in enumerate(repeats):
+        trace = view.trace(trial, channel)
+        if trace is not None:
+            axes.plot(*trace, color=COLOURS[number % len(COLOURS)], linewidth=0.8, alpha=0.75)
+    axes.set_title(condition_title(view, trials[0]))
+    count = (
+        f"{len(repeats)} repeats"
+        if len(repeats) == len(trials)
+        else f"{len(repeats)} of {len(trials)} repeats"
+    )
+    axes.text(
+        0.985,
+        0.97,
+        count,
+        transform=axes.transAxes,
+        ha="right",
+        va="top",
+        fontsize=7.5,
+        color="#444444",
+        bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
+    )
+    axes.set_xlim(0, max(trial.duration_s for trial in repeats))
+    zero_line(axes)
+
+
+def condition_title(view: RunView, trial: TrialOutcome) -> str:
+    """Return a trial's condition with units, folded to fit over a panel."""
+    units = view.experiment.units
+    parts = (f"{name} = {value_text(value, units.get(name, ''))}" for name, value in trial.condition.items())
+    whole = [part.replace(" ", "\u00a0") for part in parts]  # a line never ends within a value
+    return textwrap.fill(", ".join(whole), _TITLE_WIDTH)
+
+
+def objective_panel(
+    axes: Axes, view: RunView, points: Sequence[Point], *, objective: str, width_in: float
+) -> None:
+    """Draw an objective over all conditions: single trials, means, intervals.
+
+    Parameters
+    ----------
+    axes
+        Where.
+    view
+        The run.
+    points
+        Of the objective.
+    objective
+        Its name.
+    width_in
+        Width of the panel, inches: how many conditions can be named side by side.
+    """
+    by_key = {condition_key(point.condition): point for point in points}
+    conditions = in_order(view.experiment, (point.condition for point in points))
+    for position, point in enumerate(by_key[condition_key(condition)] for condition in conditions):
+        spread = np.linspace(-0.16, 0.16, len(point.values)) if len(point.values) > 1 else np.zeros(1)
+        axes.plot(
+            position + spread, point.values, "o", color=SOFT, markersize=3.5, alpha=0.6, markeredgewidth=0
+        )
+        axes.plot([position - 0.22, position + 0.22], [point.mean] * 2, color=COLOURS[0], linewidth=2)
+        if point.ci95 is not None:
+            axes.plot([position] * 2, point.ci95, color=COLOURS[0], linewidth=1.2)
+    differing = varying(conditions)
+    names = [", ".join(value_text(c[name]) for name in differing if name in c) for c in conditions]
+    if len(names) > _MOST_CONDITIONS:
+        axes.set_xlabel("conditions, in ascending order")
+        axes.set_xticks([])
+    else:
+        crowded = max(len(name) for name in names) + 2 > _CHARACTERS_PER_IN * width_in / len(names)
+        axes.set_xticks(
+            range(len(names)), names, rotation=30 if crowded else 0, ha="right" if crowded else "center"
+        )
+        axes.set_xlabel(", ".join(label(name, view.experiment.units) for name in differing))
+    axes.set_xlim(-0.6, len(conditions) - 0.4)
+    unit = view.unit_of(objective)
+    axes.set_ylabel(f"{objective} ({unit})" if unit else objective)
+    zero_line(axes)

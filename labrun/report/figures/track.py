@@ -1,0 +1,133 @@
+"""The figure of a closed-loop run: how each controller follows its reference, what it sets, how far it is off."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from labrun.arrays import FloatArray
+from labrun.report.data import RunView
+from labrun.report.figures.runs import PANEL_TITLE, condition_title, groups_of, objective_panel
+from labrun.report.style import COLOURS, INK, heading, new_figure
+from labrun.signals import Signals
+from labrun.spec import LOOP_DEVICE, loop_channel
+from labrun.store import TrialOutcome
+
+_MOST_CONDITIONS = 8
+_ACROSS = 4
+_MOST_REPEATS = 5
+_ROW_IN = 2.75
+_MOST_OBJECTIVES = 3
+_OBJECTIVES_IN = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class _Panel:
+    """What one pair of axes shows: a loop under one condition."""
+
+    loop: str
+    trials: Sequence[TrialOutcome]
+    streams: Sequence[Signals]
+
+
+def draw_track(view: RunView) -> Figure:
+    """Draw a closed-loop run.
+
+    For every condition and loop: reference and feedback of its trials, and the variable that the loop sets below; then
+    the objectives over all conditions, side by side.
+    """
+    track = view.experiment.track
+    assert track is not None  # noqa: S101  (only runs of kind track are drawn this way)
+    groups = list(groups_of(view).values())
+    shown = groups[:_MOST_CONDITIONS]
+    objectives = _objectives(view)
+    bands = max(-(-len(shown) // _ACROSS), 1)
+    across = max(-(-len(shown) // bands), 1)
+    width_in = max(3.1 * across, 6.4)
+    rows = len(track.loops) * bands
+    with new_figure(width_in, _ROW_IN * rows + _OBJECTIVES_IN * bool(objectives) + 0.9) as figure:
+        heights = [_ROW_IN * rows] + [_OBJECTIVES_IN] * bool(objectives)
+        parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
+        grid = parts[0][0].subplots(
+            2 * rows, across, sharex=True, sharey="row", squeeze=False, height_ratios=[1.7, 1.0] * rows
+        )
+        for number, loop in enumerate(track.loops):
+            for place in range(bands * across):
+                row, column = 2 * (number * bands + place // across), place % across
+                above, below = grid[row][column], grid[row + 1][column]
+                if place >= len(shown):
+                    above.set_visible(False)
+                    below.set_visible(False)
+                    continue
+                _draw(view, _panel(view, loop, shown[place]), above, below, first=column == 0)
+                if number == len(track.loops) - 1 and place + across >= len(shown):
+                    below.set_xlabel("time (s)")
+                    below.tick_params(labelbottom=True)
+        if objectives:
+            panels = parts[-1][0].subplots(1, len(objectives), squeeze=False)[0]
+            for axes, objective in zip(panels, objectives, strict=True):
+                width = width_in / len(objectives)
+                objective_panel(axes, view, view.points(objective), objective=objective, width_in=width)
+            panels[0].set_title(PANEL_TITLE)
+        heading(figure, view.experiment.title, _subtitle(view, len(groups), len(shown)))
+    return figure
+
+
+def _objectives(view: RunView) -> list[str]:
+    """Return the first objectives that have a value, that with the goal before the others."""
+    names = sorted(view.experiment.objectives, key=lambda name: name != view.objective)
+    return [name for name in names if view.points(name)][:_MOST_OBJECTIVES]
+
+
+def _panel(view: RunView, loop: str, trials: Sequence[TrialOutcome]) -> _Panel:
+    repeats = trials[:_MOST_REPEATS]
+    streams = [view.run.signals(trial.index).get(LOOP_DEVICE) for trial in repeats]
+    return _Panel(loop, trials, [stream for stream in streams if stream is not None])
+
+
+def _draw(view: RunView, panel: _Panel, above: Axes, below: Axes, *, first: bool) -> None:
+    name = panel.loop
+    for number, stream in enumerate(panel.streams):
+        colour = COLOURS[number % len(COLOURS)]
+        above.plot(stream.time_s, _column(stream, name, "feedback"), color=colour, linewidth=0.9, alpha=0.75)
+        below.plot(stream.time_s, _column(stream, name, "drive"), color=colour, linewidth=0.9, alpha=0.75)
+    if panel.streams:
+        whole = panel.streams[0]
+        above.plot(
+            whole.time_s,
+            _column(whole, name, "reference"),
+            color=INK,
+            linewidth=1.3,
+            ls=(0, (4, 2)),
+        )
+        above.set_xlim(0, float(whole.time_s[-1]))
+    track = view.experiment.track
+    loop = track.loops[name] if track is not None else None
+    several = track is not None and len(track.loops) > 1
+    above.set_title(condition_title(view, panel.trials[0]) + (f"\nloop {name}" if several else ""))
+    if not first:
+        return
+    above.set_ylabel(f"{name} ({_unit(panel, name, 'feedback')})")
+    drive = loop.drives if loop is not None else "drive"
+    below.set_ylabel(f"{drive} ({_unit(panel, name, 'drive')})")
+
+
+def _column(stream: Signals, loop: str, quantity: str) -> FloatArray:
+    return np.asarray(stream.column(loop_channel(loop, quantity)))
+
+
+def _unit(panel: _Panel, loop: str, quantity: str) -> str:
+    wanted = loop_channel(loop, quantity)
+    first = panel.streams[0] if panel.streams else None
+    return (first.unit(wanted) if first is not None and wanted in first.columns else "") or "1"
+
+
+def _subtitle(view: RunView, conditions: int, shown: int) -> str:
+    track = view.experiment.track
+    rate = f"loop at {track.rate_hz:g} Hz" if track is not None else ""
+    accepted = sum(outcome.status == "done" for outcome in view.run.outcomes)
+    text = f"{conditions} conditions, {accepted} accepted trials, {rate}; dashed: the reference, colours: repeats"
+    return text + (f" (the first {shown} conditions are shown)" if shown < conditions else "")

@@ -1,0 +1,365 @@
+"""The page of a run: what its template tells of, made from what was read of the run."""
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from labrun.report.conditions import conditions_context
+from labrun.report.figures import run_figure
+from labrun.report.figures.trust import MOST_PANELS, draw_drift, draw_repeatability, draw_settling
+from labrun.report.page import Drawing, Table, drawn, render
+from labrun.report.report_source import ReportSource
+from labrun.report.statistics import settling
+from labrun.report.stored_fits import as_table, fit_context
+from labrun.report.text import (
+    counted,
+    duration_text,
+    interval_words,
+    named_condition,
+    quantity_text,
+    scatter_text,
+    share_text,
+    short_time_text,
+    spaced,
+    with_unit,
+)
+from labrun.report.timing import LEAST_JITTER_S, STEPS, clock_text, command_health, loop_words
+from labrun.report.verdict import (
+    checks,
+    drift_sentence,
+    what_came_out,
+    what_it_resolves,
+    what_was_run,
+    why_it_went_on,
+    why_unfinished,
+)
+from labrun.search.result import resume_line
+from labrun.signals import Signals
+from labrun.store import TrialOutcome
+
+_TRIALS_SHOWN = 200
+_UNFOLDED = 12
+_INCIDENTS = ("interrupted", "failed", "stopped", "damaged", "resumed", "limit-reached")
+_STEP_WORDS = {
+    "move": "moving to the start",
+    "settle": "settling",
+    "tare": "taring",
+    "record": "recording",
+    "safe pose": "moving to the safe pose",
+    "store": "storing",
+}
+_TOLD_APART = frozenset(
+    {"experiment_text", "versions", "machine", "git", "devices", "command", "dry_run", "emulated", "seed"}
+)
+_LINKS = {
+    "result": "figure",
+    "rejected": "rejected trials",
+}
+
+
+def run_page(source: ReportSource) -> str:
+    """Return the page of a run; the same run gives the same text, byte for byte."""
+    return render("run.html.j2", run_context(source))
+
+
+def run_context(source: ReportSource) -> dict[str, Any]:
+    """Return what the template ``run.html.j2`` tells of; a section that says nothing is None."""
+    run = source.run
+    sections = {
+        "result": _figure(source),
+        "conditions": conditions_context(source.view) if source.accepted else None,
+        "repeatability": _repeatability(source),
+        "drift": _drift(source),
+        "settling": _settling(source),
+        "timing": _timing(source),
+        "rejected": _rejected(source),
+        "fits": [fit_context(fit) for fit in source.fits] or None,
+        "gap": source.diagnosis,
+        "provenance": {
+            "origin": Table(("", ""), _origin(run.provenance), words=(0, 1)),
+            "resolved": run.experiment_toml,
+            "written": run.provenance.get("experiment_text"),
+        },
+    }
+    return {
+        "title": f"{source.experiment.title} ({run.identifier})",
+        "source": source,
+        "folder": run.path if source.folder is None else source.folder,
+        "links": [
+            (name, _LINKS.get(name, name)) for name, section in sections.items() if section is not None
+        ],
+        "to_go_on": None if source.finished or source.folder is None else resume_line(source.folder),
+        "why_unfinished": why_unfinished(source),
+        "what_was_run": what_was_run(source),
+        "best": _best(source),
+        "what_came_out": "" if source.best is not None else what_came_out(source),
+        "checks": checks(source),
+        **sections,
+    }
+
+
+def _figure(source: ReportSource) -> Drawing | None:
+    alt = f"Result of {source.experiment.title}: the numbers it shows stand in the tables below"
+    return drawn(lambda: run_figure(source.view, source.generations), "result", alt)
+
+
+def _best(source: ReportSource) -> Mapping[str, str] | None:
+    best = source.best
+    if best is None:
+        return None
+    value, interval = interval_words(best.value, best.ci95, best.unit)
+    confirming = counted(best.trials, "confirming trial")
+    below = f"95 % interval {interval}, from {confirming} that took no part in the choice"
+    if not interval:
+        below = f"no interval: {confirming}"
+    if not source.finished:
+        below += "; provisional, the confirmation was not completed"
+    return {
+        "name": spaced(best.objective_name),
+        "value": value,
+        "below": below,
+        "luckiest": quantity_text(best.luckiest, best.unit),
+        "at": named_condition(best.parameters, source.experiment.units),
+    }
+
+
+# How far the run can be believed
+
+
+def _repeatability(source: ReportSource) -> Mapping[str, Any] | None:
+    found = source.repeatability
+    if not found:
+        return {"table": None} if source.experiment.objectives and source.accepted else None
+    main = next((item for item in found if item.objective == source.view.objective), found[0])
+    rows = [
+        [
+            spaced(item.objective),
+            scatter_text(item.sd, item.unit),
+            "" if item.between_sd is None else scatter_text(item.between_sd, item.unit),
+            str(item.degrees_of_freedom),
+        ]
+        for item in found
+    ]
+    alt = f"Standard deviation of repeated trials against the mean of {main.objective}, one dot a condition"
+    return {
+        "told": what_it_resolves(source, main),
+        "figure": drawn(lambda: draw_repeatability(source.view, main), "repeatability", alt),
+        "table": Table(
+            ("objective", "sd within a condition", "sd between conditions", "degrees of freedom"), rows
+        ),
+    }
+
+
+def _drift(source: ReportSource) -> Mapping[str, Any] | None:
+    if not source.experiment.objectives or not source.run.outcomes:
+        return None
+    if not source.drift:
+        references = sum(outcome.role == "reference" for outcome in source.run.outcomes)
+        there = f"There {'is' if references == 1 else 'are'} {counted(references, 'reference trial')}"
+        return {"too_few": there}
+    shown = ", ".join(item.objective for item in source.drift[:MOST_PANELS])
+    alt = f"Reference trials over bench time with the line through them, for {shown}"
+    return {
+        "too_few": "",
+        "told": [drift_sentence(source, item) for item in source.drift],
+        "figure": drawn(lambda: draw_drift(source.view, source.drift), "drift", alt),
+    }
+
+
+def _settling(source: ReportSource) -> Mapping[str, Any] | None:
+    found = settling(source.run.outcomes)
+    if found is None:
+        return None
+    watched = {outcome.settle.channel for outcome in source.run.outcomes if outcome.settle is not None}
+    alt = "Distribution of settle times by reason, and settle times in the order of the trials"
+    return {
+        "told": f"{why_it_went_on(found)} Half of the waits took {found.median_s:.3g} s or less, the longest "
+        f"{short_time_text(found.longest_s)}.",
+        "watched": ", ".join(sorted(channel for channel in watched if channel)),
+        "figure": drawn(lambda: draw_settling(source.run.outcomes), "settling", alt),
+    }
+
+
+# Time
+
+
+def _timing(source: ReportSource) -> Mapping[str, Any] | None:
+    if not source.run.outcomes:
+        return None
+    looked, of = len(source.streams_looked_at), len(source.run.outcomes)
+    return {
+        "bench": _bench(source),
+        "loop": None if source.loop is None else (loop_words(source.loop), bool(source.loop.missed)),
+        "commands": _commands(source),
+        "streams": _streams(source),
+        "looked_at": f"{counted(looked, 'trial')} "
+        + (f"(all {looked})" if looked == of else f"({looked} of {of}, evenly over the run)"),
+    }
+
+
+def _bench(source: ReportSource) -> Mapping[str, Any] | None:
+    spent = source.bench_time
+    if spent is None:
+        return None
+    longest = max(STEPS, key=spent.of)
+    return {
+        "total": duration_text(spent.total_s),
+        "each": short_time_text(spent.total_s / len(source.run.outcomes)),
+        "longest": _STEP_WORDS[longest],
+        "longest_share": share_text(spent.of(longest), spent.total_s),
+        "rows": [
+            {
+                "step": _STEP_WORDS[step],
+                "share": spent.of(step) / spent.total_s,
+                "total": duration_text(spent.of(step)),
+                "median": f"{spent.median_s(step):.{2 if spent.median_s(step) < 10 else 3}g} s",
+            }
+            for step in STEPS
+            if step in spent.steps
+        ],
+    }
+
+
+def _commands(source: ReportSource) -> Table | None:
+    """Return how evenly set-points went out; None where no device tells."""
+    rows = [
+        [
+            item.device,
+            f"{item.rate_hz:.4g}",
+            str(item.sent),
+            f"{item.missed} ({share_text(item.missed, item.sent + item.missed)})" if item.missed else "0",
+            *(f"{1e3 * late_s:.2g}" for late_s in (item.late_median_s, item.late_p99_s, item.late_worst_s)),
+        ]
+        for item in command_health(source.run.events)
+    ]
+    columns = ("device", "rate (Hz)", "sent", "skipped", "late, median (ms)", "99 % (ms)", "worst (ms)")
+    return Table(columns, rows) if rows else None
+
+
+def _streams(source: ReportSource) -> Table | None:
+    if not source.streams:
+        return None
+    first = source.run.signals(source.run.outcomes[0].index)
+    rows = [
+        [
+            item.device,
+            _channels(first.get(item.device)),
+            f"{item.nominal_hz:.4g}",
+            f"{item.actual_hz:.4g}",
+            f"{1000 * item.jitter_s:.2g}" if item.jitter_s > LEAST_JITTER_S else "0",
+            *clock_text(item),
+            str(item.samples),
+            f"{item.lost} ({share_text(item.lost, item.samples + item.lost)})" if item.lost else "0",
+            str(item.saturated),
+        ]
+        for item in source.streams
+    ]
+    columns = (
+        "device", "channels", "nominal (Hz)", "actual (Hz)", "jitter, sd (ms)", "clock offset", "drift",
+        "samples", "lost", "saturated",
+    )  # fmt: skip
+    marked = [place for place, item in enumerate(source.streams) if item.saturated]
+    return Table(columns, rows, words=(0, 1), marked=marked)
+
+
+def _channels(signals: Signals | None) -> str:
+    if signals is None:
+        return ""
+    return ", ".join(with_unit(name, unit) for name, unit in zip(signals.columns, signals.units, strict=True))
+
+
+# Trials that do not count
+
+
+def _rejected(source: ReportSource) -> Mapping[str, Any] | None:
+    total = len(source.run.outcomes)
+    if not total:
+        return None
+    counts = Counter((outcome.status, _kind_of(outcome)) for outcome in source.spoiled)
+    reasons = [
+        [status, reason, str(count), share_text(count, total)]
+        for (status, reason), count in counts.most_common()
+    ]
+    trials = [
+        [
+            str(outcome.index),
+            outcome.status,
+            outcome.reason,
+            named_condition(outcome.condition, source.experiment.units),
+            outcome.role,
+            str(outcome.repeat + 1),
+            str(outcome.attempt + 1),
+        ]
+        for outcome in source.spoiled[:_TRIALS_SHOWN]
+    ]
+    columns = ("trial", "status", "reason", "condition", "role", "repeat", "attempt")
+    incidents = [
+        [str(event.get("time_utc", ""))[:19].replace("T", " "), event["event"], _told(event)]
+        for event in source.run.events
+        if event["event"] in _INCIDENTS
+    ]
+    return {
+        "total": total,
+        "spoiled": len(source.spoiled),
+        "reasons": Table(("status", "reason", "trials", "share"), reasons, words=(0, 1)),
+        "trials": Table(columns, trials, words=(1, 2, 3, 4)),
+        "folded": len(source.spoiled) > _UNFOLDED,
+        "more": len(source.spoiled) - len(trials),
+        "incidents": Table(("UTC", "event", ""), incidents, words=(0, 1, 2)),
+    }
+
+
+def _kind_of(outcome: TrialOutcome) -> str:
+    """Return the reason without the numbers of this one trial, so that like reasons count together."""
+    head, colon, tail = (outcome.reason or "no reason given").partition(": ")
+    return head if colon and any(character.isdigit() for character in tail) else head + colon + tail
+
+
+def _told(event: Mapping[str, Any]) -> str:
+    if event["event"] == "limit-reached":
+        limit = event.get("limit")
+        return "after one new trial, as asked" if limit == 1 else f"after {limit} new trials, as asked"
+    if event["event"] == "resumed":
+        changed = event.get("changed")
+        return f"with a changed experiment file: {changed}" if changed else ""
+    told = str(event.get("reason") or event.get("cause") or "")
+    failures = event.get("failures")
+    return f"{told}; did not stop: {failures}" if failures else told
+
+
+# Origin
+
+
+def _origin(provenance: Mapping[str, Any]) -> list[list[str]]:
+    rows = [["seed", str(provenance["seed"])]] if "seed" in provenance else []
+    if "dry_run" in provenance:
+        emulated = "emulated (real drivers)" if provenance.get("emulated") else "hardware"
+        rows.append(["bench", "simulated (dry run)" if provenance["dry_run"] else emulated])
+    rows += [
+        [f"device {name}", _device(device)] for name, device in as_table(provenance.get("devices")).items()
+    ]
+    git = provenance.get("git")
+    if git:
+        changed = git.get("changed_files", 0)
+        rows.append(
+            ["git", f"{git.get('commit', '')}, {f'{changed} changed files' if changed else 'no changes'}"]
+        )
+    elif "git" in provenance:
+        rows.append(["git", "the workspace was not under version control"])
+    versions, machine = as_table(provenance.get("versions")), as_table(provenance.get("machine"))
+    rows += [[f"{name} version", str(version)] for name, version in versions.items()]
+    rows += [[str(name), str(value)] for name, value in machine.items()]
+    command = provenance.get("command")
+    if isinstance(command, list):
+        rows.append(["command", " ".join(str(word) for word in command)])
+    rest = {name: value for name, value in provenance.items() if name not in _TOLD_APART}
+    return rows + [[spaced(str(name)), str(value)] for name, value in rest.items()]
+
+
+def _device(device: Any) -> str:
+    if not isinstance(device, Mapping):
+        return str(device)
+    known = [str(device.get("model", ""))]
+    known += [f"{key} {device[key]}" for key in ("serial", "firmware") if device.get(key)]
+    known += [f"{key} {value}" for key, value in as_table(device.get("details")).items()]
+    return ", ".join(part for part in known if part)

@@ -1,0 +1,375 @@
+"""Runs, recordings, fits, plans and remarks in a terminal."""
+
+import shutil
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from labrun.devices import Remark
+from labrun.fit.estimate import rounded
+from labrun.report.conditions import ConditionResult, standard_error, varying
+from labrun.report.stored_fits import StoredFit
+from labrun.report.text import (
+    bytes_text,
+    condition_text,
+    decimal_text,
+    decimals_for,
+    duration_text,
+    interval_text,
+    label,
+    quantity_text,
+    share_text,
+    short_time_text,
+    value_text,
+    with_unit,
+)
+from labrun.report.timing import LEAST_JITTER_S, clock_text, loop_words
+from labrun.runner import JointPeak, Plan, percent
+from labrun.search.result import unsettled_text
+
+if TYPE_CHECKING:
+    from labrun.report.findings import Findings, RecordingFindings
+
+_MOST_REASONS = 6
+_STATUSES = ("done", "rejected", "failed")
+
+
+def print_findings(found: "Findings", console: Console | None = None) -> None:
+    """Print findings: what the run was, its best, and what speaks for and against trusting it."""
+    console = console or Console()
+    console.print(Text(found.title, style="bold"))
+    state = "finished" if found.finished else f"not finished; labrun resume {found.run}"
+    dry = "dry run, " if found.dry_run else "emulated, " if found.emulated else ""
+    console.print(
+        Text(
+            f"{found.experiment}, {found.kind}, {dry}{duration_text(found.bench_time_s)} of bench time, {state}"
+        ),
+        highlight=False,
+    )
+    for fault in found.faults:
+        console.print(Text(f"damaged: {fault}", style="yellow"))
+    _print_best(found, console)
+    print_conditions(found, console)
+    console.print(_trials(found))
+    for reason, count in list(found.spoiled.items())[:_MOST_REASONS]:
+        console.print(Text(f"  {count} x {reason}", style="yellow"), highlight=False)
+    if found.repeatability:
+        console.print(_repeatability(found))
+    if found.drift:
+        console.print(_drift(found))
+    if found.settling is not None:
+        reasons = ", ".join(f"{count} {reason}" for reason, count in found.settling.reasons.items())
+        median, longest = (
+            short_time_text(one) for one in (found.settling.median_s, found.settling.longest_s)
+        )
+        text = f"settling: {reasons}; median {median}, longest {longest}"
+        console.print(Text(text), highlight=False)
+    if found.unsettled:
+        warning = unsettled_text(found.unsettled, sum(by.get("done", 0) for by in found.trials.values()))
+        console.print(Text(f"warning: {warning}", style="bold yellow"), highlight=False)
+    if found.streams:
+        console.print(_streams(found))
+    if found.loop is not None:
+        style = "yellow" if found.loop.missed else ""
+        console.print(Text(f"loop: {loop_words(found.loop)}", style=style), highlight=False)
+    for fit in found.fits:
+        print_fit(fit, console)
+    for name, path in (("run", found.run), ("figure", found.figure)):
+        if path is not None:
+            console.print(Text(f"{name:<7} {path}"), highlight=False, soft_wrap=True)
+
+
+def print_recording(found: "RecordingFindings", console: Console | None = None) -> None:
+    """Print what a recording holds: its channels, and its trials by condition."""
+    console = console or Console()
+    console.print(Text(f"Recording {found.experiment}", style="bold"))
+    lasting = short_time_text(found.duration_s)
+    console.print(Text(f"{found.trials} trials, {lasting} of samples"), highlight=False)
+    for fault in found.faults:
+        console.print(Text(f"damaged: {fault}", style="yellow"))
+    channels = _table("channels", "channel", "kind", "unit", "rate")
+    for channel in found.channels:
+        channels.add_row(channel.name, channel.kind, channel.unit, f"{channel.rate_hz:.4g} Hz")
+    console.print(channels)
+    conditions = _table("trials by condition", "condition", "trials", "done", "duration")
+    for item in found.conditions:
+        shortest, longest = f"{item.shortest_s:.4g}", f"{item.longest_s:.4g}"
+        lasted = f"{longest} s" if shortest == longest else f"{shortest} to {longest} s"
+        name = condition_text(item.condition) or "(none given)"
+        conditions.add_row(name, str(item.trials), str(item.done), lasted)
+    console.print(conditions)
+    paths = {"run": found.run, "imported from": found.imported_from}
+    if found.run == found.imported_from:
+        paths = {"recording": found.run}
+    for name, path in paths.items():
+        console.print(Text(f"{name:<13} {path}"), highlight=False, soft_wrap=True)
+
+
+def _print_best(found: "Findings", console: Console) -> None:
+    best = found.best
+    if best is None:
+        return
+    value = interval_text(best.value, best.ci95, best.unit)
+    console.print(
+        Text.assemble(
+            ("best ", "bold"),
+            f"{best.objective_name} = ",
+            (value, "bold green"),
+            f" (95 % interval, {best.trials} confirming trials)\n",
+            f"  at {condition_text(best.parameters)}\n",
+            (f"  luckiest single trial {quantity_text(best.luckiest, best.unit)}", "dim"),
+        ),
+        highlight=False,
+    )
+
+
+def print_fit(fit: StoredFit, console: Console) -> None:
+    """Print a fit's estimates and what it says of itself."""
+    if fit.fault:
+        console.print(
+            Text(f"fit {fit.path.name} cannot be read: {fit.fault}", style="yellow"), highlight=False
+        )
+        return
+    table = _table(f"fit: {fit.title}", "parameter", "value, 95 % interval", "unit")
+    for name, estimate in fit.estimates.items():
+        value, low, high = rounded(estimate)
+        table.add_row(name, f"{value} [{low}, {high}]", estimate.unit)
+    console.print(table)
+    for sentence in fit.sentences("findings"):
+        console.print(Text(f"- {sentence}"), highlight=False)
+    for sentence in fit.sentences("warnings"):
+        console.print(Text(f"! {sentence}", style="yellow"), highlight=False)
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    for number, column in enumerate(columns):
+        table.add_column(column, justify="left" if number == 0 else "right")
+    return table
+
+
+def _trials(found: "Findings") -> Table:
+    table = _table("trials", "role", *_STATUSES)
+    for role, counts in found.trials.items():
+        table.add_row(role, *(str(counts.get(status, 0)) for status in _STATUSES))
+    return table
+
+
+def _repeatability(found: "Findings") -> Table:
+    table = _table("repeatability", "objective", "sd within a condition", "sd between conditions", "freedom")
+    for item in found.repeatability:
+        between = "" if item.between_sd is None else quantity_text(item.between_sd, item.unit)
+        table.add_row(
+            item.objective, quantity_text(item.sd, item.unit), between, str(item.degrees_of_freedom)
+        )
+    return table
+
+
+def _drift(found: "Findings") -> Table:
+    table = _table(
+        "drift, by reference trials", "objective", "per hour of bench time, 95 % interval", "trials", ""
+    )
+    for item in found.drift:
+        slope = interval_text(item.slope_per_h, item.ci95, f"{item.unit}/h")
+        verdict = Text("drifts", style="yellow") if item.visible else Text("none visible")
+        table.add_row(item.objective, slope, str(item.trials), verdict)
+    return table
+
+
+def _streams(found: "Findings") -> Table:
+    title = f"streams, from {found.streams_of} trials"
+    columns = ("device", "rate, nominal (Hz)", "jitter", "offset", "drift", "samples", "lost", "saturated")
+    table = _table(title, *columns)
+    table.collapse_padding = True  # with short words, all of it fits a terminal of 80 columns
+    for item in found.streams:
+        style = "yellow" if item.lost or item.saturated else ""
+        table.add_row(
+            item.device,
+            f"{item.actual_hz:.4g}, {item.nominal_hz:.4g}",
+            f"{1000 * item.jitter_s:.2g} ms" if item.jitter_s > LEAST_JITTER_S else "0 ms",
+            *clock_text(item),
+            str(item.samples),
+            f"{item.lost} ({share_text(item.lost_share)})",
+            str(item.saturated),
+            style=style,
+        )
+    return table
+
+
+if TYPE_CHECKING:
+    from labrun.report.findings import Findings
+
+_ALL_SHOWN = 12
+_BEST_SHOWN = 10
+_UNBOUNDED = 10_000
+
+
+def print_conditions(found: "Findings", console: Console) -> None:
+    """Print what every condition gave: all of a few, or the most promising of many."""
+    if not found.objective_units or not found.conditions:
+        return
+    shown = _shown(found)
+    table = _condition_table(found, shown, " ")
+    unbounded = console.options.update(max_width=_UNBOUNDED)
+    if console.measure(table, options=unbounded).maximum > console.width:
+        table = _condition_table(found, shown, "\n")  # units below the names, so that no number is broken
+        table.collapse_padding = True
+    console.print(table)
+    if len(shown) < found.conditions_total:
+        text = f"... of {found.conditions_total} conditions"
+        if found.goal is not None:
+            text += "; all accepted trials: what leads is on average too good"
+        console.print(Text(text), highlight=False)
+
+
+def _condition_table(found: "Findings", shown: Sequence[ConditionResult], before_unit: str) -> Table:
+    names = varying(result.condition for result in found.conditions)
+    headed = f"conditions, by {found.goal[0]}" if found.goal is not None else "conditions"
+    title = f"{headed}: means ± half their 95 % intervals"
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in names:
+        words = any(isinstance(result.condition.get(name), str) for result in shown)
+        heading = label(name, found.condition_units).replace(" (", f"{before_unit}(")
+        table.add_column(heading, justify="left" if words else "right")
+    table.add_column("n", justify="right")
+    decimals: dict[str, int | None] = {}
+    for name, unit in found.objective_units.items():
+        heading = with_unit(name, unit).replace(" (", f"{before_unit}(")
+        table.add_column(heading, justify="right")
+        points = [result.points[name] for result in shown if name in result.points]
+        decimals[name] = decimals_for(standard_error(point) for point in points)
+    marked = any(result.best for result in shown)
+    if marked:
+        table.add_column("")
+    for result in shown:
+        cells = [value_text(result.condition[name]) if name in result.condition else "" for name in names]
+        cells.append(str(result.accepted))
+        cells += [_mean(result, name, decimals[name]) for name in found.objective_units]
+        if marked:
+            cells.append("best" if result.best else "")
+        table.add_row(*cells, style="green" if result.best else "")
+    return table
+
+
+def _shown(found: "Findings") -> list[ConditionResult]:
+    if found.conditions_total <= _ALL_SHOWN:
+        return list(found.conditions)
+    shown = list(found.conditions[: _BEST_SHOWN if found.goal is not None else _ALL_SHOWN])
+    winner = next((result for result in found.conditions if result.best), None)
+    if winner is not None and winner not in shown:
+        shown[-1] = winner
+    return shown
+
+
+def _mean(result: ConditionResult, objective: str, decimals: int | None) -> str:
+    point = result.points.get(objective)
+    if point is None:
+        return ""
+    mean, interval = decimal_text(point.mean, decimals), point.ci95
+    return mean if interval is None else f"{mean} ± {decimal_text(interval[1] - point.mean, decimals)}"
+
+
+_NO_LIMIT = "no limit set"
+_NAMED = 6
+"""Of the constraints and limits that exclude part of a search space, so many are named."""
+
+
+def plan_text(plan: Plan, results: Path) -> str:
+    """Return a plan as a person reads it: trials, time, disk, and every joint's demand beside its limits.
+
+    Parameters
+    ----------
+    plan
+        Of `labrun.runner.plan.plan`.
+    results
+        Where runs will be written; its disk's free space stands beside what the run needs.
+    """
+    folder = next(path for path in (results, *results.absolute().parents) if path.is_dir())
+    free = shutil.disk_usage(folder).free
+    rates = ", ".join(f"{name} {rate:g} Hz" for name, rate in plan.rates_hz.items())
+    lines = [
+        *_what_is_measured(plan),
+        f"trials      {_between(str(plan.trials), str(plan.trials_at_most))}",
+        f"time        {_between(duration_text(plan.time_s), duration_text(plan.time_at_most_s))} on the bench, "
+        f"{_settling(plan)}",
+        f"disk        {bytes_text(plan.disk_bytes)} of {bytes_text(free)} free",
+        f"sensors     {rates or 'none'}",
+    ]
+    lines += [f"joint       {_joint(peak)}" for peak in plan.peaks]
+    lines += [f"note        {note}" for note in plan.notes]
+    if plan.excess:
+        lines.append(f"limits      {len(plan.excess)} of {plan.conditions} conditions leave a limit")
+    elif plan.space is None:
+        lines.append("limits      all conditions stay inside")
+    return "\n".join(lines)
+
+
+def _what_is_measured(plan: Plan) -> list[str]:
+    space = plan.space
+    if space is None:
+        return [f"conditions  {plan.conditions}"]
+    lines = [
+        f"search      about {percent(space.share)} of the search space may run ({space.points:,} points looked at)"
+    ]
+    lines += [f"            {item}" for item in space.breaks[:_NAMED]]
+    if len(space.breaks) > _NAMED:
+        lines.append(f"            and {len(space.breaks) - _NAMED} more")
+    if space.start:
+        lines.append(f"start       the search starts where it may not run: {'; '.join(space.start)}")
+    return lines
+
+
+def _settling(plan: Plan) -> str:
+    if plan.settle_s == plan.settle_at_most_s:
+        return f"counting {plan.settle_s:g} s of settling a trial"
+    return (
+        f"counting {plan.settle_s:g} s of settling a trial (the least that evidence takes) to "
+        f"{plan.settle_at_most_s:g} s (its timeout)"
+    )
+
+
+def _between(least: str, most: str) -> str:
+    return least if least == most else f"{least} to {most}"
+
+
+def _joint(peak: JointPeak) -> str:
+    low, high = peak.angle_deg
+    angle = f"{low:.4g} to {high:.4g} deg"
+    limit = peak.angle_limit_deg
+    angle += f" ({_NO_LIMIT})" if limit is None else f" (limit {limit[0]:g} to {limit[1]:g})"
+    speed = f"{peak.speed_deg_s:.4g} deg/s"
+    speed_limit = peak.speed_limit_deg_s
+    speed += f" ({_NO_LIMIT})" if speed_limit is None else f" (limit {speed_limit:g})"
+    name = peak.joint if peak.joint == peak.device else f"{peak.joint} of {peak.device}"
+    return f"{name}: {angle}, at most {speed}"
+
+
+_INDENT = " " * 9
+
+
+def remark_text(remark: Remark, width: int | None = None) -> str:
+    """Return a remark and its advice.
+
+    Parameters
+    ----------
+    width
+        Of a line; the terminal's if None.
+    """
+    columns = shutil.get_terminal_size((120, 24)).columns if width is None else width
+    lines = [_wrapped(f"{remark.verdict:<8} {remark.subject}: {remark.message}", columns, _INDENT)]
+    if remark.advice:
+        lines.append(_wrapped(f"{_INDENT}-> {remark.advice}", columns, f"{_INDENT}   "))
+    return "\n".join(lines)
+
+
+def _wrapped(text: str, columns: int, indent: str) -> str:
+    # what is to be typed or looked up stays whole: paths and commands have no blanks to break at
+    return textwrap.fill(
+        text, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )

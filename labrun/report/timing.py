@@ -1,0 +1,346 @@
+"""Where the bench's time went, and how well streams, commands and loops kept theirs."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from labrun.report.data import RunView
+from labrun.report.text import milliseconds_text
+from labrun.signals import Signals
+from labrun.spec import LOOP_DEVICE
+from labrun.store import JUMP_S, StreamReport, TrialOutcome, stream_report
+
+STEPS = ("move", "settle", "tare", "record", "safe pose", "store")
+"""What a trial consists of, in this order."""
+
+
+@dataclass(frozen=True, slots=True)
+class BenchTime:
+    """Time by what was done with it.
+
+    Attributes
+    ----------
+    steps
+        For each of `STEPS` that took any time: seconds of every trial that has it.
+    """
+
+    steps: dict[str, list[float]]
+
+    @property
+    def total_s(self) -> float:
+        """All trials together; the baseline before them and the pauses of an interrupted run are not counted."""
+        return sum(sum(times) for times in self.steps.values())
+
+    def of(self, step: str) -> float:
+        """Return the time of one step over all trials, s."""
+        return sum(self.steps.get(step, []))
+
+    def median_s(self, step: str) -> float:
+        """Return the median over the trials that have this step, s."""
+        times = self.steps.get(step, [])
+        return float(np.median(times)) if times else 0.0
+
+
+@dataclass(slots=True)
+class _Marks:
+    """When the last execution of a trial did what, by the run's clock, s."""
+
+    prepare: float
+    record: float | None = None
+    safe_pose: float | None = None
+    stopped: float | None = None
+    gap_s: float | None = None
+
+
+@dataclass(slots=True)
+class _Reading:
+    """The journal as far as it was read."""
+
+    trials: dict[int, _Marks] = field(default_factory=dict)
+    last: int | None = None
+    """Trial that ended last in this session; the time up to the next one is the storing of it."""
+
+
+def bench_time(
+    events: Sequence[Mapping[str, Any]], outcomes: Sequence[TrialOutcome], tare_s: float
+) -> BenchTime | None:
+    """Read where the time went.
+
+    Parameters
+    ----------
+    events
+        The journal.
+    outcomes
+        Of the stored trials.
+    tare_s
+        How long a tare takes, by the experiment.
+
+    Returns
+    -------
+    BenchTime or None
+        None where the journal does not tell, as of an imported recording.
+    """
+    ends = {o.index: float(o.checkpoint["clock_s"]) for o in outcomes if o.checkpoint is not None}
+    reading = _Reading()
+    for event in events:
+        _take(event, reading, ends)
+    steps: dict[str, list[float]] = {name: [] for name in STEPS}
+    for outcome in outcomes:
+        marks = reading.trials.get(outcome.index)
+        if marks is not None:
+            end = ends.get(outcome.index, marks.stopped)
+            for name, time_s in _parts(outcome, marks, end, tare_s).items():
+                steps[name].append(max(time_s, 0.0))
+    used = {name: times for name, times in steps.items() if sum(times) > 0}
+    return BenchTime(used) if used else None
+
+
+def _take(event: Mapping[str, Any], reading: _Reading, ends: Mapping[int, float]) -> None:
+    kind, index, clock_s = event["event"], event.get("index"), event.get("clock_s")
+    if kind in ("resumed", "interrupted", "limit-reached"):
+        reading.last = None  # whoever comes back finds another clock, or the same one much later
+    if clock_s is None:
+        return
+    if kind == "prepare" and isinstance(index, int):
+        if reading.last is not None and reading.last in ends:
+            reading.trials[reading.last].gap_s = clock_s - ends[reading.last]
+        reading.trials[index] = _Marks(clock_s)
+        reading.last = index
+    elif isinstance(index, int) and (marks := reading.trials.get(index)) is not None:
+        if kind == "record":
+            marks.record = clock_s
+        elif kind == "safe-pose":
+            marks.safe_pose = clock_s
+        elif kind == "stopped":
+            marks.stopped = clock_s
+
+
+def _parts(outcome: TrialOutcome, marks: _Marks, end: float | None, tare_s: float) -> dict[str, float]:
+    settle_s = outcome.settle.duration_s if outcome.settle is not None else 0.0
+    tared_s = tare_s if outcome.tare else 0.0
+    if marks.record is None:
+        whole = end - marks.prepare if end is not None else settle_s
+        return {"move": whole - settle_s, "settle": settle_s}
+    parts = {"move": marks.record - marks.prepare - settle_s - tared_s, "settle": settle_s, "tare": tared_s}
+    recorded_until = marks.safe_pose if marks.safe_pose is not None else end
+    if recorded_until is not None:
+        parts["record"] = recorded_until - marks.record
+    if marks.safe_pose is not None and end is not None:
+        parts["safe pose"] = end - marks.safe_pose
+    if marks.gap_s is not None:
+        parts["store"] = marks.gap_s
+    return parts
+
+
+LEAST_JITTER_S = 1e-8
+"""Below this, jitter is the rounding of the stored times."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamHealth:
+    """One device's stream, over the trials that were looked at.
+
+    Attributes
+    ----------
+    nominal_hz, actual_hz
+        Rate it should have, and median rate at which it sampled, samples that were lost on the way included.
+    jitter_s
+        Standard deviation of the time between samples, by the device's clock, gaps of lost samples left out; median
+        over trials.
+    lost, saturated
+        Samples that never arrived, and that stood at the end of the range.
+    lost_share
+        Of all samples the device made.
+    clock_offset_s
+        Run clock minus device clock, median over trials; None without samples. Sample times have it in them already.
+    clock_drift_ppm
+        How fast the offset changes, parts per million, over the run, or within trials where the device's clock began
+        anew between them; None where that is too short to tell.
+    glitches
+        Places where the device's time jumped, stood still or ran backwards.
+    """
+
+    device: str
+    nominal_hz: float
+    actual_hz: float
+    jitter_s: float
+    samples: int
+    lost: int
+    lost_share: float
+    saturated: int
+    clock_offset_s: float | None
+    clock_drift_ppm: float | None
+    glitches: int
+
+
+def stream_health(view: RunView, indices: Sequence[int]) -> list[StreamHealth]:
+    """Return the health of every device's stream over the given trials."""
+    streams: dict[str, list[Signals]] = {}
+    for index in indices:
+        for name, stream in view.run.signals(index).items():
+            streams.setdefault(name, []).append(stream)
+    return [_health(name, items) for name, items in streams.items()]
+
+
+def _health(name: str, streams: Sequence[Signals]) -> StreamHealth:
+    reports = [stream_report(stream) for stream in streams if len(stream.time_s)]
+    regular = [report for report in reports if math.isfinite(report.rate_hz)]
+    samples = sum(len(stream.time_s) for stream in streams)
+    lost = sum(stream.lost for stream in streams)
+    return StreamHealth(
+        device=name,
+        nominal_hz=streams[0].rate_hz,
+        actual_hz=float(np.median([report.rate_hz for report in regular])) if regular else 0.0,
+        jitter_s=float(np.median([report.jitter_s for report in regular])) if regular else 0.0,
+        samples=samples,
+        lost=lost,
+        lost_share=lost / (samples + lost) if samples + lost else 0.0,
+        saturated=sum(stream.saturated for stream in streams),
+        clock_offset_s=float(np.median([report.offset_s for report in reports])) if reports else None,
+        clock_drift_ppm=_clock_drift_ppm([stream for stream in streams if len(stream.time_s)], reports),
+        glitches=sum(report.glitches for report in reports),
+    )
+
+
+def _clock_drift_ppm(streams: Sequence[Signals], reports: Sequence[StreamReport]) -> float | None:
+    """Return the drift from trial to trial, which tells most; within trials, where the device's clock began anew."""
+    starts_s = np.array([s.device_time_s[0] for s in streams if s.device_time_s is not None])
+    offsets_s = np.array([report.offset_s for report in reports])
+    anew = (np.diff(starts_s) <= 0) | (np.abs(np.diff(offsets_s)) > JUMP_S)
+    if len(starts_s) > 2 and not anew.any():
+        return float(np.polyfit(starts_s - starts_s[0], offsets_s, 1)[0] * 1e6)
+    within = [report.drift_ppm for report in reports if report.drift_ppm is not None]
+    return float(np.median(within)) if within else None
+
+
+def clock_text(stream: StreamHealth) -> tuple[str, str]:
+    """Return a device's clock offset and drift: ``12.03 s``, ``5.2 ppm``; empty where they are not known."""
+    offset_s, drift_ppm = stream.clock_offset_s, stream.clock_drift_ppm
+    return (
+        "" if offset_s is None else f"{offset_s:.4g} s",
+        "" if drift_ppm is None else f"{drift_ppm:.3g} ppm",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CommandHealth:
+    """One device's commands over the recordings of a run.
+
+    Attributes
+    ----------
+    device
+        Which.
+    rate_hz
+        Asked for.
+    sent, missed
+        Set-points sent, and those skipped because their successor was due already.
+    late_median_s, late_p99_s
+        From when a set-point was due to when its sending began: the median over trials of each trial's own figure.
+    late_worst_s
+        The greatest of all.
+    """
+
+    device: str
+    rate_hz: float
+    sent: int
+    missed: int
+    late_median_s: float
+    late_p99_s: float
+    late_worst_s: float
+
+
+def command_health(events: Sequence[Mapping[str, Any]]) -> list[CommandHealth]:
+    """Return how evenly each device's commands went out; empty for a run whose devices do not tell."""
+    by_device: dict[str, list[Mapping[str, Any]]] = {}
+    for event in events:
+        if event["event"] == "commands" and event["sent"]:
+            by_device.setdefault(event["device"], []).append(event)
+    return [
+        CommandHealth(
+            device,
+            rate_hz=told[0]["rate_hz"],
+            sent=sum(event["sent"] for event in told),
+            missed=sum(event["missed"] for event in told),
+            late_median_s=float(np.median([event["late_median_s"] for event in told])),
+            late_p99_s=float(np.median([event["late_p99_s"] for event in told])),
+            late_worst_s=max(event["late_worst_s"] for event in told),
+        )
+        for device, told in by_device.items()
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class LoopHealth:
+    """A loop's own time over the trials that were looked at.
+
+    Attributes
+    ----------
+    rate_hz
+        Asked for.
+    steps, missed
+        How many steps ran, and how many of them began after their deadline.
+    latency_median_s, latency_p99_s
+        From the newest sample that a step used to the command it sent: median, and what 99 % stay below.
+    latest_s
+        The greatest delay of a step behind its deadline.
+    """
+
+    rate_hz: float
+    steps: int
+    missed: int
+    latency_median_s: float
+    latency_p99_s: float
+    latest_s: float
+
+    @property
+    def missed_share(self) -> float:
+        """Share of the steps that missed their deadline."""
+        return self.missed / self.steps if self.steps else 0.0
+
+
+def loop_health(view: RunView, indices: Sequence[int]) -> LoopHealth | None:
+    """Return how the loop kept its time in these trials; None if the run has no loop, or no step was recorded."""
+    track = view.experiment.track
+    if track is None:
+        return None
+    latency, late, missed = [], [], []
+    for index in indices:
+        stream = view.run.signals(index).get(LOOP_DEVICE)
+        if stream is not None and len(stream.time_s):
+            latency.append(stream.column("latency_s"))
+            late.append(stream.column("late_s"))
+            missed.append(stream.column("missed"))
+    if not latency:
+        return None
+    known = np.concatenate(latency)
+    known = known[np.isfinite(known)]
+    median, high = np.quantile(known, [0.5, 0.99]) if len(known) else (np.nan, np.nan)
+    misses = np.concatenate(missed)
+    return LoopHealth(
+        rate_hz=track.rate_hz,
+        steps=len(misses),
+        missed=int(np.count_nonzero(misses > 0)),
+        latency_median_s=float(median),
+        latency_p99_s=float(high),
+        latest_s=float(np.max(np.concatenate(late))),
+    )
+
+
+def loop_words(health: LoopHealth) -> str:
+    """Return it in a sentence."""
+    median, high = (milliseconds_text(one) for one in (health.latency_median_s, health.latency_p99_s))
+    latency = (
+        f"latency {median} in the median, {high} at 99 %"
+        if np.isfinite(health.latency_median_s)
+        else "no step had a sample to use"
+    )
+    missed = (
+        f"{health.missed} of {health.steps} steps began late ({100 * health.missed_share:.2g} %), "
+        f"by at most {milliseconds_text(health.latest_s)}"
+        if health.missed
+        else f"none of {health.steps} steps missed its deadline"
+    )
+    return f"at {health.rate_hz:g} Hz, {latency}; {missed}"
