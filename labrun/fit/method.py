@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -12,10 +12,8 @@ from labrun import registry
 from labrun.errors import RequestError
 from labrun.fit.notes import Note, silent
 from labrun.fit.result import FitSummary
+from labrun.models import Model
 from labrun.toml import dotted, validate
-
-if TYPE_CHECKING:
-    from labrun.models import Model
 
 GROUP = "labrun.fits"
 
@@ -28,7 +26,7 @@ class FitPlan:
     """
 
     method: str = "model"
-    model: "Model | None" = None
+    model: Model | None = None
     signals: Mapping[str, str] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     methods: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -66,7 +64,7 @@ class FitJob:
     target: Path
     rng: np.random.Generator
     more: tuple[Path, ...] = ()
-    model: "Model | None" = None
+    model: Model | None = None
     signals: Mapping[str, str] = field(default_factory=dict)
     starts: int | None = None
     note: Note = silent

@@ -2,14 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from pydantic import BaseModel
 
-from labrun.errors import FitError
+from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect
+from labrun.errors import FitError, RequestError
 from labrun.fit.correlation import correlation_length
-from labrun.fit.dataset import Dataset
+from labrun.fit.dataset import Dataset, load_dataset
 from labrun.fit.estimate import Estimate
 from labrun.fit.identifiability import (
     Curvature,
@@ -19,19 +21,16 @@ from labrun.fit.identifiability import (
     undetermined,
 )
 from labrun.fit.levenberg_marquardt import minimise
+from labrun.fit.method import FitJob, NoSettings
 from labrun.fit.notes import Note, silent
 from labrun.fit.problem import OutputNoise, Problem
 from labrun.fit.resampling import resample_trials
 from labrun.fit.result import FitResult, FittedData, StartOutcome
 from labrun.fit.search import Minimum, search
-
-if TYPE_CHECKING:
-    from labrun.effects import AttachedEffect
-    from labrun.models import Model
-
-FloatArray = NDArray[np.float64]
+from labrun.models import Model
 
 FEW_TRIALS = 5
+_STARTS = 5
 _BLOCKS = 10
 """Pieces that a single trial is cut into; fewer where its residual stays correlated for longer than that."""
 _SMALLEST_SHARE = 1e-3
@@ -55,13 +54,33 @@ class ResidualSize:
     correlated: FloatArray
 
 
+class ModelFit:
+    """Output error: the model is simulated, and its parameters are those whose outputs come nearest to the measured."""
+
+    Settings: ClassVar[type[BaseModel]] = NoSettings
+
+    def __init__(self, settings: NoSettings) -> None:  # noqa: ARG002  (has none)
+        return
+
+    def __call__(self, job: FitJob) -> FitResult:
+        """Fit `job.model`; see `fit_model`."""
+        if job.model is None:
+            raise RequestError(
+                f"no model named for {job.target}",
+                hint="name one with --model FILE, or as [fit] model in the experiment, "
+                "or put model.toml beside recording.toml",
+            )
+        dataset = load_dataset(job.target, job.model, job.signals)
+        return fit_model(job.model, dataset, rng=job.rng, starts=job.starts or _STARTS, note=job.note)
+
+
 def fit_model(
-    model: "Model",
+    model: Model,
     dataset: Dataset,
     *,
     rng: np.random.Generator,
     starts: int = 5,
-    effects: "Sequence[AttachedEffect]" = (),
+    effects: Sequence[AttachedEffect] = (),
     note: Note = silent,
     method: str = "model",
 ) -> FitResult:

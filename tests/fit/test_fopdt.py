@@ -31,7 +31,7 @@ def trials_of(transfer, rng, *, count=6, noise=0.02, averaged=1):
     lag_s=st.floats(0.05, 3),
     dead_s=st.floats(0, 2),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_a_step_is_answered_by_the_closed_form_of_a_lag_and_a_dead_time(gain, lag_s, dead_s):
     transfer = TransferFunction.first_order(gain, lag_s, dead_s)
     after = TIME_S - dead_s
@@ -43,7 +43,7 @@ def test_a_step_is_answered_by_the_closed_form_of_a_lag_and_a_dead_time(gain, la
 
 
 @given(dead_s=st.floats(0, 1), seed=st.integers(0, 99))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_any_input_is_answered_as_by_python_control(dead_s, seed):
     values = np.cumsum(np.random.default_rng(seed).standard_normal(200))
     time_s = np.arange(200) * 0.05
@@ -78,15 +78,15 @@ def test_an_average_over_the_cycle_is_taken_out_of_lag_and_dead_time():
 def test_intervals_hold_the_truth_about_as_often_as_they_say():
     truth = TransferFunction.first_order(0.00912, 0.34, 0.28)
     held = np.zeros(3)
-    for seed in range(30):
+    for seed in range(14):
         rng = np.random.default_rng(seed)
-        fit = fit_transfer(trials_of(truth, rng), Shape(1, 0), rng=rng, starts=1)
+        fit = fit_transfer(trials_of(truth, rng, count=4), Shape(1, 0), rng=rng, starts=1)
         for place, (quantity, value) in enumerate(
             [(lambda one: one.gain, 0.00912), (lambda one: one.lag_s, 0.34), (lambda one: one.dead_s, 0.28)]
         ):
             low, high = fit.estimate(quantity, "").ci95
             held[place] += low <= value <= high
-    assert np.all(held >= 25), held
+    assert np.all(held >= 11), held
 
 
 def test_an_input_that_never_moves_is_refused():

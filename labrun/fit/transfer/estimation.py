@@ -131,6 +131,8 @@ class Answers:
     moved: FloatArray
     _shared: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
     _own: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
+    _spans: dict[tuple[int, int, bytes], FloatArray] = field(default_factory=dict)
+    _projected: dict[tuple[int, int, bytes], FloatArray] = field(default_factory=dict)
 
     def shared(self, trial: ResponseTrial) -> FloatArray:
         """Return what the numerator's coefficients (lowest power first) weigh, (n, linear)."""
@@ -153,6 +155,20 @@ class Answers:
                 columns = np.column_stack([columns, _averaged(free, trial.averaged)])
             self._own[key] = columns
         return self._own[key]
+
+    def span(self, trial: ResponseTrial) -> FloatArray:
+        """Return an orthonormal basis of `own` at the samples used, (n_used, k)."""
+        key = (len(trial.time_s), trial.averaged, trial.used.tobytes())
+        if key not in self._spans:
+            self._spans[key] = basis(self.own(trial)[trial.used])
+        return self._spans[key]
+
+    def projected(self, trial: ResponseTrial) -> FloatArray:
+        """Return `shared` at the samples used, less its part in `own`, (n_used, linear)."""
+        key = (id(trial.given), trial.averaged, trial.used.tobytes())
+        if key not in self._projected:
+            self._projected[key] = without(self.shared(trial)[trial.used], self.span(trial))
+        return self._projected[key]
 
 
 def basis(columns: FloatArray) -> FloatArray:
@@ -227,25 +243,29 @@ def transfer_of(shape: Shape, numbers: FloatArray, **names: str) -> TransferFunc
 def evaluate(shape: Shape, trials: Sequence[ResponseTrial], moved: FloatArray) -> Point:
     """Return a candidate's best numerator, offsets and initial states."""
     answers = Answers(shape, moved)
-    shared, outputs, owns, spans = [], [], [], []
+    linear, residuals = _projected(answers, trials)
+    own = []
     for trial in trials:
-        own = answers.own(trial)[trial.used]
-        span = basis(own)
-        owns.append(own)
-        spans.append(span)
-        shared.append(without(answers.shared(trial)[trial.used], span))
-        outputs.append(without(trial.measured[trial.used], span))
+        rest = trial.measured[trial.used] - answers.shared(trial)[trial.used] @ linear
+        own.append(_solved(answers.own(trial)[trial.used], rest))
+    squares = sum(float(part @ part) for part in residuals)
+    return Point(shape, np.array(moved, dtype=float), linear, tuple(own), tuple(residuals), squares)
+
+
+def residuals_of(shape: Shape, trials: Sequence[ResponseTrial], moved: FloatArray) -> FloatArray:
+    """Return what the best numerator, offsets and initial states leave of all trials."""
+    return np.concatenate(_projected(Answers(shape, moved), trials)[1])
+
+
+def _projected(answers: Answers, trials: Sequence[ResponseTrial]) -> tuple[FloatArray, list[FloatArray]]:
+    """Return the best numerator and every trial's residual, offsets and initial states projected out."""
+    shared = [answers.projected(trial) for trial in trials]
+    outputs = [without(trial.measured[trial.used], answers.span(trial)) for trial in trials]
     columns = np.concatenate(shared)
     sizes = np.linalg.norm(columns, axis=0)
     sizes[sizes == 0.0] = 1.0
     linear = np.linalg.lstsq(columns / sizes, np.concatenate(outputs), rcond=1e-12)[0] / sizes
-    residuals = tuple(y - x @ linear for x, y in zip(shared, outputs, strict=True))
-    mine = []
-    for trial, own in zip(trials, owns, strict=True):
-        rest = trial.measured[trial.used] - answers.shared(trial)[trial.used] @ linear
-        mine.append(_solved(own, rest))
-    squares = sum(float(part @ part) for part in residuals)
-    return Point(shape, np.array(moved, dtype=float), linear, tuple(mine), residuals, squares)
+    return linear, [y - x @ linear for x, y in zip(shared, outputs, strict=True)]
 
 
 def _solved(columns: FloatArray, aim: FloatArray) -> FloatArray:
@@ -267,11 +287,11 @@ def descend(shape: Shape, trials: Sequence[ResponseTrial], start: FloatArray, ev
     first = np.clip(start, low + 1e-9, high - 1e-9)
 
     def residuals(moved: FloatArray) -> FloatArray:
-        return np.concatenate(evaluate(shape, trials, moved).residuals)
+        return residuals_of(shape, trials, moved)
 
     found = least_squares(
-        residuals, first, bounds=(low, high), x_scale=_scales(shape, trials), diff_step=None,
-        xtol=1e-9, ftol=1e-11, gtol=1e-11, max_nfev=evaluations,
+        residuals, first, bounds=(low, high), x_scale=_scales(shape, trials), xtol=1e-9, ftol=1e-11, gtol=1e-11,
+        max_nfev=evaluations,
     )  # fmt: skip
     end = evaluate(shape, trials, found.x)
     began = evaluate(shape, trials, first)
@@ -315,7 +335,7 @@ def derivatives(point: Point, trials: Sequence[ResponseTrial]) -> list[FloatArra
         columns = np.column_stack(
             [*(one[index][trial.used] for one in moving), answers.shared(trial)[trial.used]]
         )
-        found.append(without(columns, basis(answers.own(trial)[trial.used])))
+        found.append(without(columns, answers.span(trial)))
     return found
 
 

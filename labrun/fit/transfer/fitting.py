@@ -19,7 +19,7 @@ from labrun.fit.transfer.estimation import (
     bounds,
     derivatives,
     descend,
-    evaluate,
+    residuals_of,
     shortest_s,
     total_s,
     transfer_of,
@@ -53,6 +53,8 @@ class TransferFit:
         It.
     draws : (b, size)
         Resampled numbers.
+    resampled
+        The transfer functions of those.
     blocks
         How many parts were resampled in place of trials; 0 if trials were.
     """
@@ -62,6 +64,7 @@ class TransferFit:
     point: Point
     transfer: TransferFunction
     draws: FloatArray
+    resampled: tuple[TransferFunction, ...]
     blocks: int
 
     @property
@@ -75,13 +78,9 @@ class TransferFit:
         pairs = zip(self.trials, self.point.simulated(self.trials), strict=True)
         return [(trial.measured - simulated)[trial.used] for trial, simulated in pairs]
 
-    def resampled(self) -> tuple[TransferFunction, ...]:
-        """Return the transfer functions of the resampled numbers."""
-        return tuple(transfer_of(self.shape, numbers) for numbers in self.draws)
-
     def estimate(self, quantity: Callable[[TransferFunction], float], unit: str) -> Estimate:
         """Return any quantity of the transfer function with its 95 % interval."""
-        values = [quantity(transfer_of(self.shape, numbers)) for numbers in self.draws]
+        values = [quantity(one) for one in self.resampled]
         value = quantity(self.transfer)
         low, high = np.percentile(values, [2.5, 97.5])
         return Estimate(value, (min(float(low), value), max(float(high), value)), unit)
@@ -125,7 +124,15 @@ def fit_transfer(
     score = np.array([j.T @ r for j, r in parts])
     drawn = resample_trials(information, score, rng=rng, resamples=1000).draws
     draws = point.numbers + np.clip(drawn, -_scale(shape, point), _scale(shape, point))
-    return TransferFit(shape, tuple(trials), point, transfer_of(shape, point.numbers, **names), draws, blocks)
+    return TransferFit(
+        shape,
+        tuple(trials),
+        point,
+        transfer_of(shape, point.numbers, **names),
+        draws,
+        tuple(transfer_of(shape, numbers) for numbers in draws),
+        blocks,
+    )
 
 
 def _scale(shape: Shape, point: Point) -> FloatArray:
@@ -154,7 +161,8 @@ def best_fit(
     rated: list[tuple[float, int, FloatArray]] = []
     for moved in _candidates(shape, trials):
         inside = np.clip(moved, low, high)
-        squares = evaluate(shape, trials, inside).squares
+        left = residuals_of(shape, trials, inside)
+        squares = float(left @ left)
         if np.isfinite(squares):
             rated.append((squares, len(rated), inside))
     rated.sort(key=lambda one: one[:2])

@@ -92,7 +92,7 @@ def summarise(
         files={f"{method}.toml": f"# labrun fit: {title}\n\n{tomli_w.dumps(written)}"},
         figure_data=lambda: response_figure(fits, title),
         transfers={name: fit.transfer for name, fit in fits.items()},
-        resampled={name: fit.resampled() for name, fit in fits.items()},
+        resampled={name: fit.resampled for name, fit in fits.items()},
         estimates=estimates,
     )
 

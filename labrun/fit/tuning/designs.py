@@ -332,18 +332,10 @@ def controllers_toml(
 def controller_table(design: Design, i_per: str) -> dict[str, Any]:
     """Return the keys of a design's controller table."""
     gains = design.gains
-    model = None if gains.feedforward is None else model_keys(design.loop.plant)
+    table = design.loop.plant.to_table()
+    model = {key: value for key, value in table.items() if not key.endswith(("_name", "_unit"))}
     keys = gains.settings(design.loop.step_s, i_per, model)
     return {"plugin": gains.plugin, **{key: _rounded(value) for key, value in keys.items()}}
-
-
-def model_keys(plant: TransferFunction) -> dict[str, Any]:
-    """Return the keys of a controller's model: gain, lag and dead time, or coefficients."""
-    if plant.is_first_order:
-        keys: dict[str, Any] = {"gain": plant.gain, "lag_s": plant.lag_s}
-    else:
-        keys = {"numerator": list(plant.numerator), "denominator": list(plant.denominator)}
-    return keys | {"dead_s": plant.dead_s}
 
 
 def _rounded(value: Any) -> Any:

@@ -79,7 +79,7 @@ def drawn(described: FigureData) -> "Figure":
     head_in = style.heading_height_in(width_in, subtitle)
     height_in = described.row_height_in * len(described.rows) + head_in + legend_in
     with style.new_figure(width_in, height_in) as figure:
-        figure.set_layout_engine("none")
+        figure.set_layout_engine(None)  # any engine, even an idle one, makes savefig draw twice
         style.heading(figure, title, subtitle)
         for place, row in enumerate(described.rows):
             top_in = height_in - head_in - legend_in - place * described.row_height_in
