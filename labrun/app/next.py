@@ -6,7 +6,7 @@ from pathlib import Path
 from labrun.app.question import ask, find_data
 from labrun.fit.notes import Note, silent
 from labrun.gap.next import Proposal, propose
-from labrun.gap.next.writing import require_free
+from labrun.gap.next.proposal import require_free
 
 
 def propose_next(

@@ -221,3 +221,102 @@ AT_BOUND = 1e-3
 """Part of what is searched within which a size stands at its bound."""
 CONDITIONS_SHOWN = 4
 """Conditions of which courses are kept for pictures, those with the largest gap first."""
+
+# --- where the gap is -----------------------------------------------------------------------------------------------
+
+STANDS_OUT = 0.05
+"""p below which a part of the data holds more of the gap than noise would put there."""
+LEAST_SIGNAL = 1e-3
+"""Of a signal that hardly varies: what its residual is measured in, in units of its noise."""
+STANDS_STILL = 0.02
+"""Part of its peak rate below which something stands still, and does not reverse."""
+FEW_SAMPLES = 8
+"""Trials of fewer samples are taken for single measurements: conditions are looked at by channel and by range."""
+MOST_NAMED = 3
+"""Conditions that are named one by one where they have a value in common."""
+MOST_CUT = 12
+"""Conditions beyond which a part is not looked at in each of them apart."""
+NEAR_END = 0.85
+"""Part of the travel to each side beyond which a coordinate is near its end."""
+SLOW_MOTION = 0.1
+"""Part of the peak rate below which motion is slow."""
+OFF_CENTRE = 0.5
+"""Part of half the travel by which its middle must be off zero to be told from it."""
+NEAR_REVERSAL_S, PART_OF_STROKE = 0.1, 0.2
+"""What lies this near a reversal, and at most this part of the time to the next one."""
+FEWEST_CYCLES = 1.5
+"""Cycles of a period that a trial must hold before it is one."""
+FEWEST_CYCLE_SAMPLES = 16
+"""Samples of a trial in which a cycle is looked for."""
+STATED_PERIOD_FIT = 0.7
+"""Part of a signal's variance that a stated period must explain before it is believed to be this signal's."""
+FOUND_PERIOD_FIT = 0.8
+"""Part of the second half's variance that a period found in the data must predict from the first half."""
+OSCILLATES = 0.6
+"""Part of the cycles' samples in which a site must move the way its fundamental does, for its strokes to be named."""
+FEWEST_SPECTRUM_SAMPLES, UNEVEN_STEPS = 32, 0.05
+"""Shorter trials, and those whose steps differ by more than this part, have no spectrum."""
+AT_DRIVE = (0.7, 1.4)
+"""Frequencies, in units of the drive's, that count as the drive's."""
+LAST_HARMONIC = 10.5
+"""Frequencies up to this many times the drive's count as its harmonics."""
+BANDS, SLOWEST_CYCLES = 5, 1.5
+"""Bands of trials without a cycle, and how many cycles of the first band's end a trial holds."""
+MOST_EQUATION_STATES, FEWEST_EQUATION_SAMPLES = 12, 32
+"""Models with more states, and trials with fewer samples, are not asked which equation lacks a force."""
+EQUATION_DRAWS = (19, 60)
+"""Fewest and most redrawn noises that the gain of a disturbance is compared with."""
+GAIN_PER_NUMBER = 0.005
+"""Gain per measured number by which rivals must differ to be told apart where noise is not known by repeats."""
+SMOOTH_RESIDUAL = 0.05
+"""Of a residual that hardly changes from sample to sample: no model is right to less of it."""
+BEGINS_AS_READ, BEGINS_AS_STATED = 0.02, 0.005
+"""Uncertainty of initial states, in units of their range: read from the data, and stated."""
+KNOTS_PER_CYCLE = 12
+"""Of the missing force: straight pieces then follow the third harmonic, of a cubic or a sign, to a few percent."""
+FEWEST_KNOTS, MOST_KNOTS, MOST_COEFFICIENTS = 8, 96, 640
+"""Knots of the missing force in a unit of data, and over all units."""
+FEWEST_FORCE_SAMPLES, MOST_FORCE_UNITS = 16, 80
+"""Shorter units have no missing force; beyond so many units, some of every condition stand for all."""
+FORCE_AS_GOOD = 0.02
+"""Part of the excess by which a simulation may miss what its linearisation promised."""
+CONDITIONS_HOLD = 0.75
+"""Conditions are named until they hold this part of what all of them hold."""
+MAINLY, NOTABLE = 0.6, 0.4
+"""Share from which a half of the data, and a smaller part, is worth a sentence."""
+SPECIAL = 1.3
+"""How many times its part of the data a condition or stroke must hold to be named."""
+SIMPLER_TO_SAY = 1.3
+"""How much more a value of one key says than as many conditions named one by one."""
+
+# --- what to measure next -------------------------------------------------------------------------------------------
+
+MOST_EXPLANATIONS = 6
+"""Explanations that are held against one another."""
+CLEARLY_LESS_LIKELY = 3.0
+"""Log likelihood between two explanations at which the weaker one's weight falls below a twentieth."""
+PREDICTED_APART = 0.3
+"""Difference between rivals, in units of what the outputs do, beyond which a fit may not find its way."""
+TOLD_APART = 1.5
+"""Evidence, over what a diagnosis asks for, at which two explanations are expected to be told apart: it leaves room for
+errors of sizes and parameters."""
+CLEARLY_SEEN = 2.0
+"""Standard deviations from which a difference is seen; below, the simpler explanation is named for its simplicity."""
+NEXT_TRIALS = (2, 4)
+"""Fewest and most trials that are proposed ..."""
+NEXT_REPEATS = 3
+"""... each so often."""
+ENOUGH_EVIDENCE = 3.0
+"""Evidence, over what a diagnosis asks for, at which no further trial is needed."""
+EVIDENCE_AIMED_AT = (3.0, 10.0)
+"""The same to first order; the higher one where fits in earnest imitate more than the first order says."""
+HOPELESS_EVIDENCE = 0.1
+"""Evidence of the whole pool below which a pair has no part in the choice, and trials are not worth their time."""
+VISIBLE_DIFFERENCE = 1.0
+"""Standard deviations below which trials show nothing."""
+ROOM_OF_OUTPUTS = 1.2
+"""How far beyond the recorded range of an output a planned recording may be predicted to go."""
+FARTHEST_VALUE, NO_LIMIT_NEAR = 4.0, 20.0
+"""How far beyond the greatest measured value, as a factor, where no limit is nearer than the second."""
+BY_HAND_S = 60.0
+"""What a change by hand counts for when trials are chosen (chosen; the rig time that is told is without it)."""

@@ -1,18 +1,24 @@
-"""What `labrun gap next` answers: which trials, how long they take, what they would tell apart."""
+"""What `labrun gap next` answers, in words, numbers and files: which trials, what they would tell apart."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+import tomli_w
+
+from labrun.errors import RequestError
+from labrun.fit.dataset import Dataset
+from labrun.gap import criteria
 from labrun.gap.diagnosis import Name
+from labrun.gap.next.run_bench import RunBench
+from labrun.gap.next.separation import Rival
 from labrun.gap.next.trials import PlannedTrial
+from labrun.spec import load_experiment
 
 Outcome = Literal["separates", "helps", "cannot"]
-
-SURE = 1.5
-_CLEARLY = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +42,7 @@ class Outlook:
     @property
     def by_simplicity(self) -> bool:
         """Whether the rival would explain it as well, and is dropped for having more parameters."""
-        return self.ratio >= SURE and self.sigma < _CLEARLY
+        return self.ratio >= criteria.TOLD_APART and self.sigma < criteria.CLEARLY_SEEN
 
 
 @dataclass(frozen=True)
@@ -163,7 +169,10 @@ def told(outlook: Sequence[Outlook]) -> list[str]:
     for one in outlook:
         pair = frozenset((one.truth, one.rival))
         known = worst.get(pair)
-        if known is None or (one.ratio >= SURE, one.sigma) < (known.ratio >= SURE, known.sigma):
+        if known is None or (one.ratio >= criteria.TOLD_APART, one.sigma) < (
+            known.ratio >= criteria.TOLD_APART,
+            known.sigma,
+        ):
             worst[pair] = one
     return [_told(one) for one in worst.values()]
 
@@ -171,12 +180,235 @@ def told(outlook: Sequence[Outlook]) -> list[str]:
 def _told(one: Outlook) -> str:
     if one.by_simplicity:
         return f"if it is {one.truth}, {one.rival} can do the same with more parameters: the simpler is named"
-    if one.ratio >= SURE:
+    if one.ratio >= criteria.TOLD_APART:
         return f"{one.truth} or {one.rival}: told apart, at {_number(one.sigma)} standard deviations"
-    if one.sigma < _CLEARLY:
+    if one.sigma < criteria.CLEARLY_SEEN:
         return f"{one.truth} or {one.rival}: not told apart, they predict the same"
     return f"{one.truth} or {one.rival}: {_number(one.sigma)} standard deviations, too few for what the effect shows"
 
 
 def _number(sigma: float) -> str:
     return f"{sigma:.0f}" if sigma >= 10 else f"{sigma:.1f}"
+
+
+_LATE = frozenset({"delay", "lag"})
+_OFFSET = frozenset({"constant-force", "rest-offset", "bias"})
+_DRY = frozenset({"coulomb-friction", "stribeck-friction", "presliding-friction"})
+_SIDED = frozenset({"asymmetric-friction", "asymmetric-stiffness", "constant-force"})
+_TILT = frozenset({"tilt", "tilt_rad", "tilt_deg"})
+"""What a model calls the parameter that says how its bench stands."""
+_MASS = frozenset({"added-inertia", "added-mass"})
+_FAST = frozenset({"viscous-damping", "quadratic-drag", "drag-error", "reynolds-dependent-drag"})
+_STIFF = frozenset({"cubic-stiffness", "asymmetric-stiffness", "end-stop", "backlash"})
+
+_HARDLY = "More repeats, or larger motion: what is left of the gap is hardly beyond the noise."
+_OTHERWISE = (
+    "A further sensor between the two, or motion over a wider range of amplitude and frequency than was "
+    "allowed here."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Rule:
+    """Advice for a pair with one effect in each of two sets."""
+
+    one: frozenset[str]
+    other: frozenset[str]
+    advice: str
+
+
+_RULES = (
+    _Rule(
+        frozenset({"delay"}),
+        frozenset({"lag"}),
+        "Excite faster: a delay and a lag part past 1/(2 pi tau){corner}.",
+    ),
+    _Rule(
+        frozenset({"load-dependent-friction"}),
+        _DRY | {"viscous-damping"},
+        "Load the joint differently: a second mass, as a condition that the "
+        "model uses, changes friction that depends on "
+        "the load and leaves the other as it is.",
+    ),
+    _Rule(
+        frozenset({"coulomb-friction"}),
+        frozenset({"stribeck-friction", "presliding-friction"}),
+        "The richer friction contains the simpler one, and at the sizes found "
+        "they are the same: only slower motion, and "
+        "reversals, could show a difference.",
+    ),
+    _Rule(
+        frozenset({"constant-force"}),
+        frozenset({"rest-offset"}),
+        "A constant force and a displaced rest position are the same in a "
+        "joint of one stiffness: exchange its spring, or "
+        "turn it over against gravity.",
+    ),
+    _Rule(
+        _OFFSET,
+        _OFFSET,
+        "Change what holds the joint (its spring, its load, its orientation to gravity): a force moves it by another "
+        "angle then, a sensor's bias stays; a second sensor tells the bias of the first.",
+    ),
+    _Rule(
+        frozenset({"asymmetric-friction"}),
+        frozenset({"coulomb-friction"}),
+        "The richer friction contains the simpler one, and at the sizes found they are the same: only the same course "
+        "with its sign turned round, often, could show a difference.",
+    ),
+    _Rule(
+        frozenset({"asymmetric-friction"}),
+        _DRY | _FAST | frozenset({"load-dependent-friction", "hysteresis"}),
+        "Drive it both ways alike, by the same course and that course with its sign turned round: what resists both "
+        "directions alike gives mirror images, friction with a level for each does not.",
+    ),
+    _Rule(
+        _SIDED,
+        _DRY | _SIDED | _OFFSET | _TILT,
+        "Measure at two orientations of gravity: what comes from the bench's "
+        "tilt changes sides, what belongs to the joint "
+        "does not.",
+    ),
+    _Rule(
+        _MASS,
+        _FAST | _STIFF | _LATE,
+        "Vary the frequency at the same amplitude: inertia grows with its square, the other does not.",
+    ),
+    _Rule(
+        _FAST | _STIFF | _DRY,
+        _FAST | _STIFF | _DRY,
+        "Vary the amplitude over a wide range, at one frequency: the two grow with different powers of it.",
+    ),
+)
+
+
+def would_separate(one: Rival, other: Rival) -> str:
+    """Return, as a sentence that names both, what kind of trial or bench tells two causes apart."""
+    return f"{one.name} or {other.name}: {_advice(one, other)}"
+
+
+def _advice(one: Rival, other: Rival) -> str:
+    if one.cause is None or other.cause is None:
+        return _HARDLY
+    here, there = one.cause.effect, other.cause.effect
+    if here == there:
+        return _OTHERWISE
+    for rule in _RULES:
+        if (here in rule.one and there in rule.other) or (there in rule.one and here in rule.other):
+            return rule.advice.format(corner=_corner(one, other))
+    return _OTHERWISE
+
+
+def _corner(*rivals: Rival) -> str:
+    """Return the corner frequency of a lag among the rivals, as fitted."""
+    for rival in rivals:
+        taus = list(rival.sizes.values())
+        if rival.cause is not None and rival.cause.effect == "lag" and taus and taus[0] > 0:
+            return f" = {1.0 / (2.0 * math.pi * taus[0]):.3g} Hz"
+    return ""
+
+
+def free_place(folder: Path, stem: str, name: str = "") -> Path:
+    """Return a path in a folder that is not taken: ``stem.toml``, ``stem-2.toml`` ...; or a folder's file `name`."""
+    for number in range(1, 1000):
+        numbered = stem if number == 1 else f"{stem}-{number}"
+        path = folder / numbered / name if name else folder / f"{numbered}.toml"
+        if not path.exists():
+            return path
+    raise RequestError(f"{folder} holds a thousand proposals already", hint="say where with --out")
+
+
+def require_free(path: Path) -> None:
+    """Raise RequestError if something is there."""
+    if path.exists():
+        raise RequestError(f"{path} is there already", hint="name another file, or move that one away")
+
+
+def experiment_text(
+    bench: RunBench, trials: Sequence[PlannedTrial], remarks: Sequence[str], model: str | None
+) -> str:
+    """Return the experiment file of chosen trials.
+
+    Parameters
+    ----------
+    remarks
+        What the head of the file says.
+    model
+        Instead of the one that its ``[gap]`` names; None leaves that.
+    """
+    tree = _without_defaults(bench)
+    tree["title"] = f"{tree['title']}: what tells the causes apart"
+    tree["run"] = {"conditions": [dict(trial.condition) for trial in trials]}
+    if model is not None:
+        tree["gap"] = {**tree.get("gap", {}), "model": model}
+    head = "".join(f"# {line}\n" for line in remarks)
+    return f"{head}{tomli_w.dumps(tree)}"
+
+
+def write_experiment(path: Path, text: str) -> None:
+    """Write the file, and read it again as `labrun check` does.
+
+    Raises
+    ------
+    RequestError
+        It cannot be written.
+    SpecError
+        What was written does not hold.
+    """
+    _write(path, text)
+    load_experiment(path)
+
+
+def write_recording_plan(
+    path: Path,
+    name: str,
+    dataset: Dataset,
+    trials: Sequence[PlannedTrial],
+    repeats: int,
+    remarks: Sequence[str],
+) -> None:
+    """Write a recording whose outputs are still to be measured: its toml, and the inputs of every trial as CSV."""
+    channels: dict[str, Any] = {}
+    for signal in dataset.inputs:
+        channels[signal.name] = {"kind": "input", "unit": signal.unit, "between": signal.between}
+    for signal in dataset.outputs:
+        channels[signal.name] = {"kind": "output", "unit": signal.unit}
+    entries = [
+        {"file": f"trial-{number}-{repeat}.csv", "condition": dict(trial.condition), "repeat": repeat}
+        for number, trial in enumerate(trials, start=1)
+        for repeat in range(1, repeats + 1)
+    ]
+    columns = ", ".join(signal.name for signal in dataset.outputs)
+    head = [
+        *remarks,
+        f"Each CSV file holds time and inputs of one trial; what was measured goes beside them as {columns}.",
+    ]
+    text = "".join(f"# {line}\n" for line in head)
+    text += tomli_w.dumps({"experiment": name, "channels": channels, "trials": entries})
+    _write(path, text)
+    header = ",".join(["time_s", *(signal.name for signal in dataset.inputs)])
+    for number, trial in enumerate(trials, start=1):
+        table = np.column_stack([trial.time_s, trial.inputs])
+        for repeat in range(1, repeats + 1):
+            file = path.parent / f"trial-{number}-{repeat}.csv"
+            require_free(file)
+            np.savetxt(file, table, delimiter=",", header=header, comments="", fmt="%.9g")
+
+
+def _without_defaults(bench: RunBench) -> dict[str, Any]:
+    """Return the experiment's tables as a person would write them: what is as it always is, left out."""
+    found: dict[str, Any] = bench.experiment.model_dump(
+        mode="python", by_alias=True, exclude_none=True, exclude_defaults=True
+    )
+    repeats = found.get("trial", {}).get("repeats")
+    if isinstance(repeats, Mapping) and repeats.get("min") == repeats.get("max"):
+        found["trial"]["repeats"] = repeats["min"]
+    return found
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RequestError(f"{path} cannot be written: {error.strerror}") from error

@@ -4,39 +4,112 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from labrun.fit.dataset import Dataset
 from labrun.fit.notes import Note, silent
-from labrun.gap.next.advice import would_separate
-from labrun.gap.next.choosing import choose
-from labrun.gap.next.proposal import SURE, Outcome, Outlook, Proposal, spoken, told
-from labrun.gap.next.recording_bench import RecordingBench
-from labrun.gap.next.rivals import Rivals, rivals_of
-from labrun.gap.next.separation import Evidence, Separation, predict, rehearse
-from labrun.gap.next.trials import PlannedTrial
-from labrun.gap.next.writing import (
+from labrun.gap import criteria
+from labrun.gap.next.proposal import (
+    Outcome,
+    Outlook,
+    Proposal,
     experiment_text,
     free_place,
+    spoken,
+    told,
+    would_separate,
     write_experiment,
     write_recording_plan,
 )
-from labrun.gap.pipeline import search_causes
+from labrun.gap.next.recording_bench import RecordingBench
+from labrun.gap.next.run_bench import RunBench
+from labrun.gap.next.separation import Evidence, Rivals, Separation, predict, rehearse, rivals_of
+from labrun.gap.next.trials import PlannedTrial
+from labrun.gap.pipeline import Search, search_causes
+from labrun.gap.question import Question
+from labrun.store import imported_channels, open_run
 
-if TYPE_CHECKING:
-    from labrun.fit.dataset import Dataset
-    from labrun.gap.pipeline import Search
-    from labrun.gap.question import Question
 
-REPEATS = 3
-_ROOM = 1.2
-"""How far beyond the recorded range of an output a planned recording may be predicted to go."""
-_AIMS = (3.0, 10.0)
-"""Evidence to aim at, to first order; the higher one where fits in earnest imitate more than the first order says."""
-_VISIBLE = 1.0
-_NOTHING = 0.1
-"""Evidence, over what a diagnosis asks for, below which trials are not worth their time."""
+@dataclass(frozen=True)
+class Choice:
+    """Trials of a pool.
+
+    Attributes
+    ----------
+    trials
+        Indices into `Separation.trials`.
+    evidence
+        Pair by pair.
+    """
+
+    trials: tuple[int, ...]
+    evidence: tuple[Evidence, ...]
+
+
+def choose(separation: Separation, enough: float = criteria.ENOUGH_EVIDENCE) -> Choice:
+    """Return a few trials; the cheapest way first, and whatever separates best if that does not decide.
+
+    Parameters
+    ----------
+    enough
+        Evidence of every pair, over what a diagnosis asks for, at which no further trial is taken in.
+    """
+    if not separation.trials:
+        return Choice((), tuple(separation.evidence(())))
+    aim = _Aim.of(separation, enough)
+    cheap = _greedy(separation, aim, dear=1.0)
+    if aim.least(cheap.evidence) >= criteria.TOLD_APART:
+        return cheap
+    best = _greedy(separation, aim, dear=0.0)
+    return best if aim.value(best.evidence) > aim.value(cheap.evidence) else cheap
+
+
+@dataclass(frozen=True)
+class _Aim:
+    """What counts: the pairs that any trials of the pool can separate, each up to `enough`."""
+
+    pairs: tuple[int, ...]
+    enough: float
+
+    @classmethod
+    def of(cls, separation: Separation, enough: float) -> "_Aim":
+        alone = [separation.evidence([k]) for k in range(len(separation.trials))]
+        alone.append(separation.evidence(range(len(separation.trials))))
+        most = [max(looks[pair].ratio for looks in alone) for pair in range(len(alone[0]))]
+        hopeful = tuple(pair for pair, ratio in enumerate(most) if ratio >= criteria.HOPELESS_EVIDENCE)
+        return cls(hopeful or tuple(range(len(most))), enough)
+
+    def value(self, evidence: Sequence[Evidence]) -> float:
+        """Return the evidence of all pairs; what one has beyond enough does not make up for another."""
+        ratios = [min(max(evidence[pair].ratio, -1.0), self.enough) for pair in self.pairs]
+        return sum(ratios) + len(ratios) * min(ratios)
+
+    def least(self, evidence: Sequence[Evidence]) -> float:
+        """Return the evidence of the pair that is told apart worst."""
+        return min(evidence[pair].ratio for pair in self.pairs)
+
+
+def _greedy(separation: Separation, aim: _Aim, dear: float) -> Choice:
+    """Add the trial that raises the evidence most for its time (to the power `dear`), until there is enough."""
+    chosen: list[int] = []
+    value = aim.value(separation.evidence(chosen))
+    doubt = [separation.doubt(k) for k in range(len(separation.trials))]
+    while len(chosen) < min(criteria.NEXT_TRIALS[1], len(separation.trials)):
+        rest = [k for k in range(len(separation.trials)) if k not in chosen]
+        gains = [aim.value(separation.evidence([*chosen, k])) - value for k in rest]
+        worth = [
+            gain / (doubt[k] * separation.trials[k].cost_s ** dear)
+            for gain, k in zip(gains, rest, strict=True)
+        ]
+        at = int(np.argmax(worth))
+        if len(chosen) >= criteria.NEXT_TRIALS[0] and gains[at] <= 0.02 * max(value, 1e-12):
+            break
+        chosen.append(rest[at])
+        value += gains[at]
+        if len(chosen) >= criteria.NEXT_TRIALS[0] and aim.least(separation.evidence(chosen)) >= aim.enough:
+            break
+    return Choice(tuple(chosen), tuple(separation.evidence(chosen)))
 
 
 @dataclass(frozen=True)
@@ -50,19 +123,22 @@ class Design:
     @property
     def outcome(self) -> Outcome:
         """What to expect."""
-        if not self.trials or all(one.sigma < _VISIBLE or one.ratio < _NOTHING for one in self.evidence):
+        if not self.trials or all(
+            one.sigma < criteria.VISIBLE_DIFFERENCE or one.ratio < criteria.HOPELESS_EVIDENCE
+            for one in self.evidence
+        ):
             return "cannot"
         return "separates" if self.decided == len(self.evidence) else "helps"
 
     @property
     def decided(self) -> int:
         """How many of the pairs a diagnosis of everything would decide."""
-        return sum(one.ratio >= SURE for one in self.evidence)
+        return sum(one.ratio >= criteria.TOLD_APART for one in self.evidence)
 
 
 def propose(
     target: Path,
-    question: "Question",
+    question: Question,
     *,
     model: str | Path | None = None,
     out: Path | None = None,
@@ -101,26 +177,28 @@ def propose(
 
 
 def _was_imported(target: Path) -> bool:
-    from labrun.store import imported_channels, open_run
 
     return bool(imported_channels(open_run(target).experiment_toml))
 
 
-def design(search: "Search", dataset: "Dataset", pool: Sequence[PlannedTrial], note: Note = silent) -> Design:
+def design(search: Search, dataset: Dataset, pool: Sequence[PlannedTrial], note: Note = silent) -> Design:
     """Choose from a pool the trials that best separate what a search leaves."""
     rivals = rivals_of(search)
     note(f"comparing {len(pool)} trials for {len(rivals.rivals)} explanations")
-    separation = Separation(rivals, dataset, pool, REPEATS)
+    separation = Separation(rivals, dataset, pool, criteria.NEXT_REPEATS)
     best: Design | None = None
-    for enough in _AIMS:
+    for enough in criteria.EVIDENCE_AIMED_AT:
         choice = choose(separation, enough)
         trials = tuple(separation.trials[k] for k in choice.trials)
-        if not trials or all(one.sigma < _VISIBLE or one.ratio < _NOTHING for one in choice.evidence):
+        if not trials or all(
+            one.sigma < criteria.VISIBLE_DIFFERENCE or one.ratio < criteria.HOPELESS_EVIDENCE
+            for one in choice.evidence
+        ):
             return Design((), choice.evidence, rivals)
         if best is not None and trials == best.trials:
             break
         note("fitting every explanation to what the others predict for the chosen trials")
-        fitted = rehearse(rivals, dataset, trials, REPEATS)
+        fitted = rehearse(rivals, dataset, trials, criteria.NEXT_REPEATS)
         # a fit that lost its way leaves more than the first order does: the lesser of the two is to be believed
         pairs = zip(choice.evidence, fitted, strict=True)
         found = Design(trials, tuple(min(both, key=lambda one: one.ratio) for both in pairs), rivals)
@@ -131,7 +209,7 @@ def design(search: "Search", dataset: "Dataset", pool: Sequence[PlannedTrial], n
     return best if best is not None else Design((), (), rivals)
 
 
-def inside(search: "Search", dataset: "Dataset", pool: Sequence[PlannedTrial]) -> list[PlannedTrial]:
+def inside(search: Search, dataset: Dataset, pool: Sequence[PlannedTrial]) -> list[PlannedTrial]:
     """Return the trials in which no output is predicted to leave the recorded range by more than a fifth."""
     measured = np.concatenate([trial.outputs for trial in dataset.trials])
     middle = 0.5 * (measured.max(axis=0) + measured.min(axis=0))
@@ -140,15 +218,15 @@ def inside(search: "Search", dataset: "Dataset", pool: Sequence[PlannedTrial]) -
     return [
         trial
         for trial, outputs in zip(pool, predicted, strict=True)
-        if outputs is not None and np.all(np.abs(outputs - middle) <= _ROOM * half)
+        if outputs is not None and np.all(np.abs(outputs - middle) <= criteria.ROOM_OF_OUTPUTS * half)
     ]
 
 
 def _for_recording(
-    question: "Question", search: "Search", out: Path | None, workspace: Path, note: Note
+    question: Question, search: Search, out: Path | None, workspace: Path, note: Note
 ) -> Proposal:
     dataset = question.dataset
-    bench = RecordingBench(search.data, question.model, REPEATS)
+    bench = RecordingBench(search.data, question.model, criteria.NEXT_REPEATS)
     found = design(search, dataset, inside(search, dataset, bench.pool()), note)
     notes = [
         "The recording does not say what its rig allows: every input stays within the range it was recorded in; "
@@ -161,7 +239,12 @@ def _for_recording(
     if found.outcome != "cannot":
         file = out or free_place(workspace, f"{dataset.name}-next", "recording.toml")
         write_recording_plan(
-            file, f"{dataset.name}-next", dataset, found.trials, REPEATS, _remarks(found, time_s)
+            file,
+            f"{dataset.name}-next",
+            dataset,
+            found.trials,
+            criteria.NEXT_REPEATS,
+            _remarks(found, time_s),
         )
         commands = [f"labrun gap diagnose {dataset.source} --with {file.parent}"]
     return _proposal(found, file, time_s, time_s, notes, commands)
@@ -170,19 +253,17 @@ def _for_recording(
 def _for_run(
     target: Path,
     model: str | Path | None,
-    question: "Question",
-    search: "Search",
+    question: Question,
+    search: Search,
     out: Path | None,
     workspace: Path,
     rng: np.random.Generator,
     note: Note,
 ) -> Proposal:
-    from labrun.gap.next.run_bench import RunBench
-    from labrun.store import open_run
 
     run = open_run(target)
     dataset = question.dataset
-    bench = RunBench.of(run, dataset, question.model, question.signals, REPEATS)
+    bench = RunBench.of(run, dataset, question.model, question.signals, criteria.NEXT_REPEATS)
     note("looking what the rig allows")
     found = design(search, dataset, bench.pool(rng), note)
     notes = _by_hand(bench.set_by_hand, found.trials, dataset)
@@ -220,8 +301,8 @@ def _proposal(
     advice = tuple(would_separate(*pair) for pair in once.values())
     return Proposal(
         found.outcome, file, tuple(one.name for one in rivals.rivals), tuple(one.cause for one in rivals.rivals),
-        rivals.doubt, rivals.why, found.trials, REPEATS, time_s, time_at_most_s, _outlook(found), advice, tuple(notes),
-        tuple(commands),
+        rivals.doubt, rivals.why, found.trials, criteria.NEXT_REPEATS, time_s, time_at_most_s, _outlook(found), advice,
+        tuple(notes), tuple(commands),
     )  # fmt: skip
 
 
@@ -238,7 +319,7 @@ def _remarks(found: Design, time_s: float) -> list[str]:
     return [*lines, *(f"  {line}" for line in told(_outlook(found)))]
 
 
-def _by_hand(names: Sequence[str], trials: Sequence[PlannedTrial], dataset: "Dataset") -> list[str]:
+def _by_hand(names: Sequence[str], trials: Sequence[PlannedTrial], dataset: Dataset) -> list[str]:
     """Return a sentence on what changes that no motion changes."""
     every = [*(one.condition for one in dataset.trials), *(one.condition for one in trials)]
     changed = [name for name in names if trials and len({one.get(name) for one in every}) > 1]

@@ -1,20 +1,14 @@
 """What could be recorded next where only recordings are known: other courses of the inputs, other conditions."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labrun.gap.next.trials import PlannedTrial
-from labrun.gap.next.values import by_hand
+from labrun.arrays import FloatArray
+from labrun.fit.dataset import Dataset, FitTrial
+from labrun.gap.next.trials import PlannedTrial, by_hand
+from labrun.models import Model
 from labrun.spec import condition_key, condition_text
-
-if TYPE_CHECKING:
-    from labrun.fit.dataset import Dataset, FitTrial
-    from labrun.models import Model
-
-FloatArray = NDArray[np.float64]
 
 _FACTORS = (0.25, 0.5, -1.0)
 _GENTLER = (0.5, 0.25)
@@ -39,8 +33,8 @@ class RecordingBench:
     longer than the recorded trials.
     """
 
-    dataset: "Dataset"
-    model: "Model"
+    dataset: Dataset
+    model: Model
     repeats: int
 
     def pool(self) -> list[PlannedTrial]:
@@ -158,7 +152,7 @@ class RecordingBench:
         self,
         label: str,
         condition: dict[str, float | str],
-        like: "FitTrial",
+        like: FitTrial,
         inputs: FloatArray,
         begins: tuple[int, float],
     ) -> PlannedTrial:

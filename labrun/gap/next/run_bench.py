@@ -3,32 +3,24 @@
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import tomli_w
 
 from labrun.errors import LabrunError, RequestError
-from labrun.gap.next.trials import PlannedTrial
-from labrun.gap.next.values import beyond, by_hand, reach, rounded
+from labrun.fit.dataset import Dataset
+from labrun.gap import criteria
+from labrun.gap.next.trials import PlannedTrial, beyond, by_hand, reach, rounded
+from labrun.models import Model
 from labrun.runner import MotionMaker, Plan, Planner
-from labrun.spec import Condition, condition_text, loads_experiment, resolved
-from labrun.store import COMMAND
+from labrun.spec import Condition, Experiment, condition_text, loads_experiment, resolved
+from labrun.store import COMMAND, Run
 from labrun.toml import evaluate, names_in
-
-if TYPE_CHECKING:
-    from labrun.fit.dataset import Dataset
-    from labrun.models import Model
-    from labrun.spec import Experiment
-    from labrun.store import Run
-
-FloatArray = NDArray[np.float64]
 
 _MOST = 60
 _BASES = 4
 _GENTLY = 0.25
-_BY_HAND_S = 60.0
-"""What a change by hand counts for when trials are chosen (chosen; the rig time that is told is without it)."""
 _UNSIGNED = ("Hz", "s")
 """Units of what is never below zero: a sine of negative frequency is one that begins the other way, and reads oddly."""
 _FROM_ZERO_DEG = (5.0, -5.0, 15.0, -15.0)
@@ -60,8 +52,8 @@ class RunBench:
 
     name: str
     tree: dict[str, Any]
-    experiment: "Experiment"
-    model: "Model"
+    experiment: Experiment
+    model: Model
     measured: list[dict[str, float | str]]
     settle_s: float | None
     step_s: float
@@ -71,7 +63,7 @@ class RunBench:
 
     @classmethod
     def of(
-        cls, run: "Run", dataset: "Dataset", model: "Model", signals: Mapping[str, str], repeats: int
+        cls, run: Run, dataset: Dataset, model: Model, signals: Mapping[str, str], repeats: int
     ) -> "RunBench":
         """Take up a run.
 
@@ -98,7 +90,6 @@ class RunBench:
         tree["trial"]["repeats"] = {"min": repeats, "max": repeats}
         for name in constants:
             tree.setdefault("units", {})[name] = _FREED[name]
-        import tomli_w
 
         experiment = loads_experiment(tomli_w.dumps(tree), run.name).experiment
         joints, stands_in = _commanded(model, signals, tuple(experiment.gait.joints))
@@ -133,19 +124,19 @@ class RunBench:
                     condition,
                     time_s,
                     inputs,
-                    self.time_s(plan) + plan.trials * _BY_HAND_S * self._changes(condition),
+                    self.time_s(plan) + plan.trials * criteria.BY_HAND_S * self._changes(condition),
                     reach=self._reach(condition),
                 )
             )
         return found
 
-    def time_s(self, plan: "Plan") -> float:
+    def time_s(self, plan: Plan) -> float:
         """Return the rig time of a plan, settling as it was on this bench."""
         if self.settle_s is None:
             return plan.time_s
         return plan.time_s + plan.trials * (self.settle_s - plan.settle_s)
 
-    def plan(self, trials: Sequence[PlannedTrial]) -> "Plan":
+    def plan(self, trials: Sequence[PlannedTrial]) -> Plan:
         """Return the plan of chosen trials, checked against every limit."""
         made = Planner(self.experiment).plan([dict(trial.condition) for trial in trials])
         made.require_feasible()
@@ -225,7 +216,7 @@ class RunBench:
         return all(bool(evaluate(constraint, condition)) for constraint in self.constraints)
 
 
-def _constraints(experiment: "Experiment") -> tuple[str, ...]:
+def _constraints(experiment: Experiment) -> tuple[str, ...]:
     """Return what keeps conditions in: a sweep's or a search's own constraints, and the ranges of a search."""
     if experiment.sweep is not None:
         return tuple(experiment.sweep.where)
@@ -256,7 +247,7 @@ def _free_constants(tree: dict[str, Any]) -> dict[str, float]:
 
 
 def _commanded(
-    model: "Model", signals: Mapping[str, str], joints: tuple[str, ...]
+    model: Model, signals: Mapping[str, str], joints: tuple[str, ...]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the joint whose command drives each input, and the inputs for which it only stands in."""
     found, stands_in = [], []

@@ -1,6 +1,6 @@
-"""How far trials would tell rivals apart, once each has been fitted to what the others predict (T-optimality)."""
+"""How far trials would tell explanations apart, once each has been fitted to what the others predict (T-optimality)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,16 +8,142 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.fit.dataset import Dataset
 from labrun.fit.levenberg_marquardt import minimise
-from labrun.gap.next.rivals import Rival, Rivals
-from labrun.gap.next.trials import PlannedTrial, beginnings, joined, planned_data
+from labrun.fit.problem import Problem
+from labrun.gap import criteria
+from labrun.gap.diagnosis import Name
+from labrun.gap.next.trials import PlannedTrial, joined, planned_data
 from labrun.gap.nuisance import basis
+from labrun.gap.pipeline import Search
+from labrun.gap.rating import Rated
+from labrun.gap.screening import refit
+from labrun.gap.selection import Round
 
-_CLEAR = 3.0
-"""Log likelihood between two explanations at which the weaker one's weight falls below a twentieth."""
-_EACH_VARIABLE = 3.0
-"""What a further variable must earn, as in the rating of candidates."""
-_FORM_SLACK = (0.006, 0.02)
-"""Part of a gain that the idealised form of a true effect may lack, as a diagnosis has it."""
+NOTHING = "recalibration only"
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """One explanation of the data.
+
+    Attributes
+    ----------
+    name
+        What is special about it, for people.
+    cause
+        None for the recalibrated model without any effect.
+    variables
+        Number of variables that its cause adds.
+    squares
+        Sum of squared residuals on the data, prior included.
+    """
+
+    name: str
+    cause: Name | None
+    problem: Problem
+    z: FloatArray
+    variables: int
+    squares: float
+
+    @property
+    def shared(self) -> FloatArray:
+        """Scaled parameters and effect sizes."""
+        return self.z[: self.problem.size]
+
+    @property
+    def own(self) -> FloatArray:
+        """Scaled free initial states, shape (units, states)."""
+        return self.z[self.problem.size :].reshape(len(self.problem.data.trials), self.problem.own_size)
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """Parameters of its own effect by name, SI; empty for a parameter or without a cause."""
+        if self.cause is None or self.cause.kind == "parameter":
+            return {}
+        attached = self.problem.attached(self.problem.parameters(self.z))
+        mine = [one for one in attached if (one.effect.id, one.site) == (self.cause.effect, self.cause.site)]
+        return dict(mine[-1].named_values) if mine else {}
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """What is to be told apart.
+
+    Attributes
+    ----------
+    rivals
+        The most probable first.
+    null
+        The recalibrated model: what each of them is an improvement on.
+    doubt
+        Whether the diagnosis itself could not tell them apart; else the cause is held against its runner-up.
+    why
+        What is compared with what, as a sentence.
+    dispersion
+        Energy of the noise in one direction, as the guard found it; 1 for white noise.
+    """
+
+    rivals: tuple[Rival, ...]
+    null: Rival
+    doubt: bool
+    why: str
+    dispersion: float
+
+    @property
+    def pairs(self) -> list[tuple[Rival, Rival]]:
+        """Every two of them, each once as the truth and once as its rival."""
+        return [(one, other) for one in self.rivals for other in self.rivals if one is not other]
+
+
+def rivals_of(search: Search) -> Rivals:
+    """Return the explanations that a search leaves, fitted again closely.
+
+    Where the diagnosis is in doubt these are the cause and what cannot be told from it. Where it is not, the cause is
+    held against the runner-up, or against recalibration alone if there is none.
+    """
+    selection = search.selection
+    base = selection.rounds[0].base
+    null = Rival(NOTHING, None, base.problem, base.z, 0, base.squares)
+    dispersion = selection.rounds[0].threshold.dispersion
+    doubtful = [
+        (cause.rated, [rival for rival, _ in cause.rivals]) for cause in selection.chosen if cause.rivals
+    ]
+    if doubtful:
+        # several doubtful causes: the one taken in last stands beside all others
+        cause, others = doubtful[-1]
+        found = [_fitted(one) for one in (cause, *others)][: criteria.MOST_EXPLANATIONS]
+        names = " or ".join(one.name for one in found[1:])
+        return Rivals(
+            tuple(found), null, True, f"The data cannot tell {found[0].name} from {names}.", dispersion
+        )
+    if selection.chosen:
+        cause = selection.chosen[-1].rated
+        runner_up = _runner_up(search.selection.rounds[-2], cause) if len(selection.chosen) == 1 else None
+        found = [_fitted(cause), null if runner_up is None else _fitted(runner_up)]
+        why = f"The diagnosis is not in doubt: {found[0].name} is held against {_as_runner_up(found[1])}."
+        return Rivals(tuple(found), null, False, why, dispersion)
+    ranked = selection.rounds[-1].rated
+    found = [*(_fitted(one) for one in ranked[:2]), null]
+    why = "No cause was named: the best candidates are held against recalibration alone."
+    return Rivals(tuple(found), null, False, why, dispersion)
+
+
+def _as_runner_up(rival: Rival) -> str:
+    return f"the runner-up, {rival.name}" if rival.cause is not None else rival.name
+
+
+def _runner_up(look: Round, cause: Rated) -> Rated | None:
+    others = [one for one in look.rated if one.candidate.name != cause.candidate.name and one.evidence > 1.0]
+    return max(others, key=lambda one: one.score, default=None)
+
+
+def _fitted(rated: Rated) -> Rival:
+    screened = rated.screened
+    z = refit(screened.problem, screened.z)
+    candidate = rated.candidate
+    squares = screened.problem.squares(z)
+    return Rival(str(candidate.name), candidate.name, screened.problem, z, candidate.variables, squares)
+
+
 _TOLERANCE = 1e-5
 _EVALUATIONS = 40
 
@@ -45,7 +171,7 @@ class Evidence:
     gain: float
     dispersion: float
     price: float
-    slack: float = _FORM_SLACK[1]
+    slack: float = criteria.IDEALISED_FORM[1]
 
     @property
     def log_likelihood(self) -> float:
@@ -64,7 +190,7 @@ class Evidence:
         Forms of effects are idealised: the more an effect shows, the larger the difference that counts.
         """
         softness = max(1.0, self.slack * 0.5 * self.gain / self.dispersion / 3.0)
-        return (self.log_likelihood - self.price) / (_CLEAR * softness)
+        return (self.log_likelihood - self.price) / (criteria.CLEARLY_LESS_LIKELY * softness)
 
 
 def slack(truth: Rival, null: Rival) -> float:
@@ -72,16 +198,12 @@ def slack(truth: Rival, null: Rival) -> float:
     gain = null.squares - truth.squares
     rows = sum(part.size for part in truth.problem.residuals(truth.z))
     left = max(truth.squares - rows, 0.0) / gain if gain > 0 else 1.0
-    return float(np.clip(left, *_FORM_SLACK))
+    return float(np.clip(left, *criteria.IDEALISED_FORM))
 
 
 def price(truth: Rival, other: Rival) -> float:
     """Return what `truth` must earn for its further variables."""
-    return _EACH_VARIABLE * (max(truth.variables, 1) - max(other.variables, 1))
-
-
-_APART = 0.3
-"""Difference between rivals, in units of what the outputs do, beyond which a fit may not find its way."""
+    return criteria.VARIABLE_PRICE * (max(truth.variables, 1) - max(other.variables, 1))
 
 
 class Separation:
@@ -150,7 +272,7 @@ class Separation:
         apart = max(
             float(np.max(np.sqrt(np.mean(np.square(one - outputs[0]), axis=0)) / does)) for one in outputs[1:]
         )
-        return max(1.0, apart / _APART) ** 2 * self.trials[index].reach ** 2
+        return max(1.0, apart / criteria.PREDICTED_APART) ** 2 * self.trials[index].reach ** 2
 
     def _z(self, rival: Rival) -> FloatArray:
         return np.concatenate([rival.shared, beginnings(rival, self.trials).ravel()])
@@ -227,9 +349,58 @@ def fitted_squares(
     return max(problem.squares(end) - float(prior @ prior), 0.0)
 
 
+def beginnings(rival: Rival, trials: Sequence[PlannedTrial]) -> FloatArray:
+    """Return the scaled free initial states that new trials would have, shape (trials, states).
+
+    Where a trial begins depends on its condition: a body that is let go at an angle begins there. The dependence is
+    taken from the states that were fitted to the measured trials, linear in the conditions.
+    """
+    own = rival.own
+    if own.shape[1] == 0:
+        return np.empty((len(trials), 0))
+    measured = [unit.condition for unit in rival.problem.data.trials]
+    names = _numbers(measured)
+    known = _features(measured, names)
+    coefficients = np.linalg.lstsq(known, own, rcond=1e-9)[0]
+    predicted = _features([trial.condition for trial in trials], names, measured) @ coefficients
+    for index, trial in enumerate(trials):
+        if trial.like is not None:
+            unit, factor = trial.like
+            predicted[index] = own[unit] * factor
+    return np.asarray(predicted)
+
+
 def _with_null(rivals: Rivals) -> list[Rival]:
     return [*rivals.rivals, *([] if any(one is rivals.null for one in rivals.rivals) else [rivals.null])]
 
 
 def _off(span: FloatArray, values: FloatArray) -> FloatArray:
     return np.asarray(values - span @ (span.T @ values))
+
+
+def _numbers(conditions: Sequence[Mapping[str, float | str]]) -> list[str]:
+    """Return the names of the numbers that differ between conditions; all numbers if only one was measured."""
+    first = conditions[0]
+    names = [
+        name
+        for name in first
+        if all(
+            isinstance(one.get(name), float | int) and not isinstance(one[name], bool) for one in conditions
+        )
+    ]
+    varying = [name for name in names if len({one[name] for one in conditions}) > 1]
+    return varying or names
+
+
+def _features(
+    conditions: Sequence[Mapping[str, float | str]],
+    names: Sequence[str],
+    measured: Sequence[Mapping[str, float | str]] | None = None,
+) -> FloatArray:
+    """Return the numbers of the conditions, and a constant where enough different ones were measured to tell it."""
+    known = conditions if measured is None else measured
+    different = {tuple(one[name] for name in names) for one in known}
+    columns = [np.array([float(one.get(name, 0.0)) for one in conditions]) for name in names]
+    if len(different) > len(names) + 1 or not names:
+        columns.append(np.ones(len(conditions)))
+    return np.column_stack(columns)

@@ -1,13 +1,12 @@
-"""Trials that could be made, and how each would begin."""
+"""Trials that could be made, and the values that a condition could take beyond those that were measured."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-
-import numpy as np
+from math import floor, log10
 
 from labrun.arrays import FloatArray
 from labrun.fit.dataset import Dataset, FitTrial
-from labrun.gap.next.rivals import Rival
+from labrun.gap import criteria
 
 
 @dataclass(frozen=True)
@@ -37,27 +36,6 @@ class PlannedTrial:
     reach: float = 1.0
 
 
-def beginnings(rival: Rival, trials: Sequence[PlannedTrial]) -> FloatArray:
-    """Return the scaled free initial states that new trials would have, shape (trials, states).
-
-    Where a trial begins depends on its condition: a body that is let go at an angle begins there. The dependence is
-    taken from the states that were fitted to the measured trials, linear in the conditions.
-    """
-    own = rival.own
-    if own.shape[1] == 0:
-        return np.empty((len(trials), 0))
-    measured = [unit.condition for unit in rival.problem.data.trials]
-    names = _numbers(measured)
-    known = _features(measured, names)
-    coefficients = np.linalg.lstsq(known, own, rcond=1e-9)[0]
-    predicted = _features([trial.condition for trial in trials], names, measured) @ coefficients
-    for index, trial in enumerate(trials):
-        if trial.like is not None:
-            unit, factor = trial.like
-            predicted[index] = own[unit] * factor
-    return np.asarray(predicted)
-
-
 def planned_data(
     dataset: Dataset, trials: Sequence[PlannedTrial], outputs: Sequence[FloatArray], repeats: int
 ) -> Dataset:
@@ -85,29 +63,77 @@ def joined(one: Dataset, other: Dataset) -> Dataset:
     return replace(one, trials=trials, conditions=(*one.conditions, *other.conditions))
 
 
-def _numbers(conditions: Sequence[Mapping[str, float | str]]) -> list[str]:
-    """Return the names of the numbers that differ between conditions; all numbers if only one was measured."""
-    first = conditions[0]
-    names = [
-        name
-        for name in first
-        if all(
-            isinstance(one.get(name), float | int) and not isinstance(one[name], bool) for one in conditions
-        )
-    ]
-    varying = [name for name in names if len({one[name] for one in conditions}) > 1]
-    return varying or names
+_STEPS = 14
+_WITHIN = (0.25, 0.5, 0.75)
+_FURTHER = (1.25, 1.5, 2.0, 3.0)
+_BY_HAND = (0.5, 1.5, 2.0)
+_DIGITS = 3
+_ANGLES = ("_deg", "_rad")
 
 
-def _features(
-    conditions: Sequence[Mapping[str, float | str]],
-    names: Sequence[str],
-    measured: Sequence[Mapping[str, float | str]] | None = None,
-) -> FloatArray:
-    """Return the numbers of the conditions, and a constant where enough different ones were measured to tell it."""
-    known = conditions if measured is None else measured
-    different = {tuple(one[name] for name in names) for one in known}
-    columns = [np.array([float(one.get(name, 0.0)) for one in conditions]) for name in names]
-    if len(different) > len(names) + 1 or not names:
-        columns.append(np.ones(len(conditions)))
-    return np.column_stack(columns)
+def beyond(measured: Sequence[float], allowed: Callable[[float], bool]) -> list[float]:
+    """Return values inside, between and beyond the measured ones, and of the other sign, that are allowed.
+
+    Parameters
+    ----------
+    allowed
+        Whether the rig can do a value; asked on the way out, from the measured extremes.
+    """
+    found: list[float] = []
+    ends = {max(measured), min(measured)} - {0.0}
+    for end in ends:
+        far = _farthest(end, allowed)
+        found += [factor * end for factor in (*_WITHIN, *_FURTHER) if abs(factor * end) < abs(far)]
+        found.append(far)
+    if min(measured) * max(measured) >= 0.0:
+        most = max((abs(one) for one in measured), default=0.0)
+        sign = -1.0 if max(measured) > 0 else 1.0
+        found += [sign * most, _farthest(sign * most, allowed)]
+    return _new([one for one in map(rounded, found) if allowed(one)], measured)
+
+
+def by_hand(name: str, measured: Sequence[float]) -> list[float]:
+    """Return other values of what a person sets (a mass, a tilt), whose limits nobody states.
+
+    What has been measured on both sides of zero, an angle (by its unit) and an orientation of +1 or -1 may change sign.
+    """
+    most = max(measured, key=abs)
+    if most == 0.0:
+        return []
+    if all(abs(one) == 1.0 for one in measured):
+        return _new([1.0, -1.0], measured)
+    signed = [-most] if min(measured) < 0.0 < max(measured) or name.endswith(_ANGLES) else []
+    return _new([rounded(one) for one in (*(factor * most for factor in _BY_HAND), *signed)], measured)
+
+
+def reach(value: float, measured: Sequence[float]) -> float:
+    """Return how far a value lies beyond the greatest measured one, as a factor of at least 1."""
+    most = max(abs(one) for one in measured)
+    return max(1.0, abs(value) / most) if most > 0 else 1.0
+
+
+def rounded(value: float) -> float:
+    """Return a value to three digits, towards zero: a limit is not overstepped by rounding."""
+    if value == 0.0:
+        return 0.0
+    unit = 10.0 ** (floor(log10(abs(value))) - _DIGITS + 1)
+    whole = int(abs(value) / unit + 1e-9)
+    return float(f"{whole * unit if value > 0 else -whole * unit:.{_DIGITS}g}")
+
+
+def _farthest(end: float, allowed: Callable[[float], bool]) -> float:
+    """Return the farthest allowed value from `end` outwards."""
+    if not allowed(end):
+        return end
+    low, high = 1.0, criteria.NO_LIMIT_NEAR
+    if allowed(high * end):  # no limit speaks of it
+        return criteria.FARTHEST_VALUE * end if allowed(criteria.FARTHEST_VALUE * end) else end
+    for _ in range(_STEPS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if allowed(middle * end) else (low, middle)
+    return low * end
+
+
+def _new(values: Sequence[float], measured: Sequence[float]) -> list[float]:
+    known = {rounded(one) for one in measured} | {0.0}
+    return [one for one in dict.fromkeys(values) if one not in known]

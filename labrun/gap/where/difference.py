@@ -1,20 +1,17 @@
-"""What is compared: a recalibrated model beside the mean of every unit of data."""
+"""What is compared: a recalibrated model beside the mean of every unit of data, its conditions, and what moves."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.effects import AttachedEffect
-from labrun.fit.dataset import Dataset
+from labrun.effects import AttachedEffect, unit_of
+from labrun.fit.dataset import Dataset, FitTrial
+from labrun.gap import criteria
 from labrun.gap.noise import Noise
-from labrun.models import Drive, Model
-
-_FORM_SLACK = 5e-4
-"""Part of a channel's spread below which no model is believed: integrators and sampling differ by as much."""
-_LEAST_SPREAD = 1e-3
-"""Of a signal that hardly varies, in units of its noise."""
+from labrun.models import Drive, Model, Site, simulate, site_course
 
 
 @dataclass(frozen=True)
@@ -61,7 +58,7 @@ class Difference:
         Where nothing was repeated, noise is what the model leaves; channels of the same unit are then taken to have
         the same, or none could hold more of the gap than another.
         """
-        sd = np.hypot(self.noise.sd, _FORM_SLACK * self.spread)
+        sd = np.hypot(self.noise.sd, criteria.MODEL_ROUNDING * self.spread)
         return sd if self.noise.basis == "repeats" else self._over_units(sd)
 
     @cached_property
@@ -69,7 +66,7 @@ class Difference:
         """What residuals are measured in, shape (m,): the noise, where repeats tell it, else how much signals vary."""
         if self.noise.basis == "repeats":
             return self.noise_sd
-        return np.maximum(self._over_units(self.spread), self.noise_sd * _LEAST_SPREAD)
+        return np.maximum(self._over_units(self.spread), self.noise_sd * criteria.LEAST_SIGNAL)
 
     @property
     def output_units(self) -> list[str]:
@@ -96,3 +93,217 @@ class Difference:
     def scaled(self) -> list[FloatArray]:
         """Residuals of every unit in units of `scale`."""
         return [one / self.scale for one in self.residual]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """All data of one condition, on the time base of its first unit.
+
+    Attributes
+    ----------
+    group
+        Number of the condition.
+    members
+        Dataset that are averaged in it.
+    shares
+        Their weights, by the number of trials behind each; they add up to 1.
+    trial
+        The first of them.
+    length
+        Samples that all of them have.
+    """
+
+    group: int
+    members: tuple[int, ...]
+    shares: FloatArray
+    trial: FitTrial
+    length: int
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Time base, shape (length,)."""
+        return self.trial.time_s[: self.length]
+
+    def of(self, values: Sequence[FloatArray]) -> FloatArray:
+        """Return the weighted mean of arrays (n, ...) of every unit, over this piece's units."""
+        if len(self.members) == 1:
+            return values[self.members[0]][: self.length]
+        stacked = np.stack([values[index][: self.length] for index in self.members])
+        mean: FloatArray = np.tensordot(self.shares, stacked, axes=1)
+        return mean
+
+    def first(self, values: Sequence[FloatArray]) -> FloatArray:
+        """Return the array of its first unit, cut to this piece's length."""
+        return values[self.members[0]][: self.length]
+
+
+def pieces(units: Dataset) -> tuple[Piece, ...]:
+    """Return one piece per condition; units of a condition with another time step stay apart."""
+    found: list[Piece] = []
+    for group in range(len(units.conditions)):
+        alike: dict[float, list[int]] = {}
+        for index in units.of_group(group):
+            time_s = units.trials[index].time_s
+            step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
+            near = next((known for known in alike if abs(known - step) <= 0.01 * known), step)
+            alike.setdefault(near, []).append(index)
+        for members in alike.values():
+            counts = np.array([units.trials[index].count for index in members], dtype=float)
+            length = min(len(units.trials[index].time_s) for index in members)
+            trial = units.trials[members[0]]
+            found.append(Piece(group, tuple(members), counts / counts.sum(), trial, length))
+    return tuple(found)
+
+
+_PEAK = 99.5
+
+
+@dataclass(frozen=True)
+class Mover:
+    """A coordinate with its rate, over every piece of data.
+
+    Attributes
+    ----------
+    name, kind
+        Of the site or of the input.
+    coordinate, rate, load : per piece (n,)
+        `load` is empty where there is none.
+    """
+
+    name: str
+    kind: str
+    coordinate: tuple[FloatArray, ...]
+    rate: tuple[FloatArray, ...]
+    load: tuple[FloatArray, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """Its name, for people."""
+        return f"input {self.name}" if self.kind == "input" else self.name
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves at all."""
+        return any(np.ptp(one) > 0 for one in self.coordinate if len(one) > 1)
+
+    def peak_rate(self) -> float:
+        """Return the peak of its speed, without the fastest few samples."""
+        return float(np.percentile(np.abs(np.concatenate(self.rate)), _PEAK))
+
+    def reversals(self, piece: int, time_s: FloatArray) -> FloatArray:
+        """Return the times at which it turns: where its rate changes sign, between two times of really moving."""
+        rate = self.rate[piece]
+        threshold = criteria.STANDS_STILL * float(np.max(np.abs(rate), initial=0.0))
+        moving = np.flatnonzero(np.abs(rate) > threshold) if threshold > 0 else np.empty(0, dtype=int)
+        turns = np.flatnonzero(np.diff(np.sign(rate[moving])) != 0)
+        before, after = moving[turns], moving[turns + 1]
+        return np.asarray(0.5 * (time_s[before] + time_s[after]), dtype=float)
+
+
+def site_movers(difference: Difference, pieces: Sequence[Piece]) -> tuple[Mover, ...]:
+    """Return every joint and body site that moves, along the simulated trajectories."""
+    model = difference.model
+    courses = unit_courses(difference)
+    if not model.sites or courses is None:
+        return ()
+    found = []
+    for place, site in enumerate(model.sites):
+        columns = [[piece.first(courses)[:, place, quantity] for piece in pieces] for quantity in range(3)]
+        found.append(
+            Mover(
+                site.name,
+                site.kind,
+                tuple(columns[0]),
+                tuple(columns[1]),
+                tuple(columns[2]) if site.load else (),
+            )
+        )
+    return tuple(one for one in found if one.moves)
+
+
+def unit_courses(difference: Difference) -> list[FloatArray] | None:
+    """Return coordinate, rate, load and stiffness at every site, (n, sites, 4) per unit; None if not finite."""
+    found = []
+    for index, unit in enumerate(difference.units.trials):
+        simulation = simulate(
+            difference.model,
+            unit.time_s,
+            difference.drives[index],
+            parameters=difference.parameters,
+            condition=unit.condition,
+            initial_state=difference.initial[index],
+            effects=difference.effects,
+        )
+        if not simulation.finite:
+            return None
+        found.append(
+            site_course(
+                difference.model,
+                unit.time_s,
+                simulation.states,
+                unit.inputs,
+                parameters=difference.parameters,
+                condition=unit.condition,
+            )
+        )
+    return found
+
+
+def input_movers(difference: Difference, pieces: Sequence[Piece]) -> tuple[Mover, ...]:
+    """Return every input that changes within trials, or between them where a trial is one sample."""
+    found = []
+    for column, one in enumerate(difference.model.inputs):
+        values = tuple(piece.trial.inputs[: piece.length, column] for piece in pieces)
+        rates = tuple(
+            np.gradient(value, piece.time_s) if len(value) > 1 else np.zeros(1)
+            for value, piece in zip(values, pieces, strict=True)
+        )
+        mover = Mover(one.name, "input", values, rates)
+        if mover.moves or np.ptp(np.concatenate(values)) > 0:
+            found.append(mover)
+    return tuple(found)
+
+
+_COORDINATE_OF_FORCE = {"N m": "rad", "N": "m"}
+
+
+def force_unit(model: Model, site: Site, output_units: Sequence[str]) -> str:
+    """Return the unit of a force (or torque) at a joint or body site.
+
+    It follows from the unit of the coordinate, where that is one of the outputs, else from the unit of the site's
+    stiffness ("N m/rad"). Where neither tells, a joint turns.
+    """
+    shown = _shown(model, site, output_units)
+    if shown:
+        return unit_of("force", shown)
+    stiffness = next((one.unit for one in model.parameters if one.name == site.stiffness), "1")
+    force, slash, _ = stiffness.rpartition("/")
+    return force if slash else unit_of("force", "rad" if site.kind == "joint" else "m")
+
+
+def coordinate_unit(model: Model, site: Site, output_units: Sequence[str]) -> str:
+    """Return the unit of the coordinate of a site: as an output shows it, else what its force acts along."""
+    shown = _shown(model, site, output_units)
+    return shown or _COORDINATE_OF_FORCE.get(force_unit(model, site, output_units), "")
+
+
+def load_unit(model: Model, site: Site, output_units: Sequence[str]) -> str:
+    """Return the unit of the load of a site: of the output it is, else that of the force; "" where there is no load.
+
+    The library's load-dependent friction is a pure number times the load, which therefore is a force of its kind.
+    """
+    if not site.load:
+        return ""
+    units = {one.name: unit for one, unit in zip(model.outputs, output_units, strict=True)}
+    unit = units.get(site.load, "1")
+    return force_unit(model, site, output_units) if unit == "1" else unit
+
+
+def _shown(model: Model, site: Site, output_units: Sequence[str]) -> str:
+    """Return the unit of the coordinate where an output shows it or its rate; "" where none does."""
+    units = {one.name: unit for one, unit in zip(model.outputs, output_units, strict=True)}
+    for name in (site.coordinate, site.rate):
+        unit = units.get(name, "1").removesuffix("/s")
+        if unit != "1":
+            return unit
+    return ""

@@ -1,23 +1,164 @@
 """Which equation lacks a force: a white disturbance on each in turn, and the error of each output as their rival."""
 
+import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
+from labrun.fit.dataset import FitTrial
 from labrun.fit.workers import Each, one_by_one
+from labrun.gap import criteria
 from labrun.gap.diagnosis import Place
 from labrun.gap.where.difference import Difference
-from labrun.gap.where.kinematics import defined
-from labrun.gap.where.linearised import Linearised, linearised
+from labrun.gap.where.parts import plain
 from labrun.gap.where.significance import redrawn
-from labrun.gap.where.wording import plain
+from labrun.models import simulate, site_course
 
-FloatArray = NDArray[np.float64]
+_LOOKED_AT = 3
 
-_MOST_DRAWS = 60
-_FEWEST_DRAWS = 19
+
+def defined(difference: Difference) -> frozenset[int]:
+    """Return the states whose derivative is another state, whatever states, inputs and forces are.
+
+    The equations are asked at a few points that no relation between states favours; equal is equal to the last bit.
+    """
+    model = difference.model
+    size, inputs, sites = len(model.states), len(model.inputs), len(model.sites)
+    pointers = [ctypes.c_void_p] * 5
+    derivative = ctypes.CFUNCTYPE(None, ctypes.c_double, *pointers)(model.derivative.address)
+    p = model.vector(difference.parameters, difference.units.trials[0].condition)
+    equal = ~np.eye(size, dtype=bool)
+    for point in range(1, _LOOKED_AT + 1):
+        numbers = 0.3 * np.cos(point * np.sqrt(np.arange(2.0, 2.0 + size + inputs + sites)))
+        x, u, force = np.split(numbers, [size, size + inputs])
+        slope = np.full(size, np.nan)
+        arrays = [np.ascontiguousarray(np.append(one, 0.0)) for one in (x, u, p, force)]
+        derivative(0.1 * point, *[one.ctypes.data for one in arrays], slope.ctypes.data)
+        equal &= slope[:, None] == x[None, :]
+    return frozenset(np.flatnonzero(equal.any(axis=1)).tolist())
+
+
+IntArray = NDArray[np.int64]
+
+_STEP = 1e-5
+"""Of the differences, in units of each state's range."""
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """All units one after the other; the row of a unit's last sample has no next one and is never used.
+
+    Attributes
+    ----------
+    dt_s : (n,)
+    half, whole : (n, k, k)
+        Transition over half an interval and over an interval.
+    c : (n, m, k)
+        Outputs, in units of one trial's noise, by states.
+    begin : (n,)
+        1 at the first sample of a unit.
+    begin_sd : (k,)
+        How well the state is known in which a unit begins.
+    """
+
+    dt_s: FloatArray
+    half: FloatArray
+    whole: FloatArray
+    c: FloatArray
+    begin: IntArray
+    begin_sd: FloatArray
+
+
+def linearised(difference: Difference) -> Linearised | None:
+    """Return the linear system about the simulated trajectories; None where they, or it, are not finite."""
+    parts = [_unit(difference, index) for index in range(len(difference.units.trials))]
+    if any(part is None for part in parts):
+        return None
+    found = [part for part in parts if part is not None]
+    columns = [np.concatenate([part[place] for part in found]) for place in range(4)]
+    begin = np.concatenate([np.eye(1, len(part[0]), dtype=np.int64)[0] for part in found])
+    if not all(np.all(np.isfinite(one)) for one in columns):
+        return None
+    rules = [difference.model.initial.get(state, "free") for state in difference.model.states]
+    known = np.array(
+        [
+            criteria.BEGINS_AS_READ if rule in ("free", "first") else criteria.BEGINS_AS_STATED
+            for rule in rules
+        ]
+    )
+    reach = np.max([part[4] for part in found], axis=0)
+    return Linearised(columns[0], columns[1], columns[2], columns[3], begin, known * reach)
+
+
+def _unit(difference: Difference, index: int) -> tuple[FloatArray, ...] | None:
+    from labrun.gap.where.compiled import linearise, transitions
+
+    model, trial = difference.model, difference.units.trials[index]
+    simulation = simulate(
+        model,
+        trial.time_s,
+        difference.drives[index],
+        parameters=difference.parameters,
+        condition=trial.condition,
+        initial_state=difference.initial[index],
+        effects=difference.effects,
+    )
+    if not simulation.finite:
+        return None
+    drive = difference.drives[index]
+    u = np.concatenate([drive.u[:: drive.substeps, 0], drive.u_last[None]])
+    states = np.ascontiguousarray(simulation.states)
+    size, channels, count = states.shape[1], len(model.outputs), len(states)
+    reach = np.maximum(np.ptp(states, axis=0), np.abs(states).max(axis=0))
+    steps = _STEP * np.where(reach > 0, reach, 1.0)
+    a, c = np.empty((count, size, size)), np.empty((count, channels, size))
+    linearise(
+        trial.time_s, states, np.ascontiguousarray(u), model.vector(difference.parameters, trial.condition), steps,
+        _forces(difference, trial, states, steps), model.derivative.address, model.output.address, a, c,
+    )  # fmt: skip
+    dt_s = np.diff(trial.time_s, append=trial.time_s[-1])
+    half, whole = np.zeros((count, size, size)), np.zeros((count, size, size))
+    transitions(a, dt_s[:-1], half, whole)
+    return dt_s, half, whole, c / difference.noise_sd[:, None], reach
+
+
+def _forces(difference: Difference, trial: FitTrial, states: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return what effects at the sites do with each state a step ahead and a step behind, (2, k, n, sites).
+
+    Their internal states are held at rest, and laws that depend on acceleration see none: an effect that is part of
+    the model compared is small beside the model, and here only the way a disturbance spreads depends on it.
+    """
+    model = difference.model
+    order = [site.name for site in model.sites]
+    found = np.zeros((2, states.shape[1], len(states), len(order)))
+    laws = [one for one in (*model.effects, *difference.effects) if one.effect.kind in ("joint", "body")]
+    for side, k in product(range(2), range(states.shape[1]) if laws else ()):
+        moved = states.copy()
+        moved[:, k] += (1 - 2 * side) * steps[k]
+        course = site_course(
+            model,
+            trial.time_s,
+            moved,
+            trial.inputs,
+            parameters=difference.parameters,
+            condition=trial.condition,
+        )
+        for one in laws:
+            law, place = one.effect.function.python, order.index(one.site)
+            rest, unused = np.zeros(one.effect.states + 1), np.zeros(one.effect.states + 1)
+            found[side, k, :, place] += [
+                law(t, q, rate, 0.0, load, stiffness, one.values, rest, unused)
+                for t, (q, rate, load, stiffness) in zip(
+                    trial.time_s.tolist(), course[:, place].tolist(), strict=True
+                )
+            ]
+    return found
+
+
 _MOST_NUMBERS = 400_000
 """Samples times redrawn noises that are filtered: more of them are told apart no better, and take long ..."""
 _USUAL_STATES = 6
@@ -26,19 +167,13 @@ _SIZES = np.geomspace(1e-3, 1e13, 17)
 _BETWEEN = (10**-0.5, 10**0.5)
 """Variance that a disturbance gives the outputs, in units of one trial's noise: the grid of its likelihood, refined
 around its top. It reaches far up, since a drifting disturbance is large by the end of a trial."""
-_PER_NUMBER = 0.005
-"""Gain per measured number by which rivals must differ to be told apart where noise is not known by repeats."""
 _OUTPUT_TIMES = (0.02, 0.5)
 """Correlation times of an output's error, in units of the trial."""
-_SMOOTH = 0.05
-"""Of a residual that hardly changes from sample to sample: no model is right to less of it."""
-_FEWEST_SAMPLES = 32
-_MOST_STATES = 12
 
 
 @dataclass(frozen=True)
 class _Disturbed:
-    """A linear system with one disturbance of intensity 1; arrays as in `labrun.gap.where.kalman.disturbed`."""
+    """A linear system with one disturbance of intensity 1; arrays as in `labrun.gap.where.compiled.disturbed`."""
 
     at: str
     text: str
@@ -81,7 +216,7 @@ def equation_places(
     None for models without states, or of more than 12, and for trials of fewer than 32 samples.
     """
     size, lengths = len(difference.model.states), [len(one) for one in difference.residual]
-    if not 0 < size <= _MOST_STATES or min(lengths) < _FEWEST_SAMPLES:
+    if not 0 < size <= criteria.MOST_EQUATION_STATES or min(lengths) < criteria.FEWEST_EQUATION_SAMPLES:
         return []
     system = linearised(difference)
     if system is None:
@@ -92,14 +227,18 @@ def equation_places(
     r = _measurement_variance(difference)
     told = difference.noise.basis == "repeats"
     numbers = int(_MOST_NUMBERS * min(1.0, _USUAL_STATES / size))
-    number = min(draws, _MOST_DRAWS, max(_FEWEST_DRAWS, numbers // sum(lengths))) if told else 0
+    number = (
+        min(draws, criteria.EQUATION_DRAWS[1], max(criteria.EQUATION_DRAWS[0], numbers // sum(lengths)))
+        if told
+        else 0
+    )
     drawn = [np.concatenate(one) for one in redrawn(difference, rng, number)]
     series = np.stack(
         [np.concatenate([one / difference.noise_sd for one in difference.residual]), *drawn], axis=2
     )
     rivals = _rivals(difference, system)
     gains, kept = [], []
-    none = _undisturbed(rivals[0][1][0], system, r, series)
+    none = _filtered(rivals[0][1][0], 0.0, system, r, series).likelihood
     everything = each(
         lambda one: _fit(one, system, r, series, none), [one for _, several in rivals for one in several]
     )
@@ -112,7 +251,9 @@ def equation_places(
     usual = table[:, 1:].mean(axis=1) if number else np.zeros(len(table))
     adjusted = table - usual[:, None]
     tempering = (
-        max(1.0, float(np.mean(np.max(table[:, 1:], axis=0)))) if number else max(1.0, _PER_NUMBER * r.size)
+        max(1.0, float(np.mean(np.max(table[:, 1:], axis=0))))
+        if number
+        else max(1.0, criteria.GAIN_PER_NUMBER * r.size)
     )
     weight = np.exp((adjusted[:, 0] - adjusted[:, 0].max()) / tempering)
     weight /= weight.sum()
@@ -135,7 +276,7 @@ def _measurement_variance(difference: Difference) -> FloatArray:
         variance = np.full(residual.shape[1], 1.0 / unit.count)
         if difference.noise.basis == "residual":
             jumps = np.diff(residual / difference.noise_sd, n=2, axis=0)
-            variance = np.clip(np.mean(np.square(jumps), axis=0) / 6.0, _SMOOTH**2, 1.0)
+            variance = np.clip(np.mean(np.square(jumps), axis=0) / 6.0, criteria.SMOOTH_RESIDUAL**2, 1.0)
         parts.append(np.broadcast_to(variance, residual.shape))
     return np.ascontiguousarray(np.concatenate(parts))
 
@@ -181,28 +322,37 @@ def _output_error(system: Linearised, column: int, name: str, correlation_s: flo
     )
 
 
-def _undisturbed(one: _Disturbed, system: Linearised, r: FloatArray, series: FloatArray) -> FloatArray:
-    """Return the log-likelihood of each series without any disturbance, whichever it would be."""
-    return _filtered(one, 0.0, system, r, series)[0]
+@dataclass(frozen=True)
+class _Filtered:
+    """What a Kalman filter makes of series; arrays as `labrun.gap.where.compiled.disturbed` writes them."""
+
+    gains: FloatArray
+    variances: FloatArray
+    innovations: FloatArray
+    likelihood: FloatArray
+
+    @property
+    def most(self) -> float:
+        """The largest log-likelihood that any series whatever could have."""
+        return -0.5 * float(np.sum(np.log(self.variances)))
 
 
 def _filtered(
     one: _Disturbed, intensity: float, system: Linearised, r: FloatArray, series: FloatArray
-) -> tuple[FloatArray, float]:
-    """Return the log-likelihood of each series, and the most that any series whatever could have."""
-    from labrun.gap.where.kalman import disturbed
+) -> _Filtered:
+    from labrun.gap.where.compiled import disturbed
 
-    gains = np.empty((*r.shape, one.c.shape[2]))
-    variances, innovations, likelihood = np.empty(r.shape), np.empty(series.shape), np.empty(series.shape[2])
+    shapes = ((*r.shape, one.c.shape[2]), r.shape, series.shape, series.shape[2])
+    found = _Filtered(*(np.empty(shape) for shape in shapes))
     disturbed(
         one.phi, one.q, system.begin, one.c, r, one.start, one.still, intensity, series,
-        gains, variances, innovations, likelihood,
+        found.gains, found.variances, found.innovations, found.likelihood,
     )  # fmt: skip
-    return likelihood, -0.5 * float(np.sum(np.log(variances)))
+    return found
 
 
 def _fit(one: _Disturbed, system: Linearised, r: FloatArray, series: FloatArray, none: FloatArray) -> _Fit:
-    from labrun.gap.where.kalman import spread_of
+    from labrun.gap.where.compiled import spread_of
 
     variance = np.empty(len(r))
     spread_of(one.phi, one.q, system.begin, one.c, one.start, variance)
@@ -215,12 +365,12 @@ def _fit(one: _Disturbed, system: Linearised, r: FloatArray, series: FloatArray,
     for round_ in (_SIZES / size, None):
         # the second round lies around the best of the first
         for wanted in round_ if round_ is not None else [top * factor for factor in _BETWEEN if top > 0]:
-            likelihood, most = _filtered(one, float(wanted), system, r, series)
-            gain = np.where(np.isfinite(likelihood), likelihood - none, -np.inf)
+            found = _filtered(one, float(wanted), system, r, series)
+            gain = np.where(np.isfinite(found.likelihood), found.likelihood - none, -np.inf)
             intensity = float(wanted) if gain[0] > best[0] else intensity
             best = np.maximum(best, gain)
             # a larger disturbance makes every variance larger, and what any series could reach smaller
-            if np.all(most <= none + best):
+            if np.all(found.most <= none + best):
                 break
         top = intensity
     return _Fit(best, intensity)
@@ -230,20 +380,13 @@ def _explained(
     one: _Disturbed, intensity: float, system: Linearised, r: FloatArray, series: FloatArray
 ) -> float:
     """Return the part of the excess over the noise that the smoothed disturbance explains."""
-    from labrun.gap.where.kalman import disturbed, left_over
+    from labrun.gap.where.compiled import left_over
 
-    many = series.shape[2]
-    gains, variances = np.empty((*r.shape, one.c.shape[2])), np.empty(r.shape)
-    innovations, likelihood, after = np.empty(series.shape), np.empty(many), np.empty(many)
-    disturbed(
-        one.phi, one.q, system.begin, one.c, r, one.start, one.still, intensity, series,
-        gains, variances, innovations, likelihood,
-    )  # fmt: skip
-    left_over(one.phi, system.begin, one.c, r, gains, variances, innovations, after)
+    found, after = _filtered(one, intensity, system, r, series), np.empty(series.shape[2])
+    left_over(one.phi, system.begin, one.c, r, found.gains, found.variances, found.innovations, after)
     before = np.sum(np.square(series) / r[:, :, None], axis=(0, 1))
-    floor_before, floor_after = (
-        (float(before[1:].mean()), float(after[1:].mean())) if many > 1 else (0.0, 0.0)
-    )
+    redrawn_too = len(after) > 1
+    floor_before, floor_after = (float(one[1:].mean()) if redrawn_too else 0.0 for one in (before, after))
     excess = float(before[0]) - floor_before
     if excess <= 0:
         return 0.0

@@ -1,32 +1,133 @@
 """The force that, applied at a site over time, would close the gap."""
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect, Effect, EffectParameter, force_law
+from labrun.gap import criteria
 from labrun.gap.diagnosis import MissingForce
-from labrun.gap.where.absorbed import Absorbed
-from labrun.gap.where.cycle import find_cycle
-from labrun.gap.where.difference import Difference
-from labrun.gap.where.profile import profile
-from labrun.gap.where.site_units import coordinate_unit, force_unit, load_unit
-from labrun.gap.where.smoothing import smooth
-from labrun.models import Simulation, Site, simulate
+from labrun.gap.where.difference import Difference, coordinate_unit, force_unit, load_unit
+from labrun.gap.where.periods import find_cycle
+from labrun.gap.where.significance import Absorbed
+from labrun.models import Pointer, Simulation, Site, SiteKind, simulate, site_course
 
-_KNOTS_PER_CYCLE = 12
-"""Straight pieces follow the third harmonic, which a cubic or a sign has, to a few percent then."""
-_MOST_KNOTS, _FEWEST_KNOTS = 96, 8
-_MOST_COEFFICIENTS = 640
-_FEWEST_SAMPLES = 16
-_MOST_UNITS = 80
+_RIDGE = 1e-6
+"""Beside the roughness: keeps a constant nobody sees from growing without bound."""
+_PENALTIES = 50
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """Coefficients of every block, and what they leave.
+
+    Attributes
+    ----------
+    coefficients : per block (k,)
+    expected
+        Sum of squares that white noise of variance 1 would leave of itself.
+    """
+
+    coefficients: list[FloatArray]
+    expected: float
+
+
+def smooth(blocks: Sequence[FloatArray], values: FloatArray, span: FloatArray) -> Smooth:
+    """Fit every block's rows by its own columns, with smooth coefficients, beside a span that is free.
+
+    Minimises ``|v - H c|^2 + penalty |second differences of c|^2`` after projecting `span` out of both sides
+    (B-splines with a difference penalty: Eilers and Marx 1996), the penalty, one for all, by generalised
+    cross-validation (Craven and Wahba 1979).
+
+    Parameters
+    ----------
+    blocks : per unit (rows, k)
+    values : (all rows,)
+    span : (all rows, p)
+        Orthonormal columns.
+    """
+    from scipy.linalg import block_diag, eigh
+
+    ends = np.cumsum([len(block) for block in blocks])[:-1]
+    left = values - span @ (span.T @ values)
+    spanned = np.concatenate(
+        [part.T @ block for part, block in zip(np.split(span, ends), blocks, strict=True)], axis=1
+    )
+    gram = block_diag(*[block.T @ block for block in blocks]) - spanned.T @ spanned
+    right = np.concatenate([block.T @ part for block, part in zip(blocks, np.split(left, ends), strict=True)])
+    rough = block_diag(*[_roughness(block.shape[1]) for block in blocks])
+    size, vectors = eigh(gram, rough)
+    size = np.maximum(size, 0.0)
+    seen = vectors.T @ right
+    free = len(values) - span.shape[1]
+    whole = float(left @ left)
+    best, chosen = np.inf, float(size.max()) + 1e-300
+    for penalty in float(size.max()) * np.geomspace(1e-12, 10.0, _PENALTIES) + 1e-300:
+        shrunk = 1.0 / (size + penalty)
+        rest = whole - float(np.sum(seen**2 * (2.0 * shrunk - size * shrunk**2)))
+        used = float(np.sum(size * shrunk))
+        score = rest / max(free - used, 1.0) ** 2
+        if score < best:
+            best, chosen = score, float(penalty)
+    kept = size / (size + chosen)
+    expected = free - float(np.sum(2.0 * kept - kept**2))
+    coefficients = vectors @ (seen / (size + chosen))
+    return Smooth(np.split(coefficients, np.cumsum([block.shape[1] for block in blocks])[:-1]), expected)
+
+
+def _roughness(count: int) -> FloatArray:
+    differences = np.diff(np.eye(count), n=2, axis=0)
+    return np.asarray(differences.T @ differences + _RIDGE * np.eye(count), dtype=float)
+
+
+# ruff: noqa: ARG001 - the signature is fixed, whatever of it a form uses
+
+
+def _profile_law(
+    t: float, q: float, rate: float, acceleration: float, load: float, stiffness: float,
+    values: Pointer, z: Pointer, dz: Pointer,
+) -> float:  # fmt: skip
+    """Return the force at time `t`: `values` holds the first knot's time, the knots' distance, their number, forces."""
+    last = int(values[2]) - 1
+    place = (t - values[0]) / values[1]
+    if place <= 0.0:
+        return values[3]
+    if place >= last:
+        return values[3 + last]
+    knot = int(place)
+    part = place - knot
+    return (1.0 - part) * values[3 + knot] + part * values[4 + knot]
+
+
+def profile(site: Site, begin_s: float, step_s: float, forces: Sequence[float]) -> AttachedEffect:
+    """Return the effect of forces at evenly spaced knots (linear B-splines), held beyond both ends."""
+    return AttachedEffect(
+        _profile_effect(site.kind, len(forces)),
+        site.name,
+        (begin_s, step_s, float(len(forces)), *map(float, forces)),
+    )
+
+
+@functools.cache
+def _profile_effect(kind: SiteKind, count: int) -> Effect:
+    names = ["begin", "step", "count", *(f"force_{knot}" for knot in range(count))]
+    return Effect(
+        "force-profile",
+        kind,
+        tuple(EffectParameter(name, "force", None, float("-inf"), float("inf"), (0.0,)) for name in names),
+        force_law(_profile_law),
+        "F = F(t)",
+        "of the diagnosis itself",
+    )
+
+
 _VISIBLE = (0.03, 3.0)
 """Change of the outputs that a probing force should make, in units of the noise: seen well, and still small."""
 _PROBES = 40
 _ROUNDS = 3
-_AS_GOOD = 0.02
-"""Part of the excess by which a simulation may miss what its linearisation promised."""
 
 
 @dataclass(frozen=True)
@@ -58,13 +159,13 @@ def missing_forces(difference: Difference) -> tuple[MissingForce, ...]:
 
 def _subset(difference: Difference) -> Difference | None:
     units = difference.units.trials
-    long = [index for index, unit in enumerate(units) if len(unit.time_s) >= _FEWEST_SAMPLES]
+    long = [index for index, unit in enumerate(units) if len(unit.time_s) >= criteria.FEWEST_FORCE_SAMPLES]
     seen: dict[int, int] = {}
     rank = {}
     for index in long:
         rank[index] = seen.setdefault(units[index].group, 0)
         seen[units[index].group] += 1
-    chosen = sorted(sorted(long, key=lambda index: rank[index])[:_MOST_UNITS])
+    chosen = sorted(sorted(long, key=lambda index: rank[index])[: criteria.MOST_FORCE_UNITS])
     if not chosen:
         return None
     if len(chosen) == len(units):
@@ -91,7 +192,6 @@ def _at(difference: Difference, site: Site, place: int) -> MissingForce | None:
     course = search.course()
     if course is None:
         return None
-    from labrun.models import site_course
 
     trials = difference.units.trials
     motion = [
@@ -147,7 +247,7 @@ class _Search:
             if course is None or (best is not None and course.left >= best.left):
                 break
             best = course
-            if course.left - promised <= _AS_GOOD * self._before:
+            if course.left - promised <= criteria.FORCE_AS_GOOD * self._before:
                 break
         return best
 
@@ -240,14 +340,19 @@ class _Search:
 
 
 def _knots(difference: Difference) -> list[FloatArray]:
-    most = max(_FEWEST_KNOTS, min(_MOST_KNOTS, _MOST_COEFFICIENTS // len(difference.units.trials)))
+    most = max(
+        criteria.FEWEST_KNOTS,
+        min(criteria.MOST_KNOTS, criteria.MOST_COEFFICIENTS // len(difference.units.trials)),
+    )
     found = []
     for unit, simulated in zip(difference.units.trials, difference.simulated, strict=True):
         trial = unit
         signals = [*trial.inputs.T, *simulated.T]
         cycle = find_cycle(trial.time_s, signals, trial.condition)
         duration = float(trial.time_s[-1] - trial.time_s[0])
-        wanted = most if cycle is None else int(np.ceil(_KNOTS_PER_CYCLE * duration / cycle.period_s)) + 1
-        count = min(most, max(_FEWEST_KNOTS, wanted), len(trial.time_s))
+        wanted = (
+            most if cycle is None else int(np.ceil(criteria.KNOTS_PER_CYCLE * duration / cycle.period_s)) + 1
+        )
+        count = min(most, max(criteria.FEWEST_KNOTS, wanted), len(trial.time_s))
         found.append(np.linspace(trial.time_s[0], trial.time_s[-1], count))
     return found

@@ -1,28 +1,99 @@
-"""Parts of the data: by channel, by condition, and both at once."""
+"""Parts of the data by channel, condition, and region of what moves, with their names for people."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
+from labrun.gap import criteria
 from labrun.gap.diagnosis import By
-from labrun.gap.where.difference import Difference
-from labrun.gap.where.pooling import Piece
-from labrun.gap.where.wording import channel_text, joined_conditions, located, threshold_text
-from labrun.spec import condition_text
+from labrun.gap.where.difference import Difference, Mover, Piece
+from labrun.spec import Condition, condition_text, value_text
+from labrun.toml import UNITS, split_unit
 
-FloatArray = NDArray[np.float64]
+_FREQUENCIES = ("frequency", "freq", "f", "drive_frequency")
+
+
+def plain(name: str) -> str:
+    """Return a name without underscores."""
+    return name.replace("_", " ")
+
+
+def channel_text(name: str) -> str:
+    """Return "the torque"."""
+    return f"the {plain(name)}"
+
+
+def key_parts(key: str) -> tuple[str, str]:
+    """Return what a condition key measures and its unit, both for people; the unit may be empty."""
+    stem, suffix = split_unit(key)
+    return plain(stem), "" if suffix is None else UNITS[suffix].label
+
+
+def located(condition: Condition) -> str:
+    """Return "at 0.3 Hz", "at amplitude 40 deg and 1 Hz", "at 0.3 Hz (buckling one side)", "with buckling one side"."""
+    numbers, words = [], []
+    for key, value in condition.items():
+        what, unit = key_parts(key)
+        if isinstance(value, str):
+            words.append(f"{what} {value}")
+        elif unit == "Hz" and what in _FREQUENCIES:
+            numbers.append(value_text(value, unit))
+        else:
+            numbers.append(f"{what} {value_text(value, unit)}")
+    if not numbers:
+        return f"with {join(words)}" if words else ""
+    return f"at {join(numbers)}" + (f" ({', '.join(words)})" if words else "")
+
+
+def threshold_text(key: str, value: float, *, above: bool) -> str:
+    """Return "from 0.3 Hz on", "below 0.3 Hz"."""
+    what, unit = key_parts(key)
+    lead = "" if unit == "Hz" and what in _FREQUENCIES else f"{what} "
+    number = value_text(value, unit)
+    return f"from {lead}{number} on" if above else f"below {lead}{number}"
+
+
+def join(words: Sequence[str]) -> str:
+    """Return "a, b and c"."""
+    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+
+
+def joined_conditions(labels: Sequence[str]) -> str:
+    """Return "at 0.3 and 0.4 Hz" for the labels "frequency_hz = 0.3" and "frequency_hz = 0.4".
+
+    Conditions of several keys are told by the one key that differs between all of them, if there is one.
+    """
+    pairs = [
+        dict(part.partition(" = ")[::2] for part in label.split(", ") if " = " in part) for label in labels
+    ]
+    keys = [key for key in (pairs[0] if pairs else ()) if all(key in pair for pair in pairs)]
+    telling = [key for key in keys if len({pair[key] for pair in pairs}) == len(pairs)]
+    if not telling:
+        return f"at {join([f'({label})' if ', ' in label else label for label in labels])}"
+    what, unit = key_parts(telling[0])
+    values = sorted((pair[telling[0]] for pair in pairs), key=_number)
+    lead = "" if unit == "Hz" and what in _FREQUENCIES else f"{what} "
+    alike = [key for key in keys if key != telling[0] and len({pair[key] for pair in pairs}) == 1]
+    also = [f"{key_parts(key)[0]} {pairs[0][key]} {key_parts(key)[1]}".strip() for key in alike]
+    return f"at {lead}{join(values)} {unit}".rstrip() + (f" ({', '.join(also)})" if also else "")
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return 0.0
+
+
 BoolArray = NDArray[np.bool_]
 View = Literal["time", "frequency"]
 
 JOINT = " | "
 """Between the two ways of dividing the data in `Place.at`: "recovery stroke | frequency_hz = 0.3"."""
-_FEW_SAMPLES = 8
-_MOST_NAMED = 3
-_MOST_JOINT = 12
-"""Conditions beyond which a part is not looked at in each of them apart."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +191,7 @@ def condition_sets(difference: Difference, pieces: Sequence[Piece], *, ranges: b
                 for piece, yes in zip(pieces, chosen, strict=True)
                 if yes
             ]
-            named = isinstance(value, str) and 1 < len(labels) <= _MOST_NAMED
+            named = isinstance(value, str) and 1 < len(labels) <= criteria.MOST_NAMED
             text = joined_conditions(labels) if named else located({key: value})
             add(condition_text({key: value}), text, chosen)
     for key, several in values.items() if ranges else ():
@@ -138,7 +209,7 @@ def _keys(conditions: Sequence[Mapping[str, float | str]]) -> list[str]:
 
 def condition_parts(difference: Difference, layout: Layout) -> list[Part]:
     """Return the conditions; where trials are single samples, also each channel in each of them."""
-    few = bool(np.median([piece.length for piece in layout.pieces]) <= _FEW_SAMPLES)
+    few = bool(np.median([piece.length for piece in layout.pieces]) <= criteria.FEW_SAMPLES)
     sets = condition_sets(difference, layout.pieces, ranges=few)
     parts = [Part("condition", one.at, one.text, layout.whole(one.chosen)) for one in sets]
     if few and layout.channels > 1:
@@ -158,7 +229,7 @@ def condition_parts(difference: Difference, layout: Layout) -> list[Part]:
 def in_each_condition(difference: Difference, layout: Layout, parts: Sequence[Part]) -> list[Part]:
     """Return parts of the time view cut by condition; none where there are too many conditions for that, or one."""
     singles = [one for one in condition_sets(difference, layout.pieces, ranges=False) if one.single]
-    if not 2 <= len(singles) <= _MOST_JOINT:
+    if not 2 <= len(singles) <= criteria.MOST_CUT:
         return []
     return [
         Part(
@@ -169,4 +240,101 @@ def in_each_condition(difference: Difference, layout: Layout, parts: Sequence[Pa
         )
         for part in parts
         for one in singles
+    ]
+
+
+def site_parts(mover: Mover, layout: Layout) -> list[Part]:
+    """Return the regions of a joint or body site: quadrants, ends of its travel, slow motion, thirds of its load."""
+    every = np.concatenate(mover.coordinate)
+    low, high = float(every.min()), float(every.max())
+    half = 0.5 * (high - low)
+    centre = 0.5 * (high + low)
+    if abs(centre) < criteria.OFF_CENTRE * half:
+        centre = 0.0  # rest positions are zero mostly: a travel that straddles it is told by its sign
+    peak = mover.peak_rate()
+    name = plain(mover.label)
+    side, other = (
+        ("positive", "negative") if centre == 0.0 else (f"above {centre:.3g}", f"below {centre:.3g}")
+    )
+    above, below = ("on the positive side", "on the negative side") if centre == 0.0 else (side, other)
+
+    def part(at: str, text: str, inside: Callable[[FloatArray, FloatArray], BoolArray]) -> Part:
+        masks = [inside(q, rate) for q, rate in zip(mover.coordinate, mover.rate, strict=True)]
+        return Part("state", f"{mover.name}: {at}", f"{text} of {name}", layout.samples(masks))
+
+    parts = [
+        part(
+            f"{side if up else other}, {'rising' if rises else 'falling'}",
+            f"{'rising' if rises else 'falling'} motion {above if up else below}",
+            lambda q, rate, up=up, rises=rises: ((q > centre) == up) & ((rate > 0) == rises),  # type: ignore[misc]
+        )
+        for up in (True, False)
+        for rises in (True, False)
+    ]
+    middle = 0.5 * (high + low)
+    parts += [
+        part("upper end", "the upper end of the travel", lambda q, _: q > middle + criteria.NEAR_END * half),
+        part("lower end", "the lower end of the travel", lambda q, _: q < middle - criteria.NEAR_END * half),
+        part(
+            "ends of travel",
+            "the ends of the travel",
+            lambda q, _: np.abs(q - middle) > criteria.NEAR_END * half,
+        ),
+        part("slow", "slow motion", lambda _, rate: np.abs(rate) < criteria.SLOW_MOTION * peak),
+    ]
+    if mover.load:
+        parts += _thirds(mover.load, layout, f"{mover.name}: load", f"load at {name}", absolute=True)
+    return parts
+
+
+def input_parts(mover: Mover, layout: Layout) -> list[Part]:
+    """Return the thirds of an input's range."""
+    return _thirds(mover.coordinate, layout, mover.label, plain(mover.name), absolute=False)
+
+
+def _thirds(
+    values: Sequence[FloatArray], layout: Layout, at: str, what: str, *, absolute: bool
+) -> list[Part]:
+    sizes = [np.abs(one) if absolute else one for one in values]
+    every = np.concatenate(sizes)
+    low, high = float(every.min()), float(every.max())
+    if not high > low:
+        return []
+    edges = (-np.inf, low + (high - low) / 3, low + 2 * (high - low) / 3, np.inf)
+    return [
+        Part(
+            "state",
+            f"{at} {name}",
+            f"{name} values of {what}",
+            layout.samples([(one >= edges[place]) & (one < edges[place + 1]) for one in sizes]),
+        )
+        for place, name in enumerate(("low", "middle", "high"))
+    ]
+
+
+def reversal_parts(mover: Mover, layout: Layout) -> list[Part]:
+    """Return what lies within 100 ms of a reversal (less where strokes are short), and what does not."""
+    turns = [mover.reversals(index, piece.time_s) for index, piece in enumerate(layout.pieces)]
+    strokes = np.concatenate([np.diff(one) for one in turns])
+    if sum(map(len, turns)) == 0:
+        return []
+    near_s = (
+        min(criteria.NEAR_REVERSAL_S, criteria.PART_OF_STROKE * float(np.median(strokes)))
+        if strokes.size
+        else criteria.NEAR_REVERSAL_S
+    )
+    masks = []
+    for one, piece in zip(turns, layout.pieces, strict=True):
+        away = np.abs(piece.time_s[:, None] - one[None, :]).min(axis=1, initial=np.inf)
+        masks.append(away <= near_s)
+    name, within = plain(mover.label), f"{1e3 * near_s:.0f} ms"
+    near = layout.samples(masks)
+    return [
+        Part("reversal", mover.name, f"the {within} before and after reversals of {name}", near),
+        Part(
+            "reversal",
+            f"away from reversals of {mover.name}",
+            f"what is away from reversals of {name}",
+            ~near,
+        ),
     ]

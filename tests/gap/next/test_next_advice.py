@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from labrun.gap.diagnosis import Name
-from labrun.gap.next.advice import would_separate
-from labrun.gap.next.rivals import NOTHING
+from labrun.gap.next.proposal import would_separate
+from labrun.gap.next.separation import NOTHING
 
 
 def _rival(effect, kind="effect"):

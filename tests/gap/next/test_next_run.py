@@ -6,7 +6,7 @@ from diagnosing import diagnose
 from labrun.app.next import propose_next as propose
 from labrun.app.run import execute
 from labrun.gap.diagnose import Options
-from labrun.gap.next.values import beyond, by_hand, rounded
+from labrun.gap.next.trials import beyond, by_hand, rounded
 from labrun.runner import Planner, SilentProgress
 from labrun.spec import load_experiment, load_named
 

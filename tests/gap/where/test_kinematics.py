@@ -5,7 +5,7 @@ import pytest
 from where_cases import made
 
 from labrun.gap.where import find_places
-from labrun.gap.where.kinematics import defined
+from labrun.gap.where.equations import defined
 
 
 @pytest.fixture(scope="module")

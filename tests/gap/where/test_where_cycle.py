@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labrun.gap.where.cycle import find_cycle
+from labrun.gap.where.periods import find_cycle
 
 TIME = np.arange(600) / 100.0
 

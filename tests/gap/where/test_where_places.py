@@ -146,7 +146,7 @@ def test_the_same_seed_gives_the_same_places():
 
 def test_what_recalibration_takes_out_of_noise_is_not_expected_back():
     """With as many free directions as numbers nothing can be left, and noise must not be expected to leave anything."""
-    from labrun.gap.where.absorbed import Absorbed
+    from labrun.gap.where.significance import Absorbed
 
     difference = made(np.random.default_rng(14), frequencies=(1.0,), seconds=0.5, rate_hz=40.0)
     size = difference.residual[0].size
