@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from labrun.control.closed_loop import ClosedLoopRecorder
 from labrun.errors import SpecError
@@ -11,9 +12,12 @@ from labrun.search.design import Condition, conditions
 from labrun.search.forecast import most_trials
 from labrun.search.survey import allowed_points, at_points, survey
 from labrun.spec import Experiment, LoadedExperiment
+from labrun.store import lacking_room
 
 
-def check(loaded: LoadedExperiment, *, dry_run: bool = False, seed: int = 0) -> Plan:
+def check(
+    loaded: LoadedExperiment, *, dry_run: bool = False, seed: int = 0, results: Path = Path("results")
+) -> Plan:
     """Return the whole plan, checked against every limit; nothing is connected, moved or written.
 
     A search chooses its conditions as it goes and keeps them inside the limits itself: its plan says how much of its
@@ -25,6 +29,8 @@ def check(loaded: LoadedExperiment, *, dry_run: bool = False, seed: int = 0) -> 
         Check as well that there is a bench to simulate.
     seed
         Of random designs.
+    results
+        Where the run would go: a note of the plan tells where the disk has no room for it.
 
     Raises
     ------
@@ -39,7 +45,9 @@ def check(loaded: LoadedExperiment, *, dry_run: bool = False, seed: int = 0) -> 
             f"{loaded.path} names no scene, so there is no bench to simulate",
             hint='add scene = "..." to [rig]; labrun plugins lists the scenes',
         )
-    return whole_plan(loaded, seed, None)
+    plan = whole_plan(loaded, seed, None)
+    lacking = lacking_room(results, plan.disk_bytes)
+    return plan if lacking is None else replace(plan, notes=(*plan.notes, lacking))
 
 
 def whole_plan(loaded: LoadedExperiment, seed: int, rig: Rig | None) -> Plan:

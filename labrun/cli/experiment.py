@@ -29,7 +29,7 @@ def check(
         from labrun.app.check import check as check_plan
         from labrun.spec import load_named
 
-        plan = check_plan(load_named(name, Path.cwd(), overrides or ()), dry_run=dry_run)
+        plan = check_plan(load_named(name, Path.cwd(), overrides or ()), dry_run=dry_run, results=results)
         if as_json:
             print_json(plan.report())
             raise typer.Exit(2 if plan.excess else 0)

@@ -9,7 +9,7 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.errors import RecordingError, RequestError
 from labrun.signals import TIMES, Signals
-from labrun.store.packed_file import SAMPLE, TRIAL_INDEX
+from labrun.store.ragged import SAMPLE, TRIAL_INDEX
 from labrun.store.reading import Run
 from labrun.store.table import variables
 from labrun.store.trial import TrialOutcome

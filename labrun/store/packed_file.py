@@ -15,47 +15,27 @@ square, where one group a device opens in 0.1 s however many trials there are. S
 """
 
 import json
-import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import asdict, astuple, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import h5py
-import numpy as np
-from numpy.typing import NDArray
 
-from labrun.arrays import FloatArray
 from labrun.errors import RecordingError
-from labrun.signals import MEMORY_ROWS, TIMES, LongSignals, Signals
+from labrun.signals import TIMES, LongSignals
 from labrun.store.disk import flush_errors, require_room
+from labrun.store.ragged import Digest, RaggedGroup, RaggedWriter, create, digests_of, storable
 from labrun.store.table import AXIS, Variable, known_units, variables
 from labrun.store.trial import TrialOutcome, json_ready
 from labrun.store.trial_file import BESIDE, RECORD
 
 FORMAT = 2
 """Of run folders and ``run.h5``; those of older code have none, and are refused."""
-SAMPLE = "sample"
-TRIAL_INDEX = "trial_index"
-FIRST = "first_sample"
-COUNT = "sample_count"
-SET = "column_set"
-CHUNK = 1 << 14
-"""Samples of a chunk (128 KiB) of a dataset that is written in several blocks."""
-_OF_TRIALS = {"rate_hz": "Hz", "lost": "", "saturated": "", "clock_glitches": ""}
-"""What is known of a device's signals in each trial, with units."""
-_TARE = "tare_"
-_TAKEN = frozenset({SAMPLE, TRIAL_INDEX, FIRST, COUNT, SET, *_OF_TRIALS})
-_DIMENSION = "This is a netCDF dimension but not a netCDF variable. %9d"
-"""How netCDF-4 marks a dimension scale that stands only for a dimension."""
 _OUTCOMES = "outcomes_jsonl"
 _SPARE = 4 << 20
 """Bytes beside what the trials take now: the table, and chunks that are not full."""
-
-Digest = dict[str, tuple[Any, ...]]
-"""Of one trial, by table: what is known of it, and a checksum of each column."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,11 +47,6 @@ class RunTexts:
     spec_toml: str
     provenance_json: str
     journal_jsonl: str
-
-
-def storable(text: str) -> str:
-    """Return text as HDF5 can hold it: a zero byte, or half a character, from a garbled answer is made visible."""
-    return text.replace("\0", "\N{SYMBOL FOR NULL}").encode("utf-8", "replace").decode()
 
 
 def write_packed(
@@ -103,7 +78,7 @@ def write_packed(
     lines = _lines_of(outcomes)
     rest = sum(len(text) for text in astuple(texts)) + len(lines)
     require_room(path, int(1.25 * size) + 4 * rest + _SPARE)
-    groups: dict[str, _RaggedWriter] = {}
+    groups: dict[str, RaggedWriter] = {}
     digests: dict[int, Digest] = {}
     with flush_errors(), h5py.File(path, "w", track_order=True) as file:
         file.attrs.update(
@@ -114,7 +89,7 @@ def write_packed(
             with tables(index) as opened:
                 for name, table in opened.items():
                     if name not in groups:
-                        groups[name] = _RaggedWriter(file.create_group(name, track_order=True), len(outcomes))
+                        groups[name] = RaggedWriter(file.create_group(name, track_order=True), len(outcomes))
                     digests[index][name] = groups[name].append(row, index, table)
         units = {
             f"{name}.{column}": unit
@@ -134,151 +109,11 @@ def write_packed(
 
 def _write_table(file: h5py.File, found: Sequence[Variable]) -> h5py.Dataset:
     """Write the table; the index of the trials is its axis. Return the scale."""
-    scale = _create(file, AXIS, found[0].values, {"units": "", "kind": "trial"}, None)
+    scale = create(file, AXIS, found[0].values, {"units": "", "kind": "trial"}, None)
     scale.make_scale(AXIS)
     for variable in found:
-        _create(file, variable.name, variable.values, {"units": variable.unit, "kind": variable.kind}, scale)
+        create(file, variable.name, variable.values, {"units": variable.unit, "kind": variable.kind}, scale)
     return scale
-
-
-def _create(
-    group: h5py.Group,
-    name: str,
-    values: NDArray[Any],
-    attributes: Mapping[str, str],
-    scale: h5py.Dataset | None,
-) -> h5py.Dataset:
-    """Write numbers, or text where the array is of objects."""
-    text = values.dtype == object
-    data = np.array([storable(word) for word in values], dtype=object) if text else values
-    dataset = group.create_dataset(storable(name), data=data, dtype=h5py.string_dtype() if text else None)
-    for key, value in attributes.items():
-        dataset.attrs[key] = storable(value)
-    if scale is not None:
-        dataset.dims[0].attach_scale(scale)
-    return dataset
-
-
-class _RaggedWriter:
-    """Writes one group of a packed run, trial by trial, in blocks of `MEMORY_ROWS` samples."""
-
-    def __init__(self, group: h5py.Group, trials: int) -> None:
-        self.columns: dict[tuple[str, str], str] = {}
-        """Name of the dataset, by name and unit of the column."""
-        self._group = group
-        self._parts: dict[str, list[tuple[int, NDArray[Any]]]] = {TRIAL_INDEX: []}
-        self._sets: dict[tuple[str, ...], int] = {}
-        self._set_of = np.full(trials, -1, dtype=np.int32)
-        self._counts = np.zeros(trials, dtype=np.int64)
-        self._known: dict[str, NDArray[Any]] = {}
-        self._tares: dict[str, FloatArray] = {}
-        self._written = 0
-        self._total = 0
-
-    def append(self, row: int, index: int, table: LongSignals) -> tuple[Any, ...]:
-        """Append one trial's signals, in order of rows; return their digest."""
-        head = table.head
-        axes = [(name, "s") for name in TIMES if getattr(head, name) is not None]
-        names = tuple(
-            self._dataset_name(*key) for key in (*axes, *zip(head.columns, head.units, strict=True))
-        )
-        self._set_of[row] = self._sets.setdefault(names, len(self._sets))
-        self._counts[row] = len(table)
-        for known in _OF_TRIALS if head.device_time_s is not None else ():
-            value = getattr(head, known)
-            nothing = np.nan if isinstance(value, float) else 0
-            self._known.setdefault(known, np.full(len(self._counts), nothing))[row] = value
-        for column, offset in head.tare.items():
-            if column in head.columns:
-                name = self.columns[column, head.unit(column)]
-                self._tares.setdefault(name, np.full(len(self._counts), np.nan))[row] = offset
-        sums = [0] * len(names)
-        for piece in table.pieces():
-            for place, (name, values) in enumerate(zip(names, columns_of(piece), strict=True)):
-                self._parts[name].append((self._total, values))
-                sums[place] = zlib.crc32(values.data, sums[place])
-            self._parts[TRIAL_INDEX].append((self._total, np.full(len(piece), index, dtype=np.int32)))
-            self._total += len(piece)
-            if self._total - self._written >= MEMORY_ROWS:
-                self._flush()
-        return _digest(head, len(table), sums)
-
-    def finish(self, trial_scale: h5py.Dataset) -> None:
-        """Write what is left and what is known of each trial."""
-        group = self._group
-        self._flush()
-        scale = group.create_dataset(SAMPLE, shape=(self._total,), dtype=">f4")
-        scale.make_scale(_DIMENSION % self._total)
-        index = group[TRIAL_INDEX]
-        index.attrs["long_name"] = "index of the trial"
-        index.dims[0].attach_scale(scale)
-        units = {}
-        for (column, unit), name in self.columns.items():
-            units[name] = unit
-            group[name].attrs["units"] = storable(unit)
-            if name != column:
-                group[name].attrs["channel"] = column
-            group[name].dims[0].attach_scale(scale)
-        _create(group, FIRST, np.cumsum(self._counts) - self._counts, {}, trial_scale)
-        _create(group, COUNT, self._counts, {"sample_dimension": SAMPLE}, trial_scale)
-        for name, values in self._known.items():
-            _create(group, name, values, {"units": _OF_TRIALS[name]}, trial_scale)
-        for name, tare in self._tares.items():
-            _create(group, _TARE + name, tare, {"units": units[name]}, trial_scale)
-        sets = json.dumps([list(names) for names in self._sets])
-        about = {"long_name": "which of column_sets a trial has, -1: none", "column_sets": sets}
-        _create(group, SET, self._set_of, about, trial_scale)
-
-    def _flush(self) -> None:
-        """Write the block that waits: what fits in one block contiguous, what is larger in chunks."""
-        if self._total == self._written and all(name in self._group for name in self._parts):
-            return
-        for name, parts in self._parts.items():
-            kind, nothing = (np.int32, -1) if name == TRIAL_INDEX else (np.float64, np.nan)
-            if sum(len(values) for _, values in parts) == self._total - self._written:
-                block = np.concatenate([np.empty(0, kind), *(values for _, values in parts)])
-            else:
-                block = np.full(self._total - self._written, nothing, dtype=kind)
-                for start, values in parts:
-                    block[start - self._written : start - self._written + len(values)] = values
-            parts.clear()
-            if self._written == 0 and self._total < MEMORY_ROWS:
-                self._group.create_dataset(name, data=block)
-                continue
-            if name not in self._group:
-                self._group.create_dataset(
-                    name, (0,), kind, maxshape=(None,), chunks=(CHUNK,), fillvalue=nothing
-                )
-            dataset = self._group[name]
-            dataset.resize((self._total,))
-            dataset[self._written :] = block
-        self._written = self._total
-
-    def _dataset_name(self, column: str, unit: str) -> str:
-        if (column, unit) not in self.columns:
-            name = column
-            if name in _TAKEN or name.startswith(_TARE):
-                name = f"channel_{name}"
-            while name in self._parts:
-                name += "_"  # the same channel in another unit, after the experiment changed
-            self.columns[column, unit] = name
-            self._parts[name] = []
-        return self.columns[column, unit]
-
-
-def columns_of(piece: Signals) -> Iterator[FloatArray]:
-    """Yield times and values, one a column, each contiguous."""
-    for name in TIMES:
-        values = getattr(piece, name)
-        if values is not None:
-            yield np.ascontiguousarray(values)
-    yield from np.ascontiguousarray(piece.values.T)
-
-
-def _digest(head: Signals, count: int, sums: Sequence[int]) -> tuple[Any, ...]:
-    tare = sorted((name, offset) for name, offset in head.tare.items() if name in head.columns)
-    about = [getattr(head, name) for name in _OF_TRIALS] if head.device_time_s is not None else []
-    return (repr((head.columns, head.units, tare, about)), count, *sums)
 
 
 class PackedTrials:
@@ -300,7 +135,7 @@ class PackedTrials:
         indices = self._file["index"][()]
         self._rows = {int(index): row for row, index in enumerate(indices)}
         self._groups = {
-            name: _RaggedGroup(group)
+            name: RaggedGroup(group)
             for name, group in self._file.items()
             if isinstance(group, h5py.Group) and name != RECORD
         }
@@ -328,7 +163,7 @@ class PackedTrials:
             self._lines == _lines_of(outcomes)
             and list(self._rows) == list(outcomes)
             and all(group.marks(list(outcomes)) for group in self._groups.values())
-            and all(_digests(self.tables(index)) == digests[index] for index in outcomes)
+            and all(digests_of(self.tables(index)) == digests[index] for index in outcomes)
         )
 
 
@@ -342,114 +177,6 @@ def holds(path: Path, outcomes: Mapping[int, TrialOutcome], digests: Mapping[int
         return packed.holds(outcomes, digests)
     finally:
         packed.close()
-
-
-def _digests(tables: Mapping[str, LongSignals]) -> Digest:
-    found = {}
-    for name, table in tables.items():
-        sums: list[int] = []
-        for piece in table.pieces():
-            columns = list(columns_of(piece))
-            sums = [
-                zlib.crc32(values.data, before)
-                for values, before in zip(columns, sums or [0] * len(columns), strict=True)
-            ]
-        found[name] = _digest(table.head, len(table), sums)
-    return found
-
-
-class _RaggedGroup:
-    """A group that `_RaggedWriter` made, opened for reading."""
-
-    def __init__(self, group: h5py.Group) -> None:
-        self._group = group
-        self._first = group[FIRST][()]
-        self._count = group[COUNT][()]
-        self._set = group[SET][()]
-        self._sets: list[list[str]] = json.loads(group[SET].attrs["column_sets"])
-        self._known = {name: group[name][()] for name in _OF_TRIALS if name in group}
-        self._tares = {name.removeprefix(_TARE): group[name][()] for name in group if name.startswith(_TARE)}
-        self._columns: dict[str, tuple[str, str, h5py.Dataset]] = {}
-        self._block: dict[str, FloatArray] = {}
-        self._start = 0
-
-    def has(self, row: int) -> bool:
-        """Tell whether a trial has these signals."""
-        return bool(self._set[row] >= 0)
-
-    def signals(self, name: str, row: int) -> LongSignals:
-        """Return one trial's signals; `has` them."""
-        names = self._sets[self._set[row]]
-        columns = [(*self._column(one), one) for one in names]
-        axes = {column: one for column, _, _, one in columns if column in TIMES}
-        measured = [(column, unit, one) for column, unit, _, one in columns if column not in TIMES]
-        tare = {
-            column: float(self._tares[one][row])
-            for column, _, one in measured
-            if one in self._tares and not np.isnan(self._tares[one][row])
-        }
-        known = {key: values[row].item() for key, values in self._known.items()}
-        none = np.empty(0)
-        times = {axis: none if axis in axes else None for axis in TIMES}
-        head = Signals(
-            name,
-            tuple(column for column, _, _ in measured),
-            tuple(unit for _, unit, _ in measured),
-            values=np.empty((0, len(measured))),
-            tare=tare,
-            **{**times, "time_s": none},  # type: ignore[arg-type]
-            **(known if "device_time_s" in axes else {}),
-        )
-        first, count = int(self._first[row]), int(self._count[row])
-
-        def pieces(skipped: int) -> Iterator[Signals]:
-            begin = first + skipped
-            for start in range(begin, max(first + count, begin + 1), MEMORY_ROWS):
-                length = min(MEMORY_ROWS, first + count - start)
-                read: dict[str, Any] = {axis: self._read(one, start, length) for axis, one in axes.items()}
-                values = [self._read(one, start, length) for _, _, one in measured]
-                yield replace(
-                    head, values=np.column_stack(values) if values else np.empty((length, 0)), **read
-                )
-
-        return LongSignals(head, count, pieces)
-
-    def marks(self, indices: Sequence[int]) -> bool:
-        """Tell whether every sample is marked with its trial, given the index of every row."""
-        marked = self._group[TRIAL_INDEX]
-        ends = np.cumsum(self._count)
-        if marked.shape != (self._count.sum(),):
-            return False
-        for start in range(0, len(marked), MEMORY_ROWS):
-            values = marked[start : start + MEMORY_ROWS]
-            rows = np.searchsorted(ends, np.arange(start, start + len(values)), side="right")
-            if not np.array_equal(values, np.asarray(indices)[rows]):
-                return False
-        return True
-
-    def _column(self, name: str) -> tuple[str, str, h5py.Dataset]:
-        """Return a column's own name, its unit, and its dataset."""
-        if name not in self._columns:
-            dataset = self._group[name]
-            self._columns[name] = (
-                dataset.attrs.get("channel", name),
-                dataset.attrs["units"],
-                dataset,
-            )
-        return self._columns[name]
-
-    def _read(self, name: str, start: int, count: int) -> FloatArray:
-        """Return samples of one dataset; what is read for one trial has the next ones in it, too."""
-        if count == 0:
-            return np.empty(0)
-        if not self._start <= start <= start + count <= self._start + len(self._block.get(name, ())):
-            if start != self._start:
-                self._start, self._block = start, {}
-            ahead = max(count, min(CHUNK, MEMORY_ROWS))
-            self._block[name] = self._column(name)[2][start : start + ahead]
-        first = start - self._start
-        values: FloatArray = self._block[name][first : first + count]
-        return values
 
 
 def read_outcomes(path: Path) -> dict[int, TrialOutcome]:

@@ -259,3 +259,44 @@ def test_asking_for_a_signal_or_trial_that_is_not_there_says_so(tmp_path):
         run.signals(0)["wrench"].column("force_z")
     with pytest.raises(RecordingError, match="has no trial 5"):
         run.signals(5)
+
+
+def test_a_run_of_an_earlier_labrun_is_refused_with_one_sentence(tmp_path):
+    folder = stored_runs.new_run(tmp_path)
+    stored_runs.store(folder, 0)
+    journal = folder.journal.path.read_text()
+    folder.journal.path.write_text(journal.replace(', "format": 2', "", 1))
+    for opened in (RunFolder.open, open_run):
+        with pytest.raises(RecordingError, match="was made by an earlier labrun"):
+            opened(folder.path)
+    assert sorted(path.name for path in (folder.path / "trials").iterdir()) == ["000000.h5"]
+
+
+def test_a_packed_run_of_an_earlier_labrun_is_refused_with_one_sentence(tmp_path):
+    folder = stored_runs.new_run(tmp_path)
+    stored_runs.store(folder, 0)
+    packed = folder.pack().rename(tmp_path / "alone.h5")
+    with h5py.File(packed, "r+") as file:
+        del file.attrs["format"]
+    with pytest.raises(RecordingError, match="was made by an earlier labrun"):
+        open_run(packed)
+
+
+def test_a_run_without_provenance_says_what_is_missing(tmp_path):
+    folder = stored_runs.new_run(tmp_path)
+    stored_runs.store(folder, 0)
+    (folder.path / "provenance.json").unlink()
+    with pytest.raises(RecordingError, match=r"has no provenance\.json"):
+        open_run(folder.path)
+    with pytest.raises(RecordingError, match=r"has no provenance\.json"):
+        _ = RunFolder.open(folder.path).provenance
+
+
+@pytest.mark.parametrize("name", ["log.mcap", "log.csv", "notes"])
+def test_a_file_that_is_no_run_is_told_what_labrun_reads(tmp_path, name):
+    (tmp_path / name).write_text("time_s,force\n0,1\n")
+    with pytest.raises(
+        RecordingError, match=rf"(?s){name} is a.* and no run of labrun.*recordings"
+    ) as raised:
+        open_run(tmp_path / name)
+    assert "restore" not in str(raised.value)
