@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labrun.errors import PluginError, SpecError
@@ -17,6 +17,7 @@ from labrun.spec import GaitTable
 FIN = {"tail": {"offset_deg": "b", "amplitude_deg": "a", "frequency_hz": "f", "phase_deg": "phi"}}
 
 
+@settings(max_examples=30)
 @given(st.floats(-20, 20), st.floats(0, 40), st.floats(0.2, 3), st.floats(-180, 180), st.floats(0.1, 4))
 def test_a_sine_is_offset_plus_amplitude_times_sine_in_radians(b, a, f, phi, duration_s):
     gait = SineGait(FIN, {}, {})
@@ -43,6 +44,7 @@ def test_linked_joints_move_against_each_other():
     np.testing.assert_allclose(motion.only(("left",)).angle_rad, -motion.only(("right",)).angle_rad)
 
 
+@settings(max_examples=30)
 @given(st.integers(1, 9), st.integers(1, 9), st.floats(0.1, 3))
 def test_the_common_period_holds_whole_cycles_of_every_joint_and_is_the_shortest(p, q, f):
     period = common_period_s([p * f, q * f])
@@ -93,6 +95,7 @@ def test_a_formulas_frequency_may_come_from_let_but_not_from_time():
 
 
 @pytest.mark.parametrize("gait", [ReleaseGait, HoldGait])
+@settings(max_examples=30)
 @given(angle=st.floats(-90, 90))
 def test_release_and_hold_command_one_angle_and_have_no_cycle(gait, angle):
     made = gait({"hinge": {"angle_deg": "2*half"}}, {}, {})

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labrun.errors import SpecError
@@ -28,6 +28,7 @@ GAITS = {
 
 
 @pytest.mark.parametrize("plugin", GAITS)
+@settings(max_examples=30)
 @given(a=st.floats(-60, 60), b=st.floats(-20, 20))
 def test_with_constant_drives_a_steered_gait_is_the_gait_itself(plugin, a, b):
     gait = make_gait(GAITS[plugin])

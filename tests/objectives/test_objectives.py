@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labrun.devices import Trajectory
@@ -18,6 +18,7 @@ def trial(time_s, *, period_s=None, discard_cycles=0, end_s=None, unit="N m", **
     return TrialSignals(signals, command, 0.0, end_s or float(time_s[-1]), period_s, discard_cycles)
 
 
+@settings(max_examples=30)
 @given(
     st.floats(-3, 3),
     st.floats(0.1, 5),
@@ -37,6 +38,7 @@ def test_a_cycle_mean_is_the_mean_over_whole_cycles_whatever_the_oscillation(
     assert CycleMean("wrench.x", {})(signals) == pytest.approx(mean, abs=1e-4 * size * (1 + f))
 
 
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1))
 def test_lost_samples_do_not_shift_the_cycle_mean(seed):
     t = np.linspace(0, 4, 2001)
@@ -107,6 +109,7 @@ def test_noise_does_not_enlarge_the_amplitude_at_the_gaits_frequency():
     assert Amplitude("wrench.x", {})(trial(t, x=x)) > 3
 
 
+@settings(max_examples=30)
 @given(st.floats(-179, 179), st.floats(0.1, 10))
 def test_direction_is_the_angle_of_the_force_vector(angle, size):
     t = np.linspace(0, 1, 11)

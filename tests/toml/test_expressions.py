@@ -4,13 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labrun.errors import SpecError
 from labrun.toml import Expression, ExpressionError, evaluate, in_order, names_in, resolve
 
 
+@settings(max_examples=30)
 @given(st.floats(-60, 60), st.floats(-60, 60), st.floats(0.1, 5))
 def test_numbers_come_out_as_python_computes_them(a, b, f):
     names = {"a": a, "b": b, "f": f}
@@ -19,6 +20,7 @@ def test_numbers_come_out_as_python_computes_them(a, b, f):
     assert evaluate("max(a, b, 0) if f > 1 else min(a, b)", names) == (max(a, b, 0) if f > 1 else min(a, b))
 
 
+@settings(max_examples=30)
 @given(st.lists(st.floats(-100, 100), min_size=1, max_size=20))
 def test_an_array_gives_what_its_elements_give_one_by_one(values):
     expression = "where(x > 0 and x < 50, sin(x) * 2, clip(x, -10, 10)) + step(x, 3)"
@@ -87,6 +89,7 @@ def test_a_value_that_is_not_finite_names_what_it_was_computed_from():
         evaluate("1/(a - 1)", {"a": 1.0, "b": 2.0})
 
 
+@settings(max_examples=30)
 @given(st.text(max_size=30))
 def test_any_text_is_computed_or_refused(text):
     try:

@@ -3,7 +3,7 @@
 import tomllib
 
 import tomli_w
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labrun.toml import Position, locate
@@ -71,6 +71,7 @@ def _paths(value, path=()):
         yield from _paths(inner, (*path, key))
 
 
+@settings(max_examples=30)
 @given(_TREES)
 def test_every_key_that_tomllib_reads_has_a_place(tree):
     text = tomli_w.dumps(tree)
@@ -81,6 +82,7 @@ def test_every_key_that_tomllib_reads_has_a_place(tree):
         assert 1 <= position.column <= len(lines[position.line - 1]) + 1
 
 
+@settings(max_examples=30)
 @given(_TREES)
 def test_the_bytes_of_every_value_read_as_that_value(tree):
     text = tomli_w.dumps(tree)
