@@ -8,9 +8,8 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from labrun.control.pid import PidController, PidSettings
 from labrun.control.plant import PlantModel, read_plant
 from labrun.control.protocol import FindFile, LoopContext, Step
-from labrun.control.settings import ControlSettings, checked
 from labrun.errors import SpecError
-from labrun.toml import Faults
+from labrun.toml import Faults, Table, checked
 
 
 def _form_of_model(model: object) -> str:
@@ -57,7 +56,7 @@ class FeedforwardPid(PidController):
         The loop's period, range and start.
     """
 
-    Settings: ClassVar[type[ControlSettings]] = FeedforwardSettings
+    Settings: ClassVar[type[Table]] = FeedforwardSettings
 
     def __init__(self, settings: Mapping[str, Any], context: LoopContext) -> None:
         super().__init__(settings, context)

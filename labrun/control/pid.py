@@ -6,10 +6,10 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, PositiveFloat
 
 from labrun.control.protocol import LoopContext, Step
-from labrun.control.settings import ControlSettings, checked
+from labrun.toml import Table, checked
 
 
-class PidSettings(ControlSettings):
+class PidSettings(Table):
     """Keys of `pid`; gains are in the unit of the variable per unit of the feedback.
 
     Attributes
@@ -60,7 +60,7 @@ class PidController:
         The loop's period, range and start.
     """
 
-    Settings: ClassVar[type[ControlSettings]] = PidSettings
+    Settings: ClassVar[type[Table]] = PidSettings
 
     def __init__(self, settings: Mapping[str, Any], context: LoopContext) -> None:
         self._keys: PidSettings = self._checked(settings)

@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from labrun.control.settings import ControlSettings
 from labrun.errors import SpecError
-from labrun.toml import Faults, suggest
+from labrun.toml import Faults, Table, suggest
 
 _KEYS = ("gain", "lag_s", "dead_s", "numerator", "denominator")
 
@@ -17,7 +16,7 @@ Seconds = Annotated[float, Field(ge=0)]
 Coefficients = Annotated[list[float], Field(min_length=1)]
 
 
-class PlantModel(ControlSettings):
+class PlantModel(Table):
     """What the feedback does when the variable is set.
 
     Attributes

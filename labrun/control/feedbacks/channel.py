@@ -9,13 +9,12 @@ import numpy as np
 from pydantic import Field
 
 from labrun.control.history import History
-from labrun.control.settings import ControlSettings, SettingsType, checked
 from labrun.devices import FloatArray
 from labrun.errors import SpecError
-from labrun.toml import UNITS
+from labrun.toml import UNITS, Table, checked
 
 
-class ChannelSettings(ControlSettings):
+class ChannelSettings(Table):
     """Keys of a feedback from one channel, or from two.
 
     Attributes
@@ -63,9 +62,6 @@ class ChannelFeedback(ABC):
         self.channels: tuple[str, ...] = (keys.channel, *sides)
         self.unit, factor = _unit_and_factor(keys, units.get(keys.channel, ""))
         self._factors = (factor * keys.scale, factor * keys.side_scale)
-
-    def _checked(self, model: type[SettingsType], settings: Mapping[str, Any]) -> SettingsType:
-        return checked(model, settings)
 
     def __call__(self, history: History, period_s: float | None) -> float:
         """Return the number now, in the unit of `unit`."""

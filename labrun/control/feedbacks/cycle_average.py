@@ -8,6 +8,7 @@ from pydantic import PositiveFloat
 from labrun.control.feedbacks.channel import ChannelFeedback, ChannelSettings, mean_over
 from labrun.devices import FloatArray
 from labrun.errors import SpecError
+from labrun.toml import checked
 
 
 class CycleAverageSettings(ChannelSettings):
@@ -26,7 +27,7 @@ class CycleAverageFeedback(ChannelFeedback):
 
     def __init__(self, settings: Mapping[str, Any], units: Mapping[str, str]) -> None:
         super().__init__(settings, units)
-        self._period_s = self._checked(CycleAverageSettings, settings).period_s
+        self._period_s = checked(CycleAverageSettings, settings).period_s
 
     @staticmethod
     def needs_cycle(settings: Mapping[str, Any]) -> bool:

@@ -7,6 +7,7 @@ from pydantic import PositiveFloat
 
 from labrun.control.feedbacks.channel import ChannelFeedback, ChannelSettings, mean_over
 from labrun.devices import FloatArray
+from labrun.toml import checked
 
 
 class MovingAverageSettings(ChannelSettings):
@@ -22,7 +23,7 @@ class MovingAverageFeedback(ChannelFeedback):
 
     def __init__(self, settings: Mapping[str, Any], units: Mapping[str, str]) -> None:
         super().__init__(settings, units)
-        self._window_s = self._checked(MovingAverageSettings, settings).window_s
+        self._window_s = checked(MovingAverageSettings, settings).window_s
 
     def memory_s(self, period_s: float | None) -> float:  # noqa: ARG002
         """Return the window."""

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from labrun.control.protocol import Condition
-from labrun.control.settings import ControlSettings, checked
+from labrun.toml import Table, checked
 
 
-class ConstantSettings(ControlSettings):
+class ConstantSettings(Table):
     """Key of `constant`: its value."""
 
     value: float
@@ -16,7 +16,7 @@ class ConstantSettings(ControlSettings):
 class ConstantReference:
     """The same value all the time."""
 
-    Settings: ClassVar[type[ControlSettings]] = ConstantSettings
+    Settings: ClassVar[type[Table]] = ConstantSettings
 
     def __init__(self, settings: Mapping[str, Any], condition: Condition) -> None:  # noqa: ARG002
         self._value = checked(ConstantSettings, settings).value

@@ -4,11 +4,10 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from labrun.control.protocol import Condition
-from labrun.control.settings import ControlSettings, checked
-from labrun.toml import evaluate
+from labrun.toml import Table, checked, evaluate
 
 
-class FormulaSettings(ControlSettings):
+class FormulaSettings(Table):
     """Key of `formula`: the value, an expression in ``t`` (s of the trial) and the names of the condition."""
 
     value: float | str
@@ -17,7 +16,7 @@ class FormulaSettings(ControlSettings):
 class FormulaReference:
     """A formula in ``t``, for what has no name of its own."""
 
-    Settings: ClassVar[type[ControlSettings]] = FormulaSettings
+    Settings: ClassVar[type[Table]] = FormulaSettings
     names: ClassVar[tuple[str, ...]] = ("t",)
     expression_settings: ClassVar[tuple[str, ...]] = ("value",)
 

@@ -7,10 +7,10 @@ from typing import Any, ClassVar
 from pydantic import PositiveFloat
 
 from labrun.control.protocol import Condition
-from labrun.control.settings import ControlSettings, checked
+from labrun.toml import Table, checked
 
 
-class HalfSineSettings(ControlSettings):
+class HalfSineSettings(Table):
     """Keys of `half-sine`: from `low` up to `high` and back once in `period_s`."""
 
     low: float
@@ -25,7 +25,7 @@ class HalfSineReference:
     one arch takes 100 s.
     """
 
-    Settings: ClassVar[type[ControlSettings]] = HalfSineSettings
+    Settings: ClassVar[type[Table]] = HalfSineSettings
 
     def __init__(self, settings: Mapping[str, Any], condition: Condition) -> None:  # noqa: ARG002
         keys = checked(HalfSineSettings, settings)

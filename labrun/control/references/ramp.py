@@ -6,11 +6,10 @@ from typing import Any, ClassVar
 from pydantic import Field, model_validator
 
 from labrun.control.protocol import Condition
-from labrun.control.settings import ControlSettings, checked
-from labrun.toml import Faults
+from labrun.toml import Faults, Table, checked
 
 
-class RampSettings(ControlSettings):
+class RampSettings(Table):
     """Keys of `ramp`: `from` until `from_s`, then straight to `to`, which it reaches at `to_s` and keeps."""
 
     start: float = Field(alias="from")
@@ -31,7 +30,7 @@ class RampSettings(ControlSettings):
 class RampReference:
     """A straight line between two values, held before and after it."""
 
-    Settings: ClassVar[type[ControlSettings]] = RampSettings
+    Settings: ClassVar[type[Table]] = RampSettings
 
     def __init__(self, settings: Mapping[str, Any], condition: Condition) -> None:  # noqa: ARG002
         self._keys = checked(RampSettings, settings)

@@ -7,10 +7,10 @@ from typing import Any, ClassVar
 from pydantic import PositiveFloat
 
 from labrun.control.protocol import Condition
-from labrun.control.settings import ControlSettings, checked
+from labrun.toml import Table, checked
 
 
-class SineSettings(ControlSettings):
+class SineSettings(Table):
     """Keys of `sine`: ``mean + amplitude sin(2 pi t / period_s + phase)``."""
 
     mean: float = 0.0
@@ -22,7 +22,7 @@ class SineSettings(ControlSettings):
 class SineReference:
     """A sine around a mean."""
 
-    Settings: ClassVar[type[ControlSettings]] = SineSettings
+    Settings: ClassVar[type[Table]] = SineSettings
 
     def __init__(self, settings: Mapping[str, Any], condition: Condition) -> None:  # noqa: ARG002
         keys = checked(SineSettings, settings)

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from labrun.control.protocol import Condition
-from labrun.control.settings import ControlSettings, checked
+from labrun.toml import Table, checked
 
 
-class StepSettings(ControlSettings):
+class StepSettings(Table):
     """Keys of `step`: the value before `at_s`, and from then on."""
 
     before: float
@@ -18,7 +18,7 @@ class StepSettings(ControlSettings):
 class StepReference:
     """One value before a time, another from then on."""
 
-    Settings: ClassVar[type[ControlSettings]] = StepSettings
+    Settings: ClassVar[type[Table]] = StepSettings
 
     def __init__(self, settings: Mapping[str, Any], condition: Condition) -> None:  # noqa: ARG002
         self._keys = checked(StepSettings, settings)

@@ -10,12 +10,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from labrun.control.protocol import Condition, FindFile
-from labrun.control.settings import ControlSettings, checked
 from labrun.errors import SpecError
-from labrun.toml import Faults
+from labrun.toml import Faults, Table, checked
 
 
-class TableSettings(ControlSettings):
+class TableSettings(Table):
     """Keys of `table`: `points` as [time, value] pairs, or `file`, a CSV file of two columns.
 
     Times are s of the trial; the value is straight between two points, and held before the first and after the last.
@@ -43,7 +42,7 @@ class TableSettings(ControlSettings):
 class TableReference:
     """Points of time and value, straight between them."""
 
-    Settings: ClassVar[type[ControlSettings]] = TableSettings
+    Settings: ClassVar[type[Table]] = TableSettings
 
     def __init__(self, settings: Mapping[str, Any], condition: Condition) -> None:  # noqa: ARG002
         points = checked(TableSettings, settings).points
