@@ -29,7 +29,7 @@ def _turn(scene, body, time_s):
 
 def _long_record(**keys):
     scene = _scene(**keys)
-    blocks = [np.arange(0, 100, 0.02) + start for start in range(0, 2000, 100)]
+    blocks = [np.arange(0, 100, 0.02) + start for start in range(0, 1000, 100)]
     return np.concatenate([_seen(scene, block, "base_x", "base_y") for block in blocks])
 
 
