@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from labrun.arrays import FloatArray
 
 
 def correlation_length(parts: Sequence[FloatArray]) -> float:

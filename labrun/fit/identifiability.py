@@ -4,13 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
 from labrun.fit.estimate import Estimate, rounded
 from labrun.fit.problem import Problem
 from labrun.fit.result import StartOutcome
-
-FloatArray = NDArray[np.float64]
 
 _FLAT = 1e-6
 """A direction this much flatter than the steepest one is not determined at all: below it is numerical noise."""

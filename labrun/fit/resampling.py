@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from labrun.arrays import FloatArray
 
 LEVEL = 0.95
 _LEAST_FREEDOM = 1e-3

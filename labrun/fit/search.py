@@ -4,13 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
 from labrun.fit.levenberg_marquardt import minimise
 from labrun.fit.notes import Note
 from labrun.fit.problem import Problem
-
-FloatArray = NDArray[np.float64]
 
 _GROWTH = (0.1, 0.35)
 """Shares of every trial that a distant start is fitted to first: over a short time there are few false minima."""

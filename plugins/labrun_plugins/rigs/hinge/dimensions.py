@@ -14,6 +14,7 @@ They describe 0.127 mm polyester between about w = 10-60 mm, l = 1-5 mm, a = 2-1
 import warnings
 
 from labrun.errors import ModelError
+from labrun_plugins.rigs.hinge.published import PUBLISHED, Quantity
 
 LEAST_DAMPING = 1.61e-5
 """Minimum of (3.6), N m s/rad: the least total damping any of the single-variable maps gives."""
@@ -31,21 +32,17 @@ def stiffness(width_m: float, length_m: float) -> float:
     ModelError
         The map is not positive there, as for narrow hinges longer than 1 mm.
     """
-    w, l = width_m, length_m  # noqa: E741 - the equation's letter
-    k = 762.5397 * l**2 - 7.5305 * l - 1.4444 * w**2 + 0.4298 * w + 0.0073
-    return _positive_stiffness(k, f"w = {w * 1e3:g} mm, l = {l * 1e3:g} mm", "(3.12)")
+    return _stiffness(w=width_m, l=length_m)
 
 
 def stiffness_of_width(width_m: float) -> float:
     """Return k of hinges of other widths, nominal otherwise, by (3.8) as corrected, N m/rad."""
-    w = width_m
-    return _positive_stiffness(3.0857 * w**2 + 0.1361 * w + 0.0003, f"w = {w * 1e3:g} mm", "(3.8)")
+    return _stiffness(w=width_m)
 
 
 def stiffness_of_length(length_m: float) -> float:
     """Return k of hinges of other lengths, nominal otherwise, by (3.10) as corrected, N m/rad."""
-    l = length_m  # noqa: E741
-    return _positive_stiffness(746.6667 * l**2 - 7.4590 * l + 0.0251, f"l = {l * 1e3:g} mm", "(3.10)")
+    return _stiffness(l=length_m)
 
 
 def damping(area_m2: float, width_m: float, length_m: float) -> float:
@@ -54,13 +51,12 @@ def damping(area_m2: float, width_m: float, length_m: float) -> float:
     Off the lines along which the specimens were varied the polynomial can turn negative. It is then replaced by
     `LEAST_DAMPING`, with a `HingeMapWarning`.
     """
-    a, w, l = area_m2, width_m, length_m  # noqa: E741
-    b = -0.8565 * a**2 + 0.0129 * a + 2.0822 * l**2 - 0.0227 * l + 0.0408 * w**2 - 0.0023 * w + 5.0855e-5
+    b = _published("damping", a=area_m2, w=width_m, l=length_m)
     if b >= LEAST_DAMPING:
         return b
     warnings.warn(
-        f"map (3.11) gives a damping of {b:.3g} N m s/rad for a = {a * 1e4:g} cm^2, w = {w * 1e3:g} mm, "
-        f"l = {l * 1e3:g} mm, far from the specimens it was fitted to; {LEAST_DAMPING:g} is used",
+        f"map (3.11) gives a damping of {b:.3g} N m s/rad for a = {area_m2 * 1e4:g} cm^2, w = {width_m * 1e3:g} mm, "
+        f"l = {length_m * 1e3:g} mm, far from the specimens it was fitted to; {LEAST_DAMPING:g} is used",
         HingeMapWarning,
         stacklevel=2,
     )
@@ -69,22 +65,29 @@ def damping(area_m2: float, width_m: float, length_m: float) -> float:
 
 def damping_of_area(area_m2: float) -> float:
     """Return b of bodies of other cross-sections, nominal hinge, by (3.6), N m s/rad; positive everywhere."""
-    return 2.34 * area_m2**2 - 0.0042 * area_m2 + 1.8e-5
+    return _published("damping", a=area_m2)
 
 
 def damping_of_width(width_m: float) -> float:
     """Return b of hinges of other widths, nominal otherwise, by (3.7), N m s/rad; positive everywhere."""
-    return 0.0166 * width_m**2 - 3.3197e-4 * width_m + 1.9812e-5
+    return _published("damping", w=width_m)
 
 
 def damping_of_length(length_m: float) -> float:
     """Return b of hinges of other lengths, nominal otherwise, by (3.9), N m s/rad; positive everywhere."""
-    return 3.6381 * length_m**2 - 0.0297 * length_m + 8.3506e-5
+    return _published("damping", l=length_m)
 
 
-def _positive_stiffness(k: float, where: str, equation: str) -> float:
+def _published(quantity: Quantity, **sizes_m: float) -> float:
+    return PUBLISHED[quantity, tuple(sorted(sizes_m))].value(sizes_m)
+
+
+def _stiffness(**sizes_m: float) -> float:
+    k = _published("stiffness", **sizes_m)
     if k > 0:
         return k
+    where = ", ".join(f"{name} = {size * 1e3:g} mm" for name, size in sizes_m.items())
+    equation = PUBLISHED["stiffness", tuple(sorted(sizes_m))].equation
     raise ModelError(
         f"map {equation} gives a stiffness of {k:.3g} N m/rad for {where}: it does not hold there",
         hint="the maps describe hinges 10 to 60 mm wide and 1 to 5 mm long, and no narrow and long ones",

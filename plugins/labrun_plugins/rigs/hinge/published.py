@@ -29,7 +29,7 @@ _POWER_UNITS = {
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """A map of the source work, in metres and square metres; misprints corrected as in `dimensions`.
+    """A map of the source work, in metres and square metres; misprints corrected as `dimensions` tells.
 
     Attributes
     ----------
