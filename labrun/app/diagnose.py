@@ -20,6 +20,7 @@ from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Diagnosis
 from labrun.gap.saving import recalibrated_only, require_new
 from labrun.gap.saving import save_model as write_model
+from labrun.notebook import as_html
 from labrun.report.gap_text import gap_lines
 from labrun.store import find_run, is_recording, replace_durably
 
@@ -27,6 +28,9 @@ FOLDER = "gap"
 NUMBERS = "diagnosis.json"
 PAGE = "gap.html"
 FIGURE = "gap_figure.png"
+
+
+_NOTEBOOK_WIDTH = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +57,9 @@ class StoredDiagnosis:
     def warning(self) -> str:
         """What to know before using the saved model; "" where there is nothing, or no model was saved."""
         return "" if self.model is None else _warning(self.model, self.diagnosis.to_json())
+
+    def _repr_html_(self) -> str:
+        return as_html("\n".join(line.plain for line in self.to_text(_NOTEBOOK_WIDTH)), self.figure)
 
     def to_text(self, width: int | None = None) -> list[Text]:
         """Return the lines of `gap_lines`, and what to open; the terminal's width if none is given."""

@@ -8,9 +8,8 @@ from labrun.app.diagnose import FOLDER as GAP_FOLDER
 from labrun.app.diagnose import PAGE, read_stored
 from labrun.app.question import find_run_or_latest
 from labrun.errors import RequestError, StoreError
-from labrun.report.data import RunView
+from labrun.report.data import RunView, experiment_of
 from labrun.report.findings import Findings, RecordingFindings, findings
-from labrun.report.recorded import experiment_of
 from labrun.report.report_source import ReportSource, StoredGap
 from labrun.report.run_page import run_page
 from labrun.report.stored_fits import stored_fits

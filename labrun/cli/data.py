@@ -32,12 +32,13 @@ def show(
     """
     with reported(as_json):
         from labrun.app.report import show as findings_of
+        from labrun.report.terminal import print_findings
 
         found = findings_of(target, results=results)
         if as_json:
             print_json(found.to_json())
         else:
-            found.print()
+            print_findings(found)
 
 
 def export(

@@ -130,10 +130,10 @@ def resume(
 def progress_display() -> "Progress":
     """Return what tells a person on standard error how a run goes."""
     if to_terminal():
-        from labrun.report.progress import LiveProgress
+        from labrun.report.live import LiveProgress
 
         return LiveProgress()
-    from labrun.report.plain_progress import PlainProgress
+    from labrun.report.live import PlainProgress
 
     return PlainProgress()
 

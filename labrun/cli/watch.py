@@ -31,7 +31,7 @@ def watch(
 
         from labrun.app.question import find_run_or_latest
         from labrun.app.watch import Watcher
-        from labrun.report import watch_display
+        from labrun.report import live
         from labrun.runner import RealClock
 
         clock = RealClock()
@@ -41,9 +41,9 @@ def watch(
             return
         console = Console(highlight=False)
         if once or not sys.stdout.isatty():
-            console.print(watch_display.render(watcher.look(), console))
+            console.print(live.render(watcher.look(), console))
         else:
-            watch_display.watch(watcher.look, console, clock, every_s)
+            live.watch(watcher.look, console, clock, every_s)
 
 
 def register(app: typer.Typer) -> None:

@@ -11,6 +11,9 @@ from labrun.arrays import FloatArray
 from labrun.fit.dataset import Dataset
 from labrun.fit.estimate import Estimate, parameters_json, rounded
 from labrun.fit.figure import FigureData
+from labrun.notebook import as_html
+
+_NOTEBOOK_WIDTH = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +108,9 @@ class FitSummary:
             "tables": tables,
             **self.details,
         }
+
+    def _repr_html_(self) -> str:
+        return as_html(self.to_text(_NOTEBOOK_WIDTH), self.figure)
 
     def to_text(self, width: int | None = None) -> str:
         """Return what ``labrun fit`` prints; sentences are wrapped at `width`, the terminal's if None."""

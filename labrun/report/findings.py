@@ -4,25 +4,19 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from labrun.report.conditions import ConditionResult, condition_results, most_promising
-from labrun.report.data import RunView
-from labrun.report.recorded import experiment_of
+from labrun.report.data import RunView, experiment_of
 from labrun.report.statistics import Drift, Repeatability, Settling, as_json, drift, repeatability, settling
 from labrun.report.stored_fits import StoredFit, stored_fits
 from labrun.report.timing import LoopHealth, StreamHealth, loop_health, stream_health
 from labrun.runner import unsettled
 from labrun.search.result import Best, stored_result
 from labrun.spec import Value, condition_key
-from labrun.store import SPEC, imported_channels
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from labrun.store import Run
+from labrun.store import SPEC, Run, imported_channels
 
 _STREAMS_LOOKED_AT = 40
 _MOST_CONDITIONS = 100
@@ -125,12 +119,6 @@ class Findings:
             "fits": [dict(fit.numbers) for fit in self.fits if not fit.fault],
         }
 
-    def print(self, console: "Console | None" = None) -> None:
-        """Print it for a person; to standard output if no console is given."""
-        from labrun.report.terminal import print_findings
-
-        print_findings(self, console)
-
 
 def _most(conditions: list[ConditionResult]) -> tuple[ConditionResult, ...]:
     """Return the first conditions, and the honest best among them in any case."""
@@ -143,12 +131,6 @@ def _evenly(items: list[int], most: int) -> list[int]:
     if len(items) <= most:
         return items
     return [items[k] for k in np.linspace(0, len(items) - 1, most).round().astype(int)]
-
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from labrun.store import Run
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,19 +201,13 @@ class RecordingFindings:
             "faults": self.faults,
         }
 
-    def print(self, console: "Console | None" = None) -> None:
-        """Print it for a person; to standard output if no console is given."""
-        from labrun.report.terminal import print_recording
 
-        print_recording(self, console)
-
-
-def is_imported(run: "Run") -> bool:
+def is_imported(run: Run) -> bool:
     """Tell whether a run was recorded elsewhere: it has a ``recording.toml`` in place of an experiment file."""
     return bool(imported_channels(run.experiment_toml))
 
 
-def recording_findings(run: "Run") -> RecordingFindings:
+def recording_findings(run: Run) -> RecordingFindings:
     """Read what there is in a recording.
 
     Parameters
@@ -271,7 +247,7 @@ def recording_findings(run: "Run") -> RecordingFindings:
     )
 
 
-def findings(run: "Run") -> Findings | RecordingFindings:
+def findings(run: Run) -> Findings | RecordingFindings:
     """Read what a run found, or what a recording holds.
 
     Parameters

@@ -3,7 +3,8 @@
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from rich.text import Text
 
 from labrun.gap.diagnosis import Candidate, Diagnosis
 from labrun.report.gap_places import hot_spots, ranked
@@ -20,9 +21,6 @@ from labrun.report.text import (
     value_words,
 )
 
-if TYPE_CHECKING:
-    from rich.text import Text
-
 MOST_LINES = 20
 _MARGIN = 9
 _NARROWEST = 40
@@ -31,7 +29,7 @@ _RIVALS = 2
 _CUT = " \u2026"
 
 
-def gap_lines(diagnosis: Diagnosis, width: int, files: Mapping[str, Path] | None = None) -> "list[Text]":
+def gap_lines(diagnosis: Diagnosis, width: int, files: Mapping[str, Path] | None = None) -> list[Text]:
     """Return a diagnosis as at most 20 lines.
 
     Parameters
@@ -43,8 +41,6 @@ def gap_lines(diagnosis: Diagnosis, width: int, files: Mapping[str, Path] | None
     files
         What was written, by a word for it; a line each, two at most.
     """
-    from rich.text import Text
-
     width = max(width, _NARROWEST)
     room = width - _MARGIN
     head = _fitted([diagnosis.sentence], width, 3)

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from labrun.report.data import RunView
-from labrun.report.recorded import trial_tare_s
+from labrun.report.data import RunView, trial_tare_s
 from labrun.report.statistics import Drift, Repeatability, drift, repeatability
 from labrun.report.stored_fits import StoredFit
 from labrun.report.timing import BenchTime, LoopHealth, StreamHealth, bench_time, loop_health, stream_health

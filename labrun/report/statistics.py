@@ -5,18 +5,16 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
 from labrun.errors import RequestError
-from labrun.report.data import Point, RunView
-from labrun.report.recorded import experiment_of
+from labrun.report.data import Point, RunView, experiment_of
 from labrun.search.leaders import pooled_variance
-from labrun.store import TrialOutcome
-
-FloatArray = NDArray[np.float64]
+from labrun.store import Run, TrialOutcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,13 +186,10 @@ def grows_with_size(means: FloatArray, sds: FloatArray) -> float | None:
     return float(found.statistic) if float(found.pvalue) < 0.01 else None
 
 
-if TYPE_CHECKING:
-    from labrun.store import Run
-
 SUFFIX = "_drift_corrected"
 
 
-def drift_of(run: "Run") -> list[Drift]:
+def drift_of(run: Run) -> list[Drift]:
     """Return the drift of every objective that at least three reference trials measured.
 
     Raises

@@ -4,7 +4,6 @@ import shutil
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
@@ -14,6 +13,7 @@ from rich.text import Text
 from labrun.devices import Remark
 from labrun.fit.estimate import rounded
 from labrun.report.conditions import ConditionResult, standard_error, varying
+from labrun.report.findings import Findings, RecordingFindings
 from labrun.report.stored_fits import StoredFit
 from labrun.report.text import (
     bytes_text,
@@ -33,16 +33,20 @@ from labrun.report.timing import LEAST_JITTER_S, clock_text, loop_words
 from labrun.runner import JointPeak, Plan, percent
 from labrun.search.result import unsettled_text
 
-if TYPE_CHECKING:
-    from labrun.report.findings import Findings, RecordingFindings
-
 _MOST_REASONS = 6
 _STATUSES = ("done", "rejected", "failed")
 
 
-def print_findings(found: "Findings", console: Console | None = None) -> None:
-    """Print findings: what the run was, its best, and what speaks for and against trusting it."""
-    console = console or Console()
+def print_findings(found: Findings | RecordingFindings, console: Console | None = None) -> None:
+    """Print what a run found, or what a recording holds; to standard output if no console is given."""
+    if isinstance(found, Findings):
+        _print_run(found, console or Console())
+    else:
+        _print_recording(found, console or Console())
+
+
+def _print_run(found: Findings, console: Console) -> None:
+    """Print what the run was, its best, and what speaks for and against trusting it."""
     console.print(Text(found.title, style="bold"))
     state = "finished" if found.finished else f"not finished; labrun resume {found.run}"
     dry = "dry run, " if found.dry_run else "emulated, " if found.emulated else ""
@@ -85,9 +89,8 @@ def print_findings(found: "Findings", console: Console | None = None) -> None:
             console.print(Text(f"{name:<7} {path}"), highlight=False, soft_wrap=True)
 
 
-def print_recording(found: "RecordingFindings", console: Console | None = None) -> None:
+def _print_recording(found: RecordingFindings, console: Console) -> None:
     """Print what a recording holds: its channels, and its trials by condition."""
-    console = console or Console()
     console.print(Text(f"Recording {found.experiment}", style="bold"))
     lasting = short_time_text(found.duration_s)
     console.print(Text(f"{found.trials} trials, {lasting} of samples"), highlight=False)
@@ -111,7 +114,7 @@ def print_recording(found: "RecordingFindings", console: Console | None = None) 
         console.print(Text(f"{name:<13} {path}"), highlight=False, soft_wrap=True)
 
 
-def _print_best(found: "Findings", console: Console) -> None:
+def _print_best(found: Findings, console: Console) -> None:
     best = found.best
     if best is None:
         return
@@ -154,14 +157,14 @@ def _table(title: str, *columns: str) -> Table:
     return table
 
 
-def _trials(found: "Findings") -> Table:
+def _trials(found: Findings) -> Table:
     table = _table("trials", "role", *_STATUSES)
     for role, counts in found.trials.items():
         table.add_row(role, *(str(counts.get(status, 0)) for status in _STATUSES))
     return table
 
 
-def _repeatability(found: "Findings") -> Table:
+def _repeatability(found: Findings) -> Table:
     table = _table("repeatability", "objective", "sd within a condition", "sd between conditions", "freedom")
     for item in found.repeatability:
         between = "" if item.between_sd is None else quantity_text(item.between_sd, item.unit)
@@ -171,7 +174,7 @@ def _repeatability(found: "Findings") -> Table:
     return table
 
 
-def _drift(found: "Findings") -> Table:
+def _drift(found: Findings) -> Table:
     table = _table(
         "drift, by reference trials", "objective", "per hour of bench time, 95 % interval", "trials", ""
     )
@@ -182,7 +185,7 @@ def _drift(found: "Findings") -> Table:
     return table
 
 
-def _streams(found: "Findings") -> Table:
+def _streams(found: Findings) -> Table:
     title = f"streams, from {found.streams_of} trials"
     columns = ("device", "rate, nominal (Hz)", "jitter", "offset", "drift", "samples", "lost", "saturated")
     table = _table(title, *columns)
@@ -202,15 +205,12 @@ def _streams(found: "Findings") -> Table:
     return table
 
 
-if TYPE_CHECKING:
-    from labrun.report.findings import Findings
-
 _ALL_SHOWN = 12
 _BEST_SHOWN = 10
 _UNBOUNDED = 10_000
 
 
-def print_conditions(found: "Findings", console: Console) -> None:
+def print_conditions(found: Findings, console: Console) -> None:
     """Print what every condition gave: all of a few, or the most promising of many."""
     if not found.objective_units or not found.conditions:
         return
@@ -228,7 +228,7 @@ def print_conditions(found: "Findings", console: Console) -> None:
         console.print(Text(text), highlight=False)
 
 
-def _condition_table(found: "Findings", shown: Sequence[ConditionResult], before_unit: str) -> Table:
+def _condition_table(found: Findings, shown: Sequence[ConditionResult], before_unit: str) -> Table:
     names = varying(result.condition for result in found.conditions)
     headed = f"conditions, by {found.goal[0]}" if found.goal is not None else "conditions"
     title = f"{headed}: means ± half their 95 % intervals"
@@ -257,7 +257,7 @@ def _condition_table(found: "Findings", shown: Sequence[ConditionResult], before
     return table
 
 
-def _shown(found: "Findings") -> list[ConditionResult]:
+def _shown(found: Findings) -> list[ConditionResult]:
     if found.conditions_total <= _ALL_SHOWN:
         return list(found.conditions)
     shown = list(found.conditions[: _BEST_SHOWN if found.goal is not None else _ALL_SHOWN])

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from labrun.notebook import as_html
 from labrun.spec import Value, condition_text
 
 RESULT_FILE = "result.json"
@@ -104,6 +105,9 @@ class RunResult:
             "trials": {"done": self.done, "rejected": self.rejected, "failed": self.failed},
             "best": None if self.best is None else self.best.to_json(),
         }
+
+    def _repr_html_(self) -> str:
+        return as_html(self.to_text(), self.figure)
 
     def to_text(self) -> str:
         """Return what the terminal shows at the end."""

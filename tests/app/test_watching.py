@@ -18,8 +18,7 @@ from rich.console import Console
 from labrun.app.watch import Watcher, best_yet
 from labrun.devices import Channel, Samples
 from labrun.errors import RequestError
-from labrun.report.braille import braille_curve
-from labrun.report.watch_display import render
+from labrun.report.live import braille_curve, render
 from labrun.runner import SimulatedClock
 from labrun.store.folder import RunFolder
 from labrun.store.trial import TrialOutcome

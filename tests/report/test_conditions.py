@@ -12,6 +12,7 @@ from rich.console import Console
 from labrun.report.conditions import condition_results, in_order, most_promising, varying
 from labrun.report.figures.runs import condition_title
 from labrun.report.findings import findings
+from labrun.report.terminal import print_findings
 from labrun.store import open_run
 
 
@@ -58,7 +59,7 @@ def test_show_tells_which_controller_has_which_error(tracked):
     with open_run(tracked) as run:
         found = findings(run)
     console = Console(file=io.StringIO(), width=80)
-    found.print(console)
+    print_findings(found, console)
     text = console.file.getvalue()
     for objective in ("first_cycle (N)", "later (N)", "bias (N)"):
         assert objective in text

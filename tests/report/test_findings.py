@@ -11,8 +11,9 @@ from rich.console import Console
 from labrun.errors import SpecError
 from labrun.report.data import RunView
 from labrun.report.findings import Findings, findings
-from labrun.report.progress import LiveProgress
+from labrun.report.live import LiveProgress
 from labrun.report.statistics import drift, repeatability, settling
+from labrun.report.terminal import print_findings
 from labrun.report.timing import stream_health
 from labrun.spec import loads_experiment
 from labrun.store import RunFolder, TrialOutcome, open_run
@@ -123,7 +124,7 @@ def found_of(view, tmp_path, **changes):
 def test_findings_print_everything_one_asks_of_a_run(tmp_path):
     view = sweep_view(lambda c: c["f"], {"f": [1, 2]})
     console = Console(file=io.StringIO(), width=120)
-    found_of(view, tmp_path).print(console)
+    print_findings(found_of(view, tmp_path), console)
     text = console.file.getvalue()
     for expected in (
         "Thrust",
@@ -145,7 +146,7 @@ def test_clocks_of_the_streams_are_printed_whole_in_80_columns(tmp_path):
     streams = [
         replace(health, clock_offset_s=812.34, clock_drift_ppm=-51.0, jitter_s=9.6e-4, samples=20235, lost=12)
     ]
-    found_of(view, tmp_path, streams=streams).print(console)
+    print_findings(found_of(view, tmp_path, streams=streams), console)
     (row,) = [line for line in console.file.getvalue().splitlines() if line.strip().startswith("wrench")]
     assert "812.3 s" in row
     assert "-51 ppm" in row
@@ -161,7 +162,7 @@ def test_findings_are_json_without_holes(tmp_path):
 def test_a_run_that_is_not_finished_says_how_to_go_on(tmp_path):
     view = sweep_view(lambda c: c["f"], {"f": [1, 2]})
     console = Console(file=io.StringIO(), width=200)
-    found_of(view, tmp_path, finished=False, best=None, figure=None).print(console)
+    print_findings(found_of(view, tmp_path, finished=False, best=None, figure=None), console)
     assert f"labrun resume {tmp_path}" in console.file.getvalue()
 
 

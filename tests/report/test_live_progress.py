@@ -2,7 +2,7 @@ from io import StringIO
 
 from rich.console import Console
 
-from labrun.report.progress import LiveProgress
+from labrun.report.live import LiveProgress
 from labrun.store import TrialOutcome
 
 

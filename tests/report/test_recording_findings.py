@@ -12,7 +12,8 @@ from labrun.app.carry_out import draw
 from labrun.app.resume import resume
 from labrun.errors import RequestError
 from labrun.report.findings import findings
-from labrun.report.progress import LiveProgress
+from labrun.report.live import LiveProgress
+from labrun.report.terminal import print_findings
 from labrun.store import export_run, import_recording, open_target
 
 TOML = """\
@@ -41,7 +42,7 @@ def recording(tmp_path):
 
 def shown(run):
     console = Console(file=io.StringIO(), width=120)
-    findings(run).print(console)
+    print_findings(findings(run), console)
     return console.file.getvalue()
 
 

@@ -2,9 +2,8 @@
 
 from labrun.app.carry_out import draw
 from labrun.app.report import read_source
-from labrun.report.data import RunView
+from labrun.report.data import RunView, experiment_of
 from labrun.report.findings import findings
-from labrun.report.recorded import experiment_of
 from labrun.report.run_page import run_page
 from labrun.report.timing import LoopHealth, loop_health, loop_words
 from labrun.store import open_run

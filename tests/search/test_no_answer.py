@@ -11,6 +11,7 @@ from labrun.app.resume import resume
 from labrun.cli.app import app
 from labrun.errors import ExperimentError
 from labrun.report.findings import findings
+from labrun.report.terminal import print_findings
 from labrun.runner import SilentProgress
 from labrun.search.result import RunResult
 from labrun.store import RunFolder, open_run
@@ -104,7 +105,7 @@ def test_a_bench_that_never_settles_is_warned_of_wherever_the_result_is_shown(wr
     assert resume(result.run, progress=SilentProgress()) == result
     console = Console(width=300, file=io.StringIO())
     with open_run(result.run) as run:
-        findings(run).print(console)
+        print_findings(findings(run), console)
     assert warning in console.file.getvalue()
 
 

@@ -1,16 +1,14 @@
 """Figures of fits: overlays of a fitted model, and the panels that any other fit describes as plain data."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from labrun.arrays import FloatArray
 from labrun.fit import Curve, FigureData, FitResult, FitSummary, Panel, Stack
 from labrun.report import style
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _SHOWN, _ACROSS = 6, 3
 _MOST_SWINGS = 24
@@ -31,7 +29,7 @@ _SHADE = "#fde8d7"
 _SCALED_UNITS = ("rad", "m", "V", "N", "N m", "A", "s", "m/s", "rad/s")
 
 
-def fit_figure(result: FitSummary) -> "Figure | None":
+def fit_figure(result: FitSummary) -> Figure | None:
     """Return the figure of a fit; None if it has nothing to show."""
     if isinstance(result, FitResult):
         return drawn(overlays(result))
@@ -66,7 +64,7 @@ def shown_trials(misfit: FloatArray, most: int = _SHOWN) -> tuple[list[int], dic
     return sorted(ranked), marks
 
 
-def drawn(described: FigureData) -> "Figure":
+def drawn(described: FigureData) -> Figure:
     """Draw panels of curves in the report's style.
 
     Every stack has a cell of its own with fixed margins: a layout that measures every label takes as long as all the
@@ -105,7 +103,7 @@ def drawn(described: FigureData) -> "Figure":
 
 
 def _draw_stack(
-    figure: "Figure", stack: Stack, cell_in: tuple[float, float, float, float], *, own_legend: bool
+    figure: Figure, stack: Stack, cell_in: tuple[float, float, float, float], *, own_legend: bool
 ) -> None:
     width, height = (float(side) for side in figure.get_size_inches())
     left_in, top_in, cell_width_in, cell_height_in = cell_in
@@ -126,7 +124,7 @@ def _draw_stack(
         edge_in -= tall_in + gap_in / max(len(stack.panels) - 1, 1)
 
 
-def _draw_panel(axes: "Axes", panel: Panel, width_in: float, *, own_legend: bool) -> None:
+def _draw_panel(axes: Axes, panel: Panel, width_in: float, *, own_legend: bool) -> None:
     if panel.shaded is not None:
         axes.axvspan(*panel.shaded, color=_SHADE, linewidth=0, zorder=0)
     if panel.zero:
@@ -157,7 +155,7 @@ def _draw_panel(axes: "Axes", panel: Panel, width_in: float, *, own_legend: bool
         axes.legend(loc="best", fontsize=7.5, handlelength=1.8)
 
 
-def _draw_curve(axes: "Axes", curve: Curve) -> None:
+def _draw_curve(axes: Axes, curve: Curve) -> None:
     colour = (
         style.COLOURS[curve.role % len(style.COLOURS)]
         if isinstance(curve.role, int)

@@ -1,0 +1,24 @@
+"""Results that show themselves in a notebook."""
+
+import base64
+from html import escape
+from pathlib import Path
+
+
+def as_html(told: str, figure: Path | None = None) -> str:
+    """Return what a notebook shows of a result.
+
+    Parameters
+    ----------
+    told
+        What the terminal shows of it.
+    figure
+        Its picture, a PNG; left out if it is not there any more.
+    """
+    picture = ""
+    if figure is not None and figure.is_file():
+        data = base64.b64encode(figure.read_bytes()).decode()
+        picture = (
+            f'<img src="data:image/png;base64,{data}" alt="figure of the result" style="max-width: 100%">'
+        )
+    return f"<div>{picture}<pre>{escape(told)}</pre></div>"
