@@ -9,11 +9,11 @@ simulated time (nobody waits), and the trial is on disk - written, flushed, fsyn
 begins. `trace` stores all 100 x 6 samples with their times, `number` one number a trial, which is how the
 others are mostly used. labrun always stores traces.
 
-- labrun: a dry run through its Session, as `labrun run` makes it: limits checked for every sample and pose,
-  safe stop armed, journal, one HDF5 file a trial, objectives, a checkpoint to resume from. One fdatasync a
-  trial, of the log that stands behind the files (labrun/store/trial_log.py). The devices are the shipped
-  stand-ins for a servo and a Robotiq FT 300 on a bench with hardly any physics (plain_bench.py); their
-  computing is part of the time. The second line adds what the others do not do: settling on evidence (2 s
+- labrun: simulated devices through its Session, as `labrun run` makes it: limits checked for every sample and
+  pose, safe stop armed, journal, one HDF5 file a trial, objectives, a checkpoint to resume from. Stored as on
+  hardware: file, folder, and every line of the journal are synced; a dry run, which need not survive a power
+  cut, syncs nothing and has a line of its own. The devices are the shipped stand-ins for a servo and a Robotiq
+  FT 300 on a bench with hardly any physics (plain_bench.py); their computing is part of the time. `with settling and tare` adds what the others do not do: settling on evidence (2 s
   hold) and tare. Packing into run.h5, written, synced, read back and verified at the end, is divided over the
   trials and part of both.
 - bluesky: RunEngine with ophyd.sim's SynAxis as the servo and a readable detector; a checkpoint and an event
@@ -111,7 +111,7 @@ class Side(ABC):
 
 
 class Labrun(Side):
-    def __init__(self, folder: Path, *, settle: bool) -> None:
+    def __init__(self, folder: Path, *, settle: bool = False, dry_run: bool = False) -> None:
         import tomllib
 
         from labrun.runner import Rig, Session, SimulatedClock
@@ -119,12 +119,13 @@ class Labrun(Side):
         from labrun.store import RunFolder
 
         self.name = "labrun, trace" + (", with settling and tare" if settle else "")
+        self.name += ", dry run" if dry_run else ""
         text = LABRUN.replace("SETTLE", SETTLE if settle else "")
         experiment = Experiment.model_validate(tomllib.loads(text))
         clock = SimulatedClock()
         rig = Rig.build(experiment, clock=clock, seed=1, dry_run=True)
         rig.open()
-        self._folder = RunFolder.create(folder, "settled" if settle else "plain", text, {"dry_run": True})
+        self._folder = RunFolder.create(folder, "settled" if settle else "plain", text, {"dry_run": dry_run})
         self._session = Session(experiment, rig, self._folder, clock, 1)
         self._held = contextlib.ExitStack()
         self._held.enter_context(
@@ -319,7 +320,7 @@ class PlainAppend(Side):
 
 def sides(folder: Path) -> list[Side]:
     """Return all sides, and say which are missing."""
-    found: list[Side] = [Labrun(folder, settle=False), Labrun(folder, settle=True)]
+    found: list[Side] = [Labrun(folder), Labrun(folder, settle=True), Labrun(folder, dry_run=True)]
     others: list[tuple[Callable[..., Side], dict[str, bool]]] = [
         (Bluesky, {"trace": True, "each": True}), (Bluesky, {"trace": True}), (Bluesky, {"trace": False}),
         (Qcodes, {"trace": True, "each": True}), (Qcodes, {"trace": True}), (Qcodes, {"trace": False}),
