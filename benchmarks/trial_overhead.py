@@ -13,9 +13,9 @@ others are mostly used. labrun always stores traces.
   pose, safe stop armed, journal, one HDF5 file a trial, objectives, a checkpoint to resume from. Stored as on
   hardware: file, folder, and every line of the journal are synced; a dry run, which need not survive a power
   cut, syncs nothing and has a line of its own. The devices are the shipped stand-ins for a servo and a Robotiq
-  FT 300 on a bench with hardly any physics (plain_bench.py); their computing is part of the time. `with settling and tare` adds what the others do not do: settling on evidence (2 s
-  hold) and tare. Packing into run.h5, written, synced, read back and verified at the end, is divided over the
-  trials and part of both.
+  FT 300 on a bench with hardly any physics (plain_bench.py); their computing is part of the time. `with
+  settling and tare` adds what the others do not do: settling on evidence (2 s hold) and tare. Packing into
+  run.h5, written, synced, read back and verified at the end, is divided over the trials and part of all.
 - bluesky: RunEngine with ophyd.sim's SynAxis as the servo and a readable detector; a checkpoint and an event
   a trial (mv, trigger_and_read); documents go to a JSONL file by json.dumps. bluesky leaves syncing to the
   subscriber, so the one here does it: fsync after each event and stop document. The trace is seven arrays in

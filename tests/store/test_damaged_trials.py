@@ -1,5 +1,7 @@
 """What the disk spoiled is moved aside, told, and counts as not run; everything else stays."""
 
+import shutil
+
 import pytest
 import stored_runs
 from hypothesis import given, settings
@@ -12,29 +14,45 @@ from labrun.store.reading import open_run
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """Content of one trial file."""
-    folder = stored_runs.new_run(tmp_path_factory.mktemp("whole"))
-    stored_runs.store(folder, 1)
-    return (folder.path / "trials" / "000001.h5").read_bytes()
-
-
-def run_with_second_trial(results, content, *, journalled):
-    folder = stored_runs.new_run(results)
+def template(tmp_path_factory):
+    """A run of three trials, to be copied."""
+    folder = stored_runs.new_run(tmp_path_factory.mktemp("template"))
     with folder.lock():
         stored_runs.store_many(folder, 3)
-    (folder.path / "trials" / "000001.h5").write_bytes(content)
-    if not journalled:
-        lines = folder.journal.path.read_text().splitlines(keepends=True)
-        folder.journal.path.write_text("".join(line for line in lines if '"index": 1,' not in line))
     return folder.path
+
+
+@pytest.fixture(scope="module")
+def whole(template):
+    """Content of one trial file."""
+    return (template / "trials" / "000001.h5").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def packed_content(tmp_path_factory):
+    """Content of a run.h5."""
+    folder = stored_runs.new_run(tmp_path_factory.mktemp("packed"))
+    stored_runs.store_many(folder, 2)
+    return folder.pack().read_bytes()
+
+
+def run_with_second_trial(template, results, content, *, journalled):
+    path = shutil.copytree(template, results / "fin" / template.name)
+    (path / "trials" / "000001.h5").write_bytes(content)
+    if not journalled:
+        journal = path / "journal.jsonl"
+        lines = journal.read_text().splitlines(keepends=True)
+        journal.write_text("".join(line for line in lines if '"index": 1,' not in line))
+    return path
 
 
 @settings(max_examples=60, deadline=None)
 @given(share=st.floats(0, 1, exclude_max=True), journalled=st.booleans())
-def test_a_trial_file_cut_short_anywhere_is_moved_aside(tmp_path_factory, whole, share, journalled):
+def test_a_trial_file_cut_short_anywhere_is_moved_aside(tmp_path_factory, template, whole, share, journalled):
     cut = int(share * len(whole))
-    path = run_with_second_trial(tmp_path_factory.mktemp("results"), whole[:cut], journalled=journalled)
+    path = run_with_second_trial(
+        template, tmp_path_factory.mktemp("results"), whole[:cut], journalled=journalled
+    )
     assert [outcome.index for outcome in open_run(path).outcomes] == [0, 2]
     folder = RunFolder.open(path)
     assert sorted(folder.outcomes()) == [0, 2]
@@ -46,15 +64,17 @@ def test_a_trial_file_cut_short_anywhere_is_moved_aside(tmp_path_factory, whole,
 
 @settings(max_examples=40, deadline=None)
 @given(position=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
-def test_a_single_flipped_bit_is_found(tmp_path_factory, whole, position, bit):
+def test_a_single_flipped_bit_is_found(tmp_path_factory, template, whole, position, bit):
     content = bytearray(whole)
     content[int(position * len(content))] ^= 1 << bit
-    path = run_with_second_trial(tmp_path_factory.mktemp("results"), bytes(content), journalled=True)
+    path = run_with_second_trial(
+        template, tmp_path_factory.mktemp("results"), bytes(content), journalled=True
+    )
     assert sorted(RunFolder.open(path).outcomes()) == [0, 2]
 
 
-def test_a_damaged_trial_is_run_again_under_its_index(tmp_path, whole):
-    path = run_with_second_trial(tmp_path, whole[:1000], journalled=True)
+def test_a_damaged_trial_is_run_again_under_its_index(tmp_path, template, whole):
+    path = run_with_second_trial(template, tmp_path, whole[:1000], journalled=True)
     folder = RunFolder.open(path)
     again = stored_runs.store(folder, 1, attempt=1)
     reopened = RunFolder.open(path)
@@ -91,8 +111,8 @@ def test_temporary_files_of_a_crash_are_removed_when_the_run_is_opened(tmp_path)
     assert not any(leftover.exists() for leftover in leftovers)
 
 
-def test_a_run_held_by_someone_is_left_as_it_is(tmp_path, whole):
-    path = run_with_second_trial(tmp_path, whole[:500], journalled=True)
+def test_a_run_held_by_someone_is_left_as_it_is(tmp_path, template, whole):
+    path = run_with_second_trial(template, tmp_path, whole[:500], journalled=True)
     holder = FileLock(path / ".lock", "run")
     holder.acquire()
     assert sorted(RunFolder.open(path).outcomes()) == [0, 2]
@@ -102,11 +122,8 @@ def test_a_run_held_by_someone_is_left_as_it_is(tmp_path, whole):
 
 @settings(max_examples=30, deadline=None)
 @given(share=st.floats(0, 1, exclude_max=True))
-def test_a_packed_run_cut_short_is_refused_with_its_name(tmp_path_factory, share):
-    folder = stored_runs.new_run(tmp_path_factory.mktemp("results"))
-    stored_runs.store_many(folder, 2)
-    packed = folder.pack()
-    content = packed.read_bytes()
+def test_a_packed_run_cut_short_is_refused_with_its_name(tmp_path_factory, packed_content, share):
+    content = packed_content
     moved = tmp_path_factory.mktemp("elsewhere") / "run.h5"
     moved.write_bytes(content[: int(share * len(content))])
     with pytest.raises(RecordingError, match=r"run\.h5 cannot be read"):

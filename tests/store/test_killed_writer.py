@@ -72,7 +72,7 @@ def test_no_trial_that_was_acknowledged_is_lost_when_the_writer_is_killed(tmp_pa
     rng = np.random.default_rng(20)
     path = stored_runs.new_run(tmp_path).path
     acknowledged = 0
-    for _ in range(10):
+    for _ in range(5):
         process = start(WRITE, path)
         for _ in range(int(rng.integers(1, 6))):
             acknowledged = int(process.stdout.readline()) + 1
@@ -86,7 +86,7 @@ def test_nothing_is_lost_when_packing_is_killed(tmp_path):
     template = stored_runs.new_run(tmp_path)
     stored_runs.store_many(template, 25)
     template.journal.close()
-    for attempt in range(10):
+    for attempt in range(5):
         path = tmp_path / f"copy{attempt}" / "fin" / template.path.name
         shutil.copytree(template.path, path)
         process = start(PACK, path)
