@@ -101,6 +101,11 @@ def _chain(compare: list[Callable[[Any, Any], Any]], values: list[Any]) -> Any:
 
 def _comparable(value: Any) -> Any:
     """Refuse NaN where it would vanish: every comparison with it is just false."""
-    if isinstance(value, np.floating | np.ndarray) and value.dtype.kind == "f" and np.isnan(value).any():
+    missing = value != value if isinstance(value, float) else _has_nan(value)  # noqa: PLR0124 - what NaN is
+    if missing:
         raise ValueError("a comparison with something that is not a number")
     return value
+
+
+def _has_nan(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.dtype.kind == "f" and bool(np.isnan(value).any())

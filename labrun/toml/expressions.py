@@ -196,7 +196,7 @@ def _is_comparison(node: ast.expr) -> bool:
 
 def evaluate(expression: float | str | Expression, names: Mapping[str, Operand]) -> float | Array:
     """Compute a number, a text, or an expression; see `Expression`."""
-    return Expression.of(expression)(names)
+    return float(expression) if isinstance(expression, int | float) else Expression.of(expression)(names)
 
 
 def names_in(expression: float | str | Expression) -> frozenset[str]:
