@@ -34,7 +34,7 @@ import numpy as np
 from measuring import machine, table
 
 from labrun.runner import Measurement, SilentProgress
-from labrun.search.cmaes import search_by_cmaes
+from labrun.search import search_by_cmaes
 from labrun.spec import Condition, Experiment
 from labrun.store.trial import TrialOutcome
 

@@ -3,7 +3,7 @@
 import base64
 
 from labrun.notebook import as_html
-from labrun.search.result import RunResult
+from labrun.search import RunResult
 
 
 def test_a_result_shows_its_text_and_its_picture(tmp_path):

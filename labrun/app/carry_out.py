@@ -25,12 +25,19 @@ from labrun.runner import (
     record_planned,
     unsettled,
 )
-from labrun.search.cmaes import search_by_cmaes
-from labrun.search.design import conditions
-from labrun.search.forecast import expected_trials
-from labrun.search.generation import read_generations
-from labrun.search.leaders import Measured, honest_best
-from labrun.search.result import RESULT_FILE, Best, RunResult, reason_lines, resume_line
+from labrun.search import (
+    RESULT_FILE,
+    Best,
+    Measured,
+    RunResult,
+    conditions,
+    expected_trials,
+    honest_best,
+    read_generations,
+    reason_lines,
+    resume_line,
+    search_by_cmaes,
+)
 from labrun.spec import LOOP_DEVICE, Experiment, Value, condition_key
 from labrun.store import RunFolder, TrialOutcome, open_run, replace_durably, saving
 

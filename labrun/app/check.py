@@ -7,11 +7,15 @@ from pathlib import Path
 from labrun.control.closed_loop import ClosedLoopRecorder
 from labrun.errors import SpecError
 from labrun.runner import ConditionExcess, Plan, Planner, Rig
-from labrun.search.constraints import ConstraintError
-from labrun.search.design import Condition, conditions
-from labrun.search.forecast import most_trials
-from labrun.search.survey import allowed_points, at_points, survey
-from labrun.spec import Experiment, LoadedExperiment
+from labrun.search import (
+    ConstraintError,
+    allowed_points,
+    at_points,
+    conditions,
+    most_trials,
+    survey_space,
+)
+from labrun.spec import Condition, Experiment, LoadedExperiment
 from labrun.store import lacking_room
 
 
@@ -77,7 +81,7 @@ def _search_plan(experiment: Experiment, planner: Planner) -> Plan:
     assert experiment.cmaes is not None  # noqa: S101  (the file would not have loaded)
     allowed = allowed_points(experiment.cmaes)
     found = planner.plan(allowed.conditions or conditions(experiment))
-    space = survey(experiment, allowed, found, planner.excess_of)
+    space = survey_space(experiment, allowed, found, planner.excess_of)
     outside = {id(item) for item in at_points(found.excess, allowed.conditions)}
     return replace(found, space=space, excess=tuple(item for item in found.excess if id(item) not in outside))
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-    from labrun.search.result import Best
+    from labrun.search import Best
     from labrun.spec import Experiment
 
 
@@ -134,7 +134,7 @@ class OpenRun:
     @cached_property
     def best(self) -> "Best | None":
         """The honest best with its interval; None without a goal, before the end, or of a run.h5 alone."""
-        from labrun.search.result import stored_result
+        from labrun.search import stored_result
 
         folder = self.path if self.path.is_dir() else self.path.parent
         if self.path.is_file() and not (folder / SPEC).is_file():

@@ -13,9 +13,7 @@ from labrun.report.findings import Findings, RecordingFindings, findings
 from labrun.report.report_source import ReportSource, StoredGap
 from labrun.report.run_page import run_page
 from labrun.report.stored_fits import stored_fits
-from labrun.search.generation import read_generations
-from labrun.search.leaders import t_interval
-from labrun.search.result import Best, stored_result
+from labrun.search import Best, read_generations, stored_result, t_interval
 from labrun.store import SPEC, Run, is_recording, open_target
 
 REPORT = "report.html"

@@ -9,7 +9,7 @@ from labrun.app.run import behind_the_drivers, connected
 from labrun.blind import concealed, is_sealed, read_seal
 from labrun.errors import LabrunError, RequestError
 from labrun.runner import Progress, RealClock, Rig, SimulatedClock
-from labrun.search.result import RunResult, resume_line, stored_result
+from labrun.search import RunResult, resume_line, stored_result
 from labrun.spec import load_experiment, loads_experiment
 from labrun.store import RunFolder, is_finished
 

@@ -21,7 +21,7 @@ from labrun.runner import (
     has_emulator,
     ports_of,
 )
-from labrun.search.result import RunResult
+from labrun.search import RunResult
 from labrun.spec import Experiment, LoadedExperiment, load_named
 from labrun.store import RunFolder, collect, lock_ports
 

@@ -11,7 +11,7 @@ from labrun.cli.output import print_json, reported, to_terminal
 
 if TYPE_CHECKING:
     from labrun.runner import Progress
-    from labrun.search.result import RunResult
+    from labrun.search import RunResult
 
 
 def check(

@@ -18,7 +18,7 @@ from labrun.report.text import (
     value_text,
     with_unit,
 )
-from labrun.search.leaders import leading_conditions
+from labrun.search import leading_conditions
 from labrun.spec import Condition, Experiment, Value, condition_key
 from labrun.store import TrialOutcome
 

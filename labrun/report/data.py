@@ -9,8 +9,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import PluginError, SpecError
-from labrun.search.leaders import t_interval
-from labrun.search.result import Best
+from labrun.search import Best, t_interval
 from labrun.spec import Experiment, FitTable, Value, condition_key, loads_experiment
 from labrun.store import Run, TrialOutcome, imported_channels
 

@@ -14,7 +14,7 @@ from labrun.report.statistics import Drift, Repeatability, Settling, as_json, dr
 from labrun.report.stored_fits import StoredFit, stored_fits
 from labrun.report.timing import LoopHealth, StreamHealth, loop_health, stream_health
 from labrun.runner import unsettled
-from labrun.search.result import Best, stored_result
+from labrun.search import Best, stored_result
 from labrun.spec import Value, condition_key
 from labrun.store import SPEC, Run, imported_channels
 

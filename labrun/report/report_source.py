@@ -14,7 +14,7 @@ from labrun.report.data import RunView, trial_tare_s
 from labrun.report.statistics import Drift, Repeatability, drift, repeatability
 from labrun.report.stored_fits import StoredFit
 from labrun.report.timing import BenchTime, LoopHealth, StreamHealth, bench_time, loop_health, stream_health
-from labrun.search.result import Best
+from labrun.search import Best
 from labrun.spec import Experiment
 from labrun.store import Run, TrialOutcome
 

@@ -33,7 +33,7 @@ from labrun.report.verdict import (
     why_it_went_on,
     why_unfinished,
 )
-from labrun.search.result import resume_line
+from labrun.search import resume_line
 from labrun.signals import Signals
 from labrun.store import TrialOutcome
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from labrun.search.result import Best
+from labrun.search import Best
 from labrun.spec import Value
 from labrun.store import SeenTrial, Trace
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from labrun.arrays import FloatArray
 from labrun.errors import RequestError
 from labrun.report.data import Point, RunView, experiment_of
-from labrun.search.leaders import pooled_variance
+from labrun.search import pooled_variance
 from labrun.store import Run, TrialOutcome
 
 

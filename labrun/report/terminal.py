@@ -31,7 +31,7 @@ from labrun.report.text import (
 )
 from labrun.report.timing import LEAST_JITTER_S, clock_text, loop_words
 from labrun.runner import JointPeak, Plan, percent
-from labrun.search.result import unsettled_text
+from labrun.search import unsettled_text
 
 _MOST_REASONS = 6
 _STATUSES = ("done", "rejected", "failed")

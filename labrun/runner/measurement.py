@@ -1,7 +1,7 @@
 """All trials of one condition: how many, in which order, and which of them count."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,10 +9,8 @@ import numpy as np
 
 from labrun.devices import FloatArray
 from labrun.errors import ExperimentError
-from labrun.spec import Outliers, RepeatRule, condition_text
+from labrun.spec import Condition, Outliers, RepeatRule, condition_text
 from labrun.store.trial import Role, TrialOutcome
-
-Condition = Mapping[str, float | str]
 
 
 @dataclass(frozen=True, slots=True)

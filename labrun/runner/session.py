@@ -11,7 +11,6 @@ from labrun.runner.clock import RealClock
 from labrun.runner.faults import LimitReached
 from labrun.runner.measurement import (
     OUTLIER,
-    Condition,
     Measurement,
     Order,
     block_order,
@@ -26,7 +25,7 @@ from labrun.runner.safety import StopRequest, interruptible
 from labrun.runner.settle import needs_baseline, unsettled
 from labrun.runner.trial import TrialRequest, TrialRunner
 from labrun.runner.wiring import check_wiring
-from labrun.spec import Experiment, RepeatRule, condition_text
+from labrun.spec import Condition, Experiment, RepeatRule, condition_text
 from labrun.store import Role, RunFolder, TrialOutcome
 
 _COME_BACK_S = 10.0

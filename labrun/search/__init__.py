@@ -1,1 +1,54 @@
-"""Which trials come next: sweeps, CMA-ES, the honest best; and whole runs from plan to picture."""
+"""Which trials come next: the points of a sweep, a search by CMA-ES, and the honest best of what was measured."""
+
+from labrun.search.cmaes import search_by_cmaes
+from labrun.search.constraints import Constraint, ConstraintError
+from labrun.search.design import axis_values, conditions, start_of_search, sweep_conditions
+from labrun.search.generation import keep_generation, read_generations
+from labrun.search.leaders import (
+    Measured,
+    Measures,
+    honest_best,
+    leading_conditions,
+    pooled_variance,
+    t_interval,
+)
+from labrun.search.result import (
+    RESULT_FILE,
+    Best,
+    RunResult,
+    reason_lines,
+    resume_line,
+    stored_result,
+    unsettled_text,
+)
+from labrun.search.survey import allowed_points, at_points, expected_trials, most_trials, survey_space
+
+__all__ = [
+    "RESULT_FILE",
+    "Best",
+    "Constraint",
+    "ConstraintError",
+    "Measured",
+    "Measures",
+    "RunResult",
+    "allowed_points",
+    "at_points",
+    "axis_values",
+    "conditions",
+    "expected_trials",
+    "honest_best",
+    "keep_generation",
+    "leading_conditions",
+    "most_trials",
+    "pooled_variance",
+    "read_generations",
+    "reason_lines",
+    "resume_line",
+    "search_by_cmaes",
+    "start_of_search",
+    "stored_result",
+    "survey_space",
+    "sweep_conditions",
+    "t_interval",
+    "unsettled_text",
+]

@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 
 from labrun.errors import PlanError
 from labrun.search.constraints import Constraint, constraints
-from labrun.spec import Experiment, Interval, Range, Sweep, Value
-
-Condition = Mapping[str, Value]
-"""One setting of everything that varies, in the units of the experiment file."""
+from labrun.spec import Condition, Experiment, Interval, Range, Sweep, Value
 
 _LARGEST_GRID = 2_000_000
 _DRAWS_PER_SAMPLE = 1000

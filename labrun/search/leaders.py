@@ -10,15 +10,14 @@ from collections.abc import Sequence
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.special import stdtrit  # scipy.stats takes half a second to import
 
-from labrun.search.design import Condition
+from labrun.arrays import FloatArray
 from labrun.search.result import Best
-from labrun.spec import Leaders, RepeatRule, condition_key
+from labrun.spec import Condition, Leaders, RepeatRule, condition_key
 from labrun.store import Role
 
 Goal = Literal["maximise", "minimise"]
-FloatArray = NDArray[np.float64]
 
 
 class Measured(Protocol):
@@ -130,12 +129,10 @@ def leading_conditions(found: Sequence[Measured], objective: str, goal: Goal, co
 
 def t_interval(values: FloatArray) -> tuple[float, float] | None:
     """Return the 95 % Student interval of the mean of independent values; None for fewer than two."""
-    from scipy.stats import t
-
     n = len(values)
     if n < 2:
         return None
-    half = float(t.ppf(0.975, n - 1)) * float(values.std(ddof=1)) / math.sqrt(n)
+    half = float(stdtrit(n - 1, 0.975)) * float(values.std(ddof=1)) / math.sqrt(n)
     mean = float(values.mean())
     return mean - half, mean + half
 

@@ -17,7 +17,7 @@ from labrun.effects import effects
 from labrun.errors import RecordingError, RequestError
 from labrun.report.gap_reveal import revealed_text
 from labrun.runner import SilentProgress
-from labrun.search.design import conditions
+from labrun.search import conditions
 from labrun.spec import load_named
 from labrun.store import open_run
 

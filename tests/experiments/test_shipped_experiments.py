@@ -13,7 +13,7 @@ from labrun_plugins.rigs.hinge.dimensions import damping, stiffness
 
 from labrun.devices import Limits
 from labrun.gaits import make_gait
-from labrun.search.design import conditions
+from labrun.search import conditions
 from labrun.spec import find_model_file, load_experiment, loads_experiment, shipped_experiments
 
 NAMES = (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from labrun.search.leaders import t_interval
+from labrun.search import t_interval
 from labrun.store import open_run
 
 SHORT = ("--set", "trial.duration_s=6", "--set", "trial.repeats=1", "--set", "objectives.first_cycle.to_s=3",

@@ -5,9 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labrun.report.data import RunView
-from labrun.search.design import sweep_conditions
-from labrun.search.leaders import t_interval
-from labrun.search.result import Best
+from labrun.search import Best, sweep_conditions, t_interval
 from labrun.signals import Signals
 from labrun.spec import Experiment
 from labrun.store import SettleSummary, TrialOutcome

@@ -15,7 +15,7 @@ from labrun.app.diagnose import store
 from labrun.app.report import read_source, write_report
 from labrun.cli.app import app
 from labrun.report.text import interval_words
-from labrun.search.result import stored_result
+from labrun.search import stored_result
 from labrun.store import RunFolder, import_recording, open_run
 
 

@@ -6,9 +6,7 @@ from analytic_bench import AnalyticBench, InterruptedBenchError, box, search_exp
 from labrun.devices import Excess
 from labrun.errors import PlanError, StoreError
 from labrun.runner import SilentProgress
-from labrun.search.cmaes import search_by_cmaes
-from labrun.search.constraints import Constraint
-from labrun.search.generation import read_generations
+from labrun.search import Constraint, read_generations, search_by_cmaes
 from labrun.spec import RepeatRule
 
 

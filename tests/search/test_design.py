@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labrun.errors import PlanError
-from labrun.search.constraints import Constraint
-from labrun.search.design import axis_values, sweep_conditions
+from labrun.search import Constraint, axis_values, sweep_conditions
 from labrun.spec import Range, Sweep
 
 

@@ -1,6 +1,8 @@
 import json
 import os
+import shutil
 import signal
+from types import SimpleNamespace
 
 import pytest
 from analytic_bench import search_experiment
@@ -11,7 +13,7 @@ from labrun.app.run import execute
 from labrun.errors import LabrunError, PlanError, RequestError, SpecError
 from labrun.report.terminal import plan_text
 from labrun.runner import Interrupted, SilentProgress
-from labrun.search.result import Best, RunResult
+from labrun.search import Best, RunResult
 from labrun.spec import load_experiment
 from labrun.store import RunFolder
 
@@ -179,7 +181,7 @@ def test_a_seed_that_is_not_given_is_drawn_and_stored(write, tmp_path):
 
 
 def test_the_trials_of_a_search_are_promised_as_the_most_there_can_be():
-    from labrun.search.forecast import expected_trials
+    from labrun.search import expected_trials
 
     variables = {"a": {"from": 0, "to": 1}, "b": {"from": 0, "to": 1}}
     bounded = search_experiment(variables, population=10, stop={"iterations": 7})
@@ -286,3 +288,11 @@ def test_a_constraint_that_is_not_a_number_somewhere_is_told_with_its_place_and_
     assert f"{kind}.where[1]" in str(caught.value)
     assert values in str(caught.value)
     assert not (tmp_path / "r").exists()
+
+
+def test_a_plan_that_does_not_fit_on_the_disk_says_so(write, monkeypatch, tmp_path):
+    loaded = load_experiment(write("sweep"))
+    assert not any("free on the disk" in note for note in check(loaded, results=tmp_path).notes)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1_080_000))
+    notes = check(loaded, results=tmp_path / "not" / "made").notes
+    assert any("1.08 MB are free on the disk of" in note for note in notes)

@@ -3,7 +3,7 @@ import pytest
 from analytic_bench import AnalyticBench
 
 from labrun.runner import Measurement
-from labrun.search.leaders import honest_best, leading_conditions
+from labrun.search import honest_best, leading_conditions
 from labrun.spec import Leaders
 from labrun.store import TrialOutcome
 

@@ -13,7 +13,7 @@ from labrun.errors import ExperimentError
 from labrun.report.findings import findings
 from labrun.report.terminal import print_findings
 from labrun.runner import SilentProgress
-from labrun.search.result import RunResult
+from labrun.search import RunResult
 from labrun.store import RunFolder, open_run
 
 
