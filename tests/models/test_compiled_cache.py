@@ -1,3 +1,4 @@
+import json
 import os
 import pickle
 import subprocess
@@ -43,26 +44,18 @@ def _run(program: str, *arguments: str, cache: Path, folder: Path | None = None)
     return result.stdout
 
 
-def test_a_second_process_compiles_nothing(tmp_path):
-    import json
-
-    path = tmp_path / "model.toml"
+def test_a_second_process_compiles_nothing_and_a_cache_that_was_tampered_with_is_written_anew(tmp_path):
+    path, cache = tmp_path / "model.toml", tmp_path / "cache"
     path.write_text(OSCILLATOR)
-    first, again = (json.loads(_run(_PROGRAM, str(path), cache=tmp_path / "cache")) for _ in range(2))
+    first, again = (json.loads(_run(_PROGRAM, str(path), cache=cache)) for _ in range(2))
     assert first[0][:4] == [0, 0, 0, 0]
     assert again[0] == [1, 1, 1, 1, 1]
     assert first[1] == again[1]
-    written = [module.read_text() for module in (tmp_path / "cache" / "models").glob("*.py")]
-    assert sum("def derivative(t, x, u, p, force, out):" in text for text in written) == 1
-
-
-def test_a_cache_that_was_tampered_with_is_written_anew(tmp_path):
-    path = tmp_path / "model.toml"
-    path.write_text(OSCILLATOR)
-    first = _run(_PROGRAM, str(path), cache=tmp_path / "cache")
-    for module in (tmp_path / "cache" / "models").glob("*.py"):
+    modules = list((cache / "models").glob("*.py"))
+    assert sum("def derivative(t, x, u, p, force, out):" in one.read_text() for one in modules) == 1
+    for module in modules:
         module.write_text("raise SystemExit('not ours')")
-    assert _run(_PROGRAM, str(path), cache=tmp_path / "cache").split("], [")[1] == first.split("], [")[1]
+    assert json.loads(_run(_PROGRAM, str(path), cache=cache))[1] == first[1]
 
 
 def test_a_cache_directory_that_cannot_be_made_only_costs_time(tmp_path):
@@ -73,25 +66,24 @@ def test_a_cache_directory_that_cannot_be_made_only_costs_time(tmp_path):
 
 
 def test_compiled_code_follows_changes_of_the_functions_it_calls(tmp_path):
-    (tmp_path / "other_physics.py").write_text(
+    other = tmp_path / "other_physics.py"
+    other.write_text(
         "from labrun.models import kernel\nGAIN = 2.0\n@kernel\ndef twice(a):\n    return 2.0 * a\n"
+        "@kernel\ndef same(a):\n    return GAIN * a\n"
     )
     (tmp_path / "top_physics.py").write_text(
-        "from labrun.models import python_model\nfrom other_physics import GAIN, twice\n"
+        "from labrun.models import python_model\nfrom other_physics import GAIN, same, twice\n"
         "def derivative(t, x, u, p, force, dx):\n    return\n"
-        "def output(t, x, u, p, force, y):\n    y[0] = GAIN * twice(1.0)\n"
-        "MODEL = python_model('m', derivative=derivative, output=output, outputs=['y'])\n"
+        "def output(t, x, u, p, force, y):\n    y[0] = twice(1.0)\n    y[1] = GAIN\n    y[2] = same(1.0)\n"
+        "MODEL = python_model('m', derivative=derivative, output=output, outputs=['y', 'z', 'w'])\n"
     )
     program = (
         "import numpy as np\nfrom labrun.models import load_model, simulate\n"
-        "print(simulate(load_model('top_physics:MODEL'), np.zeros(1), np.empty((1, 0))).outputs[0, 0])"
+        "print(simulate(load_model('top_physics:MODEL'), np.zeros(1), np.empty((1, 0))).outputs[0].tolist())"
     )
-    assert float(_run(program, cache=tmp_path, folder=tmp_path)) == 4.0
-    other = tmp_path / "other_physics.py"
-    other.write_text(other.read_text().replace("2.0 * a", "3.0 * a"))
-    assert float(_run(program, cache=tmp_path, folder=tmp_path)) == 6.0
-    other.write_text(other.read_text().replace("GAIN = 2.0", "GAIN = 5.0"))
-    assert float(_run(program, cache=tmp_path, folder=tmp_path)) == 15.0
+    assert json.loads(_run(program, cache=tmp_path, folder=tmp_path)) == [2.0, 2.0, 2.0]
+    other.write_text(other.read_text().replace("2.0 * a", "3.0 * a").replace("GAIN = 2.0", "GAIN = 5.0"))
+    assert json.loads(_run(program, cache=tmp_path, folder=tmp_path)) == [3.0, 5.0, 5.0]
 
 
 def test_models_and_effects_can_be_sent_to_another_process():
