@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from labrun.app.question import ask
-from labrun.gap.diagnose import Options, diagnose_dataset
+from labrun.gap import Options, diagnose_dataset
 
 
 def diagnose(target: Path, *, model=None, more=(), workspace: Path = Path(), options: Options | None = None):

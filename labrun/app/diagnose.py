@@ -16,10 +16,8 @@ from rich.text import Text
 from labrun.app.question import ask, find_data, require_writable
 from labrun.errors import RequestError, StoreError
 from labrun.fit.notes import Note, silent
-from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.gap.diagnosis import Diagnosis
-from labrun.gap.saving import recalibrated_only, require_new
-from labrun.gap.saving import save_model as write_model
+from labrun.gap import Diagnosis, Options, diagnose_dataset, recalibrated_only, require_new
+from labrun.gap import save_model as write_model
 from labrun.notebook import as_html
 from labrun.report.gap_text import gap_lines
 from labrun.store import find_run, is_recording, replace_durably

@@ -8,7 +8,7 @@ from pathlib import Path
 from labrun.errors import RequestError
 from labrun.fit.dataset import Dataset, load_dataset
 from labrun.fit.method import FitPlan
-from labrun.gap.question import Question
+from labrun.gap import Question
 from labrun.models import Model, load_model
 from labrun.spec import FitTable, GapTable, find_model_file, loads_experiment
 from labrun.store import all_runs, find_run, imported_channels, is_recording, open_run

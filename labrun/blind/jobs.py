@@ -18,14 +18,8 @@ import numpy as np
 
 import labrun
 from labrun.effects import AttachedEffect, load_effect
-from labrun.errors import FitError
-from labrun.fit.dataset import Dataset, load_dataset
-from labrun.gap.averaging import averaged
-from labrun.gap.confidence import floor_of
-from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.gap.held_out import Excess, excess, mean_residuals
-from labrun.gap.noise import Noise, from_repeats
-from labrun.gap.recalibration import in_units_of, member_residuals, stated, stated_problem
+from labrun.fit.dataset import load_dataset
+from labrun.gap import Options, diagnose_dataset, fresh_excess
 from labrun.models import Model, load_model
 
 Files = Mapping[str, bytes]
@@ -100,17 +94,13 @@ def shown(folder: Path, said: Mapping[str, Any], seed: int) -> dict[str, Any]:
         A corrected model that does not hold, or leaves the finite numbers.
     """
     model = load_model(folder / _MODEL)
-    units = averaged(load_dataset(folder, model), model)
     recalibrated = model.with_values(
         {name: one["recalibrated"] for name, one in said["recalibration"].items()}
     )
-    problem = stated_problem(recalibrated, units)
-    noise = from_repeats(units, member_residuals(problem, stated(problem, problem.begin())))
-    if noise is None:
-        raise FitError("fresh trials without repeats cannot tell gap from noise")
-    before = _excess(recalibrated, units, noise)
-    after = _excess(corrected(model, said), units, noise)
-    floor = floor_of(units, noise, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    (before, after), floor = fresh_excess(
+        [recalibrated, corrected(model, said)], load_dataset(folder, model), rng
+    )
     if before.total <= 0:
         return {"share": 0.0, "counted": False, "recalibrated": 0.0, "after": after.gap, "floor": floor}
     return {
@@ -146,11 +136,6 @@ def _diagnosed(folder: Path, seed: int) -> dict[str, Any]:
     model = load_model(folder / _MODEL)
     found = diagnose_dataset(load_dataset(folder, model), model, Options(places=False, seed=seed))
     return found.to_json()
-
-
-def _excess(model: Model, units: Dataset, noise: Noise) -> Excess:
-    problem = in_units_of(noise, stated_problem(model, units))
-    return excess(units, noise, mean_residuals(problem, stated(problem, problem.begin())))
 
 
 def _unpack(files: Files, folder: Path) -> None:

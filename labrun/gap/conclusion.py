@@ -15,7 +15,6 @@ from labrun.gap.candidates import Candidate as Tried
 from labrun.gap.confidence import (
     confidence,
     effect_units,
-    floor_of,
     parameter_value,
     scatter,
     shrinkage,
@@ -36,7 +35,7 @@ from labrun.gap.diagnosis import (
     Trace,
     Verdict,
 )
-from labrun.gap.held_out import fitted_excess, mean_residuals
+from labrun.gap.held_out import fitted_excess, floor_of, mean_residuals
 from labrun.gap.nuisance import information
 from labrun.gap.pipeline import Search
 from labrun.gap.rating import Rated

@@ -10,7 +10,7 @@ from labrun.fit.dataset import Dataset
 from labrun.fit.problem import Problem
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Estimate, Shrinkage
-from labrun.gap.held_out import Excess, excess, group_means
+from labrun.gap.held_out import Excess, group_means
 from labrun.gap.noise import Basis, Noise
 from labrun.gap.pipeline import Search
 from labrun.gap.screening import Base, Screened
@@ -184,12 +184,6 @@ def _shaken(mean: FloatArray, drawn: FloatArray, sd: FloatArray, floor: FloatArr
     length = min(len(mean), len(drawn))
     again = np.mean(np.square((mean[:length] + drawn[:length]) / sd), axis=0) - 2.0 * floor
     return float(np.mean(again))
-
-
-def floor_of(data: Dataset, noise: Noise, rng: np.random.Generator) -> float:
-    """Return the systematic residual that noise alone shows at most in 95 of 100 experiments."""
-    drawn = [excess(data, noise, noise.draw(data, rng)).gap for _ in range(criteria.FLOOR_DRAWS)]
-    return float(np.percentile(drawn, criteria.FLOOR_PERCENTILE))
 
 
 def least_levels(

@@ -83,6 +83,12 @@ def fitted_excess(problem: Problem, z: FloatArray, noise: Noise) -> Excess:
     return excess(problem.data, noise, mean_residuals(problem, z))
 
 
+def floor_of(data: Dataset, noise: Noise, rng: np.random.Generator) -> float:
+    """Return the systematic residual that noise alone shows at most in 95 of 100 experiments."""
+    drawn = [excess(data, noise, noise.draw(data, rng)).gap for _ in range(criteria.FLOOR_DRAWS)]
+    return float(np.percentile(drawn, criteria.FLOOR_PERCENTILE))
+
+
 def held_out_excess(problem: Problem, z: FloatArray, noise: Noise) -> Excess:
     """Return what fits from `z` leave of conditions they have not seen."""
     return excess(problem.data, noise, held_out_residuals(problem, z))

@@ -1,16 +1,20 @@
 """The recalibrated model: what its parameters, within their tolerances, can explain by themselves."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.errors import FitError
 from labrun.fit.dataset import Dataset
 from labrun.fit.levenberg_marquardt import minimise
 from labrun.fit.notes import Note
 from labrun.fit.problem import OutputNoise, Problem
 from labrun.fit.search import search
 from labrun.gap import criteria
+from labrun.gap.averaging import averaged
+from labrun.gap.held_out import Excess, fitted_excess, floor_of
 from labrun.gap.noise import Noise, from_repeats, from_residual
 from labrun.gap.screening import refit
 from labrun.models import Model
@@ -152,3 +156,25 @@ def bound_remarks(problem: Problem, z: FloatArray) -> tuple[str, ...]:
                 "as far as its statement is believed"
             )
     return tuple(found)
+
+
+def fresh_excess(
+    models: Sequence[Model], dataset: Dataset, rng: np.random.Generator
+) -> tuple[list[Excess], float]:
+    """Return what models leave of fresh trials, only initial states fitted, and the gap that noise alone shows at most.
+
+    Noise is what repeats do not agree on beside the first model.
+
+    Raises
+    ------
+    FitError
+        No repeats.
+    """
+    data = averaged(dataset, models[0])
+    problem = stated_problem(models[0], data)
+    noise = from_repeats(data, member_residuals(problem, stated(problem, problem.begin())))
+    if noise is None:
+        raise FitError("fresh trials without repeats cannot tell gap from noise")
+    problems = [in_units_of(noise, stated_problem(model, data)) for model in models]
+    left = [fitted_excess(one, stated(one, one.begin()), noise) for one in problems]
+    return left, floor_of(data, noise, rng)

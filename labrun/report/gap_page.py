@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from labrun.gap.diagnosis import Candidate, Diagnosis, MissingForce, Trace
+from labrun.gap import Candidate, Diagnosis, MissingForce, Trace
 from labrun.report.figures.gap import how_far_figure, where_figure
 from labrun.report.figures.gap_traces import force_figure, shown_traces, traces_figure, worst_outputs
 from labrun.report.gap_places import hot_spots, place_words, ranked

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from labrun.gap.diagnosis import By, Candidate, CandidateVerdict, Place
+from labrun.gap import By, Candidate, CandidateVerdict, Place
 
 SIGNIFICANT = 0.05
 _RANK: Mapping[CandidateVerdict, int] = {"cause": 0, "indistinguishable": 1, "ruled-out": 2, "not-visible": 3}

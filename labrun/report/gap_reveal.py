@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from labrun.blind import Compared, Revealed
-from labrun.gap.diagnosis import Estimate, Name
+from labrun.gap import Estimate, Name
 from labrun.report.text import estimate_words, listed, number, spaced
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.text import Text
 
-from labrun.gap.diagnosis import Candidate, Diagnosis
+from labrun.gap import Candidate, Diagnosis
 from labrun.report.gap_places import hot_spots, ranked
 from labrun.report.text import (
     VERDICTS,

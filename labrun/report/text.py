@@ -4,9 +4,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from labrun.fit import Estimate, rounded
-from labrun.gap.diagnosis import CandidateVerdict, Diagnosis
-from labrun.gap.diagnosis import Estimate as GapEstimate
-from labrun.gap.verdict import significant
+from labrun.gap import CandidateVerdict, Diagnosis, significant
+from labrun.gap import Estimate as GapEstimate
 from labrun.spec import Condition, Value
 from labrun.spec import condition as plain
 from labrun.toml import UNITS, split_unit

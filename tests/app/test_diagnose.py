@@ -10,7 +10,7 @@ import pytest
 from labrun.app.diagnose import read_stored, store
 from labrun.app.question import find_data
 from labrun.errors import RequestError
-from labrun.gap.diagnosis import Sizes
+from labrun.gap import Sizes
 
 
 @pytest.fixture

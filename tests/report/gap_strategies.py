@@ -6,7 +6,7 @@ import gap_examples as examples
 import numpy as np
 from hypothesis import strategies as st
 
-from labrun.gap.diagnosis import Candidate, Cause, Estimate, MissingForce, Name, Place, Shrinkage, Sizes
+from labrun.gap import Candidate, Cause, Estimate, MissingForce, Name, Place, Shrinkage, Sizes
 
 BASE = examples.static()
 numbers = st.floats(-1e9, 1e9, allow_nan=False)

@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from labrun.gap.diagnosis import Estimate, Name
-from labrun.gap.verdict import significant
+from labrun.gap import Estimate, Name, significant
 from labrun.report.text import (
     bound_words,
     decimal_text,

@@ -8,7 +8,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from labrun.gap.diagnosis import By, Diagnosis, Place
+from labrun.gap import By, Diagnosis, Place
 from labrun.report.gap_places import Panel, beyond_chance, panels, place_words
 from labrun.report.style import COLOURS, INK, heading, new_figure, plain_numbers
 from labrun.report.text import data_words, listed, never_seen, p_words, percent, times_noise

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from labrun.arrays import FloatArray
-from labrun.gap.diagnosis import Diagnosis, MissingForce, Trace
+from labrun.gap import Diagnosis, MissingForce, Trace
 from labrun.report.figures.gap import AFTER, RECALIBRATED, STATED
 from labrun.report.style import COLOURS, FAINT, INK, new_figure, zero_line
 from labrun.report.text import listed, spaced
