@@ -13,7 +13,7 @@ from typing import Any, Literal, Self
 from labrun.control.closed_loop import ClosedLoopRecorder
 from labrun.errors import ExperimentError, LabrunError, PlanError
 from labrun.objectives import make_objective
-from labrun.report.data import RunView, experiment_of
+from labrun.report import RunView, experiment_of
 from labrun.runner import (
     Interrupted,
     LimitReached,

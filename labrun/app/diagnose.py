@@ -19,7 +19,7 @@ from labrun.fit.notes import Note, silent
 from labrun.gap import Diagnosis, Options, diagnose_dataset, recalibrated_only, require_new
 from labrun.gap import save_model as write_model
 from labrun.notebook import as_html
-from labrun.report.gap_text import gap_lines
+from labrun.report import gap_lines
 from labrun.store import find_run, is_recording, replace_durably
 
 FOLDER = "gap"

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from labrun.errors import RequestError
-from labrun.report.statistics import Drift, drift_of, without_drift
+from labrun.report import Drift, drift_of, without_drift
 from labrun.store import export_run, import_recording, open_target
 
 __all__ = ["export", "import_recording"]

@@ -8,11 +8,16 @@ from labrun.app.diagnose import FOLDER as GAP_FOLDER
 from labrun.app.diagnose import PAGE, read_stored
 from labrun.app.question import find_run_or_latest
 from labrun.errors import RequestError, StoreError
-from labrun.report.data import RunView, experiment_of
-from labrun.report.findings import Findings, RecordingFindings, findings
-from labrun.report.report_source import ReportSource, StoredGap
-from labrun.report.run_page import run_page
-from labrun.report.stored_fits import stored_fits
+from labrun.report import (
+    Findings,
+    RecordingFindings,
+    ReportSource,
+    RunView,
+    StoredGap,
+    experiment_of,
+    findings,
+    stored_fits,
+)
 from labrun.search import Best, read_generations, stored_result, t_interval
 from labrun.store import SPEC, Run, is_recording, open_target
 
@@ -83,6 +88,8 @@ def write_report(run: Run, output: Path | None = None) -> Path:
     """
     source = read_source(run)
     path = output if output is not None else _beside(source)
+    from labrun.report.run_page import run_page  # matplotlib
+
     text = run_page(source)
     partial = path.with_name(f".{path.name}.partial")
     try:

@@ -8,8 +8,7 @@ import numpy as np
 
 from labrun.devices import Clock
 from labrun.errors import LabrunError, RequestError
-from labrun.report.snapshot import BestYet, Snapshot, State, event_text
-from labrun.report.text import duration_text
+from labrun.report import BestYet, Snapshot, State, duration_text, event_text
 from labrun.search import Best, resume_line, stored_result
 from labrun.spec import Experiment, condition_key, loads_experiment
 from labrun.store import JOURNAL, SPEC, RunWatch, SeenTrial, Trace, known_units, read_trace

@@ -53,7 +53,7 @@ def doctor(
     """
     with reported(as_json):
         from labrun.app.doctor import doctor as examine
-        from labrun.report.terminal import remark_text
+        from labrun.report import remark_text
 
         remarks = examine(experiment, Path.cwd(), overrides or (), hardware=hardware, emulate=emulate)
         found = []

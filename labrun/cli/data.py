@@ -32,7 +32,7 @@ def show(
     """
     with reported(as_json):
         from labrun.app.report import show as findings_of
-        from labrun.report.terminal import print_findings
+        from labrun.report import print_findings
 
         found = findings_of(target, results=results)
         if as_json:
@@ -77,7 +77,7 @@ def export(
         )
         return
     for item in removed:
-        from labrun.report.text import interval_text
+        from labrun.report import interval_text
 
         slope = interval_text(item.slope_per_h, item.ci95, f"{item.unit}/h")
         doubt = "" if item.visible else ", which cannot be told from none"

@@ -33,7 +33,7 @@ def check(
         if as_json:
             print_json(plan.report())
             raise typer.Exit(2 if plan.excess else 0)
-        from labrun.report.terminal import plan_text
+        from labrun.report import plan_text
 
         typer.echo(plan_text(plan, results))
         plan.require_feasible()
@@ -130,10 +130,10 @@ def resume(
 def progress_display() -> "Progress":
     """Return what tells a person on standard error how a run goes."""
     if to_terminal():
-        from labrun.report.live import LiveProgress
+        from labrun.report import LiveProgress
 
         return LiveProgress()
-    from labrun.report.live import PlainProgress
+    from labrun.report import PlainProgress
 
     return PlainProgress()
 

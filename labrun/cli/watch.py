@@ -31,7 +31,8 @@ def watch(
 
         from labrun.app.question import find_run_or_latest
         from labrun.app.watch import Watcher
-        from labrun.report import live
+        from labrun.report import render
+        from labrun.report import watch as show_live
         from labrun.runner import RealClock
 
         clock = RealClock()
@@ -41,9 +42,9 @@ def watch(
             return
         console = Console(highlight=False)
         if once or not sys.stdout.isatty():
-            console.print(live.render(watcher.look(), console))
+            console.print(render(watcher.look(), console))
         else:
-            live.watch(watcher.look, console, clock, every_s)
+            show_live(watcher.look, console, clock, every_s)
 
 
 def register(app: typer.Typer) -> None:

@@ -1,7 +1,28 @@
-"""Figures of runs, and what `labrun show` and the live display say in the terminal."""
+"""What people read of results: tables and live displays in the terminal, pages, figures. It starts nothing.
+
+Figures are in `labrun.report.figures`, pages in `labrun.report.run_page` and `labrun.report.gap_page`: they load
+matplotlib, so whoever shows text alone does without them.
+"""
 
 import sys
 
 from labrun import UseCasePackage
+from labrun.report.data import RunView, experiment_of
+from labrun.report.findings import Findings, RecordingFindings, findings
+from labrun.report.gap_text import gap_lines
+from labrun.report.live import LiveProgress, PlainProgress, render, watch
+from labrun.report.report_source import ReportSource, StoredGap
+from labrun.report.snapshot import BestYet, Snapshot, State, event_text
+from labrun.report.statistics import Drift, drift_of, without_drift
+from labrun.report.stored_fits import StoredFit, stored_fits
+from labrun.report.terminal import plan_text, print_findings, remark_text
+from labrun.report.text import duration_text, interval_text
+
+__all__ = [
+    "BestYet", "Drift", "Findings", "LiveProgress", "PlainProgress", "RecordingFindings", "ReportSource", "RunView",
+    "Snapshot", "State", "StoredFit", "StoredGap", "drift_of", "duration_text", "event_text", "experiment_of",
+    "findings", "gap_lines", "interval_text", "plan_text", "print_findings", "remark_text", "render", "stored_fits",
+    "watch", "without_drift",
+]  # fmt: skip
 
 sys.modules[__name__].__class__ = UseCasePackage
