@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from labrun.control.closed_loop import ClosedLoopRecorder
-from labrun.errors import SpecError
+from labrun.errors import PlanError, SpecError
 from labrun.runner import ConditionExcess, Plan, Planner, Rig
 from labrun.search import (
     ConstraintError,
@@ -15,12 +15,17 @@ from labrun.search import (
     most_trials,
     survey_space,
 )
-from labrun.spec import Condition, Experiment, LoadedExperiment
+from labrun.spec import Condition, Experiment, LoadedExperiment, load_named
 from labrun.store import lacking_room
 
 
 def check(
-    loaded: LoadedExperiment, *, dry_run: bool = False, seed: int = 0, results: Path = Path("results")
+    experiment: str | Path | LoadedExperiment,
+    *,
+    dry_run: bool = False,
+    overrides: Sequence[str] = (),
+    seed: int = 0,
+    workspace: str | Path = ".",
 ) -> Plan:
     """Return the whole plan, checked against every limit; nothing is connected, moved or written.
 
@@ -29,12 +34,16 @@ def check(
 
     Parameters
     ----------
+    experiment
+        Its name, the path of its file, or one that is loaded already.
     dry_run
         Check as well that there is a bench to simulate.
+    overrides
+        Keys of the file to replace, such as ``trial.repeats=5``.
     seed
         Of random designs.
-    results
-        Where the run would go: a note of the plan tells where the disk has no room for it.
+    workspace
+        Where the experiment is looked for.
 
     Raises
     ------
@@ -44,14 +53,23 @@ def check(
     SpecError
         The file names what the rig does not have.
     """
+    if isinstance(experiment, LoadedExperiment):
+        loaded = experiment
+    else:
+        loaded = load_named(str(experiment), Path(workspace), overrides)
     if dry_run and loaded.experiment.rig.scene is None:
         raise SpecError(
             f"{loaded.path} names no scene, so there is no bench to simulate",
             hint='add scene = "..." to [rig]; labrun plugins lists the scenes',
         )
-    plan = whole_plan(loaded, seed, None)
-    lacking = lacking_room(results, plan.disk_bytes)
-    return plan if lacking is None else replace(plan, notes=(*plan.notes, lacking))
+    return whole_plan(loaded, seed, None)
+
+
+def require_room(plan: Plan, results: str | Path) -> None:
+    """Raise PlanError if what a plan will write does not fit on the disk of the results."""
+    problem = lacking_room(Path(results), plan.disk_bytes)
+    if problem is not None:
+        raise PlanError(problem, hint="make room, or name another disk with --results")
 
 
 def whole_plan(loaded: LoadedExperiment, seed: int, rig: Rig | None) -> Plan:

@@ -13,14 +13,14 @@ from typing import Any
 
 from rich.text import Text
 
-from labrun.app.question import ask, find_data, require_writable
+from labrun.app.question import ask, find_data
 from labrun.errors import RequestError, StoreError
 from labrun.fit.notes import Note, silent
 from labrun.gap import Diagnosis, Options, diagnose_dataset, recalibrated_only, require_new
 from labrun.gap import save_model as write_model
 from labrun.notebook import as_html
 from labrun.report import gap_lines
-from labrun.store import find_run, is_recording, replace_durably
+from labrun.store import find_run, is_recording, replace_durably, require_writable
 
 FOLDER = "gap"
 NUMBERS = "diagnosis.json"
@@ -124,7 +124,7 @@ def diagnose(
     further = [find_data(one, results) for one in more]
     if save_model is not None:
         require_new(save_model)
-    require_writable(_folder(folder, results))
+    require_writable(_folder(folder, results), "the diagnosis")
     began = time.perf_counter()
     note(f"reading {folder}")
     question = ask(folder, model, further, signals, workspace)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from labrun import registry
-from labrun.app.question import declared_plan, find_data, fit_plan, require_writable
+from labrun.app.question import declared_plan, find_data, fit_plan
 from labrun.errors import RequestError
 from labrun.fit.method import GROUP, FitJob, FitPlan, is_method, make_method
 from labrun.fit.notes import Note, silent
@@ -20,7 +20,7 @@ from labrun.models import load_model, shipped_models
 from labrun.report.figures.fits import fit_figure
 from labrun.report.style import save
 from labrun.spec import apply_overrides, load_named
-from labrun.store import is_recording, replace_durably
+from labrun.store import is_recording, replace_durably, require_writable
 from labrun.toml import nearest
 
 
@@ -95,7 +95,7 @@ def fit(
     apply_overrides(chosen, overrides)
     way = make_method(method, {**plan.settings_of(method), **chosen})
     kept = _output_folder(folder, results)
-    require_writable(kept)
+    require_writable(kept, "the fit")
     note(f"reading {folder}")
     wired = {**plan.signals, **(signals or {})}
     rng = np.random.default_rng(seed or 0)

@@ -1,6 +1,5 @@
 """What a person names: data, how they are fitted, and the model they are held against."""
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -50,22 +49,6 @@ def find_run_or_latest(target: str | Path | None, results: Path) -> Path:
             hint="labrun run hinge --dry-run makes one; labrun list shows more",
         )
     return runs[-1]
-
-
-def require_writable(folder: Path) -> None:
-    """Raise RequestError, before anything is computed, if a folder cannot be made or written to.
-
-    Parameters
-    ----------
-    folder
-        Where results will go; it need not be there yet.
-    """
-    there = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.exists())
-    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
-        raise RequestError(
-            f"{there} cannot be written to, so that the result could not be kept",
-            hint="copy the run to a folder that you may write to",
-        )
 
 
 def fit_plan(target: Path, workspace: Path, *, need_model: bool = True) -> FitPlan:

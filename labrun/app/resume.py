@@ -8,31 +8,38 @@ from labrun.app.carry_out import carry_out, require_answer
 from labrun.app.run import behind_the_drivers, connected
 from labrun.blind import concealed, is_sealed, read_seal
 from labrun.errors import LabrunError, RequestError
-from labrun.runner import Progress, RealClock, Rig, SimulatedClock
+from labrun.runner import Progress, RealClock, Rig, SilentProgress, SimulatedClock
 from labrun.search import RunResult, resume_line, stored_result
 from labrun.spec import load_experiment, loads_experiment
-from labrun.store import RunFolder, is_finished
+from labrun.store import RunFolder, find_unfinished, is_finished
 
 _MOST_CHANGES = 8
 
 
 def resume(
-    run: Path,
+    run: str | Path | None = None,
     *,
-    progress: Progress,
     accept_changed_spec: bool = False,
     limit: int | None = None,
-    draw: bool = False,
+    results: str | Path = "results",
+    progress: Progress | None = None,
+    draw: bool = True,
 ) -> RunResult:
     """Go on with a run by replay: stored trials are served, missing ones are run, the result is the same.
 
     Parameters
     ----------
     run
-        The run's folder. A run that is finished is said to be so, and its result returned.
+        The run's folder; the latest unfinished run if None. Of one that is finished the result is returned.
     accept_changed_spec
         Go on although the experiment file has changed. The run keeps the specification it began with (its
         spec.toml): trials of two specifications in one run would answer no question.
+    limit
+        Stop after so many new trials.
+    results
+        Where runs are.
+    progress
+        Who is told how it goes; nobody if None.
     draw
         Whether the finished run gets its picture.
 
@@ -41,6 +48,14 @@ def resume(
     RequestError
         The experiment file has changed since (says which keys), the folder is no run, or an imported recording.
     """
+    found = find_unfinished(None if run is None else str(run), Path(results))
+    with SilentProgress() if progress is None else progress as told:
+        return _go_on(found, told, accept_changed_spec, limit, draw)
+
+
+def _go_on(
+    run: Path, progress: Progress, accept_changed_spec: bool, limit: int | None, draw: bool
+) -> RunResult:
     folder = RunFolder.open(run)
     result = stored_result(run)
     if result is not None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from labrun.app.carry_out import carry_out
-from labrun.app.check import whole_plan
+from labrun.app.check import require_room, whole_plan
 from labrun.blind import SEALED, hidden_bench, redacted, write_seal
 from labrun.errors import RequestError, SpecError
 from labrun.runner import (
@@ -145,7 +145,9 @@ def execute(
     progress.phase("checking the plan")
     with behind_the_drivers(on_bench, loaded.path, seed=seed, emulate=emulate, progress=progress) as emulated:
         rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run, emulated=emulated)
-        whole_plan(loaded, seed, rig).require_feasible()
+        plan = whole_plan(loaded, seed, rig)
+        plan.require_feasible()
+        require_room(plan, results)
         progress.phase("connecting")
         with connected(rig):
             origin = {

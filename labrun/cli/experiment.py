@@ -1,7 +1,6 @@
 """`labrun check`, `run`, `sweep`, `track`, `cmaes`, `resume`."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -27,16 +26,19 @@ def check(
     """
     with reported(as_json):
         from labrun.app.check import check as check_plan
-        from labrun.spec import load_named
+        from labrun.app.check import require_room
 
-        plan = check_plan(load_named(name, Path.cwd(), overrides or ()), dry_run=dry_run, results=results)
+        plan = check_plan(name, overrides=overrides or (), dry_run=dry_run)
         if as_json:
+            if not plan.excess:
+                require_room(plan, results)
             print_json(plan.report())
             raise typer.Exit(2 if plan.excess else 0)
         from labrun.report import plan_text
 
         typer.echo(plan_text(plan, results))
         plan.require_feasible()
+        require_room(plan, results)
 
 
 def _command(kind: str | None, text: str) -> Callable[..., None]:
@@ -113,17 +115,15 @@ def resume(
     """
     with reported(as_json):
         from labrun.app.resume import resume as resume_run
-        from labrun.store import find_unfinished
 
-        folder = find_unfinished(run, results)
-        with progress_display() as progress:
-            result = resume_run(
-                folder,
-                progress=progress,
-                accept_changed_spec=accept_changed_spec,
-                limit=limit,
-                draw=True,
-            )
+        result = resume_run(
+            run,
+            progress=progress_display(),
+            accept_changed_spec=accept_changed_spec,
+            limit=limit,
+            results=results,
+            draw=True,
+        )
         _print_result(result, as_json)
 
 

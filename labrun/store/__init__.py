@@ -1,7 +1,7 @@
 """Runs on disk: the run folder, a trial's file, ``run.h5``, recordings made elsewhere, and what follows a run."""
 
 from labrun.store._recording_toml import Between
-from labrun.store.disk import lacking_room, replace_durably, saving
+from labrun.store.disk import lacking_room, replace_durably, require_writable, saving
 from labrun.store.export import export_run
 from labrun.store.folder import RunFolder
 from labrun.store.frames import run_dataset, trial_dataset, trials_frame
@@ -77,6 +77,7 @@ __all__ = [
     "read_recording",
     "read_trace",
     "replace_durably",
+    "require_writable",
     "run_dataset",
     "saving",
     "settle_curve",

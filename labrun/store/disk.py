@@ -4,6 +4,7 @@ import errno
 import os
 import re
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -80,6 +81,19 @@ def require_room(path: Path, count: int) -> None:
         os.posix_fallocate(descriptor, 0, count + _METADATA)
     finally:
         os.close(descriptor)
+
+
+def require_writable(folder: Path, what: str) -> None:
+    """Raise StoreError where nothing can be written to a folder, or to the one it would be made in.
+
+    Parameters
+    ----------
+    what
+        What is to be written there, for example ``"the fit"``.
+    """
+    existing = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.exists())
+    with saving(what, folder, "nothing was computed"), tempfile.TemporaryFile(dir=existing):
+        pass
 
 
 def lacking_room(folder: Path, needed: float) -> str | None:

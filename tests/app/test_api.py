@@ -1,11 +1,11 @@
 """labrun as a Python package: its functions are the commands."""
 
-import os
+from types import SimpleNamespace
 
 import pytest
 
 import labrun
-from labrun.errors import RequestError
+from labrun.errors import PlanError, RequestError, StoreError
 
 
 def test_dir_lists_the_api():
@@ -50,11 +50,12 @@ def test_without_any_run_it_says_how_to_make_one(tmp_path):
 
 @pytest.mark.parametrize("use_case", [labrun.fit, labrun.diagnose])
 def test_a_folder_that_cannot_be_written_to_is_told_before_anything_is_computed(use_case, run, monkeypatch):
-    # a person's own account; the super-user may write anywhere
-    allowed = os.access
-    monkeypatch.setattr(os, "access", lambda path, mode: not mode & os.W_OK and allowed(path, mode))
+    def refused(**_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refused)
     notes = []
-    with pytest.raises(RequestError, match="cannot be written to"):
+    with pytest.raises(StoreError, match="nothing was computed"):
         use_case(run, note=notes.append)
     assert notes == []
 
@@ -73,3 +74,10 @@ def test_a_recording_has_a_report_in_the_current_folder_and_is_left_as_it_is(tmp
     assert written.resolve() == tmp_path / "swing-report.html"
     assert "angle" in written.read_text()
     assert sorted(path.name for path in recording.iterdir()) == before
+
+
+def test_a_plan_that_does_not_fit_on_the_disk_is_refused_before_anything_is_made(tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(total=10**9, used=10**9, free=10_000))
+    with pytest.raises(PlanError, match="are free"):
+        labrun.run("hinge", dry_run=True, seed=1, results=tmp_path / "results")
+    assert not list(tmp_path.iterdir())

@@ -242,7 +242,7 @@ def test_a_seal_that_is_gone_is_missed_by_reveal_and_by_resume(tmp_path):
     with pytest.raises(RecordingError, match="is gone"):
         reveal(run)
     with pytest.raises(RecordingError, match="is gone"):
-        resume(run, progress=SilentProgress())
+        resume(run, draw=False)
 
 
 def _angles(run):
@@ -254,7 +254,7 @@ def test_a_resumed_run_hides_what_it_began_with_and_ends_as_if_it_had_never_stop
     whole = dry_run(tmp_path, hide)
     stopped = dry_run(tmp_path, hide, limit=2)
     assert len(list(stopped.glob("trials/*.h5"))) == 2
-    resume(stopped, progress=SilentProgress())
+    resume(stopped, draw=False)
     for ours, theirs in zip(_angles(open_run(stopped)), _angles(open_run(whole)), strict=True):
         np.testing.assert_array_equal(ours, theirs)
     assert reveal(stopped).hidden == reveal(whole).hidden
@@ -262,7 +262,7 @@ def test_a_resumed_run_hides_what_it_began_with_and_ends_as_if_it_had_never_stop
 
 def test_resuming_is_not_opening(tmp_path):
     run = dry_run(tmp_path, ["random"], limit=1)
-    resume(run, progress=SilentProgress())
+    resume(run, draw=False)
     assert reveal(run).opened_before == ()
 
 

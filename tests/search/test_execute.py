@@ -71,7 +71,7 @@ def test_a_limited_run_resumes_to_the_result_of_an_uninterrupted_one(write, dry_
     assert not part.finished
     assert part.done == limit
     assert any(f"labrun resume {part.run}" in note for note in recorder.notes)
-    resumed = resume(part.run, progress=SilentProgress())
+    resumed = resume(part.run, draw=False)
     assert resumed.best == whole.best
     assert objectives(resumed.run) == objectives(whole.run)
     for state in (whole.run / "search").glob("*.json"):
@@ -96,7 +96,7 @@ def test_ctrl_c_keeps_the_trials_and_says_how_to_go_on(write, dry_run, tmp_path)
     assert f"labrun resume {run}" in str(caught.value)
     assert len(objectives(run)) == 4
     assert [event["event"] for event in RunFolder.open(run).journal.events()][-1] == "interrupted"
-    assert resume(run, progress=SilentProgress()).best == dry_run(path, results="whole").best
+    assert resume(run, draw=False).best == dry_run(path, results="whole").best
 
 
 class FailAt(SilentProgress):
@@ -111,12 +111,12 @@ def test_a_failure_keeps_the_trials_and_says_how_to_go_on(write, dry_run, tmp_pa
     (run,) = (tmp_path / "results" / "sweep").iterdir()
     assert "switch it on" in str(caught.value)
     assert f"labrun resume {run}" in str(caught.value)
-    assert resume(run, progress=SilentProgress()).finished
+    assert resume(run, draw=False).finished
 
 
 def test_resuming_a_finished_run_says_so_and_gives_its_result(write, dry_run, recorder):
     result = dry_run(write("sweep"))
-    again = resume(result.run, progress=recorder)
+    again = resume(result.run, progress=recorder, draw=False)
     assert again == result
     assert "is finished" in recorder.notes[0]
     assert recorder.trials == 0
@@ -127,7 +127,7 @@ def test_a_changed_experiment_file_is_refused_with_the_keys_that_changed(write, 
     part = dry_run(path, limit=3)
     path.write_text(path.read_text().replace("repeats = 2", "repeats = 4"))
     with pytest.raises(RequestError, match="has changed") as caught:
-        resume(part.run, progress=SilentProgress())
+        resume(part.run, draw=False)
     assert "trial.repeats.min: 2 then, 4 now" in str(caught.value)
     assert "--accept-changed-spec" in str(caught.value)
 
@@ -139,7 +139,7 @@ def test_a_changed_file_that_is_accepted_leaves_the_run_with_the_specification_i
     whole = dry_run(path, results="whole")
     part = dry_run(path, limit=3)
     path.write_text(path.read_text().replace("repeats = 2", "repeats = 4"))
-    result = resume(part.run, progress=recorder, accept_changed_spec=True)
+    result = resume(part.run, progress=recorder, accept_changed_spec=True, draw=False)
     assert result.done == whole.done
     assert result.best == whole.best
     assert "has changed" in recorder.notes[0]
@@ -149,7 +149,7 @@ def test_a_comment_in_the_experiment_file_is_no_change(write, dry_run):
     path = write("sweep")
     part = dry_run(path, limit=3)
     path.write_text("# seen on Monday\n" + path.read_text())
-    assert resume(part.run, progress=SilentProgress()).finished
+    assert resume(part.run, draw=False).finished
 
 
 def test_a_plan_outside_a_limit_is_refused_before_anything_is_written(write, dry_run, tmp_path):

@@ -12,7 +12,6 @@ from labrun.cli.app import app
 from labrun.errors import ExperimentError
 from labrun.report.findings import findings
 from labrun.report.terminal import print_findings
-from labrun.runner import SilentProgress
 from labrun.search import RunResult
 from labrun.store import RunFolder, open_run
 
@@ -55,7 +54,7 @@ def test_resuming_a_run_that_answered_nothing_says_so_again(nothing, dry_run, tm
         dry_run(nothing())
     (run,) = (tmp_path / "results" / "sweep").iterdir()
     with pytest.raises(ExperimentError) as second:
-        resume(run, progress=SilentProgress())
+        resume(run, draw=False)
     assert str(second.value) == str(first.value)
 
 
@@ -102,7 +101,7 @@ def test_a_bench_that_never_settles_is_warned_of_wherever_the_result_is_shown(wr
     assert any(warning in note for note in recorder.notes)
     events = list(RunFolder.open(result.run).journal.events())
     assert [(e["trials"], e["of"]) for e in events if e["event"] == "unsettled"] == [(late, result.done)]
-    assert resume(result.run, progress=SilentProgress()) == result
+    assert resume(result.run, draw=False) == result
     console = Console(width=300, file=io.StringIO())
     with open_run(result.run) as run:
         print_findings(findings(run), console)
