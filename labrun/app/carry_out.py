@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
-from labrun.control.closed_loop import ClosedLoopRecorder
+from labrun.control import ClosedLoopRecorder
 from labrun.errors import ExperimentError, LabrunError, PlanError
 from labrun.objectives import make_objective
 from labrun.report import RunView, experiment_of

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from labrun.control.closed_loop import ClosedLoopRecorder
+from labrun.control import ClosedLoopRecorder
 from labrun.errors import PlanError, SpecError
 from labrun.runner import ConditionExcess, Plan, Planner, Rig
 from labrun.search import (

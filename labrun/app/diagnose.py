@@ -15,7 +15,7 @@ from rich.text import Text
 
 from labrun.app.question import ask, find_data
 from labrun.errors import RequestError, StoreError
-from labrun.fit.notes import Note, silent
+from labrun.fit import Note, silent
 from labrun.gap import Diagnosis, Options, diagnose_dataset, recalibrated_only, require_new
 from labrun.gap import save_model as write_model
 from labrun.notebook import as_html

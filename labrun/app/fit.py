@@ -13,9 +13,7 @@ import numpy as np
 from labrun import registry
 from labrun.app.question import declared_plan, find_data, fit_plan
 from labrun.errors import RequestError
-from labrun.fit.method import GROUP, FitJob, FitPlan, is_method, make_method
-from labrun.fit.notes import Note, silent
-from labrun.fit.result import FitSummary
+from labrun.fit import GROUP, FitJob, FitPlan, FitSummary, Note, is_method, make_method, silent
 from labrun.models import load_model, shipped_models
 from labrun.report.figures.fits import fit_figure
 from labrun.report.style import save

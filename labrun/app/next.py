@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from labrun.app.question import ask, find_data
-from labrun.fit.notes import Note, silent
+from labrun.fit import Note, silent
 from labrun.gap.next import Proposal, propose
 from labrun.gap.next.proposal import require_free
 

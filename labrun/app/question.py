@@ -5,8 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from labrun.errors import RequestError
-from labrun.fit.dataset import Dataset, load_dataset
-from labrun.fit.method import FitPlan
+from labrun.fit import Dataset, FitPlan, load_dataset
 from labrun.gap import Question
 from labrun.models import Model, load_model
 from labrun.spec import FitTable, GapTable, find_model_file, loads_experiment

@@ -4,20 +4,27 @@ from typing import TYPE_CHECKING, Any
 
 from labrun.blind.concealment import concealed
 from labrun.blind.hiding import HiddenBench, hidden_bench, named_model
-from labrun.blind.reveal import Compared, Hidden, Revealed, reveal
+from labrun.blind.judging import GOOD, STRENGTHS, Judged
+from labrun.blind.revealed import Compared, Hidden, Revealed, reveal
+from labrun.blind.scoring import Scores, Share
 from labrun.blind.seal import SEALED, Seal, is_sealed, read_seal, redacted, write_seal
 
 if TYPE_CHECKING:
     from labrun.blind.diagnosis_check import Checked, check
 
 __all__ = [
+    "GOOD",
     "SEALED",
+    "STRENGTHS",
     "Checked",
     "Compared",
     "Hidden",
     "HiddenBench",
+    "Judged",
     "Revealed",
+    "Scores",
     "Seal",
+    "Share",
     "check",
     "concealed",
     "hidden_bench",

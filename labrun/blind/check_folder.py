@@ -13,7 +13,7 @@ from typing import Any
 
 from labrun.blind.jobs import Files, fingerprint
 from labrun.errors import LabrunError, RequestError
-from labrun.fit.notes import Note
+from labrun.fit import Note
 
 SHIPPED_GENERATOR = Path(__file__).parent / "cases"
 """Code that makes sealed cases and imports nothing of labrun."""

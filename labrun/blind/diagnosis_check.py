@@ -14,7 +14,7 @@ from labrun.blind.judging import ANNOUNCING, KINDS, Judged, Said, Shown, Truth, 
 from labrun.blind.scoring import Scores, score
 from labrun.blind.workers import Pool, cores, pool, spread
 from labrun.errors import LabrunError, RequestError
-from labrun.fit.notes import Note, silent
+from labrun.fit import Note, silent
 from labrun.toml import nearest
 
 FIRST_REPORTED_SEED = 1000

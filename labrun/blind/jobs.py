@@ -18,7 +18,7 @@ import numpy as np
 
 import labrun
 from labrun.effects import AttachedEffect, load_effect
-from labrun.fit.dataset import load_dataset
+from labrun.fit import load_dataset
 from labrun.gap import Options, diagnose_dataset, fresh_excess
 from labrun.models import Model, load_model
 

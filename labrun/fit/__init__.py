@@ -7,45 +7,61 @@ from labrun.fit.correlation import correlation_length
 from labrun.fit.dataset import Dataset, FitTrial, load_dataset
 from labrun.fit.estimate import Estimate, rounded
 from labrun.fit.figure import Curve, FigureData, Panel, Stack
+from labrun.fit.initial_states import FIRST_SAMPLES
+from labrun.fit.jacobian import Jacobian
 from labrun.fit.levenberg_marquardt import NormalEquations, minimise
-from labrun.fit.method import FitJob, FitMethod, FitPlugin, NoSettings
+from labrun.fit.method import GROUP, FitJob, FitMethod, FitPlan, FitPlugin, NoSettings, is_method, make_method
 from labrun.fit.notes import Note, silent
 from labrun.fit.output_error import FEW_TRIALS, fit_model
-from labrun.fit.problem import Problem
+from labrun.fit.parallel import Each, one_by_one, workers
+from labrun.fit.problem import FEWEST_SAMPLES, OutputNoise, Problem
 from labrun.fit.resampling import LEVEL, resample_trials, student
 from labrun.fit.result import FitResult, FitSummary, FittedData, TextTable
+from labrun.fit.starts import search
 from labrun.store import is_recording
 
 __all__ = [
+    "FEWEST_SAMPLES",
     "FEW_TRIALS",
+    "FIRST_SAMPLES",
+    "GROUP",
     "LEVEL",
     "Curve",
     "Dataset",
+    "Each",
     "Estimate",
     "FigureData",
     "FitJob",
     "FitMethod",
+    "FitPlan",
     "FitPlugin",
     "FitResult",
     "FitSummary",
     "FitTrial",
     "FittedData",
+    "Jacobian",
     "NoSettings",
     "NormalEquations",
     "Note",
+    "OutputNoise",
     "Panel",
     "Problem",
     "Stack",
     "TextTable",
     "correlation_length",
     "fit_model",
+    "is_method",
     "is_recording",
     "load_dataset",
+    "make_method",
     "minimise",
+    "one_by_one",
     "resample_trials",
     "rounded",
+    "search",
     "silent",
     "student",
+    "workers",
 ]
 
 sys.modules[__name__].__class__ = UseCasePackage

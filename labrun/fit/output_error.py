@@ -26,7 +26,7 @@ from labrun.fit.notes import Note, silent
 from labrun.fit.problem import OutputNoise, Problem
 from labrun.fit.resampling import resample_trials
 from labrun.fit.result import FitResult, FittedData, StartOutcome
-from labrun.fit.search import Minimum, search
+from labrun.fit.starts import Minimum, search
 from labrun.models import Model
 
 FEW_TRIALS = 5

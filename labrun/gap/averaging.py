@@ -8,8 +8,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import RecordingError
-from labrun.fit.dataset import Dataset, FitTrial
-from labrun.fit.initial_states import FIRST_SAMPLES
+from labrun.fit import FIRST_SAMPLES, Dataset, FitTrial
 from labrun.gap import criteria
 from labrun.models import Model
 from labrun.spec import condition_key, condition_text

@@ -10,7 +10,7 @@ from labrun import registry
 from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, Effect, EffectParameter, Scale, effects, force_law, shipped
 from labrun.errors import ModelError, RequestError
-from labrun.fit.problem import Problem
+from labrun.fit import Problem
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Name
 from labrun.models import Model, Pointer, simulate, site_course

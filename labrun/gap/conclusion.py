@@ -6,10 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit.dataset import Dataset
-from labrun.fit.notes import Note
-from labrun.fit.problem import OutputNoise, Problem
-from labrun.fit.workers import Each, one_by_one
+from labrun.fit import Dataset, Each, Note, OutputNoise, Problem, one_by_one
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate as Tried
 from labrun.gap.confidence import (

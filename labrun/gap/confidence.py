@@ -6,8 +6,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, EffectParameter, unit_of
-from labrun.fit.dataset import Dataset
-from labrun.fit.problem import Problem
+from labrun.fit import Dataset, Problem
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Estimate, Shrinkage
 from labrun.gap.held_out import Excess, group_means

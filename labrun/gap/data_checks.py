@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.errors import RecordingError
-from labrun.fit.dataset import Dataset, FitTrial
-from labrun.fit.problem import FEWEST_SAMPLES
+from labrun.fit import FEWEST_SAMPLES, Dataset, FitTrial
 from labrun.gap import criteria
 from labrun.spec import condition_key
 

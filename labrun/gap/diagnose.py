@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labrun.fit.dataset import Dataset
-from labrun.fit.notes import Note, silent
-from labrun.fit.workers import workers
+from labrun.fit import Dataset, Note, silent, workers
 from labrun.gap.conclusion import conclude
 from labrun.gap.diagnosis import Diagnosis
 from labrun.gap.pipeline import search_causes

@@ -6,10 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit.dataset import Dataset
-from labrun.fit.jacobian import Jacobian
-from labrun.fit.levenberg_marquardt import minimise
-from labrun.fit.problem import Problem
+from labrun.fit import Dataset, Jacobian, Problem, minimise
 from labrun.gap import criteria
 from labrun.gap.noise import Noise
 from labrun.gap.nuisance import information, unseen

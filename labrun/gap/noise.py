@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit.dataset import Dataset, FitTrial
+from labrun.fit import Dataset, FitTrial
 from labrun.gap import criteria
 
 

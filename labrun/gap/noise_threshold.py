@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit.problem import Problem
-from labrun.fit.workers import Each, one_by_one
+from labrun.fit import Each, Problem, one_by_one
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
 from labrun.gap.noise import Noise

@@ -6,9 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
-from labrun.fit.jacobian import Jacobian
-from labrun.fit.levenberg_marquardt import NormalEquations
-from labrun.fit.problem import Problem
+from labrun.fit import Jacobian, NormalEquations, Problem
 from labrun.gap import criteria
 
 _RIDGE = 1e-12

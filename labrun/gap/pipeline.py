@@ -6,9 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit.dataset import Dataset
-from labrun.fit.notes import Note, silent
-from labrun.fit.workers import Each, one_by_one
+from labrun.fit import Dataset, Each, Note, one_by_one, silent
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import Candidate, candidates, site_scales, without

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from labrun.fit.dataset import Dataset
+from labrun.fit import Dataset
 from labrun.models import Model
 
 

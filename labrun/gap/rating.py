@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit.levenberg_marquardt import minimise
+from labrun.fit import minimise
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
 from labrun.gap.held_out import Excess, held_out_excess

@@ -7,11 +7,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError
-from labrun.fit.dataset import Dataset
-from labrun.fit.levenberg_marquardt import minimise
-from labrun.fit.notes import Note
-from labrun.fit.problem import OutputNoise, Problem
-from labrun.fit.search import search
+from labrun.fit import Dataset, Note, OutputNoise, Problem, minimise, search
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.held_out import Excess, fitted_excess, floor_of

@@ -6,9 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit.levenberg_marquardt import minimise
-from labrun.fit.problem import Problem
-from labrun.fit.workers import Each, one_by_one
+from labrun.fit import Each, Problem, minimise, one_by_one
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnosis import Name

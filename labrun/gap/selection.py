@@ -6,8 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit.notes import Note
-from labrun.fit.workers import Each
+from labrun.fit import Each, Note
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, without
 from labrun.gap.diagnosis import Name

@@ -3,4 +3,9 @@
 from labrun.objectives.protocol import Objective, TrialSignals, make_objective
 from labrun.signals import Signal
 
-__all__ = ["Objective", "Signal", "TrialSignals", "make_objective"]
+__all__ = [
+    "Objective",
+    "Signal",
+    "TrialSignals",
+    "make_objective",
+]

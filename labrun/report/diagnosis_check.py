@@ -3,9 +3,7 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from labrun.blind import Checked
-from labrun.blind.judging import GOOD, STRENGTHS, Judged
-from labrun.blind.scoring import Scores, Share
+from labrun.blind import GOOD, STRENGTHS, Checked, Judged, Scores, Share
 
 _TO_REACH = {"0.5 to 1": "75 %", "1 to 3": "90 %", "3 and above": "95 %"}
 _LABEL = 25

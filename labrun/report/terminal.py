@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from labrun.devices import Remark
-from labrun.fit.estimate import rounded
+from labrun.fit import rounded
 from labrun.report.conditions import ConditionResult, standard_error, varying
 from labrun.report.findings import Findings, RecordingFindings
 from labrun.report.stored_fits import StoredFit

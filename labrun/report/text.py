@@ -7,7 +7,8 @@ from labrun.fit import Estimate, rounded
 from labrun.gap import CandidateVerdict, Diagnosis, significant
 from labrun.gap import Estimate as GapEstimate
 from labrun.spec import Condition, Value
-from labrun.spec import condition as plain
+from labrun.spec import condition_text as plain_condition_text
+from labrun.spec import value_text as plain_value_text
 from labrun.toml import UNITS, split_unit
 
 VERDICTS: Mapping[CandidateVerdict, str] = {
@@ -76,11 +77,11 @@ def capital(text: str) -> str:
 
 def value_text(value: Value, unit: str = "") -> str:
     """Return a condition's value with as many digits as a person can use."""
-    return plain.value_text(value, unit, digits=_DIGITS)
+    return plain_value_text(value, unit, digits=_DIGITS)
 
 
 def condition_text(
-    condition: Condition, units: Mapping[str, str] = plain.NO_UNITS, *, unbroken: bool = False
+    condition: Condition, units: Mapping[str, str] | None = None, *, unbroken: bool = False
 ) -> str:
     """Return ``a = 60 deg, f = 1.4 Hz, fin = soft``.
 
@@ -93,10 +94,11 @@ def condition_text(
     unbroken
         Whether a line must never end within a value.
     """
+    units = units or {}
     if not unbroken:
-        return plain.condition_text(condition, units, digits=_DIGITS)
+        return plain_condition_text(condition, units, digits=_DIGITS)
     parts = (
-        plain.condition_text({name: value}, units, digits=_DIGITS).replace(" ", _NO_BREAK)
+        plain_condition_text({name: value}, units, digits=_DIGITS).replace(" ", _NO_BREAK)
         for name, value in condition.items()
     )
     return ", ".join(parts)

@@ -5,8 +5,7 @@ import traceback
 from collections.abc import Iterator, Mapping
 
 from labrun.errors import LabrunError
-from labrun.objectives import make_objective
-from labrun.objectives.protocol import Objective, TrialSignals
+from labrun.objectives import Objective, TrialSignals, make_objective
 from labrun.runner.motion import TrialMotion
 from labrun.signals import LongSignals, Signal, Signals
 from labrun.spec import Condition, Experiment

@@ -10,7 +10,7 @@ import numpy as np
 from labrun.devices import FloatArray
 from labrun.errors import ExperimentError
 from labrun.spec import Condition, Outliers, RepeatRule, condition_text
-from labrun.store.trial import Role, TrialOutcome
+from labrun.store import Role, TrialOutcome
 
 
 @dataclass(frozen=True, slots=True)

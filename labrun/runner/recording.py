@@ -8,7 +8,7 @@ from labrun.runner.bench import Bench
 from labrun.runner.motion import TrialMotion
 from labrun.runner.sensing import loss_share
 from labrun.spec import Condition
-from labrun.store.writer import TrialWriter
+from labrun.store import TrialWriter
 
 LEAD_S = 0.05
 """Time to hand every device its command before the common start."""

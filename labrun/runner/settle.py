@@ -12,7 +12,7 @@ from labrun.runner.rig import Rig
 from labrun.runner.settle_detector import BaselineMeter, Bounds, SettleDetector, Watched
 from labrun.signals import Signals
 from labrun.spec import Settle, Tare
-from labrun.store.trial import SettleSummary, TrialOutcome, settle_curve
+from labrun.store import SettleSummary, TrialOutcome, settle_curve
 
 _BASELINE_HOLDS = 6.0
 _BASELINE_S = 10.0

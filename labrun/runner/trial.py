@@ -14,9 +14,7 @@ from labrun.runner.recording import Recorder, Recording, SampleCollector, record
 from labrun.runner.settle import Settled, measure_baseline, settle, tare
 from labrun.runner.settle_detector import Bounds
 from labrun.spec import Condition, Experiment, Settle
-from labrun.store.folder import RunFolder
-from labrun.store.trial import Role, TrialOutcome
-from labrun.store.writer import TrialWriter
+from labrun.store import Role, RunFolder, TrialOutcome, TrialWriter
 
 BASELINE_INDEX = 2**31 - 1
 """Stands for the baseline where device noise is derived from a trial's index."""

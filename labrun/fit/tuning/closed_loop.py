@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
-from labrun.control.feedforward import FeedforwardPid
-from labrun.control.pid import PidController
-from labrun.control.protocol import LoopContext, Step
+from labrun.control import FeedforwardPid, LoopContext, PidController, Step
 from labrun.fit.tuning.loop import Loop, SampledPlant, sample_plant
 
 ComplexArray = NDArray[np.complex128]

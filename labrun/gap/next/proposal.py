@@ -10,7 +10,7 @@ import numpy as np
 import tomli_w
 
 from labrun.errors import RequestError
-from labrun.fit.dataset import Dataset
+from labrun.fit import Dataset
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Name
 from labrun.gap.next.run_bench import RunBench

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labrun.fit.dataset import Dataset
-from labrun.fit.notes import Note, silent
+from labrun.fit import Dataset, Note, silent
 from labrun.gap import criteria
 from labrun.gap.next.proposal import (
     Outcome,

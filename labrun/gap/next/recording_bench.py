@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit.dataset import Dataset, FitTrial
+from labrun.fit import Dataset, FitTrial
 from labrun.gap.next.trials import PlannedTrial, by_hand
 from labrun.models import Model
 from labrun.spec import condition_key, condition_text

@@ -9,7 +9,7 @@ import numpy as np
 import tomli_w
 
 from labrun.errors import LabrunError, RequestError
-from labrun.fit.dataset import Dataset
+from labrun.fit import Dataset
 from labrun.gap import criteria
 from labrun.gap.next.trials import PlannedTrial, beyond, by_hand, reach, rounded
 from labrun.models import Model

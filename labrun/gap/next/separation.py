@@ -6,9 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit.dataset import Dataset
-from labrun.fit.levenberg_marquardt import minimise
-from labrun.fit.problem import Problem
+from labrun.fit import Dataset, Problem, minimise
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Name
 from labrun.gap.next.trials import PlannedTrial, joined, planned_data

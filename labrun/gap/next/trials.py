@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from math import floor, log10
 
 from labrun.arrays import FloatArray
-from labrun.fit.dataset import Dataset, FitTrial
+from labrun.fit import Dataset, FitTrial
 from labrun.gap import criteria
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, unit_of
-from labrun.fit.dataset import Dataset, FitTrial
+from labrun.fit import Dataset, FitTrial
 from labrun.gap import criteria
 from labrun.gap.noise import Noise
 from labrun.models import Drive, Model, Site, simulate, site_course

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
-from labrun.fit.dataset import FitTrial
-from labrun.fit.workers import Each, one_by_one
+from labrun.fit import Each, FitTrial, one_by_one
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Place
 from labrun.gap.where.difference import Difference

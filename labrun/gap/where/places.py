@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit.workers import Each, one_by_one
+from labrun.fit import Each, one_by_one
 from labrun.gap import criteria
 from labrun.gap.diagnosis import By, Place
 from labrun.gap.where.difference import Difference, Mover, input_movers, pieces, site_movers
@@ -53,7 +53,7 @@ def find_places(
     note
         Is told in sentences what there is to know about the shares and their p.
     each
-        Runs what does not depend on one another; see `labrun.fit.workers`.
+        Runs what does not depend on one another; see `labrun.fit.parallel`.
 
     Returns
     -------
