@@ -34,11 +34,11 @@ def propose_next(
     RequestError
         No such data or model, or nothing is left to separate.
     """
+    if out is not None:
+        require_free(out)
     results, workspace = Path(results), Path(workspace)
     folder = find_data(target, results)
     further = [find_data(one, results) for one in more]
-    if out is not None:
-        require_free(out)
     note(f"reading {folder}")
     question = ask(folder, model, further, workspace=workspace)
     return propose(folder, question, model=model, out=out, seed=seed or 0, workspace=workspace, note=note)
