@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from analytic_bench import search_experiment
 
-from labrun.app.check import check
+from labrun.app.check import check, require_room
 from labrun.app.resume import resume
 from labrun.app.run import execute
 from labrun.errors import LabrunError, PlanError, RequestError, SpecError
@@ -290,9 +290,9 @@ def test_a_constraint_that_is_not_a_number_somewhere_is_told_with_its_place_and_
     assert not (tmp_path / "r").exists()
 
 
-def test_a_plan_that_does_not_fit_on_the_disk_says_so(write, monkeypatch, tmp_path):
-    loaded = load_experiment(write("sweep"))
-    assert not any("free on the disk" in note for note in check(loaded, results=tmp_path).notes)
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1_080_000))
-    notes = check(loaded, results=tmp_path / "not" / "made").notes
-    assert any("1.08 MB are free on the disk of" in note for note in notes)
+def test_a_plan_that_does_not_fit_on_the_disk_is_refused(write, monkeypatch, tmp_path):
+    plan = check(write("sweep"))
+    require_room(plan, tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1_080))
+    with pytest.raises(PlanError, match=r"1\.08 kB are free on the disk of"):
+        require_room(plan, tmp_path / "not" / "made")
