@@ -126,7 +126,7 @@ def test_export_writes_one_row_a_trial(labrun, hinge, tmp_path):
 def test_export_writes_netcdf(labrun, hinge, tmp_path):
     assert labrun("export", hinge, "--to", "netcdf", "--output", "run.nc").code == 0
     with h5py.File(tmp_path / "run.nc") as file:
-        assert file["cameras/angle"].attrs["units"] == b"rad"
+        assert file["cameras/angle"].attrs["units"] == "rad"
 
 
 def test_a_recording_is_imported_shown_exported_and_fitted(labrun, recordings):
