@@ -28,22 +28,9 @@ Quantity = Literal[
     "ratio",
 ]
 
-_ROTARY = {
-    "force": "N m",
-    "damping": "N m s/rad",
-    "drag": "N m s^2/rad^2",
-    "stiffness": "N m/rad",
-    "cubic-stiffness": "N m/rad^3",
-    "inertia": "kg m^2",
-}
-_LINEAR = {
-    "force": "N",
-    "damping": "N s/m",
-    "drag": "N s^2/m^2",
-    "stiffness": "N/m",
-    "cubic-stiffness": "N/m^3",
-    "inertia": "kg",
-}
+_FORCES = {"rad": "N m", "m": "N"}
+"""Generalized forces by the unit of the coordinate; of any other, the force is what the model's equation says."""
+_INERTIAS = {"rad": "kg m^2", "m": "kg"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,30 +68,24 @@ class Scale:
 
 def unit_of(quantity: Quantity, coordinate_unit: str = "rad", signal_unit: str = "1") -> str:
     """Return the unit of a quantity at a site whose coordinate (or whose signal) has that unit."""
-    simple = {
+    c = coordinate_unit
+    force = _FORCES.get(c, "force")
+    units: dict[Quantity, str] = {
         "time": "s",
         "ratio": "1",
         "signal": signal_unit,
         "signal-rate": f"{signal_unit}/s",
-        "coordinate": coordinate_unit,
-        "rate": f"{coordinate_unit}/s",
-        "time-per-coordinate": f"s/{coordinate_unit}",
+        "coordinate": c,
+        "rate": f"{c}/s",
+        "time-per-coordinate": f"s/{c}",
+        "force": force,
+        "damping": f"{force} s/{c}",
+        "drag": f"{force} s^2/{c}^2",
+        "stiffness": f"{force}/{c}",
+        "cubic-stiffness": f"{force}/{c}^3",
+        "inertia": _INERTIAS.get(c, f"force s^2/{c}"),
     }
-    if quantity in simple:
-        return simple[quantity]
-    if coordinate_unit == "rad":
-        return _ROTARY[quantity]
-    if coordinate_unit == "m":
-        return _LINEAR[quantity]
-    c = coordinate_unit  # neither: the force is whatever the model's equation makes it
-    other = {
-        "damping": f" s/{c}",
-        "drag": f" s^2/{c}^2",
-        "stiffness": f"/{c}",
-        "cubic-stiffness": f"/{c}^3",
-        "inertia": f" s^2/{c}",
-    }
-    return f"force{other.get(quantity, '')}"
+    return units[quantity]
 
 
 @dataclass(frozen=True, slots=True)

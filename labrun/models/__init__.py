@@ -5,8 +5,10 @@ from labrun.compiled import NativeFunction, Pointer, kernel, native
 from labrun.effects import Site, SiteKind
 from labrun.models.inputs import Drive
 from labrun.models.loading import load_model, parse_model, shipped_models
-from labrun.models.model import Between, Condition, Input, Model, Output, Parameter
-from labrun.models.python_model import compile_derivative, compile_output, python_model
+from labrun.models.mjcf.exporting import Exported, MjcfRange, mjcf_of, mjcf_ranges
+from labrun.models.mjcf.robot import Robot, RobotActuator, RobotJoint, is_robot, read_robot
+from labrun.models.model import Between, Condition, Input, Model, Origin, Output, Parameter
+from labrun.models.python_model import python_model
 from labrun.models.simulation import (
     Simulation,
     Unfiltered,
@@ -24,28 +26,36 @@ __all__ = [
     "Between",
     "Condition",
     "Drive",
+    "Exported",
     "FloatArray",
     "Input",
+    "MjcfRange",
     "Model",
     "NativeFunction",
+    "Origin",
     "Output",
     "Parameter",
     "Pointer",
+    "Robot",
+    "RobotActuator",
+    "RobotJoint",
     "Simulation",
     "Site",
     "SiteKind",
     "Stepper",
     "Unfiltered",
-    "compile_derivative",
-    "compile_output",
     "corrected_model_text",
     "filtered",
+    "is_robot",
     "kernel",
     "load_model",
+    "mjcf_of",
+    "mjcf_ranges",
     "native",
     "parse_model",
     "prepare",
     "python_model",
+    "read_robot",
     "shipped_models",
     "simulate",
     "simulate_unfiltered",

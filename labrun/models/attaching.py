@@ -1,111 +1,97 @@
 """The array of tables ``[[effects]]`` of a model file: physics that a model carries with it."""
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Sequence
 
-from labrun.effects import AttachedEffect, Effect, EffectParameter, SiteKind, load_effect
+from labrun.effects import AttachedEffect, Effect, EffectParameter, load_effect
 from labrun.errors import ModelError, PluginError
-from labrun.models.fields import Fields
 from labrun.models.model import Model
+from labrun.models.tables import EffectTable, ModelFile
 from labrun.toml import KeyPath, suggest
 
-_KEYS = ("effect", "site", "kind", "values")
-_KINDS = ("joint", "body", "input", "output")
 
-
-def read_effects(fields: Fields, model: Model) -> tuple[AttachedEffect, ...]:
+def read_effects(file: ModelFile, tables: Sequence[EffectTable], model: Model) -> tuple[AttachedEffect, ...]:
     """Return the effects a file puts at sites of its model, in its order.
 
     Raises
     ------
     ModelError
-        Unknown effect, site or value; a site that lacks what the effect needs; a value that is missing, no number or
-        out of range; with the line it stands on.
+        All that does not hold: an unknown effect, site or value; a site that lacks what the effect needs; a value that
+        is missing or out of range; each with the line it stands on.
     """
-    tables = fields.data.get("effects", [])
-    if not isinstance(tables, list) or not all(isinstance(one, dict) for one in tables):
-        raise fields.text.error(
-            "effects", "tables were expected", "begin each effect with a line [[effects]]"
-        )
-    return tuple(_attached(fields, ("effects", index), one, model) for index, one in enumerate(tables))
+    found = [_attached(file, ("effects", index), one, model) for index, one in enumerate(tables)]
+    file.refuse()
+    return tuple(one for one in found if one is not None)
 
 
-def _attached(fields: Fields, path: KeyPath, entry: Mapping[str, Any], model: Model) -> AttachedEffect:
-    fields.check_keys(path, entry, _KEYS)
-    for key in ("effect", "site"):
-        if key not in entry:
-            raise fields.text.error(path, f"it names no {key}", 'effect = "coulomb-friction", site = "hinge"')
-    name = fields.string((*path, "effect"), entry["effect"])
-    site = fields.string((*path, "site"), entry["site"])
-    kind = entry.get("kind")
-    if kind is not None and kind not in _KINDS:
-        hint = suggest(str(kind), _KINDS)
-        raise fields.text.error((*path, "kind"), f"{kind!r} is no kind of site", hint)
-    effect = _effect(fields, path, name, _kinds(fields, path, model, site, kind))
-    attached = effect.attach(site, **_values(fields, path, effect, entry.get("values", {})))
+def _attached(file: ModelFile, path: KeyPath, table: EffectTable, model: Model) -> AttachedEffect | None:
+    effect = _effect(file, path, table, model)
+    if effect is None or not _values_hold(file, (*path, "values"), effect, table):
+        return None
+    attached = effect.attach(table.site, **table.values)
     try:
         attached.check(model)
     except ModelError as error:
-        raise fields.text.error(path, str(error.args[0]), error.hint) from None
+        file.note(path, str(error.args[0]), error.hint)
     return attached
 
 
-def _kinds(fields: Fields, path: KeyPath, model: Model, site: str, kind: SiteKind | None) -> list[SiteKind]:
-    """Return the kinds of the sites of that name, or the one that is asked for."""
-    kinds = [place.kind for place in model.places if place.name == site and kind in (None, place.kind)]
-    if kinds:
-        return kinds
-    known = {place.name for place in model.places if kind in (None, place.kind)}
-    what = f"{kind} site" if kind else "site"
-    hint = suggest(site, known) if known else f"it has no {what} at all"
-    raise fields.text.error((*path, "site"), f"model {model.name} has no {what} {site!r}", hint)
-
-
-def _effect(fields: Fields, path: KeyPath, name: str, kinds: list[SiteKind]) -> Effect:
-    """Return the one effect of that name that sits at one of the kinds of sites."""
-    fitting, refusals = [], []
-    for kind in dict.fromkeys(kinds):
+def _effect(file: ModelFile, path: KeyPath, table: EffectTable, model: Model) -> Effect | None:
+    """Return the one effect of the table's name that sits at one of the kinds of sites of its site's name."""
+    try:
+        model.place(table.site, table.kind)
+    except ModelError as error:
+        file.note((*path, "site"), str(error.args[0]), error.hint)
+        return None
+    there = [place for place in model.places if place.name == table.site]
+    kinds = dict.fromkeys(place.kind for place in there if table.kind in (None, place.kind))
+    fitting: list[Effect] = []
+    refusal: ModelError | PluginError | None = None
+    for kind in kinds:
         try:
-            fitting.append(load_effect(name, kind))
-        except ModelError as error:  # there is none for that kind
-            refusals.append(error)
-        except PluginError as error:
-            raise fields.text.error((*path, "effect"), str(error.args[0]), error.hint) from None
-    if not fitting:
-        raise fields.text.error((*path, "effect"), str(refusals[0].args[0]), refusals[0].hint)
+            fitting.append(load_effect(table.effect, kind))
+        except (ModelError, PluginError) as error:  # there is none for that kind, or none at all
+            refusal = refusal or error
     if len(fitting) > 1:
         both = " and ".join(one.kind for one in fitting)
         hint = f'say kind = "{fitting[0].kind}" or kind = "{fitting[1].kind}"'
-        raise fields.text.error(path, f"{name} sits at {both} sites, and both have this name", hint)
-    return fitting[0]
+        file.note(path, f"{table.effect} sits at {both} sites, and both have this name", hint)
+    elif fitting:
+        return fitting[0]
+    elif refusal is not None:
+        file.note((*path, "effect"), str(refusal.args[0]), refusal.hint)
+    return None
 
 
-def _values(fields: Fields, path: KeyPath, effect: Effect, table: Any) -> dict[str, float]:
-    path = (*path, "values")
-    fields.check_keys(path, table, tuple(one.name for one in effect.parameters))
-    values = {name: fields.number((*path, name), value) for name, value in table.items()}
-    for parameter in effect.parameters:
-        if parameter.name in values:
-            _check_range(fields, (*path, parameter.name), parameter, values[parameter.name])
-        elif not parameter.held:
-            raise fields.text.error(
-                path, f"{effect.id} needs a value of {parameter.name}", f"it is {effect.form}"
-            )
-    return values
+def _values_hold(file: ModelFile, path: KeyPath, effect: Effect, table: EffectTable) -> bool:
+    parameters = {one.name: one for one in effect.parameters}
+    strangers = [name for name in table.values if name not in parameters]
+    for name in strangers:
+        file.note((*path, name), "unknown key", suggest(name, parameters))
+    missing = [one.name for one in effect.parameters if not (one.held or one.name in table.values)]
+    for name in () if strangers else missing:
+        file.note(path, f"{effect.id} needs a value of {name}", f"it is {effect.form}")
+    wanted = {
+        name: _wanted(parameters[name], table.values[name]) for name in parameters if name in table.values
+    }
+    for name, what in wanted.items():
+        if what:
+            file.note((*path, name), f"expected {what}", at_value=True)
+    return not (strangers or missing or any(wanted.values()))
 
 
-def _check_range(fields: Fields, path: KeyPath, parameter: EffectParameter, value: float) -> None:
-    """Refuse what is impossible at any site: a bound of 0 holds whatever the site's typical magnitudes are."""
+def _wanted(parameter: EffectParameter, value: float) -> str:
+    """Return what is expected of a value that is impossible at any site; "" of one that is not.
+
+    A bound of 0 holds whatever the site's typical magnitudes are.
+    """
     if value == parameter.neutral:
-        return
-    if math.isinf(value):
-        raise fields.text.error(path, "a finite number was expected")
+        return ""
+    if not math.isfinite(value):
+        return "a finite number"
     for bound, sign in ((parameter.lower, 1.0), (parameter.upper, -1.0)):
         if sign * bound == 0.0 and sign * value < 0.0:
-            what = "0 or more" if sign > 0 else "0 or less"
-        elif sign * bound > 0.0 and sign * value <= 0.0:
-            what = "a number above 0" if sign > 0 else "a number below 0"
-        else:
-            continue
-        raise fields.text.error(path, f"{what} was expected, not {value:g}")
+            return "0 or more" if sign > 0 else "0 or less"
+        if sign * bound > 0.0 and sign * value <= 0.0:
+            return "a number above 0" if sign > 0 else "a number below 0"
+    return ""

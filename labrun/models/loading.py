@@ -1,20 +1,19 @@
 """Find a model by file, plugin name or dotted name, and read its file."""
 
 import dataclasses
-import tomllib
 from pathlib import Path
 
 from labrun import registry
 from labrun.errors import LabrunError, ModelError
 from labrun.models.attaching import read_effects
-from labrun.models.fields import Fields, ModelText
 from labrun.models.mjcf.file import mujoco_model
-from labrun.models.model import Model
+from labrun.models.mjcf.robot import is_robot, read_robot
+from labrun.models.model import Model, Origin
+from labrun.models.tables import BasedFile, ModelFile
 from labrun.models.toml_model import equations_model
 from labrun.toml import suggest
 
 _GROUP = "labrun.models"
-_BASED_KEYS = ("name", "title", "base", "values", "effects")
 _DEEPEST = 16
 """Files that refer to files: more is a circle."""
 
@@ -25,8 +24,9 @@ def load_model(source: str | Path) -> Model:
     Parameters
     ----------
     source
-        A ``.toml`` file, the name of a model that ships with labrun or that a plugin brings (entry point of group
-        ``labrun.models``), or ``"package.module:object"``; the object is a `Model`, or a function that returns one.
+        A ``.toml`` file, an MJCF or URDF file (see `read_robot`), the name of a model that ships with labrun or that a
+        plugin brings (entry point of group ``labrun.models``), or ``"package.module:object"``; the object is a
+        `Model`, or a function that returns one.
 
     Raises
     ------
@@ -41,6 +41,10 @@ def load_model(source: str | Path) -> Model:
 def load_from(source: str | Path, depth: int = 0) -> Model:
     """Do as `load_model`; `depth` counts the files that have referred to this one."""
     path = model_file(source)
+    if path is not None and is_robot(path):
+        robot = read_robot(path)
+        model = parse_model(robot.table(), str(path), depth)
+        return dataclasses.replace(model, notes=(*robot.remarks, *model.notes))
     if path is not None:
         return parse_model(_text(path), str(path), depth)
     name = str(source)
@@ -71,69 +75,51 @@ def parse_model(text: str, name: str, depth: int = 0) -> Model:
     ModelError
         Anything that does not hold, with file, line, key, and for an equation the place in it.
     """
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ModelError(f"{name}: this is not TOML: {error}") from None
-    fields = Fields(ModelText(name, text), data)
-    if "base" in data:
-        return _based_model(fields, depth)
-    if "mujoco" in data:
-        return mujoco_model(fields)
-    return equations_model(fields)
+    file = ModelFile(name, text)
+    if "base" in file.data:
+        model = _based_model(file, depth)
+    else:
+        model = mujoco_model(file) if "mujoco" in file.data else equations_model(file)
+    return dataclasses.replace(model, origin=_origin(file)) if "corrected" in file.data else model
 
 
-def _based_model(fields: Fields, depth: int = 0) -> Model:
-    """Return the model a file makes of its base.
+def _origin(file: ModelFile) -> Origin:
+    """Return where a corrected model says it comes from; files are counted from the folder of its own."""
+    table, folder = file.data["corrected"], Path(file.name).parent
+    named = (table["from"], table.get("by", ""))
+    return Origin(*(str(folder / one) if one and (folder / one).exists() else one for one in named))
 
-    Parameters
-    ----------
-    fields
-        The file: `base` is what `labrun.models.load_model` takes, a path counted from the file's own folder.
-    depth
-        How many files have referred to this one.
 
-    Raises
-    ------
-    ModelError
-        The base cannot be loaded, or values or effects do not fit it; with the line.
-    """
-    for key in fields.data:
-        if key not in _BASED_KEYS:
-            raise fields.text.unknown_key("", key, _BASED_KEYS)
-    base = fields.string("base", fields.data["base"])
+def _based_model(file: ModelFile, depth: int) -> Model:
+    """Return the model a file makes of its base: what `load_model` takes, a path counted from the file's own folder."""
+    given = file.read(BasedFile)
     if depth >= _DEEPEST:
-        raise fields.text.error(
-            "base", f"models refer to one another more than {_DEEPEST} deep", "is it a circle?"
-        )
-    beside = Path(fields.text.name).parent / base
+        file.fail(("base",), f"models refer to one another more than {_DEEPEST} deep", "is it a circle?")
+    beside = Path(file.name).parent / given.base
     try:
-        model = load_from(beside if base.endswith(".toml") or beside.is_file() else base, depth + 1)
+        model = load_from(
+            beside if given.base.endswith(".toml") or beside.is_file() else given.base, depth + 1
+        )
     except LabrunError as error:
-        raise fields.text.error("base", str(error.args[0]), error.hint) from None
-    model = model.with_values(_other_values(fields, model))
+        file.fail(("base",), str(error.args[0]), error.hint)
+    parameters = {one.name: one for one in model.parameters}
+    for name, value in given.values.items():
+        one = parameters.get(name)
+        if one is None:
+            hint = suggest(name, parameters)
+            file.note(("values", name), f"model {model.name} has no parameter {name!r}", hint)
+        elif not one.lower <= value <= one.upper:
+            file.note(
+                ("values", name), f"expected a number from {one.lower:g} to {one.upper:g}", at_value=True
+            )
+    file.refuse()
+    model = model.with_values(given.values)
     return dataclasses.replace(
         model,
-        name=fields.string("name", fields.data.get("name", model.name)),
-        source=fields.text.name,
-        effects=(*model.effects, *read_effects(fields, model)),
+        name=model.name if given.name is None else given.name,
+        source=file.name,
+        effects=(*model.effects, *read_effects(file, given.effects, model)),
     )
-
-
-def _other_values(fields: Fields, model: Model) -> dict[str, float]:
-    parameters = {one.name: one for one in model.parameters}
-    values = {}
-    for name, given in fields.table("values").items():
-        key = f"values.{name}"
-        if name not in parameters:
-            raise fields.text.error(
-                key, f"model {model.name} has no parameter {name!r}", suggest(name, list(parameters))
-            )
-        value, lower, upper = fields.number(key, given), parameters[name].lower, parameters[name].upper
-        if not lower <= value <= upper or value in (float("inf"), float("-inf")):
-            raise fields.text.error(key, f"a number from {lower:g} to {upper:g} was expected, not {value:g}")
-        values[name] = value
-    return values
 
 
 def shipped_models() -> dict[str, Path]:
@@ -148,7 +134,7 @@ def shipped_models() -> dict[str, Path]:
 def model_file(source: str | Path) -> Path | None:
     """Return the file that `load_model` would read for a source; None where it is no file."""
     path = Path(source)
-    if path.suffix == ".toml" or path.is_file():
+    if path.suffix == ".toml" or is_robot(path) or path.is_file():
         return path
     name = str(source)
     if ":" in name or registry.is_installed(_GROUP, name):

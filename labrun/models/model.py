@@ -57,6 +57,22 @@ class Output:
     unit: str = "1"
 
 
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where a corrected model comes from.
+
+    Attributes
+    ----------
+    model
+        What `labrun.models.load_model` takes for the model that was corrected.
+    data
+        The run or recording it was corrected by; "" where the file does not say.
+    """
+
+    model: str
+    data: str = ""
+
+
 @dataclass(frozen=True)
 class Model:
     """A simulator: ``dx/dt = derivative(t, x, u, p, force)``, ``y = output(t, x, u, p, force)``.
@@ -84,6 +100,8 @@ class Model:
         What is odd about it, in sentences.
     effects
         Physics it carries at its sites; every simulation adds it before the effects it is given.
+    origin
+        Of a corrected model.
     """
 
     name: str
@@ -101,6 +119,7 @@ class Model:
     source: str = ""
     notes: tuple[str, ...] = ()
     effects: tuple[AttachedEffect, ...] = ()
+    origin: Origin | None = None
 
     @property
     def places(self) -> tuple[Site, ...]:

@@ -6,25 +6,11 @@ from typing import Any
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.compiled import NativeFunction, equations, generated, native
+from labrun.compiled import equations, generated, native
 from labrun.effects import Site
 from labrun.errors import ModelError
 from labrun.models.model import Input, Model, Output, Parameter
 from labrun.toml import Expression, ExpressionError, suggest
-
-
-def compile_derivative(function: Callable[..., Any]) -> NativeFunction:
-    """Wrap ``function(t, x, u, p, force, dx)``, which writes the derivative of every state to `dx`.
-
-    It is written in what numba compiles and stands at the top level of a module; `x`, `u`, `p` and `force` are pointers
-    to float64 (indexing only). It is compiled when it is first simulated and kept on disk beside its module.
-    """
-    return native("model", function)
-
-
-def compile_output(function: Callable[..., Any]) -> NativeFunction:
-    """Wrap ``function(t, x, u, p, force, y)``, which writes every output to `y`; as `compile_derivative`."""
-    return native("model", function)
 
 
 def python_model(
@@ -44,12 +30,17 @@ def python_model(
 ) -> Model:
     """Make a model from functions.
 
+    They are written in what numba compiles and stand at the top level of a module; `x`, `u`, `p` and `force` are
+    pointers to float64 (indexing only). They are compiled when first simulated, and kept on disk beside their module.
+
     Parameters
     ----------
     name
         Its name.
-    derivative, output
-        See `compile_derivative` and `compile_output`.
+    derivative
+        ``derivative(t, x, u, p, force, dx)`` writes the derivative of every state to `dx`.
+    output
+        ``output(t, x, u, p, force, y)`` writes every output to `y`.
     states, inputs, outputs, parameters, conditions
         In the order of `x`, `u`, `y` and `p` (parameters, then conditions, then `constants`).
     sites
@@ -100,8 +91,8 @@ def python_model(
         conditions=tuple(conditions),
         sites=tuple(sites),
         initial={**dict.fromkeys(states, "free"), **(initial or {})},
-        derivative=compile_derivative(derivative),
-        output=compile_output(output),
+        derivative=native("model", derivative),
+        output=native("model", output),
         site_values=generated({"site_values": equations("site_values", expressions, variables)})[
             "site_values"
         ],

@@ -11,6 +11,8 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import tomli_w
+
 from labrun.effects import AttachedEffect, Effect, effects
 from labrun.errors import ModelError
 from labrun.models.loading import model_file
@@ -27,6 +29,7 @@ def corrected_model_text(
     *,
     folder: Path | None = None,
     heading: str = "Corrected by labrun",
+    data: str = "",
 ) -> str:
     """Return a TOML file of a model with other parameter values, and with these effects behind those it carries.
 
@@ -49,6 +52,8 @@ def corrected_model_text(
         Where the text will be saved, so that it can refer to a file from there; None refers by the absolute path.
     heading
         How the comment on top begins, before "from" and the name of the file that was changed.
+    data
+        The run or recording that corrected it.
 
     Raises
     ------
@@ -60,13 +65,13 @@ def corrected_model_text(
     given = str(text_or_path)
     path = None if "\n" in given else model_file(text_or_path)
     text = given if "\n" in given else path.read_text(encoding="utf-8") if path is not None else ""
-    data = tomllib.loads(text)
-    if "base" in data:
+    table = tomllib.loads(text)
+    if "base" in table:
         body = _with_values(text, changed)
-        if path is not None and str(data["base"]).endswith(".toml"):
-            base = _from_folder(path.parent / data["base"], folder)
+        if path is not None and str(table["base"]).endswith(".toml"):
+            base = _from_folder(path.parent / table["base"], folder)
             body = _replaced(body, {("base",): _quoted(base)})
-    elif "mujoco" in data or not text:
+    elif "mujoco" in table or not text:
         named = path is None or (path.suffix == ".toml" and Path(given).suffix != ".toml")
         base = given if named or path is None else _from_folder(path, folder)
         body = _with_values(f"base = {_quoted(base)}\n", changed)
@@ -75,7 +80,14 @@ def corrected_model_text(
         body = _with_parameters(text, changed)
     origin = path.name if path is not None else given if not text else model.source or model.name
     top = _comment(model, f"{heading} from {origin}", changed, remarks)
-    return top + _with_effects(body, effects)
+    body = _with_effects(body, effects)
+    if "\n" in given:
+        return top + body
+    source = given if path is None or Path(given) != path else _from_folder(path, folder)
+    entry = f"{{ from = {_quoted(source)}, by = {_quoted(data and _from_folder(Path(data), folder))} }}"
+    if "corrected" in table:
+        return top + _replaced(body, {("corrected",): entry})
+    return f"{top}corrected = {entry}\n{body}"
 
 
 def _from_folder(path: Path, folder: Path | None) -> str:
@@ -122,8 +134,6 @@ def _comment(model: Model, heading: str, changed: Mapping[str, float], remarks: 
 
 def _quoted(text: str) -> str:
     """Return text as TOML writes it."""
-    import tomli_w
-
     return tomli_w.dumps({"a": text}).removeprefix("a = ").strip()
 
 

@@ -3,12 +3,12 @@
 `tomllib` reads the values and keeps no positions; the syntax tree of tree-sitter gives them.
 """
 
+import tomllib
 from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from tree_sitter import Node
+import tree_sitter_toml
+from tree_sitter import Language, Node, Parser
 
 KeyPath = tuple[str | int, ...]
 """Keys from the top of the file down; an integer is a position in a list."""
@@ -57,9 +57,6 @@ class Positions:
 
 def locate(text: str) -> Positions:
     """Return the positions of every key and value of a TOML text, inline tables and arrays of tables included."""
-    import tree_sitter_toml
-    from tree_sitter import Language, Parser
-
     tree = Parser(Language(tree_sitter_toml.language())).parse(text.encode())
     return _Walk(text).document(tree.root_node)
 
@@ -72,7 +69,7 @@ class _Walk:
         self._found = Positions()
         self._elements: defaultdict[KeyPath, int] = defaultdict(int)
 
-    def document(self, root: "Node") -> Positions:
+    def document(self, root: Node) -> Positions:
         for node in root.named_children:
             if node.type == "pair":
                 self._pair(node, ())
@@ -80,12 +77,12 @@ class _Walk:
                 self._table(node)
         return self._found
 
-    def _position(self, node: "Node") -> Position:
+    def _position(self, node: Node) -> Position:
         row, column = node.start_point
         # Columns of the tree count bytes; people count characters.
         return Position(row + 1, len(self._lines[row][:column].decode(errors="replace")) + 1)
 
-    def _table(self, node: "Node") -> None:
+    def _table(self, node: Node) -> None:
         head, *body = [child for child in node.named_children if child.type != "comment"]
         path = self._key(head, (), follow_arrays=True)
         if node.type == "table_array_element":
@@ -97,7 +94,7 @@ class _Walk:
             if child.type == "pair":
                 self._pair(child, path)
 
-    def _key(self, node: "Node", path: KeyPath, *, follow_arrays: bool = False) -> KeyPath:
+    def _key(self, node: Node, path: KeyPath, *, follow_arrays: bool = False) -> KeyPath:
         """Extend `path` by a bare, quoted or dotted key, noting where each part stands."""
         if node.type == "dotted_key":
             for child in node.named_children:
@@ -110,12 +107,12 @@ class _Walk:
         self._found.keys.setdefault(path, self._position(node))
         return path
 
-    def _pair(self, node: "Node", path: KeyPath) -> None:
+    def _pair(self, node: Node, path: KeyPath) -> None:
         named = [child for child in node.named_children if child.type != "comment"]
         if len(named) == 2:
             self._value(named[1], self._key(named[0], path))
 
-    def _value(self, node: "Node", path: KeyPath) -> None:
+    def _value(self, node: Node, path: KeyPath) -> None:
         self._found.values[path] = self._position(node)
         self._found.spans[path] = (node.start_byte, node.end_byte)
         if node.type == "inline_table":
@@ -130,6 +127,4 @@ class _Walk:
 
 
 def _unquoted(raw: str) -> str:
-    import tomllib
-
     return next(iter(tomllib.loads(f"{raw} = 0")))

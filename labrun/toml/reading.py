@@ -91,7 +91,7 @@ class Places:
         return sorted(located, key=lambda item: (item.line is not None, item.line or 0, item.column or 0))
 
     def _of(self, fault: Fault) -> LocatedFault:
-        value = self._value(fault.path)
+        value = self.value(fault.path)
         message = fault.message
         shown = None if value is _ABSENT or isinstance(value, dict) else value
         for path, override in self._origins.items():
@@ -108,13 +108,14 @@ class Places:
 
     def _misspelt_table(self, path: KeyPath) -> str:
         """Return a suggestion where an override made a table because the name of the one it meant was misspelt."""
-        value, parent = self._value(path), self._value(path[:-1])
+        value, parent = self.value(path), self.value(path[:-1])
         if not isinstance(value, dict) or not isinstance(parent, dict) or not path:
             return ""
         near = nearest(str(path[-1]), [key for key in parent if key != path[-1]])
         return f'; did you mean "{dotted((*path[:-1], near))}"?' if near is not None else ""
 
-    def _value(self, path: KeyPath) -> Any:
+    def value(self, path: KeyPath) -> Any:
+        """Return what stands at a key; an object that is nothing else if the key is absent."""
         value: Any = self._data
         for part in path:
             try:

@@ -59,10 +59,13 @@ def test_a_second_process_compiles_nothing_and_a_cache_that_was_tampered_with_is
 
 
 def test_a_cache_directory_that_cannot_be_made_only_costs_time(tmp_path):
-    path = tmp_path / "model.toml"
-    path.write_text(OSCILLATOR)
     (tmp_path / "file").write_text("")
-    _run(_PROGRAM, str(path), cache=tmp_path / "file" / "cache")
+    program = (
+        "import numpy as np\nfrom labrun.models import parse_model, simulate\n"
+        'model = parse_model(\'name = "double"\\ninputs = ["u"]\\n[outputs]\\ny = "2*u"\', \'d.toml\')\n'
+        "print(simulate(model, np.zeros(1), np.full((1, 1), 1.5)).outputs.tolist())"
+    )
+    assert json.loads(_run(program, cache=tmp_path / "file" / "cache")) == [[3.0]]
 
 
 def test_compiled_code_follows_changes_of_the_functions_it_calls(tmp_path):

@@ -104,22 +104,22 @@ def test_a_model_without_states_may_carry_a_filter():
 
 
 FAULTS = {
-    'effect = "colomb-friction"\nsite = "hinge"': (3, "effects.effect: unknown effect plugin", "coulomb-friction"),
+    'effect = "colomb-friction"\nsite = "hinge"': (3, "effects[1].effect = ", "coulomb-friction"),
     'effect = "coulomb-friction"\nsite = "hing"\nvalues = { torque = 1 }': (4, "has no site 'hing'", '"hinge"'),
-    'effect = "coulomb-friction"\nsite = "hinge"\nkind = "join"': (5, "'join' is no kind", '"joint"'),
+    'effect = "coulomb-friction"\nsite = "hinge"\nkind = "join"': (5, 'kind = "join": expected', '"joint"'),
     'effect = "coulomb-friction"\nsite = "torque"\nvalues = { torque = 1 }': (3, "sits at joint sites", ""),
-    'effect = "coulomb-friction"\nsite = "hinge"\nvalues = { torqe = 1 }': (5, "no such key", '"torque"'),
-    'effect = "coulomb-friction"\nsite = "hinge"\nvalues = { torque = "1" }': (5, "a number was expected", ""),
-    'effect = "coulomb-friction"\nsite = "hinge"\nvalues = { torque = -1 }': (5, "0 or more was expected", ""),
+    'effect = "coulomb-friction"\nsite = "hinge"\nvalues = { torqe = 1 }': (5, "unknown key", '"torque"'),
+    'effect = "coulomb-friction"\nsite = "hinge"\nvalues = { torque = "1" }': (5, "expected a number", ""),
+    'effect = "coulomb-friction"\nsite = "hinge"\nvalues = { torque = -1 }': (5, "expected 0 or more", ""),
     'effect = "coulomb-friction"\nsite = "hinge"\nvalues = { torque = inf }': (5, "a finite number", ""),
-    'effect = "coulomb-friction"\nsite = "hinge"\nvalues = { torque = nan }': (5, "a number was expected", ""),
+    'effect = "coulomb-friction"\nsite = "hinge"\nvalues = { torque = nan }': (5, "expected a finite number", ""),
     'effect = "viscoelastic-creep"\nsite = "hinge"\nvalues = { stiffness = 1 }': (5, "a value of time_constant", ""),
     'effect = "viscoelastic-creep"\nsite = "hinge"\n[effects.values]\nstiffness = 1\ntime_constant = 0': (
         7, "a number above 0", "",
     ),
-    'effect = "coulomb-friction"': (2, "it names no site", ""),
+    'effect = "coulomb-friction"': (2, 'the key "site" is missing', ""),
     'effect = "bias"\nsite = "torque"\nvalues = { offset = 1 }': (2, "input and output sites", 'kind = "input"'),
-    'effect = "coulomb-friction"\nplace = "hinge"': (4, "no such key", ""),
+    'effect = "coulomb-friction"\nplace = "hinge"': (4, "unknown key", ""),
 }  # fmt: skip
 
 
@@ -131,7 +131,7 @@ def test_a_fault_in_a_table_of_effects_is_reported_with_its_line(table):
     with pytest.raises(ModelError) as caught:
         parse_model(f"{before}\n[[effects]]\n{table}\n", "arm.toml")
     shown = str(caught.value)
-    assert shown.startswith(f"arm.toml:{before.count(chr(10)) + line}: ")
+    assert f"arm.toml:{before.count(chr(10)) + line}:" in shown
     assert message in shown
     assert hint in shown
 
@@ -141,12 +141,12 @@ def test_an_effect_without_what_it_needs_at_the_site_is_refused():
     table = (
         '[[effects]]\neffect = "load-dependent-friction"\nsite = "hinge"\nvalues = { coefficient = 0.1 }\n'
     )
-    with pytest.raises(ModelError, match=r"needs the load at site hinge[^\n]*\n  add load ="):
+    with pytest.raises(ModelError, match=r"needs the load at site hinge.*add load ="):
         parse_model(text + table, "arm.toml")
 
 
 def test_effects_that_are_no_tables_are_refused():
-    with pytest.raises(ModelError, match=r"\[\[effects\]\]"):
+    with pytest.raises(ModelError, match=r"effects = .*expected a list"):
         parse_model('effects = "friction"\n' + OSCILLATOR, "arm.toml")
 
 
@@ -167,13 +167,13 @@ def test_a_file_may_refer_to_another_model(tmp_path):
 
 
 BASE_FAULTS = {
-    'base = "bse.toml"': r"b.toml:1: base: there is no model file",
-    'base = "hinge-pendulun"': r"b.toml:1: base: there is no model 'hinge-pendulun'\n  did you mean",
+    'base = "bse.toml"': r"b.toml:1:.* there is no model file",
+    'base = "hinge-pendulun"': r"b.toml:1:.*there is no model 'hinge-pendulun'; did you mean",
     'base = "b.toml"': r"deep",
-    'base = "hinge-pendulum"\n[values]\nstifness = 1.0': r"b.toml:3: values.stifness.*\n  did you mean .stiffness.",
-    'base = "hinge-pendulum"\n[values]\ninertia = -1.0': r"b.toml:3: values.inertia: a number from 0 to inf",
-    'base = "hinge-pendulum"\n[parameters]\ninertia = 1.0': r"b.toml:2: parameters: there is no such key",
-    'base = "hinge-pendulum"\n[[effects]]\neffect = "delay"\nsite = "angel"': r"b.toml:4.*\n  did you mean .angle.",
+    'base = "hinge-pendulum"\n[values]\nstifness = 1.0': r"b.toml:3:1: values.stifness.* did you mean .stiffness.",
+    'base = "hinge-pendulum"\n[values]\ninertia = -1.0': r"b.toml:3:11: .*expected a number from 0 to inf",
+    'base = "hinge-pendulum"\n[parameters]\ninertia = 1.0': r"b.toml:2:2: parameters: unknown key",
+    'base = "hinge-pendulum"\n[[effects]]\neffect = "delay"\nsite = "angel"': r"b.toml:4.*did you mean .angle.",
 }
 
 

@@ -1,9 +1,6 @@
 """A body in MuJoCo is a model like any other: against closed forms, and against the same body as equations."""
 
-import json
 import pickle
-import subprocess
-import sys
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -14,6 +11,7 @@ from mjcf_files import ARM, ARM_EQUATIONS, ARM_TABLE, load, write
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
+from labrun.compiled import compiled
 from labrun.effects import load_effect
 from labrun.errors import ModelError
 from labrun.models import (
@@ -170,7 +168,12 @@ def _swing(task):
     return simulate(model, TIME_S, TORQUE, parameters={"mass": mass}, initial_state=START, substeps=8).outputs
 
 
-def test_threads_and_processes_get_the_same_numbers(tmp_path):
+def _cache_hits(body):
+    functions = (body.derivative, body.output, body.site_values)
+    return [compiled(one.signature, one.provide()).cache_hits for one in functions]
+
+
+def test_threads_and_processes_get_the_same_numbers_and_another_process_compiles_nothing(tmp_path):
     body = load(tmp_path, ARM_TABLE, ARM)
     tasks = [(body, mass) for mass in np.linspace(0.2, 0.9, 24)]
     alone = [_swing(task) for task in tasks]
@@ -178,28 +181,7 @@ def test_threads_and_processes_get_the_same_numbers(tmp_path):
         np.testing.assert_array_equal(list(threads.map(_swing, tasks)), alone)
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as processes:
         np.testing.assert_array_equal(list(processes.map(_swing, tasks[:2])), alone[:2])
-
-
-_PROGRAM = """
-import json, sys
-from labrun.models import load_model, simulate
-from labrun.compiled import compiled
-import numpy as np
-model = load_model(sys.argv[1])
-out = simulate(model, np.arange(50) * 0.01, np.ones((50, 1)), initial_state=[0.1, 0], substeps=2).outputs
-functions = [model.derivative, model.output, model.site_values]
-print(json.dumps([[compiled(one.signature, one.provide()).cache_hits for one in functions], out[-1].tolist()]))
-"""
-
-
-def test_a_second_process_compiles_nothing_of_it(tmp_path):
-    path = write(tmp_path, ARM_TABLE, ARM)
-    model = load_model(path)
-    here = simulate(model, np.arange(50) * 0.01, np.ones((50, 1)), initial_state=[0.1, 0], substeps=2).outputs
-    command = [sys.executable, "-c", _PROGRAM, str(path)]
-    hits, there = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
-    assert hits == [1, 1, 1]
-    assert there == here[-1].tolist()
+        assert processes.submit(_cache_hits, body).result() == [1, 1, 1]
 
 
 def test_added_inertia_is_armature(tmp_path):

@@ -18,62 +18,65 @@ def test_a_missing_mujoco_gives_the_line_that_installs_it(tmp_path, monkeypatch)
 
 FAULTS = {
     ('mujoco = "arm.xml"', 'mujoco = "leg.xml"'): (
-        "arm.toml:3: mujoco: there is no MJCF file",
+        "arm.toml:3:.*: mujoco = .*there is no MJCF file",
         "counted from",
     ),
     ('"joint.hinge.position"', '"joint.hing.position"'): (
-        "arm.toml:5: states.angle: .* no joint 'hing'",
+        "arm.toml:5:.*: states.angle = .* no joint 'hing'",
         '"hinge"',
     ),
     ('rate  = "joint.hinge.velocity"', 'rate = "joint.hinge.acceleration"'): ("states.rate.*is no state", ""),
-    ('"joint.hinge.velocity"', '"joint.hinge.speed"'): ("arm.toml:6: states.rate: .* no 'speed'", "velocity"),
-    ('"actuator.motor", unit', '"actuator.moter", unit'): ("arm.toml:8: .*no actuator 'moter'", '"motor"'),
+    ('"joint.hinge.velocity"', '"joint.hinge.speed"'): (
+        "arm.toml:6:.*: states.rate = .* no 'speed'",
+        "velocity",
+    ),
+    ('"actuator.motor", unit', '"actuator.moter", unit'): ("arm.toml:8:.*: .*no actuator 'moter'", '"motor"'),
     ('"actuator.motor", unit', '"sensor.motor", unit'): (
-        "arm.toml:8: .*names no part",
+        "arm.toml:8:.*: .*names no part",
         "known names: actuator",
     ),
     ('"body.arm.mass"', '"body.arm.mas"'): (
-        "arm.toml:10: parameters.mass.mjcf: a body has no 'mas'",
+        "arm.toml:10:.*: parameters.mass.mjcf = .*a body has no 'mas'",
         '"mass"',
     ),
     ('"body.arm.mass"', '"body.arm.inertia"'): ("body.arm.inertia has 3 numbers", r"inertia\[0\] to"),
     ('"body.arm.mass"', '"body.arm.inertia[3]"'): (r"none at \[3\]", ""),
-    ('"body.arm.mass"', '"joint.hinge.damping"'): ("arm.toml:12: .*line 10 sets the same number", ""),
+    ('"body.arm.mass"', '"joint.hinge.damping"'): ("arm.toml:12:.*: .*line 10 sets the same number", ""),
     ('"body.arm.mass"', '"actuator.motor.kp"'): ("no position servo", r"gainprm\[0\]"),
     ('"body.arm.mass"', '"option.gravty[2]"'): ("no option 'gravty'", '"gravity"'),
     ('{ mjcf = "body.arm.mass", tolerance', "{ value = 1.0, tolerance"): (None, ""),
     ('"actuator.motor.force"', '"actuator.motor.power"'): (
-        "arm.toml:15: outputs.torque: .*'power'",
+        "arm.toml:15:.*: outputs.torque.*'power'",
         "known names: force",
     ),
     ('"actuator.motor.force"', '"sensor.imu"'): ("no sensor 'imu'", "no sensor of it has a name"),
-    ('kind = "joint"', 'kind = "input"'): ("arm.toml:17: sites.hinge.kind", ""),
+    ('kind = "joint"', 'kind = "input"'): ("arm.toml:17:.*: sites.hinge.kind", ""),
     ('kind = "joint"', 'joint = "knee"'): (
-        "arm.toml:17: sites.hinge.joint: .*no joint 'knee'",
+        "arm.toml:17:.*: sites.hinge.joint = .*no joint 'knee'",
         'did you mean "hinge"',
     ),
     ('stiffness = "stiffness"', 'stiffness = "stifness"'): (
-        "arm.toml:18: .*no parameter 'stifness'",
+        "arm.toml:18:.*: .*no parameter 'stifness'",
         '"stiffness"',
     ),
     ("[outputs]", '[mjcf]\n"geom.x.friction" = "mass"\n[outputs]'): (
-        "arm.toml:14: .*no geom 'x'",
+        "arm.toml:14:.*: .*no geom 'x'",
         "has a name",
     ),
     ("[outputs]", '[mjcf]\n"joint.hinge.armature" = "angle"\n[outputs]'): (
-        "arm.toml:14: .*'angle', which moves",
+        "arm.toml:14:.*: .*'angle', which moves",
         "",
     ),
     ("[outputs]", '[mjcf]\n"joint.hinge.armature" = "mass*"\n[outputs]'): (
-        r"arm.toml:14: .*\n.*mass\*\n.*\^",
+        r"arm.toml:14:.*: .*\n.*mass\*\n.*\^",
         "",
     ),
     ("[outputs]", "[parameters.spare]\nvalue = 1\n[outputs]"): (
-        "arm.toml:13: .*no equation uses 'spare'",
+        "arm.toml:13:.*: .*no equation uses 'spare'",
         "",
     ),
-    ("[outputs]", "[equations]\n[outputs]"): ("arm.toml:13: equations: there is no such key", ""),
-    ('angle = "first"', 'angel = "first"'): ("initial.angel: there is no state", '"angle"'),
+    ("[outputs]", "[equations]\n[outputs]"): ("arm.toml:13:.*: equations: unknown key", ""),
+    ('angle = "first"', 'angel = "first"'): ("initial.angel = .*there is no state", '"angle"'),
 }
 
 
@@ -116,5 +119,5 @@ def test_delays_inside_mujoco_are_refused(tmp_path):
     if not hasattr(mujoco.MjModel, "nhistory"):
         pytest.skip("this MuJoCo knows no delays")
     xml = ARM.replace("<motor ", '<motor delay="0.02" nsample="20" ')
-    with pytest.raises(ModelError, match=r'with a delay.*\n.*effect "delay"'):
+    with pytest.raises(ModelError, match=r'with a delay.*effect "delay"'):
         load(tmp_path, ARM_TABLE, xml)

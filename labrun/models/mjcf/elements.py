@@ -60,7 +60,7 @@ SERVO = {"kp": ((("gainprm", 0, 1.0), ("biasprm", 1, -1.0))), "kv": ((("biasprm"
 SHOWN = {
     "actuator": {"force": "actuator_force", "length": "actuator_length", "velocity": "actuator_velocity"},
     "tendon": {"length": "ten_length", "velocity": "ten_velocity"},
-    "body": {"position": "xpos"},
+    "body": {"position": "xpos", "orientation": "xquat"},
     "site": {"position": "site_xpos"},
 }
 """What of an element can be seen: how a table says it, and the array of the simulation's data."""
@@ -195,7 +195,7 @@ class Elements:
         element, arrays = self._index(kind, name), SHOWN[kind]
         if attribute not in arrays:
             raise ReferenceProblem(f"a {kind} shows no {attribute!r}", suggest(attribute, list(arrays)))
-        width = 3 if attribute == "position" else 1
+        width = {"position": 3, "orientation": 4}.get(attribute, 1)
         column = _component(text, width, index, first=False)
         return Place("data", arrays[attribute], element * width + column)
 

@@ -5,36 +5,33 @@ import hashlib
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from labrun.effects import Site
+from labrun.errors import ModelError
 from labrun.models.attaching import read_effects
-from labrun.models.fields import Fields, Key
 from labrun.models.mjcf.elements import Elements, ReferenceProblem
 from labrun.models.mjcf.model import MujocoModel, functions
 from labrun.models.mjcf.plant import Layout, Place, imported, pack
-from labrun.models.model import Input, Output, Parameter
+from labrun.models.mjcf.robot import robot_spec
+from labrun.models.model import Output, Parameter
+from labrun.models.tables import ModelFile, MujocoFile
 from labrun.models.toml_model import (
+    SITE_QUANTITIES,
     conditions_of,
+    initial_of,
+    inputs_of,
     only_in_loads,
+    parameter_of,
     places_of,
-    read_initial,
-    read_inputs,
-    read_outputs,
-    read_parameters,
-    read_site_quantities,
     refuse_unused,
 )
 from labrun.toml import Expression, ExpressionError, KeyPath, suggest
 
-KEYS = (
-    "name", "title", "mujoco", "states", "inputs", "conditions", "parameters", "mjcf", "outputs", "sites", "initial",
-    "effects",
-)  # fmt: skip
-_SITE_KEYS = ("kind", "joint", "stiffness", "load")
 Found = TypeVar("Found")
 
 
@@ -63,37 +60,57 @@ class States:
         return self.names[self.places.index(place)]
 
 
-def mujoco_model(fields: Fields) -> MujocoModel:
+def mujoco_model(file: ModelFile) -> MujocoModel:
     """Return the model of a file with a ``mujoco`` key.
 
     Raises
     ------
     ModelError
-        MuJoCo is not installed, the MJCF file does not compile, or a line of the table does not fit it.
+        MuJoCo is not installed, the MJCF file does not compile, or lines of the table do not fit it.
     """
-    for key in fields.data:
-        if key not in KEYS:
-            raise fields.text.unknown_key("", key, KEYS)
-    name = fields.data.get("name")
-    if not isinstance(name, str) or not name:
-        raise fields.text.error("name", 'a model needs a name = "..."')
-    native = _compiled(fields)
+    given = file.read(MujocoFile)
+    native = _compiled(file, given.mujoco)
     elements = Elements(native)
-    states = _states(fields, elements)
-    inputs, driven = _inputs(fields, elements)
-    outputs, shown = _outputs(fields, elements)
-    parameters, settings = _parameters(fields, elements)
-    sites, joints = _sites(fields, elements, states, parameters)
-    places = places_of(fields, states.names, inputs, parameters)
-
-    quantities = read_site_quantities(fields, sites)
-    expressions: dict[KeyPath, Expression] = {path: one for path, (one, _) in settings.items()}
-    expressions |= {tuple(key.split(".")): one for key, one in quantities.items()}
-    declared = fields.names("conditions") if "conditions" in fields.data else None
-    conditions = conditions_of(fields, expressions, places, declared)
-    refuse_unused(fields, expressions, parameters, conditions)
+    states = _states(file, elements, given.states)
+    inputs = inputs_of(given.inputs)
+    outputs = tuple(Output(name, one.unit) for name, one in given.outputs.items())
+    driven = _resolved(
+        file, "inputs", {name: one.mjcf for name, one in given.inputs.items()}, elements.driven
+    )
+    shown = _resolved(
+        file, "outputs", {name: one.mjcf for name, one in given.outputs.items()}, elements.shown
+    )
+    joints = {name: one.joint or name for name, one in given.sites.items()}
+    dofs = _resolved(file, "sites", joints, elements.one_joint, "joint")
+    settings = _settings(file, given, elements)
+    file.refuse()
+    parameters = _parameters(file, given, settings, native)
+    sites = tuple(
+        Site(
+            name,
+            one.kind,
+            states.named(Place("data", "qpos", position)),
+            states.named(Place("data", "qvel", dof)),
+            one.load.text if "load" in one.model_fields_set else "",
+            one.stiffness,
+        )
+        for (name, one), (position, dof) in zip(given.sites.items(), dofs, strict=True)
+    )
+    places = places_of(file, states.names, inputs, parameters)
+    quantities: dict[KeyPath, Expression] = {
+        ("sites", site.name, quantity): Expression.of(getattr(site, quantity) or 0.0)
+        for site in sites
+        for quantity in SITE_QUANTITIES
+    }
+    expressions = {path: one for path, (one, _) in settings.items()} | quantities
+    _check_springs(file, given)
+    conditions = conditions_of(file, expressions, places, given.conditions)
+    initial = _initial(file, given, states, outputs)
+    file.refuse()
+    refuse_unused(file, expressions, parameters, conditions)
     places |= {one: f"p[{len(parameters) + index}]" for index, one in enumerate(conditions)}
-    _check_settings(fields, settings, places)
+    _check_settings(file, settings, places)
+    file.refuse()
 
     at = len(parameters) + len(conditions)
     made = functions(
@@ -110,7 +127,7 @@ def mujoco_model(fields: Fields) -> MujocoModel:
         rates=states.rates,
         quaternions=states.quaternions,
         inputs=driven,
-        sites=joints,
+        sites=tuple(Place("data", "qfrc_applied", dof) for _, dof in dofs),
         values=len(settings),
         settings=tuple(
             (index, place) for index, (_, targets) in enumerate(settings.values()) for place in targets
@@ -118,168 +135,150 @@ def mujoco_model(fields: Fields) -> MujocoModel:
         outputs=shown,
     )
     model = MujocoModel(
-        name=name,
+        name=given.name,
         states=states.names,
         inputs=inputs,
         outputs=outputs,
         parameters=parameters,
         conditions=conditions,
         sites=sites,
-        initial=_initial(fields, states, outputs),
+        initial=initial,
         derivative=made["derivative"],
         output=made["output"],
         site_values=made["site_values"],
-        source=fields.text.name,
+        source=file.name,
         notes=(*_notes(native), *only_in_loads(expressions, parameters)),
         layout=dataclasses.replace(layout, key=hashlib.sha256(repr(layout).encode()).hexdigest()),
+        mjcf=given.mujoco
+        if given.mujoco.lstrip().startswith("<")
+        else str(Path(file.name).parent / given.mujoco),
     )
-    return dataclasses.replace(model, effects=read_effects(fields, model))
+    return dataclasses.replace(model, effects=read_effects(file, given.effects, model))
 
 
-def _compiled(fields: Fields) -> Any:
-    path = Path(fields.text.name).parent / fields.string("mujoco", fields.data["mujoco"])
+def _compiled(file: ModelFile, name: str) -> Any:
+    inline = name.lstrip().startswith("<")
+    path = Path(file.name) if inline else Path(file.name).parent / name
     mujoco = imported()
-    if not path.is_file():
-        raise fields.text.error(
-            "mujoco", f"there is no MJCF file {path}", "its path is counted from this file"
-        )
+    if not path.is_file() and not inline:
+        file.fail(("mujoco",), f"there is no MJCF file {path}", "its path is counted from this file")
     try:
-        native = mujoco.MjModel.from_xml_path(str(path))
+        native = mujoco.MjModel.from_xml_string(name) if inline else _from_path(path)
+    except ModelError as error:
+        file.fail(("mujoco",), str(error.args[0]), error.hint or "")
     except ValueError as error:
-        raise fields.text.error("mujoco", f"MuJoCo cannot read {path}: {error}") from None
+        file.fail(("mujoco",), f"MuJoCo cannot read {path}: {error}")
     if getattr(native, "nhistory", 0):
-        raise fields.text.error(
-            "mujoco",
+        file.fail(
+            ("mujoco",),
             f"{path.name} has actuators or sensors with a delay, which labrun does not simulate inside MuJoCo",
             'take it out, and put an effect "delay" at the input or the output',
         )
     data = mujoco.MjData(native)
     mujoco.mj_forward(native, data)
     if not np.isfinite(data.qacc).all():
-        raise fields.text.error(
-            "mujoco", f"{path.name} has accelerations that are not finite where it begins"
-        )
+        file.fail(("mujoco",), f"{path.name} has accelerations that are not finite where it begins")
     return native
 
 
-def _resolve(fields: Fields, key: Key, ask: Callable[[str], Found], text: Any) -> Found:
+def _from_path(path: Path) -> Any:
+    """Compile a file; where MuJoCo refuses it, once more without the meshes that it names and nobody has."""
+    mujoco = imported()
     try:
-        return ask(fields.string(key, text))
+        return mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as refused:
+        try:
+            spec, left_out = robot_spec(path)
+        except ModelError:
+            left_out = []
+        if not left_out:
+            raise refused
+        return spec.compile()
+
+
+def _resolve(file: ModelFile, path: KeyPath, ask: Callable[[str], Found], text: str) -> Found | None:
+    """Return what a reference to the MJCF file means; None, and a fault, if it means nothing."""
+    try:
+        return ask(text)
     except ReferenceProblem as problem:
-        raise fields.text.error(key, str(problem), problem.hint) from None
+        file.note(path, str(problem), problem.hint)
+        return None
 
 
-def _without(fields: Fields, table: str, entries: Mapping[str, Any]) -> Fields:
-    """Return the fields with a table from which the references to the MJCF file are taken out."""
-    return Fields(fields.text, {**fields.data, table: entries})
-
-
-def _inputs(fields: Fields, elements: Elements) -> tuple[tuple[Input, ...], tuple[Place, ...]]:
-    plain, driven = {}, []
-    for name, given in fields.table("inputs").items():
-        entry = {"mjcf": given} if isinstance(given, str) else given
-        fields.check_keys(f"inputs.{name}", entry, ("mjcf", "unit", "between"))
-        if "mjcf" not in entry:
-            raise fields.text.error(f"inputs.{name}", "it drives nothing", 'mjcf = "actuator.motor"')
-        key = f"inputs.{name}.mjcf" if isinstance(given, dict) else f"inputs.{name}"
-        driven.append(_resolve(fields, key, elements.driven, entry["mjcf"]))
-        plain[name] = {one: value for one, value in entry.items() if one != "mjcf"}
-    return read_inputs(_without(fields, "inputs", plain)), tuple(driven)
-
-
-def _outputs(fields: Fields, elements: Elements) -> tuple[tuple[Output, ...], tuple[Place, ...]]:
-    plain, shown = {}, []
-    for name, given in fields.table("outputs").items():
-        entry = {"mjcf": given} if isinstance(given, str) else given
-        fields.check_keys(f"outputs.{name}", entry, ("mjcf", "unit"))
-        if "mjcf" not in entry:
-            raise fields.text.error(f"outputs.{name}", "it shows nothing", 'mjcf = "joint.hinge.position"')
-        key = f"outputs.{name}.mjcf" if isinstance(given, dict) else f"outputs.{name}"
-        shown.append(_resolve(fields, key, elements.shown, entry["mjcf"]))
-        plain[name] = {"equation": 0.0, **{one: value for one, value in entry.items() if one != "mjcf"}}
-    return read_outputs(_without(fields, "outputs", plain))[0], tuple(shown)
+def _resolved(
+    file: ModelFile, table: str, texts: Mapping[str, str], ask: Callable[[str], Found], key: str = "mjcf"
+) -> tuple[Found, ...]:
+    """Return what each reference of a table means; those that mean nothing are left out, and are faults."""
+    found = [_resolve(file, (table, name, key), ask, text) for name, text in texts.items()]
+    return tuple(one for one in found if one is not None)
 
 
 Settings = dict[KeyPath, tuple[Expression, tuple[Place, ...]]]
 """By the key that declares it: the value, and where it is written."""
 
 
-def _parameters(fields: Fields, elements: Elements) -> tuple[tuple[Parameter, ...], Settings]:
-    """Read the parameters, and all that sets something in the MJCF model."""
-    plain: dict[str, Any] = {}
+def _settings(file: ModelFile, given: MujocoFile, elements: Elements) -> Settings:
+    """Return all that sets something in the MJCF model."""
+    asked: dict[KeyPath, tuple[str, Expression]] = {
+        ("parameters", name, "mjcf"): (one.mjcf, Expression.of(name))
+        for name, one in given.parameters.items()
+        if one.mjcf
+    }
+    asked |= {("mjcf", reference): (reference, equation) for reference, equation in given.mjcf.items()}
     settings: Settings = {}
-    for name, given in fields.table("parameters").items():
-        plain[name] = given
-        if not isinstance(given, dict) or "mjcf" not in given:
-            continue
-        path: KeyPath = ("parameters", name, "mjcf")
-        fields.check_name(path, name)
-        targets = _resolve(fields, path, elements.settable, given["mjcf"])
-        settings[path] = fields.expression(path, name), targets
-        plain[name] = {"value": targets[0].read(elements.model), **given}
-        del plain[name]["mjcf"]
-    for reference, equation in fields.table("mjcf").items():
-        path = ("mjcf", reference)
-        targets = _resolve(fields, path, elements.settable, reference)
-        settings[path] = fields.expression(path, equation), targets
     taken: dict[Place, KeyPath] = {}
-    for path, (_, targets) in settings.items():
+    for path, (reference, expression) in asked.items():
+        targets = _resolve(file, path, elements.settable, reference)
+        if targets is None:
+            continue
+        settings[path] = expression, targets
         for place in targets:
             if place in taken:
-                other = fields.text.line_of(taken[place])
-                raise fields.text.error(path, f"line {other} sets the same number of the MJCF model")
+                file.note(path, f"line {file.line_of(taken[place])} sets the same number of the MJCF model")
             taken[place] = path
-    return read_parameters(_without(fields, "parameters", plain)), settings
+    return settings
 
 
-def _check_settings(fields: Fields, settings: Settings, places: Mapping[str, str]) -> None:
+def _parameters(file: ModelFile, given: MujocoFile, settings: Settings, native: Any) -> tuple[Parameter, ...]:
+    parameters = []
+    for name, one in given.parameters.items():
+        value, path = one.value, ("parameters", name, "mjcf")
+        if value is None and path in settings:
+            value = float(settings[path][1][0].read(native))
+            if not one.lower <= value <= one.upper:
+                file.note(
+                    path, f"the value {value:g} is outside of its bounds {one.lower:g} to {one.upper:g}"
+                )
+        if value is None:
+            file.note(("parameters", name), 'the key "value" is missing')
+        parameters.append(parameter_of(name, one, value or 0.0))
+    return tuple(parameters)
+
+
+def _check_settings(file: ModelFile, settings: Settings, places: Mapping[str, str]) -> None:
     for path, (expression, _) in settings.items():
         for name, position in expression.names.items():
             if not places.get(name, "").startswith("p["):
                 what = "a site's force" if name.startswith("force.") else f"{name!r}, which moves"
-                problem = ExpressionError(
-                    expression.text,
-                    f"the MJCF model cannot depend on {what}",
-                    position,
-                    "use parameters and conditions",
-                )
-                raise fields.text.equation_error(path, problem)
+                reason = f"the MJCF model cannot depend on {what}"
+                hint = "use parameters and conditions"
+                file.note_in(path, ExpressionError(expression.text, reason, position, hint))
 
 
-def _sites(
-    fields: Fields, elements: Elements, states: States, parameters: tuple[Parameter, ...]
-) -> tuple[tuple[Site, ...], tuple[Place, ...]]:
-    sites, forces = [], []
-    for name, entry in fields.table("sites").items():
-        key = f"sites.{name}"
-        fields.check_name(key, name)
-        fields.check_keys(key, entry, _SITE_KEYS)
-        kind = entry.get("kind", "joint")
-        if kind not in ("joint", "body"):
-            raise fields.text.error(f"{key}.kind", f"a site is a joint or a body, not {kind!r}")
-        position, dof = _resolve(fields, f"{key}.joint", elements.one_joint, entry.get("joint", name))
-        stiffness = fields.string(f"{key}.stiffness", entry.get("stiffness", ""))
-        known = [one.name for one in parameters]
-        if stiffness and stiffness not in known:
-            raise fields.text.error(
-                f"{key}.stiffness", f"there is no parameter {stiffness!r}", suggest(stiffness, known)
-            )
-        coordinate, rate = (
-            states.named(Place("data", "qpos", position)),
-            states.named(Place("data", "qvel", dof)),
-        )
-        load = fields.string(f"{key}.load", entry.get("load", ""))
-        sites.append(Site(name, kind, coordinate, rate, load, stiffness))
-        forces.append(Place("data", "qfrc_applied", dof))
-    return tuple(sites), tuple(forces)
+def _check_springs(file: ModelFile, given: MujocoFile) -> None:
+    for name, site in given.sites.items():
+        if site.stiffness and site.stiffness not in given.parameters:
+            hint = suggest(site.stiffness, given.parameters)
+            file.note(("sites", name, "stiffness"), f"there is no parameter {site.stiffness!r}", hint)
 
 
-def _initial(fields: Fields, states: States, outputs: tuple[Output, ...]) -> dict[str, float | str]:
-    """Read where each state starts; where the file does not say, it is where the MJCF file begins."""
-    rules = read_initial(fields, states.names, outputs)
-    table = fields.table("initial")
+def _initial(
+    file: ModelFile, given: MujocoFile, states: States, outputs: tuple[Output, ...]
+) -> dict[str, float | str]:
+    """Return where each state starts; where the file does not say, it is where the MJCF file begins."""
+    rules = initial_of(file, given.initial, states.names, outputs)
     own = dict(zip(states.names, states.reference, strict=True))
-    return {state: rule if state in table else own[state] for state, rule in rules.items()}
+    return {state: rule if state in given.initial else own[state] for state, rule in rules.items()}
 
 
 def _notes(native: Any) -> tuple[str, ...]:
@@ -291,16 +290,13 @@ def _notes(native: Any) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _states(fields: Fields, elements: Elements) -> States:
+def _states(file: ModelFile, elements: Elements, renamed: Mapping[str, str]) -> States:
     """Return the states; the file's table ``[states]`` names those it wants to name.
 
     A position is otherwise called ``<joint>_position``, a velocity ``<joint>_velocity``, an activation
     ``<actuator>_activation``; those of ball and free joints ``<joint>_qw``, ``<joint>_wx``, ``<joint>_x`` and so on.
 
-    Raises
-    ------
-    ModelError
-        A name for something that is no state, or a name that stands for two.
+    A name for something that is no state, or one that stands for two, is a fault.
     """
     model = elements.model
     names: list[str] = []
@@ -328,28 +324,24 @@ def _states(fields: Fields, elements: Elements) -> States:
         names.append(_name(label, "activation"))
         places.append(Place("data", "act", index))
         rates.append(Place("data", "act_dot", index))
-    _rename(fields, elements, names, places)
+    _rename(file, elements, renamed, names, places)
     reference = (*(float(one) for one in model.qpos0), *[0.0] * (model.nv + model.na))
     return States(tuple(names), tuple(places), tuple(rates), tuple(quaternions), reference)
 
 
-def _rename(fields: Fields, elements: Elements, names: list[str], places: list[Place]) -> None:
-    for name, text in fields.table("states").items():
-        key = f"states.{name}"
-        fields.check_name(key, name)
-        joint, _, quantity = fields.string(key, text).removeprefix("joint.").rpartition(".")
-        try:
-            place = elements.moving(joint, quantity)
-        except ReferenceProblem as problem:
-            raise fields.text.error(key, str(problem), problem.hint) from None
-        if place not in places:
-            raise fields.text.error(key, f"{text!r} is no state", "a joint's position or velocity is one")
-        names[places.index(place)] = name
-    for name in names:
-        if names.count(name) > 1:
-            raise fields.text.error(
-                "states", f"two states are called {name!r}", "give one another name in [states]"
-            )
+def _rename(
+    file: ModelFile, elements: Elements, renamed: Mapping[str, str], names: list[str], places: list[Place]
+) -> None:
+    for name, text in renamed.items():
+        joint, _, quantity = text.removeprefix("joint.").rpartition(".")
+        place = _resolve(file, ("states", name), partial(elements.moving, joint), quantity)
+        if place is not None and place not in places:
+            file.note(("states", name), f"{text!r} is no state", "a joint's position or velocity is one")
+        elif place is not None:
+            names[places.index(place)] = name
+    twice = {name for name in names if names.count(name) > 1}
+    for name in sorted(twice):
+        file.note(("states",), f"two states are called {name!r}", "give one another name in [states]")
 
 
 def _name(label: str, quantity: str) -> str:

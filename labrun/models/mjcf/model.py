@@ -82,9 +82,12 @@ class MujocoModel(Model):
     ----------
     layout
         The compiled MJCF model, and where in it states, inputs, outputs, sites and parameters are.
+    mjcf
+        The path of its MJCF file, or the file's text.
     """
 
     layout: Layout = field(kw_only=True, repr=False)
+    mjcf: str = field(kw_only=True, repr=False, default="")
 
     def vector(self, parameters: FloatArray | Mapping[str, float] | None, condition: Condition) -> FloatArray:
         """Return `p` as `Model.vector` does; its last number leads compiled code to this thread's MuJoCo.

@@ -1,0 +1,259 @@
+"""A corrected robot as MJCF that MuJoCo simulates alone, and what of the correction MJCF has no word for."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labrun.effects import AttachedEffect
+from labrun.errors import ModelError
+from labrun.models.mjcf.model import MujocoModel
+from labrun.models.mjcf.plant import imported, plant
+from labrun.models.mjcf.robot import robot_spec
+from labrun.models.model import Model
+
+_KNEE = "its corner is sharp in MuJoCo"
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A robot for other simulators.
+
+    Attributes
+    ----------
+    xml
+        MJCF.
+    written
+        What of the correction is in it, and where; sentences.
+    left
+        What is not, with its law and values; sentences.
+    """
+
+    xml: str
+    written: tuple[str, ...]
+    left: tuple[str, ...]
+
+
+def mjcf_of(model: Model) -> Exported:
+    """Return a model with its values and effects as MJCF.
+
+    Raises
+    ------
+    ModelError
+        It is no model in MuJoCo, depends on conditions, or a value cannot be said in MJCF.
+    """
+    if not isinstance(model, MujocoModel):
+        raise ModelError(
+            f"{model.name} is no model in MuJoCo: there is no MJCF to write", hint="see Add a model"
+        )
+    if model.conditions:
+        raise ModelError(
+            f"{model.name} depends on the condition {', '.join(model.conditions)}",
+            hint="give it a value in the model",
+        )
+    mujoco = imported()
+    spec = (
+        mujoco.MjSpec.from_string(model.mjcf)
+        if model.mjcf.lstrip().startswith("<")
+        else robot_spec(Path(model.mjcf))[0]
+    )
+    compiled = spec.compile()
+    corrected = _with_values(model)
+    written = []
+    for _, place in model.layout.settings:
+        before, after = place.read(compiled), place.read(corrected)
+        if before != after:
+            place.write(compiled, after)
+            written.append(f"{place.array}[{place.index}] {before:.6g} became {after:.6g}")
+    try:
+        spec.copy_back(compiled)
+    except ValueError as error:
+        raise ModelError(f"MJCF cannot say a value of {model.name}: {error}") from None
+    left: list[str] = []
+    for effect in model.effects:
+        told = _write(spec, compiled, model, effect)
+        (left if told is None else written).append(_law(effect) if told is None else told)
+    spec.compile()
+    return Exported(spec.to_xml(), tuple(written), tuple(left))
+
+
+def _with_values(model: MujocoModel) -> Any:
+    """Return MuJoCo's model with the parameters' values in it: written there by what the simulation runs."""
+    p = model.vector(None, {})
+    counts = (len(model.states), len(model.inputs), len(model.sites), len(model.states))
+    x, u, force, out = (np.zeros(max(1, count)) for count in counts)
+    for index, (_, rule) in enumerate(model.initial.items()):
+        x[index] = rule if isinstance(rule, float) else 0.0
+    model.derivative.python(0.0, x, u, p, force, out)
+    return plant(model.layout).model
+
+
+def _write(spec: Any, compiled: Any, model: MujocoModel, effect: AttachedEffect) -> str | None:
+    """Write an effect; return where it stands, or None if MJCF has no word for it."""
+    values = effect.named_values
+    if effect.effect.kind == "joint":
+        place = model.layout.sites[[site.name for site in model.sites].index(effect.site)]
+        joint = spec.joints[int(compiled.dof_jntid[place.index])]
+        return _JOINT[effect.effect.id](joint, values) if effect.effect.id in _JOINT else None
+    if effect.effect.kind == "input":
+        place = model.layout.inputs[[one.name for one in model.inputs].index(effect.site)]
+        if place.array == "ctrl" and effect.effect.id in _INPUT:
+            return _INPUT[effect.effect.id](spec.actuators[place.index], values, compiled)
+    return None
+
+
+def _coulomb(joint: Any, values: Mapping[str, float]) -> str:
+    joint.frictionloss += values["torque"]
+    return (
+        f"Coulomb friction of {values['torque']:.6g} is frictionloss of joint {joint.name}; in MuJoCo it "
+        "holds still, where labrun's law creeps"
+    )
+
+
+def _viscous(joint: Any, values: Mapping[str, float]) -> str:
+    joint.damping[0] += values["coefficient"]
+    return f"viscous damping of {values['coefficient']:.6g} is in damping of joint {joint.name}"
+
+
+def _quadratic(joint: Any, values: Mapping[str, float]) -> str:
+    joint.damping[1] += values["coefficient"]
+    return (
+        f"quadratic drag of {values['coefficient']:.6g} is the second number of damping of joint {joint.name}"
+    )
+
+
+def _inertia(joint: Any, values: Mapping[str, float]) -> str | None:
+    if joint.armature + values["inertia"] < 0:
+        return None
+    joint.armature += values["inertia"]
+    return f"added inertia of {values['inertia']:.6g} is in armature of joint {joint.name}"
+
+
+def _rest(joint: Any, values: Mapping[str, float]) -> str:
+    joint.springref += values["offset"]
+    return f"a rest offset of {values['offset']:.6g} is in springref of joint {joint.name}"
+
+
+_JOINT: Mapping[str, Callable[[Any, Mapping[str, float]], str | None]] = {
+    "coulomb-friction": _coulomb, "viscous-damping": _viscous, "quadratic-drag": _quadratic,
+    "added-inertia": _inertia, "rest-offset": _rest,
+}  # fmt: skip
+
+
+def _delay(actuator: Any, values: Mapping[str, float], compiled: Any) -> str:
+    step_s = float(compiled.opt.timestep)
+    actuator.delay = values["delay"]
+    actuator.nsample = max(2, int(np.ceil(values["delay"] / step_s)) + 1)
+    return f"a delay of {1e3 * values['delay']:.4g} ms is delay of actuator {actuator.name}"
+
+
+def _gain(actuator: Any, values: Mapping[str, float], _: Any) -> str:
+    actuator.gainprm[0] *= 1 + values["error"]
+    return f"a gain {100 * values['error']:+.4g} % off is in gainprm of actuator {actuator.name}"
+
+
+def _bias(actuator: Any, values: Mapping[str, float], _: Any) -> str:
+    actuator.biasprm[0] += actuator.gainprm[0] * values["offset"]
+    actuator.biastype = imported().mjtBias.mjBIAS_AFFINE
+    return f"a bias of {values['offset']:.6g} is in biasprm of actuator {actuator.name}"
+
+
+def _lag(actuator: Any, values: Mapping[str, float], _: Any) -> str | None:
+    mujoco = imported()
+    if actuator.dyntype != mujoco.mjtDyn.mjDYN_NONE:
+        return None
+    actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+    actuator.dynprm[0] = values["time_constant"]
+    actuator.actlimited = 0
+    return f"a lag of {values['time_constant']:.6g} s is dynprm of actuator {actuator.name}"
+
+
+def _saturation(actuator: Any, values: Mapping[str, float], _: Any) -> str:
+    actuator.ctrlrange = [-values["level"], values["level"]]
+    actuator.ctrllimited = 1
+    knee = f"; {_KNEE}" if values.get("knee", 0.0) > 0 else ""
+    return f"a saturation at {values['level']:.6g} is ctrlrange of actuator {actuator.name}{knee}"
+
+
+_INPUT: Mapping[str, Callable[[Any, Mapping[str, float], Any], str | None]] = {
+    "delay": _delay, "gain-error": _gain, "bias": _bias, "lag": _lag, "saturation": _saturation,
+}  # fmt: skip
+
+
+def _law(effect: AttachedEffect) -> str:
+    """Say what MJCF cannot, so that it can be put into a passive callback."""
+    values = ", ".join(f"{name} = {value:.6g}" for name, value in effect.named_values.items())
+    form = getattr(effect.effect, "form", "")
+    where = (
+        "belongs to the sensor, not to the robot" if effect.effect.kind == "output" else "has no word in MJCF"
+    )
+    return f"{effect.effect.id} at {effect.site} {where}: {form}{' with ' if form else ''}{values}"
+
+
+@dataclass(frozen=True)
+class MjcfRange:
+    """What an interval of a parameter is in MJCF.
+
+    Attributes
+    ----------
+    parameter
+    array, element
+        The field of MuJoCo's model, and the name of the joint, body or actuator.
+    joint
+        What an actuator drives; the joint itself; "" for a body.
+    value, low, high
+        The number there.
+    """
+
+    parameter: str
+    array: str
+    element: str
+    joint: str
+    value: float
+    low: float
+    high: float
+
+    def to_json(self) -> dict[str, float | str]:
+        """Return the fields by name."""
+        return asdict(self)
+
+
+def mjcf_ranges(model: Model, intervals: Mapping[str, tuple[float, float, float]]) -> list[MjcfRange]:
+    """Return which numbers of MJCF the parameters' values and intervals are.
+
+    Parameters
+    ----------
+    intervals : parameter -> (value, low, high)
+    """
+    if not isinstance(model, MujocoModel):
+        raise ModelError(f"{model.name} is no model in MuJoCo: there is no MJCF to write")
+    found = []
+    for name, numbers in intervals.items():
+        courses = []
+        for value in numbers:
+            native = _with_values(replace(model, parameters=model.with_values({name: value}).parameters))
+            courses.append([place.read(native) for _, place in model.layout.settings])
+        for (_, place), middle, low, high in zip(model.layout.settings, *courses, strict=True):
+            if low != high and place.array != "actuator_biasprm":  # a servo's bias goes with its gain
+                element, joint = _named(native, place.array, place.index)
+                ends = sorted((low, high))
+                found.append(MjcfRange(name, place.array, element, joint, middle, ends[0], ends[1]))
+    return found
+
+
+def _named(native: Any, array: str, index: int) -> tuple[str, str]:
+    """Return the element that a number belongs to, and its joint."""
+    mujoco = imported()
+    kinds, field = mujoco.mjtObj, np.asarray(getattr(native, array))
+    row = index // (field.shape[1] if field.ndim > 1 else 1)
+    kind = array.partition("_")[0]
+    if kind == "dof":
+        name = mujoco.mj_id2name(native, kinds.mjOBJ_JOINT, int(native.dof_jntid[row])) or ""
+        return name, name
+    if kind == "actuator":
+        joint = mujoco.mj_id2name(native, kinds.mjOBJ_JOINT, int(native.actuator_trnid[row, 0])) or ""
+        return mujoco.mj_id2name(native, kinds.mjOBJ_ACTUATOR, row) or "", joint
+    type_ = {"body": kinds.mjOBJ_BODY, "jnt": kinds.mjOBJ_JOINT, "geom": kinds.mjOBJ_GEOM}.get(kind)
+    return (mujoco.mj_id2name(native, type_, row) or "" if type_ is not None else ""), ""

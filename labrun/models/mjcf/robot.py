@@ -1,0 +1,416 @@
+"""A robot from an MJCF or URDF file alone: what drives it, what is measured, and a site at every joint."""
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from labrun.errors import ModelError
+from labrun.models.mjcf.plant import imported
+
+SUFFIXES = (".xml", ".mjcf", ".urdf")
+"""Files that are read as a robot."""
+EDITS_ROBOTS = (4, 0)
+"""The MuJoCo that writes values back into a description (`MjSpec.copy_back`); model files need only 3.2."""
+Command = Literal["position", "velocity", "torque", "other"]
+Drive = Literal["position", "torque"]
+SERVO_HZ = 5.0
+SERVO_DAMPING = 0.8
+"""A servo of which nothing is known starts as a second-order follower of this bandwidth and damping ratio (chosen)."""
+_DAMPING_TOLERANCE = '"free"'
+_MASS_TOLERANCE = 0.05
+_GAIN_TOLERANCE = 0.1
+"""What a description of a robot says of masses and gains is good to this (chosen); of damping it knows nothing."""
+_SUFFIX: Mapping[Command, str] = {
+    "position": "command", "velocity": "rate_command", "torque": "torque", "other": "control",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RobotJoint:
+    """A hinge or slide.
+
+    Attributes
+    ----------
+    name
+        In the file.
+    output
+        Its position among the model's outputs.
+    unit
+        ``"rad"``, of a slide ``"m"``.
+    range
+        Lowest and highest position, in `unit`; None where the file gives none.
+    sprung
+        Whether a spring of its own pulls it back.
+    """
+
+    name: str
+    output: str
+    unit: str
+    range: tuple[float, float] | None
+    sprung: bool = False
+
+
+@dataclass(frozen=True)
+class RobotActuator:
+    """An actuator.
+
+    Attributes
+    ----------
+    name
+        In the file; a servo that was added is called after its joint.
+    input
+        Its control among the model's inputs.
+    joint
+        What it drives; "" where that is a tendon or a site.
+    command
+        What its control means.
+    unit
+    """
+
+    name: str
+    input: str
+    joint: str
+    command: Command
+    unit: str
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot as MuJoCo reads it, without meshes and contacts.
+
+    Attributes
+    ----------
+    name
+    xml
+        MJCF that needs no other file.
+    joints, actuators
+    remarks
+        What of the file is left out, or was added; sentences.
+    bodies
+        Those with a name that equations can use.
+    sensors
+        Names of its force and torque sensors.
+    """
+
+    name: str
+    xml: str
+    joints: tuple[RobotJoint, ...]
+    actuators: tuple[RobotActuator, ...]
+    remarks: tuple[str, ...]
+    bodies: tuple[str, ...]
+    sensors: Mapping[str, tuple[str, ...]]
+
+    def table(
+        self,
+        *,
+        xml_file: str | None = None,
+        start: Literal["rest", "free"] = "rest",
+        shown: Mapping[str, tuple[str, str]] | None = None,
+        measured: Collection[str] | None = None,
+    ) -> str:
+        """Return the model file: every joint an output and a site, every actuator an input.
+
+        Parameters
+        ----------
+        xml_file
+            Where `xml` is found, seen from the model file; None puts it into the text.
+        start
+            How a trial begins: at rest, or with velocities that are fitted.
+        shown
+            Further outputs: what of the MJCF model each is, and its unit.
+        measured
+            Outputs that there are; all joints if None.
+        """
+        names = [joint.output for joint in self.joints] if measured is None else list(measured)
+        return "\n".join(_lines(self, xml_file, start, shown or {}, names)) + "\n"
+
+
+def is_robot(source: str | Path) -> bool:
+    """Tell whether a file is an MJCF or URDF file, by its name."""
+    return Path(source).suffix.lower() in SUFFIXES
+
+
+def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | None = None) -> Robot:
+    """Read an MJCF or URDF file.
+
+    Meshes that are missing, and contacts, are left out; what is left out is said in the remarks.
+
+    Parameters
+    ----------
+    path
+        The file; it may include others.
+    drives
+        Joints that get an actuator: a position servo of unknown gains, or a torque; ``"undriven"``: a servo for every
+        joint that nothing drives.
+
+    Raises
+    ------
+    ModelError
+        MuJoCo is not installed or cannot read the file, or a body's mass would have come from a missing mesh.
+    """
+    mujoco = imported()
+    spec, remarks = robot_spec(path)
+    model = _compile(spec, path)
+    if np.any(model.geom_contype) or np.any(model.geom_conaffinity) or model.npair:
+        remarks.append("contacts are switched off: what touches something is outside of this model")
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    for actuator in spec.actuators:
+        if getattr(actuator, "nsample", 0):
+            remarks.append(
+                f"the delay of actuator {actuator.name} is taken out; the effect delay can stand for it"
+            )
+            actuator.nsample, actuator.delay = 0, 0.0
+    for number, joint in enumerate(spec.joints):
+        joint.name = joint.name or f"joint{number}"
+    for number, actuator in enumerate(spec.actuators):
+        actuator.name = actuator.name or actuator.target or f"actuator{number}"
+    simple = [joint for joint in spec.joints if joint.type in _simple(mujoco)]
+    remarks += _unmatched(spec, simple)
+    driven = {actuator.target for actuator in spec.actuators if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT}
+    wanted: Mapping[str, Drive]
+    if drives == "undriven":
+        wanted = {one.name: "position" for one in simple if one.name not in driven}
+    else:
+        wanted = drives or {}
+    unknown = set(wanted) - {joint.name for joint in simple}
+    if unknown:
+        raise ModelError(f"{path} has no hinge or slide {', '.join(sorted(unknown))} that could be driven")
+    _add_actuators(spec, model, wanted)
+    for kind, words in (("position", "a position servo of unknown gains"), ("torque", "a torque")):
+        names = [name for name, one in wanted.items() if one == kind]
+        if names:
+            remarks.append(f"{', '.join(names)}: the file has no actuator there; {words} was added")
+    model = _compile(spec, path)
+    remarks += _equalities(model)
+    return Robot(
+        name=re.sub(r"[^A-Za-z0-9_-]", "-", spec.modelname or path.stem),
+        xml=spec.to_xml(),
+        joints=tuple(_joint(mujoco, joint, model) for joint in simple),
+        actuators=tuple(_actuator(mujoco, spec, one) for one in spec.actuators),
+        remarks=tuple(remarks),
+        bodies=tuple(
+            body.name for body in spec.bodies[1:] if body.name and identifier(body.name) == body.name
+        ),
+        sensors={
+            kind: tuple(one.name for one in spec.sensors if one.name and one.type == type_)
+            for kind, type_ in (
+                ("force", mujoco.mjtSensor.mjSENS_FORCE),
+                ("torque", mujoco.mjtSensor.mjSENS_TORQUE),
+            )
+        },
+    )
+
+
+def robot_spec(path: Path) -> tuple[Any, list[str]]:
+    """Return what a file describes, without meshes that are missing, and what was left out.
+
+    Raises
+    ------
+    ModelError
+        There is no such file, MuJoCo cannot read it, or MuJoCo is too old to edit it.
+    """
+    mujoco = imported()
+    if tuple(int(part) for part in mujoco.__version__.split(".")[:2]) < EDITS_ROBOTS:
+        raise ModelError(
+            f"reading a robot file needs MuJoCo {'.'.join(map(str, EDITS_ROBOTS))}, found {mujoco.__version__}",
+            hint="pip install --upgrade mujoco",
+        )
+    if not path.is_file():
+        raise ModelError(f"there is no robot file {path}", hint=f"looked from {Path.cwd()}")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise ModelError(f"MuJoCo cannot read {path}: {error}") from None
+    folder = path.parent / (spec.meshdir or "")
+    missing = {
+        mesh.name or Path(mesh.file).stem
+        for mesh in spec.meshes
+        if mesh.file and not (folder / mesh.file).is_file()
+    }
+    if not missing:
+        return spec, []
+    geoms = [geom for geom in spec.geoms if geom.meshname in missing]
+    massless = sorted(
+        {geom.parent.name for geom in geoms if geom.parent.joints and not geom.parent.explicitinertial}
+        - {geom.parent.name for geom in spec.geoms if geom.meshname not in missing}
+    )
+    if massless:
+        raise ModelError(
+            f"{path}: the mass of {', '.join(massless)} would come from a mesh that is missing",
+            hint="put the mesh where the file looks for it, or give the body an <inertial>",
+        )
+    for geom in geoms:
+        spec.delete(geom)
+    for mesh in [mesh for mesh in spec.meshes if (mesh.name or Path(mesh.file).stem) in missing]:
+        spec.delete(mesh)
+    return spec, [f"{len(missing)} meshes are missing, and not needed: {', '.join(sorted(missing)[:3])}"]
+
+
+def _compile(spec: Any, path: Path) -> Any:
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise ModelError(f"MuJoCo cannot build {path}: {error}") from None
+
+
+def _simple(mujoco: Any) -> tuple[Any, Any]:
+    return mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+
+
+def _unmatched(spec: Any, simple: Sequence[Any]) -> Iterator[str]:
+    others = [joint.name for joint in spec.joints if all(joint is not one for one in simple)]
+    others = [name for name in others if name not in {one.name for one in simple}]
+    if others:
+        yield f"{', '.join(others)}: ball and free joints move, but have no site and are not compared with a log"
+
+
+def _equalities(model: Any) -> Iterator[str]:
+    if model.neq:
+        yield f"{model.neq} equality constraints are kept; MuJoCo holds them softly"
+
+
+def _add_actuators(spec: Any, model: Any, drives: Mapping[str, Drive]) -> None:
+    """Give joints a torque, or a servo whose gains fit the inertia that each joint sees where the robot begins."""
+    mujoco = imported()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, full, data.qM) if hasattr(data, "qM") else mujoco.mj_fullM(model, data, full)
+    for name, kind in drives.items():
+        inertia = float(full[model.joint(name).dofadr[0], model.joint(name).dofadr[0]])
+        omega = 2 * np.pi * SERVO_HZ
+        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        if kind == "torque":
+            actuator.set_to_motor()
+            continue
+        actuator.set_to_position(kp=inertia * omega**2, kv=2 * SERVO_DAMPING * inertia * omega)
+
+
+def _joint(mujoco: Any, joint: Any, model: Any) -> RobotJoint:
+    number = model.joint(joint.name).id
+    ends = tuple(float(one) for one in model.jnt_range[number]) if model.jnt_limited[number] else None
+    unit = "rad" if joint.type == mujoco.mjtJoint.mjJNT_HINGE else "m"
+    sprung = bool(np.any(model.jnt_stiffness[number]))
+    return RobotJoint(joint.name, identifier(joint.name), unit, ends, sprung)  # type: ignore[arg-type]
+
+
+def _actuator(mujoco: Any, spec: Any, actuator: Any) -> RobotActuator:
+    on_joint = actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT
+    joint = next((one for one in spec.joints if on_joint and one.name == actuator.target), None)
+    slides = joint is not None and joint.type == mujoco.mjtJoint.mjJNT_SLIDE
+    command = _command(mujoco, actuator)
+    units: dict[Command, str] = {
+        "position": "m" if slides else "rad", "velocity": "m/s" if slides else "rad/s",
+        "torque": "1" if joint is None else "N" if slides else "N m", "other": "1",
+    }  # fmt: skip
+    name = actuator.name if joint is None else joint.name
+    sole = sum(one.target == actuator.target for one in spec.actuators) == 1
+    stem = identifier(name if sole else actuator.name)
+    return RobotActuator(
+        actuator.name,
+        f"{stem}_{_SUFFIX[command]}",
+        "" if joint is None else joint.name,
+        command,
+        units[command],
+    )
+
+
+def _command(mujoco: Any, actuator: Any) -> Command:
+    """Say what a control means, from how the actuator's force depends on it (MuJoCo's documentation, Actuation)."""
+    gain, bias = actuator.gainprm, actuator.biasprm
+    if actuator.gaintype != mujoco.mjtGain.mjGAIN_FIXED or actuator.dyntype not in (
+        mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT,
+    ):  # fmt: skip
+        return "other"
+    if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
+        return "torque" if gain[0] == 1.0 and actuator.gear[0] == 1.0 else "other"
+    if np.isclose(bias[1], -gain[0]) and gain[0] != 0.0:
+        return "position"
+    if bias[1] == 0.0 and np.isclose(bias[2], -gain[0]) and gain[0] != 0.0:
+        return "velocity"
+    return "other"
+
+
+def identifier(name: str) -> str:
+    """Return a name that equations can use."""
+    made = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    return made if made[:1].isalpha() else f"joint_{made}"
+
+
+def _lines(
+    robot: Robot,
+    xml_file: str | None,
+    start: str,
+    shown: Mapping[str, tuple[str, str]],
+    measured: Collection[str],
+) -> Iterator[str]:
+    yield f'name   = "{robot.name}"'
+    yield f'mujoco = "{xml_file}"' if xml_file else f"mujoco = '''\n{robot.xml}'''"
+    yield "[states]"
+    for joint in robot.joints:
+        yield f'{joint.output} = "joint.{joint.name}.position"'
+        yield f'{joint.output}_rate = "joint.{joint.name}.velocity"'
+    if robot.actuators:
+        yield "[inputs]"
+    for one in robot.actuators:
+        between = "hold" if one.command in ("position", "velocity") else "linear"
+        yield f'{one.input} = {{ mjcf = "actuator.{one.name}", unit = "{one.unit}", between = "{between}" }}'
+    yield "[parameters]"
+    yield from _parameters(robot)
+    yield "[outputs]"
+    for joint in (one for one in robot.joints if one.output in measured):
+        yield f'{joint.output} = {{ mjcf = "joint.{joint.name}.position", unit = "{joint.unit}" }}'
+    for name, (reference, unit) in shown.items():
+        yield f'{name} = {{ mjcf = "{reference}", unit = "{unit}" }}'
+    for joint in robot.joints:
+        yield f"[sites.{joint.output}]"
+        yield 'kind = "joint"'
+        yield f'joint = "{joint.name}"'
+        if joint.sprung:
+            yield f'stiffness = "{joint.output}_stiffness"'
+    yield "[initial]"
+    for joint in robot.joints:
+        begins = "first" if joint.output in measured else "free"
+        yield f'{joint.output} = "{begins}"'
+        if start == "free":
+            yield f'{joint.output}_rate = "free"'
+
+
+def _parameters(robot: Robot) -> Iterator[str]:
+    mujoco = imported()
+    model = mujoco.MjModel.from_xml_string(robot.xml)
+    for joint in robot.joints:
+        per = "N m s/rad" if joint.unit == "rad" else "N s/m"
+        yield (
+            f'{joint.output}_damping = {{ mjcf = "joint.{joint.name}.damping", tolerance = {_DAMPING_TOLERANCE}, '
+            f'unit = "{per}", lower = 0.0 }}'
+        )
+        if joint.sprung:
+            yield (
+                f'{joint.output}_stiffness = {{ mjcf = "joint.{joint.name}.stiffness", tolerance = {_GAIN_TOLERANCE}, '
+                f'unit = "{"N m/rad" if joint.unit == "rad" else "N/m"}", lower = 0.0 }}'
+            )
+    added = {one.name for one in robot.actuators} & {one.name for one in robot.joints}
+    for actuator in robot.actuators:
+        if actuator.command != "position":
+            continue
+        unknown = any(actuator.name in remark and "unknown gains" in remark for remark in robot.remarks)
+        tolerance = '"free"' if unknown and actuator.name in added else str(_GAIN_TOLERANCE)
+        stem, unit = identifier(actuator.name), actuator.unit
+        force = "N m" if unit == "rad" else "N"
+        yield (
+            f'{stem}_kp = {{ mjcf = "actuator.{actuator.name}.kp", tolerance = {tolerance}, '
+            f'unit = "{force}/{unit}", lower = 0.0 }}'
+        )
+        # of a servo's damping the motion shows no more than its sum with the joint's: one of them is enough to fit
+    for body in range(1, model.nbody):
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body)
+        if name and model.body_mass[body] > 0 and model.body_dofnum[body] > 0:
+            yield (
+                f'{identifier(name)}_mass = {{ mjcf = "body.{name}.mass", tolerance = {_MASS_TOLERANCE}, '
+                'unit = "kg", lower = 1e-6 }'
+            )

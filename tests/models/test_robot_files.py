@@ -1,0 +1,103 @@
+"""An MJCF or URDF file alone is a model: joints, actuators and sites come from it, what is left out is said."""
+
+import numpy as np
+import pytest
+
+from labrun.errors import ModelError
+from labrun.models import load_model, read_robot, simulate
+
+pytest.importorskip("mujoco")
+
+URDF = """
+<robot name="arm"><link name="base"/>
+<link name="upper"><inertial><origin xyz="0 0 -0.1"/><mass value="0.5"/>
+<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial>
+<visual><geometry><mesh filename="package://arm/upper.stl"/></geometry></visual></link>
+<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="2" effort="10" velocity="3"/><dynamics damping="0.1"/></joint></robot>
+"""
+MJCF = """
+<mujoco model="two"><include file="defaults.xml"/><asset><mesh name="m" file="not-there.stl"/></asset><worldbody>
+<geom type="plane" size="1 1 .1"/>
+<body name="x"><joint name="j-1" axis="0 1 0"/><geom type="mesh" mesh="m"/>
+<inertial pos="0 0 -.1" mass="1" diaginertia="1e-2 1e-2 1e-2"/>
+<body name="y" pos="0 0 -.2"><joint name="j-2" axis="0 1 0"/>
+<inertial pos="0 0 -.1" mass="1" diaginertia="1e-2 1e-2 1e-2"/></body></body></worldbody>
+<actuator><position name="p" joint="j-1" kp="20" kv="1"/><motor joint="j-2"/>
+<general name="g" joint="j-2" gainprm="3" biastype="affine" biasprm="1 0 -1"/><velocity name="v" joint="j-1" kv="2"/>
+</actuator><equality><joint joint1="j-2" polycoef="0 0 0 0 0"/></equality></mujoco>
+"""
+
+
+@pytest.fixture
+def arm(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(URDF)
+    return path
+
+
+@pytest.fixture
+def two(tmp_path):
+    (tmp_path / "two.xml").write_text(MJCF)
+    (tmp_path / "defaults.xml").write_text('<mujoco><default><joint damping="3"/></default></mujoco>')
+    return tmp_path / "two.xml"
+
+
+def test_every_joint_is_an_output_and_a_site(two):
+    model = load_model(two)
+    assert [one.name for one in model.outputs] == ["j_1", "j_2"]
+    assert [(one.name, one.coordinate, one.rate) for one in model.sites] == [
+        ("j_1", "j_1", "j_1_rate"), ("j_2", "j_2", "j_2_rate"),
+    ]  # fmt: skip
+
+
+def test_a_control_means_what_the_actuators_force_says(two):
+    robot = read_robot(two)
+    assert [(one.joint, one.command, one.unit) for one in robot.actuators] == [
+        ("j-1", "position", "rad"), ("j-2", "torque", "N m"), ("j-2", "other", "1"), ("j-1", "velocity", "rad/s"),
+    ]  # fmt: skip
+    assert len({one.input for one in robot.actuators}) == 4
+
+
+def test_included_files_are_read_and_what_is_left_out_is_said(two):
+    robot = read_robot(two)
+    said = " ".join(robot.remarks)
+    for words in ("1 meshes are missing", "contacts are switched off", "1 equality constraints are kept"):
+        assert words in said
+    assert load_model(two).values[0] == pytest.approx(3.0)  # the damping of the included defaults
+    assert "not-there" not in robot.xml
+
+
+def test_a_urdf_hangs_still_and_falls_like_a_pendulum(arm):
+    model = load_model(arm)
+    time_s = np.linspace(0.0, 0.5, 101)
+    found = simulate(
+        model, time_s, np.zeros((101, 0)), initial_state=[0.1, 0.0], parameters={"shoulder_damping": 0.0}
+    )
+    inertia, moment = 1e-3 + 0.5 * 0.1**2, 0.5 * 9.81 * 0.1
+    expected = 0.1 * np.cos(np.sqrt(moment / inertia) * time_s)
+    # the small-angle error is of this order
+    assert np.abs(found.outputs[:, 0] - expected).max() < 0.1 * 0.1**2
+
+
+@pytest.mark.parametrize(("drive", "unit"), [("position", "rad"), ("torque", "N m")])
+def test_a_joint_without_an_actuator_gets_the_one_that_is_asked_for(arm, drive, unit):
+    robot = read_robot(arm, {"shoulder": drive})
+    assert [(one.command, one.unit) for one in robot.actuators] == [(drive, unit)]
+    assert "shoulder: the file has no actuator there" in " ".join(robot.remarks)
+
+
+def test_a_mass_that_only_a_missing_mesh_would_tell_is_refused(tmp_path):
+    (tmp_path / "a.xml").write_text(
+        '<mujoco><asset><mesh name="m" file="gone.stl"/></asset><worldbody><body name="x"><joint/>'
+        '<geom type="mesh" mesh="m"/></body></worldbody></mujoco>'
+    )
+    with pytest.raises(ModelError, match="the mass of x would come from a mesh that is missing"):
+        read_robot(tmp_path / "a.xml")
+
+
+@pytest.mark.parametrize("text", ["no xml at all", "<mujoco><nonsense/></mujoco>"])
+def test_a_file_that_mujoco_cannot_read_is_told(tmp_path, text):
+    (tmp_path / "a.xml").write_text(text)
+    with pytest.raises(ModelError, match="MuJoCo cannot read"):
+        load_model(tmp_path / "a.xml")
