@@ -1,0 +1,283 @@
+"""Which column of a log is which input or output of a model, and in which unit: certain, or asked for."""
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.errors import RequestError
+from labrun.logs.streams import Column, Role, Stream, plain
+
+Unit = Literal["rad", "deg", "ticks", "normalised"]
+TICKS = 4096
+"""Steps of an encoder in one turn, its middle being zero: that of the servos whose logs come in ticks."""
+_BEYOND_RAD = 2.2 * math.pi
+_SLACK = 1.05
+_NOT = "none"
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A channel that a model has.
+
+    Attributes
+    ----------
+    channel
+        Its name in the model, and in the recording that is made.
+    unit
+    kind
+    names
+        What a log may call it.
+    roles
+        What its column may be, most likely first.
+    place, width
+        Which one of how many it is, in the robot's own order.
+    range
+        What the joint can do, in `unit`.
+    """
+
+    channel: str
+    unit: str
+    kind: Literal["input", "output"]
+    names: tuple[str, ...]
+    roles: tuple[Role, ...]
+    place: int = 0
+    width: int = 1
+    range: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Match:
+    """A wanted channel and its column; None where the log has none, and a person said so."""
+
+    wanted: Wanted
+    stream: Stream | None
+    column: Column | None
+    to_si: tuple[float, float] = (1.0, 0.0)
+    """Factor and offset to the model's unit."""
+
+
+def matched(
+    wanted: Sequence[Wanted], streams: Sequence[Stream], asked: Mapping[str, str]
+) -> tuple[list[Match], list[str]]:
+    """Return each wanted channel's column, and how those that were not named alike were found.
+
+    Parameters
+    ----------
+    asked
+        What a person said with ``--map``: a channel or joint to a column, its stem, or ``none``.
+
+    Raises
+    ------
+    RequestError
+        Something is unclear: all of it, each with a proposal.
+    """
+    known = {plain(name) for one in wanted for name in (one.channel, *one.names)}
+    for name in asked:
+        if plain(name) not in known:
+            raise RequestError(
+                f"--map {name}=...: the model has no {name!r}", hint=f"it has {_listed(wanted)}"
+            )
+    found: list[Match] = []
+    unclear: list[str] = []
+    said: list[str] = []
+    for one in wanted:
+        given = _asked_for(one, asked)
+        if given == _NOT:
+            found.append(Match(one, None, None))
+            continue
+        candidates = _candidates(
+            one, streams, given, exact=plain(one.channel) in {plain(name) for name in asked}
+        )
+        if len(candidates) == 1:
+            found.append(Match(one, *candidates[0]))
+            if given is not None:
+                said.append(f"{one.channel} is {candidates[0][1].name}, as --map says")
+            continue
+        unclear.append(_question(one, candidates, streams, given))
+    if unclear:
+        have = sorted({column.name for stream in streams for column in stream.columns})
+        shown = ", ".join(have[:30]) + (f" and {len(have) - 30} more" if len(have) > 30 else "")
+        lines = "\n".join(f"  {line}" for line in unclear)
+        raise RequestError(
+            f"it is not clear which columns of the log these are:\n{lines}\nthe log has {shown}",
+            hint="say it: --map CHANNEL=COLUMN, or --map CHANNEL=none for what the log does not have",
+        )
+    return found, said
+
+
+def _asked_for(one: Wanted, asked: Mapping[str, str]) -> str | None:
+    by_plain = {plain(name): value for name, value in asked.items()}
+    for name in (one.channel, *one.names):
+        value = by_plain.get(plain(name))
+        if value is not None:
+            return value
+    return None
+
+
+def _candidates(
+    one: Wanted, streams: Sequence[Stream], given: str | None, *, exact: bool
+) -> list[tuple[Stream, Column]]:
+    every = [(stream, column) for stream in streams for column in stream.columns]
+    if given is not None:
+        whole = [(stream, column) for stream, column in every if plain(column.name) == plain(given)]
+        fitting = [(stream, column) for stream, column in whole if exact or column.role in one.roles]
+        if fitting:
+            return fitting
+        if whole:  # --map shoulder=/cmd/shoulder is about the goal: what is measured is found as without it
+            given = None
+    names = {plain(given)} if given is not None else {plain(name) for name in (one.channel, *one.names)}
+    alike = [(stream, column) for stream, column in every if column.name == one.channel]
+    if alike and given is None:
+        return alike
+    for role in one.roles:
+        named = [(s, c) for s, c in every if c.role == role and c.stem and plain(c.stem) in names]
+        if not named and given is None:
+            named = [
+                (s, c) for s, c in every
+                if c.role == role and c.by_order and not c.stem and c.width == one.width and c.place == one.place
+            ]  # fmt: skip
+        if named:
+            return named
+    return []
+
+
+def _question(
+    one: Wanted, candidates: Sequence[tuple[Stream, Column]], streams: Sequence[Stream], given: str | None
+) -> str:
+    what = (
+        f"{one.channel} ({'what is told' if one.kind == 'input' else 'what is measured'} of {one.names[0]})"
+    )
+    if len(candidates) > 1:
+        names = ", ".join(column.name for _, column in candidates)
+        return f"{what}: {names}; proposal: --map {one.channel}={candidates[0][1].name}"
+    if given is not None:
+        return f"{what}: --map says {given}, and the log has no such column"
+    columns = [column for stream in streams for column in stream.columns if column.role in one.roles]
+    near = difflib.get_close_matches(plain(one.names[0]), [plain(column.stem) for column in columns], 1, 0.5)
+    proposal = next((column for column in columns if near and plain(column.stem) == near[0]), None)
+    if proposal is None:
+        proposal = next((c for c in columns if c.place == one.place and c.width == one.width), None)
+    if proposal is None:
+        return f"{what}: no column of that name; --map {one.channel}={_NOT} leaves it out"
+    return f"{what}: no column of that name; proposal: --map {one.channel}={proposal.name}"
+
+
+def _listed(wanted: Sequence[Wanted]) -> str:
+    return ", ".join(dict.fromkeys(one.channel for one in wanted))
+
+
+def in_si(matches: Sequence[Match], asked: Unit | None) -> tuple[list[Match], list[str]]:
+    """Return the matches with their factors to SI, and the units that were found, in words.
+
+    Goals and measured angles are each of one unit. What is stated by name or format counts, but for angles that no
+    joint can have; then whole numbers of a great range are ticks, angles beyond a turn degrees, others radians.
+
+    Raises
+    ------
+    RequestError
+        The unit cannot be told.
+    """
+    made: list[Match] = []
+    said: list[str] = []
+    found: dict[str, Unit] = {}
+    for kind, words in (("output", "measured angles"), ("input", "goals")):
+        group = [one for one in matches if one.wanted.kind == kind]
+        angles = [one for one in group if one.wanted.unit == "rad" and one.column is not None]
+        made += [one for one in group if one not in angles]
+        if not angles:
+            continue
+        unit, reason = (asked, "as --unit says") if asked else _detected(angles, words)
+        if reason.startswith(_BY_RANGE):
+            found[words] = unit
+        said.append(f"{words} are in {_WORDS[unit]}, {reason}")
+        made += [
+            Match(one.wanted, one.stream, one.column, _factor(unit, one, _largest(angles))) for one in angles
+        ]
+    if len(set(found.values())) > 1:
+        told = " and ".join(f"{words} look like {_WORDS[unit]}" for words, unit in found.items())
+        raise RequestError(
+            f"{told}: a log hardly has both",
+            hint="say --unit deg or --unit rad; a small motion in degrees looks like radians",
+        )
+    order = {id(one.wanted): place for place, one in enumerate(matches)}
+    return sorted(made, key=lambda one: order[id(one.wanted)]), said
+
+
+_BY_RANGE = "by their range"
+_WORDS: Mapping[Unit, str] = {
+    "rad": "radians", "deg": "degrees", "ticks": f"ticks of {TICKS} a turn",
+    "normalised": "shares of the joint's range",
+}  # fmt: skip
+
+
+def _detected(angles: Sequence[Match], words: str) -> tuple[Unit, str]:
+    columns = [one.column for one in angles if one.column is not None]
+    largest = _largest(angles)
+    stated = {column.unit for column in columns if column.unit}
+    if len(stated) == 1 and not (stated == {"rad"} and largest > _BEYOND_RAD):
+        return cast("Unit", stated.pop()), "as the log states"
+    if stated == {"rad"}:
+        raise RequestError(
+            f"{words} reach {largest:.4g}, and are stated to be radians",
+            hint="--unit deg, or --unit rad if they are",
+        )
+    values = [column.values[np.isfinite(column.values)] for column in columns]
+    whole = all(bool(np.all(one == np.round(one))) for one in values)
+    if whole and largest > 500 and all(one.min(initial=0) >= 0 for one in values):
+        if largest >= TICKS:
+            raise RequestError(
+                f"{words} are whole numbers up to {largest:.0f}, more than {TICKS} ticks of a turn",
+                hint="convert them, or say --unit rad, deg or ticks",
+            )
+        return "ticks", f"{_BY_RANGE}: whole numbers up to {largest:.0f}"
+    if largest <= _BEYOND_RAD:
+        return "rad", f"{_BY_RANGE}: they reach {largest:.3g}"
+    if abs(largest - 100.0) < 1.0 and all(
+        abs(float(np.abs(one).max(initial=0.0))) <= 100.5 for one in values
+    ):
+        raise RequestError(
+            f"{words} reach {largest:.4g}: degrees, or shares of the range from -100 to 100?",
+            hint="--unit deg or --unit normalised",
+        )
+    if largest <= 360 * _SLACK:
+        return "deg", f"{_BY_RANGE}: they reach {largest:.4g}"
+    raise RequestError(
+        f"the unit of {words} cannot be told: they reach {largest:.4g}",
+        hint="--unit rad, deg, ticks or normalised",
+    )
+
+
+def _largest(angles: Sequence[Match]) -> float:
+    return max(
+        float(np.nanmax(np.abs(one.column.values), initial=0.0)) for one in angles if one.column is not None
+    )
+
+
+def _factor(unit: Unit, match: Match, largest: float) -> tuple[float, float]:
+    if unit == "rad":
+        return 1.0, 0.0
+    if unit == "deg":
+        return math.pi / 180, 0.0
+    if unit == "ticks":
+        return 2 * math.pi / TICKS, -math.pi
+    if match.wanted.range is None:
+        raise RequestError(
+            f"{match.wanted.names[0]} has no range in the model, of which a normalised angle would be a share",
+            hint="give the joint a range, or convert the log",
+        )
+    low, high = match.wanted.range
+    full = 100.0 if largest > 1.5 else 1.0
+    return (high - low) / (2 * full), 0.5 * (low + high)
+
+
+def values_of(match: Match) -> FloatArray:
+    """Return the values of a match in the model's unit."""
+    if match.column is None:
+        raise ValueError("this channel has no column")
+    factor, offset = match.to_si
+    return factor * match.column.values + offset

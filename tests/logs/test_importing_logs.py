@@ -1,0 +1,297 @@
+"""Every kind of log gives the recording of what happened; what is unclear is asked for, what is bad is left out."""
+
+import numpy as np
+import pytest
+import robot_logs as logs
+
+from labrun.app.logs import import_log
+from labrun.errors import RecordingError, RequestError
+from labrun.logs import Match, Stream, Wanted, column, table_of
+from labrun.models import load_model
+from labrun.store import read_recording
+
+pytest.importorskip("mujoco")
+
+
+@pytest.fixture
+def arm(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(logs.ARM)
+    return path
+
+
+def columns(recording, name):
+    """Return a channel of all trials, one after another."""
+    names = [one.name for one in (*recording.inputs, *recording.outputs)]
+    tables = [np.column_stack([trial.inputs, trial.outputs]) for trial in recording.trials]
+    return np.concatenate(tables)[:, names.index(name)]
+
+
+WRITERS = {
+    "csv": lambda folder, *made: logs.write_csv(folder / "log.csv", *made),
+    "npz": lambda folder, *made: logs.write_npz(folder / "log.npz", *made),
+    "lerobot": lambda folder, *made: logs.write_lerobot(folder / "set", made[1], made[2]),
+    "rosbag2": lambda folder, *made: logs.write_bag(folder / "bag", *made),
+    "mcap": lambda folder, *made: next(logs.write_bag(folder / "bag", *made).glob("*.mcap")),
+    "db3": lambda folder, *made: next(logs.write_bag(folder / "bag", *made, storage="sqlite").glob("*.db3")),
+    "ros1": lambda folder, *made: logs.write_bag(folder / "log.bag", *made, storage="ros1"),
+}
+NEEDS = {"lerobot": "pyarrow", "rosbag2": "rosbags", "mcap": "rosbags", "db3": "rosbags", "ros1": "rosbags"}
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_every_kind_of_log_gives_the_recording_of_what_happened(tmp_path, arm, kind):
+    if kind in NEEDS:
+        pytest.importorskip(NEEDS[kind])
+    _, goals, angles = made = logs.motion()
+    folder = import_log(WRITERS[kind](tmp_path, *made), arm, tmp_path / "recording").folder
+    recording = read_recording(folder)
+    assert len(recording.trials) == 3
+    assert len({trial.condition["motion"] for trial in recording.trials}) == 1, "the same goals are repeats"
+    happened = np.column_stack([goals, angles])
+    for trial in recording.trials:
+        measured = np.column_stack([trial.inputs, trial.outputs])
+        first = int(np.argmin(np.abs(happened[:, None] - measured[0]).sum(axis=(1, 2))))
+        assert len(measured) > 300
+        assert measured == pytest.approx(happened[first : first + len(measured)], abs=1e-6)
+    model = load_model(folder / "model.toml")
+    assert [one.between for one in model.inputs] == ["hold", "hold"]
+    assert model.initial["shoulder_rate"] == 0.0
+
+
+def test_an_hdf5_log_is_asked_about_what_has_no_name(tmp_path, arm):
+    _, goals, _ = made = logs.motion()
+    log = logs.write_h5(tmp_path / "log.h5", *made)
+    with pytest.raises(RequestError) as asked:
+        import_log(log, arm, tmp_path / "recording")
+    assert "proposal: --map shoulder_command=action[0]" in str(asked.value)
+    assert not (tmp_path / "recording").exists()
+    answers = ["shoulder_command=action[0]", "elbow_command=action[1]"]
+    recording = read_recording(import_log(log, arm, tmp_path / "recording", mapping=answers).folder)
+    assert columns(recording, "elbow_command").min() == pytest.approx(goals[:, 1].min(), abs=1e-6)
+
+
+def test_joints_of_other_names_are_proposed_and_mapped_with_what_they_are_told(tmp_path, arm):
+    made = logs.motion()
+    log = logs.write_csv(
+        tmp_path / "log.csv", *made, names=["t", "shoulder_1_cmd", "elbow_cmd", "shoulder_1_pos", "elbow_pos"]
+    )
+    with pytest.raises(RequestError, match="proposal: --map shoulder=shoulder_1_pos"):
+        import_log(log, arm, tmp_path / "recording")
+    made = import_log(log, arm, tmp_path / "recording", mapping=["shoulder=shoulder_1"])
+    assert dict(made.channels)["shoulder_command"] == "shoulder_1_cmd"
+
+
+def test_two_columns_that_both_could_be_it_are_both_named(tmp_path, arm):
+    time_s, goals, angles = logs.motion()
+    names = ["t", "shoulder_cmd", "elbow_cmd", "shoulder_pos", "elbow_pos", "shoulder_actual"]
+    log = logs.write_csv(tmp_path / "log.csv", time_s, goals, np.column_stack([angles, angles[:, 0]]), names)
+    with pytest.raises(RequestError, match="shoulder_pos, shoulder_actual"):
+        import_log(log, arm, tmp_path / "recording")
+
+
+def test_what_the_log_does_not_have_can_be_left_out(tmp_path, arm):
+    time_s, goals, angles = logs.motion()
+    names = ["t", "shoulder_cmd", "elbow_cmd", "shoulder_pos"]
+    log = logs.write_csv(tmp_path / "log.csv", time_s, goals, angles[:, :1], names)
+    folder = import_log(
+        log, arm, tmp_path / "recording", mapping=["elbow=none", "elbow_command=elbow_cmd"]
+    ).folder
+    assert [one.name for one in load_model(folder / "model.toml").outputs] == ["shoulder"]
+
+
+@pytest.mark.parametrize(
+    ("scale", "offset", "said"),
+    [(180 / np.pi, 0.0, "degrees"), (4096 / (2 * np.pi), 2048.0, "ticks of 4096 a turn")],
+)
+def test_units_are_told_from_the_range_and_said(tmp_path, arm, scale, offset, said):
+    time_s, goals, angles = logs.motion()
+    rounded = np.round if "ticks" in said else np.asarray
+    log = logs.write_csv(
+        tmp_path / "log.csv", time_s, rounded(scale * goals + offset), rounded(scale * angles + offset)
+    )
+    made = import_log(log, arm, tmp_path / "recording")
+    assert f"measured angles are in {said}" in " ".join(made.remarks)
+    assert columns(read_recording(made.folder), "shoulder").max() == pytest.approx(
+        angles[:, 0].max(), abs=1e-3
+    )
+
+
+def test_goals_in_degrees_beside_angles_that_look_like_radians_are_asked_for(tmp_path, arm):
+    time_s, goals, angles = logs.motion()
+    log = logs.write_csv(
+        tmp_path / "log.csv", time_s, 60 * goals, 6 * angles
+    )  # a blocked arm moves a few degrees
+    with pytest.raises(RequestError, match="look like radians and goals look like degrees") as error:
+        import_log(log, arm, tmp_path / "recording")
+    assert "--unit deg" in str(error.value.hint)
+    assert not (tmp_path / "recording").exists()
+
+
+def test_a_range_that_could_be_degrees_or_shares_is_asked_for(tmp_path, arm):
+    time_s, goals, angles = logs.motion()
+    full = np.abs(angles).max()
+    log = logs.write_csv(tmp_path / "log.csv", time_s, 100 / full * goals, 100 / full * angles)
+    with pytest.raises(RequestError, match="degrees, or shares of the range"):
+        import_log(log, arm, tmp_path / "recording")
+    folder = import_log(log, arm, tmp_path / "recording", unit="normalised").folder
+    assert np.abs(columns(read_recording(folder), "shoulder")).max() == pytest.approx(
+        2.0, rel=1e-6
+    )  # all of its range
+
+
+def test_a_robot_whose_clock_is_another_is_shifted_to_the_recorders(tmp_path, arm):
+    pytest.importorskip("rosbags")
+    made = import_log(
+        logs.write_bag(tmp_path / "bag", *logs.motion(), clock_s=-3600.0, named_goals=False),
+        arm, tmp_path / "recording", mapping=["shoulder_command=/goal_command[0]", "elbow_command=/goal_command[1]"],
+    )  # fmt: skip
+    assert "+3600.00" in " ".join(made.remarks)
+    assert made.duration_s > 10
+
+
+def test_stamps_are_repaired_by_the_rule_or_refused(tmp_path, arm):
+    time_s, goals, angles = logs.motion()
+    twice = time_s.copy()
+    twice[[50, 500]] = twice[[49, 499]]
+    made = import_log(logs.write_csv(tmp_path / "a.csv", twice, goals, angles), arm, tmp_path / "one")
+    assert "2 samples whose stamps repeat or run backwards are left out" in " ".join(made.remarks)
+    shuffled = time_s.copy()
+    shuffled[100:600:2] -= 0.05
+    with pytest.raises(RecordingError, match="stamps repeat or run backwards, more than 5%"):
+        import_log(logs.write_csv(tmp_path / "b.csv", shuffled, goals, angles), arm, tmp_path / "two")
+
+
+@pytest.mark.parametrize("received", [True, False])
+def test_stamps_of_receipt_that_scatter_become_even_and_stamps_of_measurement_stay(received):
+    rng = np.random.default_rng(2)
+    true_s = np.arange(0.0, 5.0, 0.01)
+    late_s = np.sort(true_s + rng.uniform(0.0, 0.012, len(true_s)))
+    angle = column("", "shoulder_pos", np.sin(true_s))
+    wanted = Wanted("shoulder", "rad", "output", ("shoulder",), ("position",))
+    stream = Stream("joints", late_s, (angle,), received=received)
+    table, said = table_of([Match(wanted, stream, angle)])
+    assert ("are replaced by even ones" in " ".join(said)) == received
+    expected = np.diff(np.linspace(late_s[0], late_s[-1], len(late_s)) if received else late_s)
+    assert np.diff(table.time_s) == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_log_is_cut_at_a_drop_out(tmp_path, arm):
+    time_s, goals, angles = logs.motion()
+    kept = (time_s < 6.0) | (time_s > 6.5)
+    made = import_log(
+        logs.write_csv(tmp_path / "a.csv", time_s[kept], goals[kept], angles[kept]), arm, tmp_path / "one"
+    )
+    assert "1 gaps of more than 5 periods, the longest 0.52 s" in " ".join(made.remarks)
+    for trial in read_recording(made.folder).trials:
+        assert np.diff(trial.time_s).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (
+            lambda angles: np.where(np.arange(len(angles)) // 100 == 6, angles[600], angles),
+            "shoulder is frozen",
+        ),
+        (lambda angles: np.minimum(angles, 0.6), "shoulder stands at the end of its range"),
+        (
+            lambda angles: angles + 0.4 * np.exp(-((np.arange(len(angles)) - 1550) ** 2) / 300),
+            "shoulder moves while nothing is commanded",
+        ),
+    ],
+)
+def test_what_cannot_be_trusted_is_left_out_and_said(tmp_path, arm, spoil, said):
+    time_s, goals, angles = logs.motion(moves=3)
+    still = np.arange(12, 18, 1 / logs.RATE_HZ)
+    rng = np.random.default_rng(5)
+    time_s = np.append(time_s, still)
+    goals = np.vstack([goals, np.zeros((len(still), 2))])
+    angles = np.vstack([angles, 1e-3 * rng.standard_normal((len(still), 2))])
+    angles[:, 0] = spoil(angles[:, 0])
+    made = import_log(logs.write_csv(tmp_path / "a.csv", time_s, goals, angles), arm, tmp_path / "one")
+    assert said in " ".join(made.remarks)
+    assert made.duration_s < time_s[-1] - 0.2
+
+
+@pytest.mark.parametrize(("seconds", "trials"), [(2.5, 5), (3.5, 4)])
+def test_a_log_is_cut_as_asked(tmp_path, arm, seconds, trials):
+    log = logs.write_csv(tmp_path / "a.csv", *logs.motion())
+    made = import_log(log, arm, tmp_path / "one", cut_s=seconds)
+    assert made.trials == trials
+    assert load_model(made.folder / "model.toml").initial["shoulder_rate"] == "free"
+
+
+def test_a_urdf_gets_the_drive_that_the_log_tells(tmp_path):
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(
+        '<robot name="arm"><link name="base"/><link name="upper"><inertial><origin xyz="0 0 -0.1"/><mass value="0.5"/>'
+        '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="2" effort="10" velocity="3"/></joint></robot>'
+    )
+    time_s, goals, angles = logs.motion()
+    for name, unit in (("shoulder_cmd", "rad"), ("shoulder_effort", "N m")):
+        log = logs.write_csv(
+            tmp_path / "a.csv", time_s, goals[:, :1], angles[:, :1], ["t", name, "shoulder_pos"]
+        )
+        made = import_log(log, urdf, tmp_path / name)
+        assert [one.unit for one in load_model(made.folder / "model.toml").inputs] == [unit]
+        assert "the file has no actuator there" in " ".join(made.remarks)
+
+
+def test_a_model_of_equations_is_matched_as_well(tmp_path):
+    model = tmp_path / "follower.toml"
+    model.write_text(
+        'name = "follower"\nstates = ["angle"]\n[inputs]\ngoal = { unit = "rad" }\n[parameters]\n'
+        'lag = { value = 0.1, unit = "s" }\n[equations]\nangle = "(goal - angle) / lag"\n'
+        '[outputs]\nangle = { equation = "angle", unit = "rad" }\n'
+    )
+    time_s, goals, angles = logs.motion()
+    log = logs.write_csv(tmp_path / "a.csv", time_s, goals[:, :1], angles[:, :1], ["t", "goal", "angle"])
+    folder = import_log(log, model, tmp_path / "one").folder
+    assert load_model(folder / "model.toml").outputs[0].name == "angle"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("a.csv", "t,x\n", "no sample below"),
+        ("a.csv", "x,y\n1,2\n3,4\n", "no column of time"),
+        ("a.csv", "t,x\n1,2\n3\n", "a.csv:3: 1 cells below a header of 2"),
+        ("a.bag", "nonsense", "cannot be read as a bag"),
+        ("a.npz", "nonsense", "is no whole NumPy archive"),
+        ("a.npz", "", "is no whole NumPy archive"),
+        ("a.h5", "nonsense", "cannot be read"),
+        ("a.parquet", "nonsense", "cannot be read"),
+        ("a.xyz", "nonsense", "is no log that labrun reads"),
+    ],
+)
+def test_a_file_that_is_no_log_is_told(tmp_path, arm, name, text, said):
+    (tmp_path / name).write_text(text)
+    with pytest.raises((RequestError, RecordingError)) as error:
+        import_log(tmp_path / name, arm, tmp_path / "one")
+    assert said in str(error.value)
+
+
+def test_an_archive_that_was_cut_short_is_told(tmp_path, arm):
+    log = logs.write_npz(tmp_path / "a.npz", *logs.motion())
+    log.write_bytes(log.read_bytes()[:-200])
+    with pytest.raises(RecordingError, match="no whole NumPy archive"):
+        import_log(log, arm, tmp_path / "one")
+
+
+def test_a_missing_reader_gives_the_line_that_installs_it(tmp_path, arm, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "rosbags.highlevel", None)
+    (tmp_path / "a.mcap").write_bytes(b"")
+    with pytest.raises(RequestError) as error:
+        import_log(tmp_path / "a.mcap", arm, tmp_path / "one")
+    assert error.value.hint == 'pip install "labrun[ros]"'
+
+
+def test_a_folder_that_is_there_is_not_overwritten(tmp_path, arm):
+    log = logs.write_csv(tmp_path / "a.csv", *logs.motion())
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / "mine").write_text("kept")
+    with pytest.raises(RequestError, match="is not overwritten"):
+        import_log(log, arm, tmp_path / "one")
