@@ -3,12 +3,18 @@
 from labrun.control.closed_loop import ClosedLoopRecorder
 from labrun.control.feedforward import FeedforwardPid
 from labrun.control.pid import PidController
+from labrun.control.plant import TransferTable, response_table
 from labrun.control.protocol import LoopContext, Step
+from labrun.control.references.half_sine import HalfSineReference, HalfSineSettings
 
 __all__ = [
     "ClosedLoopRecorder",
     "FeedforwardPid",
+    "HalfSineReference",
+    "HalfSineSettings",
     "LoopContext",
     "PidController",
     "Step",
+    "TransferTable",
+    "response_table",
 ]

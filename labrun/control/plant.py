@@ -1,14 +1,13 @@
 """The model a feed-forward inverts: a first-order lag with dead time, or a transfer function."""
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
 from labrun.errors import SpecError
-from labrun.toml import Faults, Table, suggest
+from labrun.toml import Faults, KeyPath, Table, parsed, suggest, text_of
 
 _KEYS = ("gain", "lag_s", "dead_s", "numerator", "denominator")
 
@@ -16,14 +15,14 @@ Seconds = Annotated[float, Field(ge=0)]
 Coefficients = Annotated[list[float], Field(min_length=1)]
 
 
-class PlantModel(Table):
-    """What the feedback does when the variable is set.
+class TransferTable(Table):
+    """A transfer function as a table.
 
     Attributes
     ----------
     gain, lag_s, dead_s
         ``gain exp(-dead_s s) / (lag_s s + 1)``, the form of (5.5) and (5.6) of the source; gain in the unit of the
-        feedback per unit of the variable.
+        output per unit of the input.
     numerator, denominator
         Instead of gain and lag: coefficients of s, highest power first.
     """
@@ -35,20 +34,29 @@ class PlantModel(Table):
     denominator: Coefficients | None = None
 
     @model_validator(mode="after")
-    def _has_a_static_gain(self) -> "PlantModel":
+    def _one_form(self) -> Self:
         with Faults() as faults:
             if self.numerator is None and self.denominator is None:
                 if self.gain is None:
                     faults.add(None, "a model needs its gain, or numerator and denominator")
-                elif self.gain == 0:
-                    faults.add("gain", "0 cannot be inverted: the variable would have no effect")
             elif self.numerator is None or self.denominator is None:
                 faults.add(None, "a transfer function has both a numerator and a denominator")
             elif self.gain is not None:
                 faults.add(
                     "gain", "a transfer function has its gain in its coefficients; leave out one of the two"
                 )
-            elif self.denominator[-1] == 0 or self.numerator[-1] == 0:
+        return self
+
+
+class PlantModel(TransferTable):
+    """What the feedback does when the variable is set."""
+
+    @model_validator(mode="after")
+    def _has_a_static_gain(self) -> Self:
+        with Faults() as faults:
+            if self.gain == 0:
+                faults.add("gain", "0 cannot be inverted: the variable would have no effect")
+            elif self.numerator and self.denominator and not (self.denominator[-1] and self.numerator[-1]):
                 faults.add(
                     None, "the transfer function has no static gain to invert: a last coefficient is 0"
                 )
@@ -79,12 +87,8 @@ def read_plant(path: Path, response: str | None = None) -> dict[str, Any]:
     SpecError
         The file cannot be read, holds no such model, or several and none is named.
     """
-    try:
-        data: Mapping[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise SpecError(f"model file {path} cannot be read: {reason}") from error
-    table = _response_of(data, path, response)
+    data = parsed(text_of(path, kind=SpecError, what="model file"), str(path), kind=SpecError)
+    table, _ = response_table(data, f"model file {path}", response)
     found = {key: table[key] for key in _KEYS if key in table}
     if (
         "numerator" in found and "denominator" in found
@@ -94,29 +98,33 @@ def read_plant(path: Path, response: str | None = None) -> dict[str, Any]:
     return found
 
 
-def _response_of(data: Mapping[str, Any], path: Path, response: str | None) -> Mapping[str, Any]:
-    """Return the table that holds the model."""
+def response_table(
+    data: Mapping[str, Any], file: str, response: str | None
+) -> tuple[Mapping[str, Any], KeyPath]:
+    """Return the table of a file that holds a response's transfer function, and where it stands.
+
+    Raises
+    ------
+    SpecError
+        There is none, none of that name, or several and none is named; `file` is what it is called.
+    """
     if response is None and _is_model(data):
-        return data
+        return data, ()
     tables = {key: one for key, one in data.items() if isinstance(one, dict) and _is_model(one)}
     if not tables:
         raise SpecError(
-            f"model file {path} has neither gain nor numerator: it is no fitted response",
+            f"{file} has neither gain nor numerator: it is no fitted response",
             hint="labrun fit fin-step --model fopdt writes one",
         )
-    if response is None and len(tables) == 1:
-        return next(iter(tables.values()))
-    if response is None:
+    if response is None and len(tables) > 1:
         raise SpecError(
-            f"model file {path} holds {len(tables)} responses: {', '.join(tables)}",
+            f"{file} holds {len(tables)} responses: {', '.join(tables)}",
             hint=f'say which: response = "{next(iter(tables))}"',
         )
-    if response not in tables:
-        raise SpecError(
-            f'model file {path} has no response "{response}"',
-            hint=suggest(response, tables, kind="responses"),
-        )
-    return tables[response]
+    chosen = next(iter(tables)) if response is None else response
+    if chosen not in tables:
+        raise SpecError(f'{file} has no response "{chosen}"', hint=suggest(chosen, tables, kind="responses"))
+    return tables[chosen], (chosen,)
 
 
 def _is_model(table: Mapping[str, Any]) -> bool:

@@ -1,5 +1,6 @@
 """What a device is. A plugin needs this package and nothing deeper."""
 
+from labrun.arrays import FloatArray
 from labrun.devices.buffering import SampleBuffer
 from labrun.devices.clock import Clock
 from labrun.devices.limits import Excess, Limits
@@ -18,9 +19,10 @@ from labrun.devices.protocols import (
     Tracker,
 )
 from labrun.devices.remark import Remark
-from labrun.devices.samples import Channel, FloatArray, Samples
+from labrun.devices.samples import Channel, Samples
 from labrun.devices.scene import Scene
 from labrun.devices.serial_port import SerialPort
+from labrun.devices.terminal import NoTerminalError, Terminal
 from labrun.devices.trajectory import Trajectory
 from labrun.errors import DeviceError
 
@@ -43,6 +45,7 @@ __all__ = [
     "Identity",
     "Limits",
     "Listener",
+    "NoTerminalError",
     "Paced",
     "Pacing",
     "Port",
@@ -52,6 +55,7 @@ __all__ = [
     "Scene",
     "Sensor",
     "SerialPort",
+    "Terminal",
     "Tracker",
     "Trajectory",
 ]

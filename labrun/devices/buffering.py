@@ -5,7 +5,8 @@ import threading
 import numpy as np
 from numpy.typing import ArrayLike
 
-from labrun.devices.samples import FloatArray, Samples
+from labrun.arrays import FloatArray
+from labrun.devices.samples import Samples
 
 
 class SampleBuffer:

@@ -8,7 +8,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from labrun.devices.samples import Channel, FloatArray
+from labrun.arrays import FloatArray
+from labrun.devices.samples import Channel
 from labrun.devices.trajectory import Trajectory
 
 _TOLERANCE = 1e-9

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labrun.arrays import FloatArray
 from labrun.devices.clock import Clock
-from labrun.devices.samples import FloatArray
 from labrun.devices.trajectory import Trajectory
 
 _KEPT = 200_000

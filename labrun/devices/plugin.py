@@ -20,6 +20,9 @@ class DeviceSettings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    example: ClassVar[str] = ""
+    """Keys to start from, in TOML with comments: what `labrun new` writes for the device."""
+
     limits: Limits = Limits()
 
 

@@ -3,12 +3,16 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-from labrun.devices.samples import FloatArray
+from labrun.arrays import FloatArray
 from labrun.devices.trajectory import Trajectory
 
 
 class Scene(Protocol):
-    """A simulated bench. Its time is the clock's; it moves on when it is observed."""
+    """A simulated bench. Its time is the clock's; it moves on when it is observed.
+
+    A scene on which mountings differ also has ``mount(number)``: called after each `arrange` with the number of the
+    mounting, where something is set by hand. The same number is the same mounting.
+    """
 
     signals: Mapping[str, str]
     """What can be felt or seen: signal name -> SI unit, for example ``{"force_x": "N"}``."""

@@ -5,12 +5,10 @@ import errno
 import os
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import serial
 
 from labrun.errors import DeviceError
-
-if TYPE_CHECKING:
-    import serial
 
 _REPLUG = "check its cable and power; once it is back, labrun resume goes on"
 
@@ -56,8 +54,6 @@ class SerialPort:
         DeviceError
             It is not there, may not be used, or is held by another program.
         """
-        import serial
-
         self.close()
         try:
             opened = serial.Serial(
@@ -123,7 +119,7 @@ class SerialPort:
             with contextlib.suppress(Exception):  # a port that is gone is closed
                 port.close()
 
-    def _opened(self) -> "serial.Serial":
+    def _opened(self) -> serial.Serial:
         port = self.serial  # once: another thread may close it in the midst of this
         if port is None:
             raise DeviceError(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from labrun.devices.samples import FloatArray
+from labrun.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,8 @@ class Trajectory:
     def at(self, time_s: ArrayLike) -> FloatArray:
         """Return the angles at the given times, shape (n, joints); held before the first and after the last point."""
         times = np.atleast_1d(np.asarray(time_s, dtype=float))
-        return np.column_stack([np.interp(times, self.time_s, column) for column in self.angle_rad.T])
+        found = [np.interp(times, self.time_s, column) for column in self.angle_rad.T]
+        return np.column_stack(found) if found else np.empty((len(times), 0))
 
     def only(self, joints: tuple[str, ...]) -> "Trajectory":
         """Return the motion of these joints alone, in their order."""

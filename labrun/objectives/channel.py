@@ -237,6 +237,43 @@ class Amplitude(ChannelObjective):
         return float((max(high for _, high in ends) - min(low for low, _ in ends)) / 2)
 
 
+class LoopAreaSettings(ChannelSettings):
+    """Keys of `loop-area`: `over` is the channel along which the other does its work."""
+
+    over: str
+
+
+class LoopArea(ChannelObjective):
+    """Area between the way there and the way back of one channel over another: the work of a cycle, J.
+
+    Of force over displacement or of torque over angle it is what the specimen does not give back.
+    """
+
+    Settings: ClassVar[type[ChannelSettings]] = LoopAreaSettings
+    channel_settings: ClassVar[tuple[str, ...]] = ("over",)
+
+    def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
+        super().__init__(channel, settings)
+        self.over = checked(LoopAreaSettings, settings).over
+
+    def unit(self, channel_unit: str) -> str:  # noqa: ARG002
+        """Return "J": force over metres, or torque over radians."""
+        return "J"
+
+    def __call__(self, signals: TrialSignals) -> float:
+        """Return the area."""
+        total = 0.0
+        pieces = zip(signals.counting_pieces(self.channel), signals.counting_pieces(self.over), strict=True)
+        for piece, along in pieces:
+            force = self._scaled(piece)
+            way = np.interp(force.time_s, along.time_s, along.values)
+            total += float(np.trapezoid(force.values, way))
+        return total
+
+    def _number(self, pieces: Iterable[Signal]) -> float:
+        raise NotImplementedError
+
+
 class DirectionSettings(ChannelSettings):
     """Keys of `direction`: `side_channel` is the second axis, and `side_scale` turns it round (-1) or weights it."""
 
@@ -278,3 +315,30 @@ class Direction(ChannelObjective):
 
     def _number(self, pieces: Iterable[Signal]) -> float:
         return time_mean(pieces)
+
+
+class Cycles:
+    """How many whole cycles count: of a trial that goes on until its numbers say so, how many there were."""
+
+    needs_channel: ClassVar[bool] = False
+
+    def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
+        if channel is not None or settings:
+            raise SpecError('"cycles" takes neither a channel nor keys of its own: it counts')
+
+    def unit(self, channel_unit: str) -> str:  # noqa: ARG002
+        """Return "1"."""
+        return "1"
+
+    def __call__(self, signals: TrialSignals) -> float:
+        """Return the number of cycles.
+
+        Raises
+        ------
+        ExperimentError
+            The motion has none.
+        """
+        if signals.period_s is None:
+            raise ExperimentError("the motion has no cycle to count")
+        start_s, end_s = signals.window()
+        return float(round((end_s - start_s) / signals.period_s))

@@ -1,6 +1,7 @@
 """From a plan to trials: devices and clock, settle, tare, record, repeat; and everything that stops what moves."""
 
 from labrun.runner.bench import Bench, Handle
+from labrun.runner.by_hand import Person, Scripted, Willing
 from labrun.runner.clock import RealClock, SimulatedClock
 from labrun.runner.doctor import examine_machine, examine_rig, find_devices
 from labrun.runner.emulated_bench import EmulatedBench, has_emulator
@@ -14,6 +15,7 @@ from labrun.runner.resolve import ports_of, resolve_device
 from labrun.runner.rig import Rig
 from labrun.runner.session import Session
 from labrun.runner.settle import unsettled
+from labrun.runner.until import UntilRecorder
 
 __all__ = [
     "LEAD_S",
@@ -27,6 +29,7 @@ __all__ = [
     "LimitReached",
     "Measurement",
     "MotionMaker",
+    "Person",
     "Plan",
     "Planner",
     "Progress",
@@ -34,12 +37,15 @@ __all__ = [
     "Recorder",
     "Recording",
     "Rig",
+    "Scripted",
     "SearchSpace",
     "Session",
     "SilentProgress",
     "SimulatedClock",
     "SpaceBreak",
     "TrialMotion",
+    "UntilRecorder",
+    "Willing",
     "examine_machine",
     "examine_rig",
     "find_devices",

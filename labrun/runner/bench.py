@@ -129,6 +129,11 @@ class Bench:
         while not all(self._arrived(name) for name in moved):
             self.watch(self.clock.now() + self.clock.poll_s)
 
+    def wait_for_arrangements(self) -> None:
+        """Wait until whoever puts the next trial's condition in place has done so."""
+        while not all(self._arrived(name) for name in self.rig.attended):
+            self.watch(self.clock.now() + self.clock.poll_s)
+
     def follow(self, trajectory: Trajectory, start_s: float) -> None:
         """Send every actuator its part of a motion, after a last check against its limits."""
         parts = []

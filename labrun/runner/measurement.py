@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -35,6 +35,17 @@ class Measurement:
     def accepted(self) -> tuple[TrialOutcome, ...]:
         """The trials that count."""
         return tuple(outcome for outcome in self.outcomes if outcome.status == "done")
+
+    def of_mounting(self, number: int | None) -> "Measurement":
+        """Return the trials of one mounting; all where nothing is set by hand."""
+        if number is None:
+            return self
+        return replace(self, outcomes=tuple(o for o in self.outcomes if o.mounting == number))
+
+    @property
+    def mountings(self) -> tuple[int | None, ...]:
+        """The mounting of each accepted trial."""
+        return tuple(outcome.mounting for outcome in self.accepted)
 
     def values(self, objective: str) -> FloatArray:
         """Return an objective's value in each accepted trial, shape (accepted,)."""

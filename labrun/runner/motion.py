@@ -91,6 +91,8 @@ class TrialMotion:
         None without a carriage.
     excess
         What cannot be done whatever the limits: a travel too short for the recording.
+    most_cycles
+        Of a trial that goes on until its numbers say so, which is sent in stretches of this motion; else None.
     """
 
     trajectory: Trajectory
@@ -99,6 +101,21 @@ class TrialMotion:
     cycles: int | None
     travel: Travel | None
     excess: tuple[Excess, ...] = ()
+    most_cycles: int | None = None
+
+    @property
+    def longest_s(self) -> float:
+        """How long the recording may take."""
+        if self.most_cycles is None or self.period_s is None:
+            return self.duration_s
+        return self.most_cycles * self.period_s
+
+    @property
+    def kept_s(self) -> float:
+        """Of how much of it the samples are kept at most."""
+        if self.most_cycles is None or self.period_s is None or self.cycles is None:
+            return self.duration_s
+        return math.ceil(self.most_cycles / self.cycles) * self.period_s
 
 
 class MotionMaker:
@@ -152,7 +169,8 @@ class MotionMaker:
             trajectory = self._gait.trajectory(at_start, duration_s=duration_s, rate_hz=self._rate_hz)
         except (ValueError, ArithmeticError) as error:
             raise self._no_motion(str(error)) from error
-        return TrialMotion(trajectory, duration_s, period_s, cycles, travel, excess)
+        most = None if self._trial.until is None else self._trial.until.max_cycles
+        return TrialMotion(trajectory, duration_s, period_s, cycles, travel, excess, most)
 
     def envelope(self, condition: Condition) -> Envelope | None:
         """Return the worst that closed loops may make of a condition's motion; None without loops."""
@@ -180,17 +198,19 @@ class MotionMaker:
         self, condition: Condition, period_s: float | None, travel: Travel | None
     ) -> tuple[int | None, float, tuple[Excess, ...]]:
         available_s = math.inf if travel is None else travel.duration_s
-        if self._trial.cycles is None:
+        until = self._trial.until
+        wanted = self._trial.cycles if until is None else min(until.keep_every, until.max_cycles)
+        if wanted is None:
             duration_s = float(self._trial.duration_s or 0.0)
             return None, duration_s, _too_long(duration_s, available_s)
         if period_s is None:
             raise PlanError(
-                "trial.cycles needs a gait that repeats, and this one has no period",
-                hint="give trial.duration_s instead of cycles, or the gait a frequency_hz",
+                f"trial.{'cycles' if until is None else 'until'} needs a gait that repeats, and this one has no period",
+                hint="give trial.duration_s instead, or the gait a frequency_hz",
             )
-        if self._trial.cycles != "fit":
-            duration_s = self._trial.cycles * period_s
-            return self._trial.cycles, duration_s, _too_long(duration_s, available_s)
+        if wanted != "fit":
+            duration_s = wanted * period_s
+            return wanted, duration_s, _too_long(duration_s, available_s)
         if math.isinf(available_s):
             raise PlanError(
                 f'cycles = "fit" with a carriage that stands still at {condition_text(condition)}',

@@ -260,7 +260,7 @@ class Planner:
             if worst is not None:
                 peaks.take_worst(worst)
             times.append(self._trial_s(motion))
-            samples.append(motion.duration_s)
+            samples.append(motion.kept_s)
             if excess := self._excess(motion, worst):
                 broken.append(ConditionExcess(condition, tuple(excess)))
         broken += self._fixed_excess()
@@ -336,7 +336,7 @@ class Planner:
         moves = [smooth_move(safe, ends[0], math.radians(trial.move_speed_deg_s))]
         if trial.safe_pose_deg:
             moves.append(smooth_move(ends[1], safe, math.radians(trial.move_speed_deg_s)))
-        total = motion.duration_s + sum(move.duration_s for move in moves if move is not None)
+        total = motion.longest_s + sum(move.duration_s for move in moves if move is not None)
         total += settle_estimate_s(trial.settle) + (trial.tare.duration_s if trial.tare is not None else 0.0)
         if motion.travel is not None and motion.travel.speed_m_s > 0:
             total += motion.travel.speed_m_s * motion.duration_s / motion.travel.return_speed_m_s

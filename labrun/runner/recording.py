@@ -8,7 +8,7 @@ from labrun.runner.bench import Bench
 from labrun.runner.motion import TrialMotion
 from labrun.runner.sensing import loss_share
 from labrun.spec import Condition
-from labrun.store import TrialWriter
+from labrun.store import Role, TrialWriter
 
 LEAD_S = 0.05
 """Time to hand every device its command before the common start."""
@@ -32,9 +32,13 @@ class SampleCollector:
             if len(block) or block.lost:
                 sensor = self.bench.rig.sensors[name]
                 self.writer.append(name, sensor.channels, sensor.rate_hz, block)
-            self.samples[name] = self.samples.get(name, 0) + len(block)
-            self.lost[name] = self.lost.get(name, 0) + block.lost
-            self.saturated[name] = self.saturated.get(name, 0) + block.saturated
+            self.count(name, block)
+
+    def count(self, name: str, block: Samples) -> None:
+        """Count the samples of a device, those that were lost and those at the end of the range."""
+        self.samples[name] = self.samples.get(name, 0) + len(block)
+        self.lost[name] = self.lost.get(name, 0) + block.lost
+        self.saturated[name] = self.saturated.get(name, 0) + block.saturated
 
     def fault(self, max_lost_share: float) -> str:
         """Return why the recording cannot be used; empty if it can."""
@@ -51,30 +55,58 @@ class SampleCollector:
         return ""
 
 
+@dataclass(frozen=True, slots=True)
+class TrialRequest:
+    """Which trial to run; `index` counts everything the run executes."""
+
+    index: int
+    condition: Condition
+    repeat: int
+    role: Role
+    attempt: int = 0
+    mounting: int | None = None
+
+
 @dataclass
 class Recording:
     """One recording: what there is to do it with, and what becomes known of it on the way.
 
     Attributes
     ----------
-    condition, tare
+    request, tare
         Of the trial.
+    move_speed_rad_s
+        Of moves beside the motion.
     on_begin
         Told the clock's time at which the recording begins.
     command
         Returns the motion that has been sent so far; None if that is `motion`'s own.
     fault
         Why the recording cannot be used; empty if it can.
+    objectives, duration_s, censored
+        What a recorder knows that reduces as it goes; None where the recorded signals tell.
+    stored
+        Called once the trial is stored.
     """
 
     bench: Bench
     motion: TrialMotion
-    condition: Condition
+    request: TrialRequest
     tare: Mapping[str, float]
     collector: SampleCollector
     on_begin: Callable[[float], object]
     command: Callable[[], Trajectory | None] = lambda: None
     fault: str = ""
+    move_speed_rad_s: float = 1.0
+    objectives: Mapping[str, float] | None = None
+    duration_s: float | None = None
+    censored: bool = False
+    stored: Callable[[], object] = lambda: None
+
+    @property
+    def condition(self) -> Condition:
+        """Of the trial."""
+        return self.request.condition
 
     def begin(self, start_s: float, command: Callable[[], Trajectory | None] | None = None) -> None:
         """Say that the first command is out, and when it starts."""

@@ -25,7 +25,7 @@ from labrun.runner.emulated_bench import EmulatedBench
 from labrun.runner.faults import blaming
 from labrun.runner.resolve import STAND_IN, ResolvedDevice, missing_ports, resolve_device
 from labrun.runner.safety import PATIENCE_S, Watchdog, start_watchdog, stop_all
-from labrun.spec import Experiment
+from labrun.spec import Experiment, scene_of
 
 _SCENE_STREAM = 0x5CE
 _DEVICE_STREAM = 0xDEF
@@ -142,9 +142,7 @@ class Rig:
         scene: Scene | None = None
         if emulated is not None:
             scene = emulated.scene
-        elif experiment.rig.scene is not None and (
-            dry_run or any(item.plugin.startswith(STAND_IN) for item in resolved)
-        ):
+        elif dry_run or any(item.plugin.startswith(STAND_IN) for item in resolved):
             scene = _make_scene(experiment, seed)
         return cls(
             resolved,
@@ -236,12 +234,15 @@ class Rig:
         with blaming(name):
             self.devices[name].open()
 
-    def reseed(self, seed: int, trial_index: int) -> None:
-        """Give every device that draws random numbers those of this trial, so that a resumed run repeats itself."""
+    def reseed(self, seed: int, trial_index: int, *stretch: int) -> None:
+        """Give every device that draws random numbers those of this trial, so that a resumed run repeats itself.
+
+        A trial in stretches also has the number of the cycle at which one begins.
+        """
         for number, device in enumerate(self.devices.values()):
             reseed = getattr(device, "reseed", None)
             if reseed is not None:
-                reseed(np.random.SeedSequence((seed, trial_index, number)))
+                reseed(np.random.SeedSequence((seed, trial_index, number, *stretch)))
 
     def snapshot(self) -> dict[str, Any]:
         """Return the memory of the scene, and of the devices that keep any, as JSON-ready values.
@@ -289,9 +290,7 @@ def _joints(actuators: Mapping[str, Actuator]) -> dict[str, str]:
 
 
 def _make_scene(experiment: Experiment, seed: int) -> Scene:
-    table = experiment.rig.scene
-    if table is None:
-        raise SpecError("a dry run needs rig.scene, the bench to simulate")
+    table = scene_of(experiment.rig)
     rng = np.random.default_rng(np.random.SeedSequence((seed, _SCENE_STREAM)))
     scene: Scene = load("labrun.scenes", table.plugin)(table.settings, rng)
     return scene

@@ -1,13 +1,15 @@
 """A session at the bench: conditions in, measurements out; every trial stored on the way."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
 from labrun.devices import Clock
 from labrun.errors import DeviceError, ExperimentError, LimitExceededError, RecordingError
 from labrun.runner.bench import Bench
+from labrun.runner.by_hand import SET_ASIDE, Mounting, Mountings, Person, Willing
 from labrun.runner.clock import RealClock
+from labrun.runner.damage import Damage
 from labrun.runner.faults import LimitReached
 from labrun.runner.measurement import (
     OUTLIER,
@@ -19,11 +21,11 @@ from labrun.runner.measurement import (
 )
 from labrun.runner.motion import MotionMaker
 from labrun.runner.progress import Progress, SilentProgress
-from labrun.runner.recording import Recorder, record_planned
+from labrun.runner.recording import Recorder, TrialRequest, record_planned
 from labrun.runner.rig import Rig
 from labrun.runner.safety import StopRequest, interruptible
 from labrun.runner.settle import needs_baseline, unsettled
-from labrun.runner.trial import TrialRequest, TrialRunner
+from labrun.runner.trial import TrialRunner
 from labrun.runner.wiring import check_wiring
 from labrun.spec import Condition, Experiment, RepeatRule, condition_text
 from labrun.store import Role, RunFolder, TrialOutcome
@@ -61,6 +63,10 @@ class Session:
         Stop, resumably, after this many new trials.
     recorder
         How a trial is recorded, see `labrun.runner.Recorder`.
+    person
+        Who mounts what is set by hand; one who has always done it if None.
+    motions
+        Those made for the plan, of the same experiment.
 
     Raises
     ------
@@ -78,8 +84,10 @@ class Session:
         progress: Progress | None = None,
         limit: int | None = None,
         recorder: Recorder = record_planned,
+        person: Person | None = None,
+        motions: MotionMaker | None = None,
     ) -> None:
-        self.motions = MotionMaker(experiment)
+        self.motions = MotionMaker(experiment) if motions is None else motions
         """Motion of each condition."""
         check_wiring(experiment, rig, self.motions.joints)
         self._experiment = experiment
@@ -100,6 +108,17 @@ class Session:
             recorder=recorder,
         )
         self._stored = folder.outcomes()
+        self._hands = Mountings(
+            experiment.by_hand,
+            experiment.units,
+            person or Willing(),
+            folder.journal,
+            self._wait,
+            self._set_aside,
+            lambda mounting: self._damage.is_whole(mounting.values),
+        )
+        self._damage = Damage(experiment.damage, experiment.by_hand)
+        self._mounting: int | None = None
         self._stopwatch = RealClock()
         self._started_s = self._stopwatch.now()
         self._since_reference: int | None = None
@@ -129,6 +148,9 @@ class Session:
         order: Order = "shuffled",
     ) -> list[Measurement]:
         """Measure conditions: blocks of one repeat each, until every one has as many as the rule asks for.
+
+        What is set by hand is mounted once for all trials of its values, as often as the file says; the rule then
+        holds within each mounting.
 
         Parameters
         ----------
@@ -162,13 +184,67 @@ class Session:
             self.expect(None)
         found = [Measurement(condition, role, ()) for condition in conditions]
         with self._interruptible():
-            while needed := [i for i, item in enumerate(found) if needs_another(item, rule)]:
-                for position in block_order(needed, order, seed=self._seed, trial_index=self.index):
-                    if role == "measure":
+            self._hands.plan(
+                conditions, order, seed=self._seed, trial_index=self.index, damages=self._damage.would
+            )
+            while mounting := self._hands.next(self.index):
+                self._mounting = mounting.number
+                self._measure_block(mounting, found, rule, order)
+        return [self._as_marked(item) for item in found]
+
+    def _measure_block(
+        self, mounting: Mounting, found: list[Measurement], rule: RepeatRule, order: Order
+    ) -> None:
+        """Measure the conditions of one mounting, in place, until each has as many repeats as the rule asks for."""
+        for part in (mounting.positions, mounting.last):
+            while positions := self._needed(part, mounting.number, found, rule):
+                for position in block_order(positions, order, seed=self._seed, trial_index=self.index):
+                    if not self._is_whole(found[position]):
+                        continue
+                    if not self._hands.in_place(mounting, self.index, stored=self._is_stored(self.index)):
+                        return
+                    if found[position].role == "measure":
                         self._reference_if_due()
                     found[position] = self._repeat(found[position])
-                found = [self._reject_outliers(item) for item in found]
-        return found
+                for position in part:
+                    self._reject_outliers(found[position].of_mounting(mounting.number))
+                    found[position] = self._as_marked(found[position])
+
+    def _needed(
+        self, part: Sequence[int], mounting: int | None, found: Sequence[Measurement], rule: RepeatRule
+    ) -> list[int]:
+        """Return the positions that want another repeat in this mounting, and whose specimen can still give one."""
+        return [
+            position
+            for position in part
+            if self._is_whole(found[position]) and needs_another(found[position].of_mounting(mounting), rule)
+        ]
+
+    def _is_whole(self, measurement: Measurement) -> bool:
+        return self._damage.is_whole(measurement.condition)
+
+    def _as_marked(self, measurement: Measurement) -> Measurement:
+        """Return a measurement with its trials as they are judged by now."""
+        return replace(measurement, outcomes=tuple(self.outcomes[o.index] for o in measurement.outcomes))
+
+    def _set_aside(self, mounting: int) -> None:
+        """Take back the trials of a mounting that was wrong; they stay on disk."""
+        reason = f"{SET_ASIDE}mounting {mounting} was taken back"
+        self._mark({o.index: reason for o in self.outcomes if o.mounting == mounting and o.status == "done"})
+        self._damage.forget(mounting)
+
+    def _mark(self, reasons: Mapping[int, str]) -> None:
+        """Reject trials that counted so far."""
+        for index, reason in reasons.items():
+            stored = self._stored.get(index)
+            if stored is None or stored.status != "rejected":
+                self._folder.mark(index, "rejected", reason)
+            self.outcomes[index] = self.outcomes[index].marked("rejected", reason)
+
+    def _wait(self) -> None:
+        self._check_stop()
+        self._rig.beat()
+        self._bench.clock.sleep(self._bench.clock.poll_s)
 
     @contextmanager
     def _interruptible(self) -> Iterator[None]:
@@ -195,18 +271,24 @@ class Session:
         attempt = 0
         outcomes = measurement.outcomes
         while True:
-            request = TrialRequest(self.index, measurement.condition, repeat, measurement.role, attempt)
+            request = TrialRequest(
+                self.index, measurement.condition, repeat, measurement.role, attempt, self._mounting
+            )
             outcome = self._taken(request) or self._run(request)
             outcomes = (*outcomes, outcome)
             attempt += 1
             if outcome.status != "failed" or table.on_fault != "retry-trial" or attempt > table.retries:
                 return replace(measurement, outcomes=outcomes)
 
+    def _is_stored(self, index: int) -> bool:
+        outcome = self._stored.get(index)
+        return outcome is not None and outcome.checkpoint is not None
+
     def _taken(self, request: TrialRequest) -> TrialOutcome | None:
         """Return the trial from the folder, if it is there whole."""
-        outcome = self._stored.get(request.index)
-        if outcome is None or outcome.checkpoint is None:
+        if not self._is_stored(request.index):
             return None
+        outcome = self._stored[request.index]
         if outcome.condition != dict(request.condition) or outcome.role != request.role:
             raise RecordingError(
                 f"trial {request.index} of {self._folder.path} measured {condition_text(outcome.condition)} "
@@ -214,8 +296,8 @@ class Session:
                 f"but the plan has {condition_text(request.condition)} ({request.role}) there",
                 hint="the plan, the seed or labrun itself is not the one this run began with: start a new run",
             )
-        if outcome.reason.startswith(OUTLIER):
-            # Rejected later, by the repeats that followed: at this point of the run it still counted.
+        if outcome.reason.startswith((OUTLIER, SET_ASIDE)):
+            # Rejected later, by what followed: at this point of the run it still counted.
             outcome = outcome.marked("done", "")
         return self._note(outcome)
 
@@ -271,6 +353,8 @@ class Session:
     def _note(self, outcome: TrialOutcome) -> TrialOutcome:
         self.index += 1
         self.outcomes.append(outcome)
+        if told := self._damage.take(outcome):
+            self._progress.note(told)
         self._previous = outcome
         return outcome
 
@@ -317,21 +401,11 @@ class Session:
             self._check_stop()
             clock.sleep(_TRY_AGAIN_S)
 
-    def _reject_outliers(self, measurement: Measurement) -> Measurement:
+    def _reject_outliers(self, measurement: Measurement) -> None:
         objectives = self._experiment.objectives
         goal = self._experiment.goal
         default = goal[0] if goal is not None else next(iter(objectives), None)
-        reasons = find_outliers(measurement, self._experiment.trial.outliers, default)
-        if not reasons:
-            return measurement
-        for index, reason in reasons.items():
-            stored = self._stored.get(index)
-            if stored is None or stored.status != "rejected":
-                self._folder.mark(index, "rejected", reason)
-        marked = {index: self.outcomes[index].marked("rejected", reason) for index, reason in reasons.items()}
-        for index, outcome in marked.items():
-            self.outcomes[index] = outcome
-        return replace(measurement, outcomes=tuple(marked.get(o.index, o) for o in measurement.outcomes))
+        self._mark(find_outliers(measurement, self._experiment.trial.outliers, default))
 
     def _remaining_s(self) -> float | None:
         if self._expected is None or self.new_trials == 0:

@@ -1,34 +1,25 @@
 """One trial: prepare, settle, tare, record, safe pose, and only then store."""
 
+import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from labrun.errors import DeviceError, LabrunError
 from labrun.runner.bench import Bench
+from labrun.runner.damage import Damage
 from labrun.runner.evaluation import ObjectiveError, ObjectiveEvaluation
 from labrun.runner.faults import blaming
 from labrun.runner.motion import MotionMaker, TrialMotion
-from labrun.runner.recording import Recorder, Recording, SampleCollector, record_planned
+from labrun.runner.recording import Recorder, Recording, SampleCollector, TrialRequest, record_planned
 from labrun.runner.settle import Settled, measure_baseline, settle, tare
 from labrun.runner.settle_detector import Bounds
-from labrun.spec import Condition, Experiment, Settle
-from labrun.store import Role, RunFolder, TrialOutcome, TrialWriter
+from labrun.spec import Experiment, Settle
+from labrun.store import RunFolder, TrialOutcome, TrialWriter, json_ready
 
 BASELINE_INDEX = 2**31 - 1
 """Stands for the baseline where device noise is derived from a trial's index."""
-
-
-@dataclass(frozen=True, slots=True)
-class TrialRequest:
-    """Which trial to run; `index` counts everything the run executes."""
-
-    index: int
-    condition: Condition
-    repeat: int
-    role: Role
-    attempt: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +40,8 @@ class _Draft:
         self.settled = Settled(None, None)
         self.recorded = False
         self.fault = ""
+        self.reduced: Mapping[str, float] | None = None
+        self.stored: Callable[[], object] = lambda: None
         self.outcome = TrialOutcome(
             index=request.index,
             condition=dict(request.condition),
@@ -57,6 +50,7 @@ class _Draft:
             started_s=bench.clock.now(),
             attempt=request.attempt,
             discard_cycles=discard_cycles,
+            mounting=request.mounting,
         )
 
     def know(self, **fields: Any) -> None:
@@ -101,6 +95,7 @@ class TrialRunner:
         self._recorder = recorder
         self._motions = motions
         self._evaluation = ObjectiveEvaluation(experiment)
+        self._damage = Damage(experiment.damage, experiment.by_hand)
         self._speed_rad_s = math.radians(self._table.move_speed_deg_s)
         self._safe_pose = {joint: math.radians(deg) for joint, deg in self._table.safe_pose_deg.items()}
         self.baseline: Bounds | None = None
@@ -125,6 +120,9 @@ class TrialRunner:
         except DeviceError as fault:
             self._stop(request.index, fault)
             fault.happened(f"in trial {request.index}", draft.outcome.started_s)
+            if self._table.until is not None:  # its cycles are kept, and it goes on with them
+                self._keep_unfinished(draft, writer, fault)
+                raise
             draft.know(status="failed", reason=str(fault).splitlines()[0])
             return TrialResult(self._store(draft, writer), fault)
         except BaseException as error:
@@ -170,9 +168,12 @@ class TrialRunner:
         )
         if self._rig.scene is not None:
             self._rig.scene.arrange(request.condition)
+            if request.mounting is not None and hasattr(self._rig.scene, "mount"):
+                self._rig.scene.mount(request.mounting)
         for name, person in self._rig.attended.items():
             with blaming(name):
                 person.arrange(request.condition)
+        self._bench.wait_for_arrangements()
         self._bench.start_sensors()
         first = dict(zip(motion.trajectory.joints, motion.trajectory.angle_rad[0], strict=True))
         self._bench.move(first, self._speed_rad_s)
@@ -197,13 +198,16 @@ class TrialRunner:
 
         for device in self._rig.paced.values():
             device.restart_pacing()  # what moved it here does not count
-        recording = Recording(
-            self._bench, motion, request.condition, draft.outcome.tare, draft.collector, begun
-        )
+        recording = Recording(self._bench, motion, request, draft.outcome.tare, draft.collector, begun)
+        recording.move_speed_rad_s = self._speed_rad_s
         try:
             self._recorder(recording)
         finally:
-            draft.fault = recording.fault
+            draft.fault, draft.stored = recording.fault, recording.stored
+            draft.reduced = recording.objectives
+            draft.know(tare=dict(recording.tare), censored=recording.censored)
+            if recording.duration_s is not None:
+                draft.know(duration_s=recording.duration_s)
             sent = recording.command()
             if sent is not None:
                 draft.motion = replace(motion, trajectory=sent)
@@ -222,8 +226,11 @@ class TrialRunner:
         if motion is None or not draft.recorded:
             return raised
         try:
-            signals = writer.signals(outcome.started_s, outcome.tare)
-            draft.know(objectives=self._evaluation.evaluate(signals, motion, outcome.condition))
+            found = draft.reduced
+            if found is None:
+                signals = writer.signals(outcome.started_s, outcome.tare)
+                found = self._evaluation.evaluate(signals, motion, outcome.condition)
+            draft.know(objectives=dict(found))
         except ObjectiveError as error:
             draft.know(status="failed", reason=str(error).splitlines()[0])
             raised = error.raised
@@ -247,11 +254,16 @@ class TrialRunner:
 
     def _store(self, draft: _Draft, writer: TrialWriter) -> TrialOutcome:
         self._phase("store")
+        if draft.recorded:
+            draft.know(damage=self._damage.done_by(draft.outcome))
         draft.know(checkpoint=self.checkpoint())
-        return self._finish(draft, writer)
+        outcome = self._finish(draft, writer)
+        draft.stored()
+        return outcome
 
     def _finish(self, draft: _Draft, writer: TrialWriter) -> TrialOutcome:
-        command = draft.motion.trajectory if draft.motion is not None else None
+        moved = draft.motion is not None and draft.motion.trajectory.joints
+        command = draft.motion.trajectory if draft.motion is not None and moved else None
         try:
             writer.finish(draft.outcome, draft.settled.curve, command)
         except BaseException:
@@ -281,15 +293,16 @@ class TrialRunner:
             raise
         self._journal("baseline", spread=self.baseline.spread, drift=self.baseline.drift)
 
-    def checkpoint(self) -> dict[str, Any]:
-        """Return what a resumed run needs to go on from here, JSON-ready."""
+    def checkpoint(self) -> str:
+        """Return what a resumed run needs to go on from here, as JSON."""
         memory: dict[str, Any] = {"clock_s": self._bench.clock.now(), **self._rig.snapshot()}
         if self.baseline is not None:
             memory["baseline"] = {"spread": list(self.baseline.spread), "drift": list(self.baseline.drift)}
-        return memory
+        return json.dumps(memory, default=json_ready)
 
-    def restore(self, memory: dict[str, Any]) -> None:
+    def restore(self, checkpoint: str) -> None:
         """Go on from a checkpoint; a real clock and a real bench keep their own state."""
+        memory = json.loads(checkpoint)
         if self._rig.dry_run:
             if hasattr(self._bench.clock, "time_s"):
                 self._bench.clock.time_s = memory["clock_s"]

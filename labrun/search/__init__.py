@@ -10,8 +10,8 @@ from labrun.search.leaders import (
     honest_best,
     leading_conditions,
     pooled_variance,
-    t_interval,
 )
+from labrun.search.mountings import Scatter, mean_error, scatter, t_interval
 from labrun.search.result import (
     RESULT_FILE,
     Best,
@@ -31,6 +31,7 @@ __all__ = [
     "Measured",
     "Measures",
     "RunResult",
+    "Scatter",
     "allowed_points",
     "at_points",
     "axis_values",
@@ -39,11 +40,13 @@ __all__ = [
     "honest_best",
     "keep_generation",
     "leading_conditions",
+    "mean_error",
     "most_trials",
     "pooled_variance",
     "read_generations",
     "reason_lines",
     "resume_line",
+    "scatter",
     "search_by_cmaes",
     "start_of_search",
     "stored_result",

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from typing import Literal, Protocol
 
 import numpy as np
-from scipy.special import stdtrit  # scipy.stats takes half a second to import
 
 from labrun.arrays import FloatArray
+from labrun.search.mountings import Numbers, t_interval
 from labrun.search.result import Best
 from labrun.spec import Condition, Leaders, RepeatRule, condition_key
 from labrun.store import Role
@@ -35,6 +35,11 @@ class Measured(Protocol):
 
     def values(self, objective: str) -> FloatArray:
         """Return one value an accepted trial."""
+        ...
+
+    @property
+    def mountings(self) -> Numbers:
+        """The mounting of each accepted trial."""
         ...
 
 
@@ -97,7 +102,7 @@ def honest_best(
         parameters=dict(winner),
         objective_name=objective,
         value=float(values.mean()),
-        ci95=t_interval(values),
+        ci95=t_interval(values, [number for m in confirmed for number in m.mountings]),
         unit=unit,
         luckiest=float(luckiest),
         trials=len(values),
@@ -125,16 +130,6 @@ def leading_conditions(found: Sequence[Measured], objective: str, goal: Goal, co
     order = np.argsort(-shrunken if goal == "maximise" else shrunken, kind="stable")
     keys = list(samples)
     return [conditions[keys[index]] for index in order[:count]]
-
-
-def t_interval(values: FloatArray) -> tuple[float, float] | None:
-    """Return the 95 % Student interval of the mean of independent values; None for fewer than two."""
-    n = len(values)
-    if n < 2:
-        return None
-    half = float(stdtrit(n - 1, 0.975)) * float(values.std(ddof=1)) / math.sqrt(n)
-    mean = float(values.mean())
-    return mean - half, mean + half
 
 
 def pooled_variance(samples: Sequence[FloatArray]) -> float | None:

@@ -155,13 +155,16 @@ def most_trials(
     least = experiment.trial.repeats.min
     repeats = least if repeats is None else repeats
     candidates = len(conditions)
-    measured = candidates * repeats
+    mountings = 1 if experiment.by_hand is None else experiment.by_hand.mountings
+    measured = candidates * repeats * mountings
     if experiment.kind == "cmaes" and experiment.cmaes is not None:
         candidates, measured = _most_of_search(experiment.cmaes, least, repeats)
     reference = experiment.trial.reference
     references = 0 if reference is None else math.ceil(measured / reference.every)
     leaders = experiment.leaders
-    honest = 0 if experiment.goal is None else (min(leaders.count, candidates) + 1) * leaders.repeats
+    honest = (
+        0 if experiment.goal is None else (min(leaders.count, candidates) + 1) * leaders.repeats * mountings
+    )
     return measured + references + honest
 
 

@@ -1,10 +1,13 @@
 """The experiment file: what it may say, how it is read, and what is wrong with it."""
 
+from labrun.spec.by_hand import ByHand
 from labrun.spec.condition import Condition, Number, Value, condition_key, condition_text, value_text
+from labrun.spec.damage import BROKEN, PAST, DamageTable
 from labrun.spec.experiment import Experiment, FitTable, GaitTable, GapTable, ObjectiveTable, Rig, SceneTable
+from labrun.spec.key_reference import Key, keys_at
 from labrun.spec.loading import LoadedExperiment, load_experiment, load_named, loads_experiment, resolved
 from labrun.spec.overrides import apply_overrides
-from labrun.spec.plugins import resolved_settings
+from labrun.spec.plugins import resolved_settings, scene_of
 from labrun.spec.search_tables import (
     LOOP_CHANNELS,
     LOOP_DEVICE,
@@ -22,7 +25,9 @@ from labrun.spec.search_tables import (
     loop_channel,
     loop_channels,
 )
+from labrun.spec.template import Kind, new_experiment
 from labrun.spec.trial_tables import CarriageMove, Outliers, Reference, RepeatRule, Settle, Tare, TrialTable
+from labrun.spec.until import CYCLES, Criterion, Until
 from labrun.spec.workspace import (
     create_workspace,
     find_experiment,
@@ -33,11 +38,13 @@ from labrun.spec.workspace import (
 )
 
 __all__ = [
-    "LOOP_CHANNELS", "LOOP_DEVICE", "CarriageMove", "CmaEs", "Condition", "Experiment", "FitTable", "GaitTable",
-    "GapTable", "Interval", "Leaders", "LoadedExperiment", "LoopTable", "Number", "ObjectiveTable", "Outliers",
-    "Penalty", "Range", "Reference", "RepeatRule", "Rig", "RunTable", "SceneTable", "Settle", "StopRules",
-    "Sweep", "Tare", "Track", "TrialTable", "Value", "Variable", "apply_overrides", "condition_key",
-    "condition_text", "create_workspace", "find_experiment", "find_model_file", "list_experiments",
-    "load_experiment", "load_named", "loads_experiment", "loop_channel", "loop_channels", "resolved",
-    "resolved_settings", "shipped_experiments", "summarise_workspace", "value_text",
+    "BROKEN", "CYCLES", "LOOP_CHANNELS", "LOOP_DEVICE", "PAST", "ByHand", "CarriageMove", "CmaEs", "Condition",
+    "Criterion", "DamageTable", "Experiment", "FitTable",
+    "GaitTable", "GapTable", "Interval", "Key", "Kind", "Leaders", "LoadedExperiment", "LoopTable", "Number",
+    "ObjectiveTable", "Outliers", "Penalty", "Range", "Reference", "RepeatRule", "Rig", "RunTable", "SceneTable",
+    "Settle", "StopRules",
+    "Sweep", "Tare", "Track", "TrialTable", "Until", "Value", "Variable", "apply_overrides", "condition_key",
+    "condition_text", "create_workspace", "find_experiment", "find_model_file", "keys_at", "list_experiments",
+    "load_experiment", "load_named", "loads_experiment", "loop_channel", "loop_channels", "new_experiment", "resolved",
+    "resolved_settings", "scene_of", "shipped_experiments", "summarise_workspace", "value_text",
 ]  # fmt: skip

@@ -10,6 +10,8 @@ from typing import Any
 
 from labrun import registry
 from labrun.errors import SpecError
+from labrun.spec.by_hand import check_by_hand
+from labrun.spec.damage import check_damage
 from labrun.spec.plugins import check_plugins, check_settings, examine, load_plugin
 from labrun.spec.raw import (
     DeviceInfo,
@@ -24,6 +26,7 @@ from labrun.spec.raw import (
     tables,
 )
 from labrun.spec.track_checks import check_track
+from labrun.spec.until import check_until
 from labrun.spec.workspace import find_model_file, shipped_experiments
 from labrun.toml import (
     CONSTANTS,
@@ -61,6 +64,9 @@ def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Fault
     faults += _check_joints(data, devices)
     faults += _check_references(data, devices)
     faults += _check_conditions(data, conditions)
+    faults += check_by_hand(data, conditions)
+    faults += check_damage(data, conditions)
+    faults += check_until(data)
     faults += check_track(data, devices, conditions)
     faults += _check_units(data, [*conditions, *driven_names(data)])
     faults += _check_expressions(data, conditions)

@@ -3,18 +3,33 @@
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from pydantic import Field, PositiveFloat, field_validator, model_validator
+from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, model_validator
 
+from labrun.spec.by_hand import ByHand
+from labrun.spec.damage import DamageTable
 from labrun.spec.search_tables import CmaEs, Leaders, RunTable, Sweep, Track
 from labrun.spec.trial_tables import TrialTable
+from labrun.spec.until import CYCLES
 from labrun.toml import Expression, Faults, PluginTable, Table
 
 _PLANNED_KINDS = ("design",)
 """Kinds that a later version has: worth a word of their own when a file asks for one."""
 
 
+ROBOT_FILES = (".xml", ".mjcf", ".urdf")
+ROBOT_SCENE = "robot"
+"""The scene that simulates an MJCF or URDF file."""
+
+
 class SceneTable(PluginTable):
     """What a dry run simulates; ``scene = "name"`` is short for ``scene.plugin = "name"``."""
+
+
+def written_out(scene: str) -> dict[str, str]:
+    """Return the table that ``scene = "name"`` or ``scene = "arm.xml"`` is short for."""
+    if scene.lower().endswith(ROBOT_FILES):
+        return {"plugin": ROBOT_SCENE, "model": scene}
+    return {"plugin": scene}
 
 
 class Rig(Table):
@@ -28,14 +43,18 @@ class Rig(Table):
     @classmethod
     def _short_scene(cls, data: Any) -> Any:
         if isinstance(data, dict) and isinstance(data.get("scene"), str):
-            return {**data, "scene": {"plugin": data["scene"]}}
+            return {**data, "scene": written_out(data["scene"])}
         return data
+
+
+STILL = "hold"
+"""The gait that may do without joints: nothing is driven."""
 
 
 class GaitTable(PluginTable):
     """Parameters to joint motion. `joints` and `let` hold expressions."""
 
-    joints: dict[str, dict[str, Expression]] = Field(min_length=1)
+    joints: dict[str, dict[str, Expression]] = Field(default_factory=dict)
     let: dict[str, Expression] = Field(default_factory=dict)
     command_rate_hz: PositiveFloat = 100.0
 
@@ -79,8 +98,11 @@ class Experiment(Table):
     title: str
     kind: Literal["run", "sweep", "cmaes", "track"]
     rig: Rig
-    gait: GaitTable
+    gait: GaitTable = GaitTable(plugin=STILL)
+    """Without one nothing moves but, perhaps, the carriage."""
     trial: TrialTable
+    by_hand: ByHand | None = None
+    damage: DamageTable | None = None
     run: RunTable | None = None
     sweep: Sweep | None = None
     cmaes: CmaEs | None = None
@@ -91,6 +113,16 @@ class Experiment(Table):
     gap: GapTable | None = None
     units: dict[str, str] = Field(default_factory=dict)
     """Units of conditions and variables, for tables and figures."""
+
+    @field_validator("objectives", mode="after")
+    @classmethod
+    def _cycles_are_counted(
+        cls, objectives: dict[str, ObjectiveTable], info: ValidationInfo
+    ) -> dict[str, ObjectiveTable]:
+        trial = info.data.get("trial")
+        if trial is None or trial.until is None or CYCLES in objectives:
+            return objectives
+        return {**objectives, CYCLES: ObjectiveTable(plugin=CYCLES)}
 
     @field_validator("kind", mode="before")
     @classmethod

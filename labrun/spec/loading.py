@@ -11,7 +11,7 @@ import tomli_w
 from labrun import registry
 from labrun.errors import RequestError, SpecError
 from labrun.spec.checks import cross_check
-from labrun.spec.experiment import Experiment
+from labrun.spec.experiment import ROBOT_FILES, ROBOT_SCENE, Experiment, written_out
 from labrun.spec.overrides import apply_overrides
 from labrun.spec.plugins import load_plugin
 from labrun.spec.raw import table, tables
@@ -137,7 +137,7 @@ def _expand_short_forms(data: dict[str, Any], overrides: Sequence[str]) -> None:
     rig, trial = data.get("rig"), data.get("trial")
     reaches_scene = any(key.startswith("rig.scene.") for key in keys)
     if reaches_scene and isinstance(rig, dict) and isinstance(rig.get("scene"), str):
-        rig["scene"] = {"plugin": rig["scene"]}
+        rig["scene"] = written_out(rig["scene"])
     reaches_repeats = any(key.startswith("trial.repeats.") for key in keys)
     if reaches_repeats and isinstance(trial, dict) and type(trial.get("repeats")) is int:
         trial["repeats"] = {"min": trial["repeats"], "max": trial["repeats"]}
@@ -181,7 +181,10 @@ def _embed_files(data: dict[str, Any], experiment: Path | None) -> list[Fault]:
     that a run stored, and names no file any more.
     """
     faults: list[Fault] = []
-    for group, holder, key, path in _parts_of_loops(data) if experiment is not None else ():
+    scene = table(data, "rig").get("scene")
+    if isinstance(scene, str) and scene.lower().endswith(ROBOT_FILES):
+        data["rig"]["scene"] = written_out(scene)
+    for group, holder, key, path in _that_name_files(data) if experiment is not None else ():
         keys = table(holder, key)
         embed = getattr(load_plugin(group, keys.get("plugin"), ())[0], "embed", None)
         if embed is None or experiment is None:
@@ -194,8 +197,10 @@ def _embed_files(data: dict[str, Any], experiment: Path | None) -> list[Fault]:
     return faults
 
 
-def _parts_of_loops(data: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any], str, KeyPath]]:
-    """Yield each plugin of a loop: its group, the table that holds it, its key there, and its path in the file."""
+def _that_name_files(data: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any], str, KeyPath]]:
+    """Yield a robot's scene and each plugin of a loop: group, the table that holds it, its key there, its path."""
+    if table(data, "rig", "scene").get("plugin") == ROBOT_SCENE:
+        yield "labrun.scenes", table(data, "rig"), "scene", ("rig", "scene")
     for name, loop in tables(data, "track", "loops").items():
         path: KeyPath = ("track", "loops", name)
         yield "labrun.references", loop, "reference", (*path, "reference")

@@ -1,21 +1,25 @@
 """The plugins that a file names: whether they are there, what they are, and whether their keys hold."""
 
+import math
 from collections.abc import Iterator, Mapping
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
+import numpy as np
 from pydantic import BaseModel
 
 from labrun import registry
 from labrun.devices import DeviceContext, Limits
 from labrun.errors import PluginError
-from labrun.spec.experiment import GaitTable, ObjectiveTable
+from labrun.spec.experiment import STILL, GaitTable, ObjectiveTable, Rig, SceneTable
 from labrun.spec.raw import DeviceInfo, check_channel, table, tables
 from labrun.spec.search_tables import LOOP_DEVICE, loop_channels
 from labrun.toml import Fault, KeyPath, Operand, evaluate, mend, suggest, validate
 
 _DEVICES = "labrun.devices"
 _STAND_IN = "simulated-"
+PLAIN_SCENE = "plain"
+"""The scene of an experiment that names none."""
 
 
 def load_plugin(group: str, plugin: object, path: KeyPath) -> tuple[Any, list[Fault]]:
@@ -102,6 +106,23 @@ def examine(name: str, keys: Mapping[str, Any]) -> tuple[DeviceInfo, list[Fault]
     return _ask(name, plugin, checked) or _guess(name, settings, plugin), faults
 
 
+def scene_of(rig: Rig) -> SceneTable:
+    """Return what stands in for a bench in a dry run: the scene it names, or the plain one, made of its devices.
+
+    In the plain one joints follow their commands within their limits, and sensors read zero and their own noise.
+    """
+    if rig.scene is not None:
+        return rig.scene
+    joints: dict[str, tuple[float, float]] = {}
+    feels: list[str] = []
+    for name, written in rig.devices.items():
+        info, _ = examine(name, {"plugin": written.plugin, **written.settings})
+        angle_deg = table(written.settings, "limits").get("angle_deg", (-math.inf, math.inf))
+        joints |= dict.fromkeys(info.joints, tuple(angle_deg))
+        feels += info.feels
+    return SceneTable.model_validate({"plugin": PLAIN_SCENE, "joints_deg": joints, "feels": feels})
+
+
 class _NoClock:
     """For a device that is made only to be asked what it is."""
 
@@ -116,8 +137,6 @@ class _NoClock:
 
 def _ask(name: str, plugin: Any, settings: BaseModel | None) -> DeviceInfo | None:
     """Make the device, which connects nothing, and look at it; None if it cannot be made."""
-    import numpy as np
-
     if settings is None:
         return None
     try:
@@ -130,6 +149,7 @@ def _ask(name: str, plugin: Any, settings: BaseModel | None) -> DeviceInfo | Non
         joints=tuple(device.joints) if hasattr(device, "follow") else (),
         channels=tuple(channel.name for channel in getattr(device, "channels", ())),
         carriage=hasattr(device, "travel"),
+        feels=tuple(getattr(device, "feels", ())),
     )
 
 
@@ -180,11 +200,16 @@ def _check_gait(data: Mapping[str, Any]) -> Iterator[Fault]:
     yield from check_settings(loaded, gait, ("gait",), list(GaitTable.model_fields))
     model = getattr(loaded, "JointKeys", None)
     joints = tables(gait, "joints")
+    if gait and gait.get("joints", {}) == {} and gait.get("plugin") != STILL:
+        yield Fault(("gait",), "moves no joint: give joints, or leave [gait] out where nothing moves")
     if isinstance(model, type) and issubclass(model, BaseModel):
         for joint, keys in joints.items():
             yield from validate(model, keys, ("gait", "joints", joint))[1]
     has_cycle = getattr(loaded, "has_cycle", None)
-    if not joints or table(data, "trial").get("cycles") is None or has_cycle is None:
+    length = next((key for key in ("cycles", "until") if key in table(data, "trial")), None)
+    if "gait" not in data and length is not None:
+        yield Fault(("trial", length), "without [gait] there is no cycle to count; give duration_s")
+    if not joints or length is None or has_cycle is None:
         return
     if not has_cycle(joints):
         plugin = gait["plugin"]
@@ -193,7 +218,7 @@ def _check_gait(data: Mapping[str, Any]) -> Iterator[Fault]:
             if "frequency_hz" in getattr(model, "model_fields", ())
             else "give duration_s"
         )
-        yield Fault(("trial", "cycles"), f'the gait "{plugin}" has no cycle to count; {advice}')
+        yield Fault(("trial", length), f'the gait "{plugin}" has no cycle to count; {advice}')
 
 
 def _check_objective(

@@ -19,11 +19,14 @@ class DeviceInfo:
         What it measures; None if that cannot be known.
     carriage
         Whether it can travel; None if that cannot be known.
+    feels
+        Signals of a scene that its stand-in says it looks at, in its attribute `feels`.
     """
 
     joints: tuple[str, ...]
     channels: tuple[str, ...] | None
     carriage: bool | None
+    feels: tuple[str, ...] = ()
 
 
 def table(data: Any, *path: str) -> dict[str, Any]:

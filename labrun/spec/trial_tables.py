@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
 from labrun.spec.condition import Number, Value
+from labrun.spec.until import Until
 from labrun.toml import Expression, Faults, Table
 
 
@@ -92,10 +93,15 @@ class CarriageMove(Table):
 
 
 class TrialTable(Table):
-    """One trial. Length: `cycles` of the gait (or "fit": as many as the carriage's travel allows), or `duration_s`."""
+    """One trial.
+
+    Length: `cycles` of the gait (or "fit": as many as the carriage's travel allows), `duration_s`, or `until` its
+    numbers say so.
+    """
 
     cycles: PositiveInt | Literal["fit"] | None = None
     duration_s: PositiveFloat | None = None
+    until: Until | None = None
     discard_cycles: Annotated[int, Field(ge=0)] = 0
     repeats: RepeatRule = RepeatRule(min=1, max=1)
     settle: Settle | None = None
@@ -120,13 +126,18 @@ class TrialTable(Table):
     @model_validator(mode="after")
     def _one_length(self) -> "TrialTable":
         with Faults() as faults:
-            length = ("cycles", "duration_s")
-            if self.cycles is None and self.duration_s is None:
-                faults.add(None, "has no length: give either cycles or duration_s", of=length)
-            if self.cycles is not None and self.duration_s is not None:
+            length = ("cycles", "duration_s", "until")
+            given = [name for name in length if getattr(self, name) is not None]
+            if not given:
+                faults.add(None, "has no length: give cycles, duration_s or until", of=length)
+            for name in given[1:]:
                 faults.add(
-                    "duration_s", "the trial has two lengths: give either cycles or duration_s", of=length
+                    name,
+                    f"the trial has two lengths, with {given[0]}: give cycles, duration_s or until",
+                    of=length,
                 )
+            if self.until is not None and self.discard_cycles:
+                faults.add("discard_cycles", "with until every cycle counts: until.when can leave some out")
             if isinstance(self.cycles, int) and self.discard_cycles >= self.cycles:
                 faults.add(
                     "discard_cycles",

@@ -6,6 +6,7 @@ from labrun.store.export import export_run
 from labrun.store.folder import RunFolder
 from labrun.store.frames import run_dataset, trial_dataset, trials_frame
 from labrun.store.importing import import_recording
+from labrun.store.journal import Journal
 from labrun.store.locate import (
     JOURNAL,
     PACKED,
@@ -25,12 +26,13 @@ from labrun.store.recording import (
     Recording,
     SignalInfo,
     imported_channels,
+    imported_source,
     is_recording,
     read_recording,
 )
 from labrun.store.table import known_units
-from labrun.store.timing import JUMP_S, StreamReport, stream_report
-from labrun.store.trial import Role, SettleSummary, Status, TrialOutcome, settle_curve
+from labrun.store.timing import JUMP_S, ClockMap, StreamReport, stream_report
+from labrun.store.trial import Role, SettleSummary, Status, TrialOutcome, json_ready, settle_curve
 from labrun.store.trial_file import COMMAND, check_columns, check_names
 from labrun.store.watching import RunWatch, SeenTrial, Trace, read_trace
 from labrun.store.writer import TrialWriter
@@ -44,6 +46,8 @@ __all__ = [
     "SPEC",
     "TRIALS",
     "Between",
+    "ClockMap",
+    "Journal",
     "RecordedTrial",
     "Recording",
     "Role",
@@ -67,8 +71,10 @@ __all__ = [
     "find_unfinished",
     "import_recording",
     "imported_channels",
+    "imported_source",
     "is_finished",
     "is_recording",
+    "json_ready",
     "known_units",
     "lacking_room",
     "lock_ports",

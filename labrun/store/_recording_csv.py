@@ -7,11 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from labrun.arrays import FloatArray
 from labrun.toml import nearest
 
-FloatArray = NDArray[np.float64]
 _SHOWN_PER_KIND = 3
 """A file that is wrong in one way throughout is reported by its first lines, not by all of them."""
 

@@ -41,10 +41,31 @@ class _TrialTable(Table):
     condition: dict[str, float | str] = Field(default_factory=dict)
 
 
+class SourceTable(Table):
+    """Where a recording comes from that no bench made."""
+
+    kind: Literal["bench", "solver", "publication"]
+    program: str | None = None
+    version: str | None = None
+    mesh: str | None = None
+    load: str | None = None
+    note: str | None = None
+
+    @model_validator(mode="after")
+    def _a_solver_is_named(self) -> "SourceTable":
+        with Faults() as faults:
+            if self.kind == "solver":
+                for key in ("program", "version", "mesh", "load"):
+                    if getattr(self, key) is None:
+                        faults.add(key, f"is missing: what a solver gave is worth nothing without its {key}")
+        return self
+
+
 class _File(Table):
     """The whole file; its trials are looked at one by one, so that a fault keeps its number."""
 
     experiment: str | None = None
+    source: SourceTable | None = None
     channels: dict[str, ChannelTable] = Field(default_factory=dict)
     trials: list[Any] = Field(default_factory=list)
 
@@ -82,6 +103,7 @@ class Contents:
     """What `recording.toml` says; entries that have faults are left out."""
 
     name: str
+    source: SourceTable | None = None
     channels: Mapping[str, ChannelTable] = field(default_factory=dict)
     trials: Sequence[TrialEntry] = ()
 
@@ -106,7 +128,9 @@ def read_toml(path: Path) -> tuple[Contents, list[str]]:
         )
         faults.append(Fault(("experiment",), message))
     lines = [str(fault) for fault in Places(str(path), text, data).of_all(faults)]
-    return Contents(name, file.channels if file is not None else {}, trials), lines
+    return Contents(
+        name, None if file is None else file.source, {} if file is None else file.channels, trials
+    ), lines
 
 
 def _trials(tables: object, text: str) -> tuple[list[TrialEntry], list[Fault]]:

@@ -283,12 +283,10 @@ class RunFolder:
         untouched = f"all {len(outcomes)} trials are untouched"
         try:
             with saving(PACKED, self.path, untouched):
-                digests = packed_file.write_packed(
-                    partial, self.texts(), outcomes, source.tables, source.size()
-                )
+                sums = packed_file.write_packed(partial, self.texts(), outcomes, source.tables, source.size())
                 if self._durable:
                     fsync_file(partial)
-                if not packed_file.holds(partial, outcomes, digests):
+                if not packed_file.holds(partial, outcomes, sums):
                     raise StoreError(
                         f"{partial} does not hold what was written to it; {untouched}",
                         hint="the disk or the memory of this machine may be failing: copy the run elsewhere",

@@ -15,6 +15,7 @@ square, where one group a device opens in 0.1 s however many trials there are. S
 """
 
 import json
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import asdict, astuple, dataclass
@@ -26,12 +27,12 @@ import h5py
 from labrun.errors import RecordingError
 from labrun.signals import TIMES, LongSignals
 from labrun.store.disk import flush_errors, require_room
-from labrun.store.ragged import Digest, RaggedGroup, RaggedWriter, create, digests_of, storable
+from labrun.store.ragged import RaggedGroup, RaggedWriter, Sums, create, storable
 from labrun.store.table import AXIS, Variable, known_units, variables
 from labrun.store.trial import TrialOutcome, json_ready
 from labrun.store.trial_file import BESIDE, RECORD
 
-FORMAT = 2
+FORMAT = 3
 """Of run folders and ``run.h5``; those of older code have none, and are refused."""
 _OUTCOMES = "outcomes_jsonl"
 _SPARE = 4 << 20
@@ -55,7 +56,7 @@ def write_packed(
     outcomes: Mapping[int, TrialOutcome],
     tables: Callable[[int], AbstractContextManager[Mapping[str, LongSignals]]],
     size: int,
-) -> dict[int, Digest]:
+) -> dict[str, Sums]:
     """Write a whole run to a new file; memory stays bounded by one block of each dataset.
 
     Parameters
@@ -68,7 +69,7 @@ def write_packed(
     Returns
     -------
     dict
-        What was read of each trial, for `holds`.
+        Checksums of each group, for `holds`.
 
     Raises
     ------
@@ -79,18 +80,16 @@ def write_packed(
     rest = sum(len(text) for text in astuple(texts)) + len(lines)
     require_room(path, int(1.25 * size) + 4 * rest + _SPARE)
     groups: dict[str, RaggedWriter] = {}
-    digests: dict[int, Digest] = {}
     with flush_errors(), h5py.File(path, "w", track_order=True) as file:
         file.attrs.update(
             {"Conventions": "CF-1.11", "experiment": texts.experiment, "run": texts.run, "format": FORMAT}
         )
         for row, index in enumerate(outcomes):
-            digests[index] = {}
             with tables(index) as opened:
                 for name, table in opened.items():
                     if name not in groups:
                         groups[name] = RaggedWriter(file.create_group(name, track_order=True), len(outcomes))
-                    digests[index][name] = groups[name].append(row, index, table)
+                    groups[name].append(row, index, table)
         units = {
             f"{name}.{column}": unit
             for name, group in groups.items()
@@ -99,12 +98,12 @@ def write_packed(
         }
         found = variables(list(outcomes.values()), known_units(texts.spec_toml, units), groups)
         scale = _write_table(file, found)
-        for group in groups.values():
-            group.finish(scale)
+        sums = {name: group.finish(scale) for name, group in groups.items()}
+        sums[RECORD] = _sum_of(lines)
         record = file.create_group(RECORD, track_order=True)
         for name, text in (*asdict(texts).items(), (_OUTCOMES, lines)):
             record[name] = storable(text)
-    return digests
+    return sums
 
 
 def _write_table(file: h5py.File, found: Sequence[Variable]) -> h5py.Dataset:
@@ -157,24 +156,20 @@ class PackedTrials:
         row = self._rows[index]
         return {name: group.signals(name, row) for name, group in self._groups.items() if group.has(row)}
 
-    def holds(self, outcomes: Mapping[int, TrialOutcome], digests: Mapping[int, Digest]) -> bool:
-        """Tell whether the file holds exactly these outcomes and trials, reading all of it."""
-        return (
-            self._lines == _lines_of(outcomes)
-            and list(self._rows) == list(outcomes)
-            and all(group.marks(list(outcomes)) for group in self._groups.values())
-            and all(digests_of(self.tables(index)) == digests[index] for index in outcomes)
-        )
+    def holds(self, outcomes: Mapping[int, TrialOutcome], sums: Mapping[str, Sums]) -> bool:
+        """Tell whether the file holds exactly these outcomes and signals, reading all of it."""
+        found = {name: group.sums() for name, group in self._groups.items()}
+        return list(self._rows) == list(outcomes) and {**found, RECORD: _sum_of(self._lines)} == sums
 
 
-def holds(path: Path, outcomes: Mapping[int, TrialOutcome], digests: Mapping[int, Digest]) -> bool:
-    """Tell whether a packed file, read anew as any reader would, holds exactly these outcomes and trials."""
+def holds(path: Path, outcomes: Mapping[int, TrialOutcome], sums: Mapping[str, Sums]) -> bool:
+    """Tell whether a packed file, read anew as any reader would, holds exactly these outcomes and signals."""
     try:
         packed = PackedTrials(path)
     except RecordingError:
         return False
     try:
-        return packed.holds(outcomes, digests)
+        return packed.holds(outcomes, sums)
     finally:
         packed.close()
 
@@ -192,6 +187,10 @@ def read_outcomes(path: Path) -> dict[int, TrialOutcome]:
     file, _, lines = _opened(path)
     file.close()
     return _outcomes(lines)
+
+
+def _sum_of(lines: str) -> Sums:
+    return {(_OUTCOMES,): zlib.crc32(lines.encode())}
 
 
 def _lines_of(outcomes: Mapping[int, TrialOutcome]) -> str:

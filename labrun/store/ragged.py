@@ -2,7 +2,7 @@
 
 import json
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -26,8 +26,10 @@ _TARE = "tare_"
 _TAKEN = frozenset({SAMPLE, TRIAL_INDEX, FIRST, COUNT, SET, *_OF_TRIALS})
 _DIMENSION = "This is a netCDF dimension but not a netCDF variable. %9d"
 """How netCDF-4 marks a dimension scale that stands only for a dimension."""
-Digest = dict[str, tuple[Any, ...]]
-"""Of one trial, by table: what is known of it, and a checksum of each column."""
+_TOLD = ("units", "channel", "column_sets")
+"""Attributes without which the numbers of a dataset mean nothing."""
+Sums = dict[tuple[str, ...], int]
+"""Checksum of the content of each dataset, by its name and what is told of it."""
 
 
 def storable(text: str) -> str:
@@ -64,13 +66,14 @@ class RaggedWriter:
         self._sets: dict[tuple[str, ...], int] = {}
         self._set_of = np.full(trials, -1, dtype=np.int32)
         self._counts = np.zeros(trials, dtype=np.int64)
+        self._sums: dict[str, int] = {}
         self._known: dict[str, NDArray[Any]] = {}
         self._tares: dict[str, FloatArray] = {}
         self._written = 0
         self._total = 0
 
-    def append(self, row: int, index: int, table: LongSignals) -> tuple[Any, ...]:
-        """Append one trial's signals, in order of rows; return their digest."""
+    def append(self, row: int, index: int, table: LongSignals) -> None:
+        """Append one trial's signals, in order of rows."""
         head = table.head
         axes = [(name, "s") for name in TIMES if getattr(head, name) is not None]
         names = tuple(
@@ -86,19 +89,17 @@ class RaggedWriter:
             if column in head.columns:
                 name = self.columns[column, head.unit(column)]
                 self._tares.setdefault(name, np.full(len(self._counts), np.nan))[row] = offset
-        sums = [0] * len(names)
         for piece in table.pieces():
-            for place, (name, values) in enumerate(zip(names, columns_of(piece), strict=True)):
+            times = (getattr(piece, name) for name, _ in axes)
+            for name, values in zip(names, (*times, *piece.values.T), strict=True):
                 self._parts[name].append((self._total, values))
-                sums[place] = zlib.crc32(values.data, sums[place])
             self._parts[TRIAL_INDEX].append((self._total, np.full(len(piece), index, dtype=np.int32)))
             self._total += len(piece)
             if self._total - self._written >= MEMORY_ROWS:
                 self._flush()
-        return _digest(head, len(table), sums)
 
-    def finish(self, trial_scale: h5py.Dataset) -> None:
-        """Write what is left and what is known of each trial."""
+    def finish(self, trial_scale: h5py.Dataset) -> Sums:
+        """Write what is left and what is known of each trial; return what `RaggedGroup.sums` has to find."""
         group = self._group
         self._flush()
         scale = group.create_dataset(SAMPLE, shape=(self._total,), dtype=">f4")
@@ -113,15 +114,19 @@ class RaggedWriter:
             if name != column:
                 group[name].attrs["channel"] = column
             group[name].dims[0].attach_scale(scale)
-        create(group, FIRST, np.cumsum(self._counts) - self._counts, {}, trial_scale)
-        create(group, COUNT, self._counts, {"sample_dimension": SAMPLE}, trial_scale)
-        for name, values in self._known.items():
-            create(group, name, values, {"units": _OF_TRIALS[name]}, trial_scale)
-        for name, tare in self._tares.items():
-            create(group, _TARE + name, tare, {"units": units[name]}, trial_scale)
         sets = json.dumps([list(names) for names in self._sets])
         about = {"long_name": "which of column_sets a trial has, -1: none", "column_sets": sets}
-        create(group, SET, self._set_of, about, trial_scale)
+        of_trials: list[tuple[str, NDArray[Any], dict[str, str]]] = [
+            (FIRST, np.cumsum(self._counts) - self._counts, {}),
+            (COUNT, self._counts, {"sample_dimension": SAMPLE}),
+            *((name, values, {"units": _OF_TRIALS[name]}) for name, values in self._known.items()),
+            *((_TARE + name, tare, {"units": units[name]}) for name, tare in self._tares.items()),
+            (SET, self._set_of, about),
+        ]
+        for name, values, attributes in of_trials:
+            create(group, name, values, attributes, trial_scale)
+            self._sums[name] = zlib.crc32(values.data)
+        return {_told(name, group[name]): found for name, found in self._sums.items()}
 
     def _flush(self) -> None:
         """Write the block that waits: what fits in one block contiguous, what is larger in chunks."""
@@ -136,6 +141,9 @@ class RaggedWriter:
                 for start, values in parts:
                     block[start - self._written : start - self._written + len(values)] = values
             parts.clear()
+            if name not in self._sums:
+                self._sums[name] = self._nothing_before(nothing, kind)
+            self._sums[name] = zlib.crc32(block.data, self._sums[name])
             if self._written == 0 and self._total < MEMORY_ROWS:
                 self._group.create_dataset(name, data=block)
                 continue
@@ -147,6 +155,13 @@ class RaggedWriter:
             dataset.resize((self._total,))
             dataset[self._written :] = block
         self._written = self._total
+
+    def _nothing_before(self, nothing: float, kind: type) -> int:
+        """Return the checksum of what stands before the first sample of a column that comes late."""
+        found = 0
+        for start in range(0, self._written, MEMORY_ROWS):
+            found = zlib.crc32(np.full(min(MEMORY_ROWS, self._written - start), nothing, kind).data, found)
+        return found
 
     def _dataset_name(self, column: str, unit: str) -> str:
         if (column, unit) not in self.columns:
@@ -160,34 +175,8 @@ class RaggedWriter:
         return self.columns[column, unit]
 
 
-def columns_of(piece: Signals) -> Iterator[FloatArray]:
-    """Yield times and values, one a column, each contiguous."""
-    for name in TIMES:
-        values = getattr(piece, name)
-        if values is not None:
-            yield np.ascontiguousarray(values)
-    yield from np.ascontiguousarray(piece.values.T)
-
-
-def _digest(head: Signals, count: int, sums: Sequence[int]) -> tuple[Any, ...]:
-    tare = sorted((name, offset) for name, offset in head.tare.items() if name in head.columns)
-    about = [getattr(head, name) for name in _OF_TRIALS] if head.device_time_s is not None else []
-    return (repr((head.columns, head.units, tare, about)), count, *sums)
-
-
-def digests_of(tables: Mapping[str, LongSignals]) -> Digest:
-    """Return the digest of one trial, read to the last sample."""
-    found = {}
-    for name, table in tables.items():
-        sums: list[int] = []
-        for piece in table.pieces():
-            columns = list(columns_of(piece))
-            sums = [
-                zlib.crc32(values.data, before)
-                for values, before in zip(columns, sums or [0] * len(columns), strict=True)
-            ]
-        found[name] = _digest(table.head, len(table), sums)
-    return found
+def _told(name: str, dataset: h5py.Dataset) -> tuple[str, ...]:
+    return (name, *(str(dataset.attrs.get(key, "")) for key in _TOLD))
 
 
 class RaggedGroup:
@@ -246,18 +235,17 @@ class RaggedGroup:
 
         return LongSignals(head, count, pieces)
 
-    def marks(self, indices: Sequence[int]) -> bool:
-        """Tell whether every sample is marked with its trial, given the index of every row."""
-        marked = self._group[TRIAL_INDEX]
-        ends = np.cumsum(self._count)
-        if marked.shape != (self._count.sum(),):
-            return False
-        for start in range(0, len(marked), MEMORY_ROWS):
-            values = marked[start : start + MEMORY_ROWS]
-            rows = np.searchsorted(ends, np.arange(start, start + len(values)), side="right")
-            if not np.array_equal(values, np.asarray(indices)[rows]):
-                return False
-        return True
+    def sums(self) -> Sums:
+        """Return the checksums of everything, read to the last sample."""
+        found = {}
+        for name, dataset in self._group.items():
+            if name == SAMPLE:  # the dimension
+                continue
+            total = 0
+            for start in range(0, len(dataset), MEMORY_ROWS):
+                total = zlib.crc32(dataset[start : start + MEMORY_ROWS].data, total)
+            found[_told(name, dataset)] = total
+        return found
 
     def _column(self, name: str) -> tuple[str, str, h5py.Dataset]:
         """Return a column's own name, its unit, and its dataset."""

@@ -2,7 +2,7 @@
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +83,8 @@ class Recording:
     inputs: tuple[SignalInfo, ...]
     outputs: tuple[SignalInfo, ...]
     trials: tuple[RecordedTrial, ...]
+    source: Mapping[str, str] = field(default_factory=dict)
+    """Where it comes from, such as ``{"kind": "solver", "program": ...}``; empty where the file does not say."""
 
 
 def is_recording(folder: Path) -> bool:
@@ -111,7 +113,8 @@ def read_recording(folder: Path) -> Recording:
     if not path.is_file():
         raise RecordingError(
             f"{folder} is not a recording: it has no recording.toml",
-            hint="a recording is a folder with recording.toml and one CSV file per trial",
+            hint="a recording is a folder with recording.toml and one CSV file per trial; "
+            "a robot's log is imported with --model arm.xml",
         )
     contents, faults = read_toml(path)
     names = list(contents.channels)
@@ -131,7 +134,8 @@ def read_recording(folder: Path) -> Recording:
             trials.append(_trial(entry, columns, inputs, outputs, folder / entry.file))
     if faults:
         raise RecordingError(_report(folder, faults), hint="nothing was read; the files are left as they are")
-    return Recording(contents.name, inputs, outputs, tuple(trials))
+    source = {} if contents.source is None else contents.source.model_dump(exclude_none=True)
+    return Recording(contents.name, inputs, outputs, tuple(trials), source)
 
 
 def _trial(
@@ -165,3 +169,9 @@ def imported_channels(experiment_toml: str) -> dict[str, Any]:
     """Return the channel tables of a run that was imported: it keeps recording.toml in place of an experiment."""
     data = tomllib.loads(experiment_toml)
     return dict(data["channels"]) if "rig" not in data and isinstance(data.get("channels"), dict) else {}
+
+
+def imported_source(experiment_toml: str) -> dict[str, str]:
+    """Return what a recording that was imported says of where it comes from; empty where it says nothing."""
+    found = tomllib.loads(experiment_toml).get("source")
+    return {key: str(value) for key, value in found.items()} if isinstance(found, dict) else {}

@@ -32,6 +32,9 @@ TAIL = (
     "settle_duration_s",
     "attempt",
     "period_s",
+    "mounting",
+    "censored",
+    "damage",
 )
 AXIS = "trial"
 """Dimension of the table."""
@@ -55,8 +58,8 @@ def variables(
     -------
     list of Variable
         index, conditions, repeat, status, objectives, role, reason, started_s, duration_s, how the bench settled,
-        attempt, period_s. A condition with words is text throughout. NaN (or empty text) stands where a trial has no
-        such value, as after a failure.
+        attempt, period_s, mounting, censored, damage. A condition with words is text throughout. NaN (or empty text)
+        stands where a trial has no such value, as after a failure.
     """
     conditions = list(dict.fromkeys(name for outcome in outcomes for name in outcome.condition))
     objectives = list(dict.fromkeys(name for outcome in outcomes for name in outcome.objectives))
@@ -100,7 +103,7 @@ def _of_trials(name: str, outcomes: Sequence[TrialOutcome]) -> NDArray[Any]:
             [None if outcome.settle is None else outcome.settle.duration_s for outcome in outcomes]
         )
     values = [getattr(outcome, name) for outcome in outcomes]
-    return _column(values) if name.endswith("_s") else _text(values)
+    return _text(values) if name in ("status", "role", "reason", "damage") else _column(values)
 
 
 def known_units(spec_toml: str, channel_units: Mapping[str, str]) -> dict[str, str]:

@@ -71,9 +71,16 @@ class TrialOutcome:
     tare
         Offsets by ``"device.channel"``, in the channel's unit.
     checkpoint
-        What a resumed run needs to go on from here (clock, scene), JSON-ready.
+        What a resumed run needs to go on from here (clock, scene), as the text of a JSON object: whoever reads outcomes
+        seldom wants it.
     attempt
         Which try this is after faults, from 0.
+    censored
+        Whether it reached the most cycles allowed before it came to its end: what was waited for takes longer.
+    damage
+        What it did to its specimen, such as ``"broken"``; empty where that is as it was.
+    mounting
+        Which mounting of what is set by hand, counted over the run from 1; None where nothing is.
     period_s, discard_cycles
         Length of a gait cycle, and how many of them the objectives leave out.
     """
@@ -89,10 +96,13 @@ class TrialOutcome:
     objectives: dict[str, float] = field(default_factory=dict)
     tare: dict[str, float] = field(default_factory=dict)
     settle: SettleSummary | None = None
-    checkpoint: dict[str, Any] | None = None
+    checkpoint: str | None = None
     attempt: int = 0
     period_s: float | None = None
     discard_cycles: int = 0
+    mounting: int | None = None
+    censored: bool = False
+    damage: str = ""
 
     def to_record(self) -> dict[str, Any]:
         """Return the whole outcome, JSON-ready by `json_ready`; floats come back bit for bit."""

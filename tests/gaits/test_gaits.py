@@ -12,6 +12,7 @@ from labrun.gaits import make_gait
 from labrun.gaits.formula import FormulaGait
 from labrun.gaits.release import HoldGait, ReleaseGait
 from labrun.gaits.sine import SineGait, common_period_s
+from labrun.gaits.there_and_back import RampGait, StaircaseGait
 from labrun.spec import GaitTable
 
 FIN = {"tail": {"offset_deg": "b", "amplitude_deg": "a", "frequency_hz": "f", "phase_deg": "phi"}}
@@ -128,3 +129,39 @@ def test_a_gait_is_made_from_its_table_by_name_or_by_dotted_name():
     )
     with pytest.raises(PluginError, match="sine"):
         make_gait(GaitTable.model_validate({**table, "plugin": "sin"}))
+
+
+@settings(max_examples=30)
+@given(
+    st.floats(-20, 20), st.floats(0.1, 30), st.sampled_from([-1, 1]), st.integers(1, 12), st.floats(0.1, 2)
+)
+def test_a_staircase_rests_on_every_step_there_and_back(start, way, sense, steps, hold_s):
+    keys = {"from_deg": start, "to_deg": start + sense * way, "step_deg": way / steps, "hold_s": hold_s}
+    gait = StaircaseGait({"bend": keys}, {}, {})
+    assert gait.period_s({}) == pytest.approx(2 * steps * hold_s)
+    middle_of_rests = gait.trajectory({}, duration_s=2 * steps * hold_s, rate_hz=10 / hold_s).at(
+        (np.arange(2 * steps) + 0.5) * hold_s
+    )
+    climbed = np.concatenate([np.arange(steps), np.arange(steps, 0, -1)])
+    expected = np.radians(start + sense * way / steps * climbed)
+    np.testing.assert_allclose(middle_of_rests[:, 0], expected, atol=1e-9)
+
+
+def test_a_ramp_goes_there_and_back_at_its_speed():
+    gait = RampGait({"bend": {"to_deg": "reach", "speed_deg_s": 2}}, {}, {})
+    motion = gait.trajectory({"reach": -10}, duration_s=10, rate_hz=10)
+    assert gait.period_s({"reach": -10}) == 10
+    assert np.degrees(motion.angle_rad[[0, 25, 50, 100], 0]) == pytest.approx([0, -5, -10, 0])
+    assert np.degrees(motion.peak_speed_rad_s()) == pytest.approx([2])
+
+
+@pytest.mark.parametrize(
+    ("keys", "complaint"),
+    [
+        ({"to_deg": 5, "speed_deg_s": 0}, "speed_deg_s is 0; it must be above 0"),
+        ({"to_deg": 0, "speed_deg_s": 1}, "goes from 0 deg to where it is"),
+    ],
+)
+def test_a_ramp_that_goes_nowhere_is_refused(keys, complaint):
+    with pytest.raises(SpecError, match=complaint):
+        RampGait({"bend": keys}, {}, {}).period_s({})

@@ -27,6 +27,7 @@ class Pond:
 
     def __init__(self, settings, rng):
         self.gain = settings.get("gain", 0.5)
+        self.tires_s = settings.get("tires_s")
         self.echo_n = settings.get("echo_n", 0.0)
         self.echo_hz = settings.get("echo_hz", 0.4)
         self.decay_s = settings.get("decay_s", 3.0)
@@ -58,7 +59,8 @@ class Pond:
 
     def observe(self, signals, time_s):
         rate = (self.angle(time_s + 1e-3) - self.angle(time_s - 1e-3)) / 2e-3
-        force = 0.2 + self.gain * rate
+        worn = 1.0 if self.tires_s is None else np.exp(-np.maximum(time_s, 0.0) / self.tires_s)
+        force = 0.2 + self.gain * worn * rate
         for start, times, angles in self.motions:
             since = time_s - start - times[-1]
             size = self.echo_n * np.ptp(angles)

@@ -8,6 +8,7 @@ import pytest
 from labrun.errors import ExperimentError, SpecError
 from labrun.runner import LimitReached
 from labrun.spec import RepeatRule
+from labrun.store import open_run
 
 CONDITIONS = [{"a": 10, "f": 1.0}, {"a": 20, "f": 1.0}, {"a": 30, "f": 2.0}]
 
@@ -160,3 +161,13 @@ def test_progress_hears_of_every_trial_and_of_what_happens_now(lab):
     assert [(i, d, t) for i, d, t, _ in listener.trials] == [(i, i + 1, 6) for i in range(6)]
     assert listener.trials[-1][3] == 0.0
     assert listener.phases[:5] == ["prepare", "settle", "record", "safe pose", "store"]
+
+
+def test_without_a_gait_sensors_are_recorded_and_nothing_is_driven(lab):
+    still = {"gait": None, "trial__cycles": None, "trial__discard_cycles": None, "trial__duration_s": 2}
+    lab = lab(**still, trial__safe_pose_deg=None, rig__devices__cell__noise_n=0.0)
+    (found,) = lab.session.measure([{"a": 1.0}])
+    assert found.values("thrust") == pytest.approx([0.0, 0.0], abs=1e-6)  # the standing force is tared away
+    with open_run(lab.folder.path) as run:
+        assert run.command(0).columns == ()
+        assert len(run.signals(0)["cell"].time_s) > 100

@@ -7,6 +7,7 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from labrun.app.report import read_source
 from labrun.app.resume import resume
 from labrun.cli.app import app
 from labrun.errors import ExperimentError
@@ -104,7 +105,7 @@ def test_a_bench_that_never_settles_is_warned_of_wherever_the_result_is_shown(wr
     assert resume(result.run, draw=False) == result
     console = Console(width=300, file=io.StringIO())
     with open_run(result.run) as run:
-        print_findings(findings(run), console)
+        print_findings(findings(read_source(run)), console)
     assert warning in console.file.getvalue()
 
 

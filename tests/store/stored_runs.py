@@ -1,5 +1,6 @@
 """Small runs for the tests of the store."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ def outcome(index: int, **changes: object) -> TrialOutcome:
         "objectives": {"thrust": 1 / (index + 3)},
         "tare": {"wrench.force_x": 0.25},
         "settle": SettleSummary("quiet", 3.5, spread=0.01, drift=0.002, bound=0.02, channel="wrench.force_x"),
-        "checkpoint": {"clock_s": 100.0 * index, "scene": {"eddies": [0.1, 1e-300, 3.0]}},
+        "checkpoint": json.dumps({"clock_s": 100.0 * index, "scene": {"eddies": [0.1, 1e-300, 3.0]}}),
         "period_s": 0.5,
         "discard_cycles": 1,
     }

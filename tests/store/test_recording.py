@@ -189,3 +189,16 @@ def test_no_text_is_read_as_data_it_is_not(tmp_path_factory: pytest.TempPathFact
         assert "a.csv:" in str(error)
     else:
         assert np.all(np.isfinite(trial.outputs)) and np.all(np.diff(trial.time_s) > 0)
+
+
+def test_a_solvers_numbers_say_where_they_come_from(tmp_path):
+    (tmp_path / "a.csv").write_text("time_s,moment\n0,1\n1,2\n")
+    rest = '[channels.moment]\nkind = "output"\nunit = "N m"\n[[trials]]\nfile = "a.csv"\n'
+    source = 'source = { kind = "solver", program = "CalculiX", version = "2.21", mesh = "0.4 mm", load = "1 N m" }\n'
+    (tmp_path / "recording.toml").write_text(source + rest)
+    assert read_recording(tmp_path).source["mesh"] == "0.4 mm"
+    (tmp_path / "recording.toml").write_text(source.replace(', mesh = "0.4 mm"', "") + rest)
+    with pytest.raises(
+        RecordingError, match=r"mesh.*is missing: what a solver gave is worth nothing without"
+    ):
+        read_recording(tmp_path)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from labrun.devices import Channel, Samples
 from labrun.errors import RecordingError, RigBusyError, StoreError
 from labrun.store import writer as writer_module
-from labrun.store.folder import RunFolder
+from labrun.store.folder import FORMAT, RunFolder
 from labrun.store.reading import open_run
 from labrun.store.trial import TrialOutcome
 
@@ -49,7 +49,7 @@ def test_outcome_streams_command_and_settle_curve_come_back(tmp_path):
     condition=st.dictionaries(st.text(min_size=1), finite | st.text()),
     objectives=st.dictionaries(st.text(min_size=1), finite),
     reason=st.text(),
-    checkpoint=st.none() | st.dictionaries(st.text(), finite | st.lists(finite)),
+    checkpoint=st.none() | st.text(),
 )
 def test_any_outcome_survives_json_bit_for_bit(condition, objectives, reason, checkpoint):
     outcome = TrialOutcome(
@@ -75,17 +75,16 @@ def test_any_outcome_survives_the_file(tmp_path_factory, name, value, reason):
 def test_a_checkpoint_larger_than_an_object_header_allows_is_stored(tmp_path):
     folder = stored_runs.new_run(tmp_path)
     stored = stored_runs.store(
-        folder, 0, checkpoint={"wake": list(np.random.default_rng(1).normal(size=20_000))}
+        folder, 0, checkpoint=json.dumps(np.random.default_rng(1).normal(size=20_000).tolist())
     )
     assert RunFolder.open(folder.path).outcomes() == {0: stored}
 
 
 def test_an_outcome_may_hold_numbers_of_numpy(tmp_path):
     folder = stored_runs.new_run(tmp_path)
-    stored_runs.store(folder, 0, objectives={"thrust": np.float64(0.5)}, checkpoint={"scene": np.arange(3)})
+    stored_runs.store(folder, 0, objectives={"thrust": np.float64(0.5)})
     (kept,) = RunFolder.open(folder.path).outcomes().values()
     assert kept.objectives == {"thrust": 0.5}
-    assert kept.checkpoint == {"scene": [0, 1, 2]}
 
 
 def test_a_device_without_samples_and_a_trial_without_command_are_stored(tmp_path):
@@ -265,7 +264,7 @@ def test_a_run_of_an_earlier_labrun_is_refused_with_one_sentence(tmp_path):
     folder = stored_runs.new_run(tmp_path)
     stored_runs.store(folder, 0)
     journal = folder.journal.path.read_text()
-    folder.journal.path.write_text(journal.replace(', "format": 2', "", 1))
+    folder.journal.path.write_text(journal.replace(f', "format": {FORMAT}', "", 1))
     for opened in (RunFolder.open, open_run):
         with pytest.raises(RecordingError, match="was made by an earlier labrun"):
             opened(folder.path)

@@ -19,12 +19,13 @@ import numpy as np
 
 from labrun.devices import FloatArray, Scene, Trajectory
 from labrun.devices.host_clock import HostClock
+from labrun.registry import load
 
 READY = "ready"
 LINGER_S = 3.0
 """How long emulators outlive the runner: hardware does, and the watchdog has yet to stop it."""
 
-_EXPOSED = ("arrange", "drive", "tow", "observe", "truth", "facts")
+_EXPOSED = ("arrange", "mount", "drive", "tow", "observe", "truth", "facts")
 
 
 class SharedScene:
@@ -42,6 +43,11 @@ class SharedScene:
         """See `Scene.arrange`."""
         with self._lock:
             self._scene.arrange(condition)
+
+    def mount(self, number: int) -> None:
+        """See `Scene`; a scene may know nothing of mountings."""
+        with self._lock:
+            getattr(self._scene, "mount", lambda _: None)(number)
 
     def drive(self, joint: str, trajectory: Trajectory, start_s: float) -> None:
         """See `Scene.drive`."""
@@ -88,6 +94,10 @@ class RemoteScene:
     def arrange(self, condition: Mapping[str, float | str]) -> None:
         """See `Scene.arrange`."""
         self._shared.arrange(dict(condition))
+
+    def mount(self, number: int) -> None:
+        """See `Scene`."""
+        self._shared.mount(number)
 
     def drive(self, joint: str, trajectory: Trajectory, start_s: float) -> None:
         """See `Scene.drive`."""
@@ -146,8 +156,6 @@ def _end_with_input(address: Path) -> None:
 
 def main() -> None:
     """Serve a scene until the runner has ended."""
-    from labrun.registry import load
-
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     asked = sys.stdin.buffer.readline()
     if not asked:  # the runner ended before it asked for anything

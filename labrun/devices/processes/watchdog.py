@@ -14,6 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from labrun.registry import load
+
 ARM, DISARM, BEAT, QUIT = b"A", b"D", b".", b"Q"
 READY = "ready"
 _DYING_S = 2.0
@@ -31,8 +33,6 @@ class Stoppable:
 
 def load_stoppable(name: str, plugin: str, settings: dict[str, Any]) -> Stoppable:
     """Import an actuator's plugin and check its settings."""
-    from labrun.registry import load
-
     make = load("labrun.devices", plugin)
     return Stoppable(name, make, make.Settings.model_validate(settings))
 

@@ -1,0 +1,287 @@
+"""What a person mounts: trials in blocks of equal values, one a mounting, and the person asked once per change."""
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+from labrun.errors import ExperimentError
+from labrun.runner.measurement import Order, block_order
+from labrun.spec import ByHand, Condition, condition_key
+from labrun.store import Journal
+
+SET_ASIDE = "set aside: "
+"""Begins the reason of every trial of a mounting that was taken back."""
+_EVENT = "mounting"
+_ROUND = 1 << 32
+_MOST_ANSWERS = 10
+"""That cannot be meant, to one question: a script that never says anything else would be asked for ever."""
+_CHANGE = "Enter: it is in place.   back: the last one was wrong.   back 3: mounting 3 was wrong."
+_END = "Enter: all of them were right.   back: the last one was wrong.   back 3: mounting 3 was wrong."
+_STILL = "Enter: it is as it was.   again: it was taken out, and is mounted and measured anew."
+
+
+class Person(Protocol):
+    """Somebody who is asked, and answers with a line."""
+
+    def ask(self, text: str) -> None:
+        """Show a question; an answer from before does not count."""
+        ...
+
+    def answer(self) -> str | None:
+        """Return the line that was typed since `ask`, without its end; None while there is none. Does not wait."""
+        ...
+
+
+class Willing:
+    """Has always done what was asked: the person of a simulated bench."""
+
+    def ask(self, text: str) -> None:
+        """Do it."""
+
+    def answer(self) -> str:
+        """Say that it is done."""
+        return ""
+
+
+class Scripted:
+    """A function of a script in a person's place: question in, answer out."""
+
+    def __init__(self, function: Callable[[str], str]) -> None:
+        self._function = function
+        self._answer = ""
+
+    def ask(self, text: str) -> None:
+        """Ask the function."""
+        self._answer = self._function(text)
+
+    def answer(self) -> str:
+        """Return what it said."""
+        return self._answer
+
+
+@dataclass(frozen=True, slots=True)
+class Mounting:
+    """One block of trials.
+
+    Attributes
+    ----------
+    number
+        Counts the mountings of a run from 1; None where nothing is set by hand.
+    values
+        What is set by hand.
+    positions
+        Which of the conditions asked for are measured in it.
+    last
+        Which come when all others are done: they damage what is mounted.
+    """
+
+    number: int | None
+    values: Condition
+    positions: tuple[int, ...]
+    last: tuple[int, ...] = ()
+
+    def __iter__(self) -> Iterator[int]:
+        """Give every position."""
+        return iter((*self.positions, *self.last))
+
+
+class Mountings:
+    """Deals out the blocks of a run, and asks for each.
+
+    Resuming is replay: answers that the journal holds are taken from there, at the trial before which they were given.
+
+    Parameters
+    ----------
+    table
+        Of the experiment file; None if nothing is set by hand.
+    units
+        Of conditions.
+    person
+        Who is asked.
+    journal
+        Keeps the answers.
+    wait
+        Waits a moment; raises if someone asked to stop.
+    set_aside
+        Takes back the trials of a mounting by its number.
+    wanted
+        Tells whether anything is left to measure in a block; others are not asked for.
+    """
+
+    def __init__(
+        self,
+        table: ByHand | None,
+        units: Mapping[str, str],
+        person: Person,
+        journal: Journal,
+        wait: Callable[[], object],
+        set_aside: Callable[[int], object],
+        wanted: Callable[[Mounting], bool] = lambda _: True,
+    ) -> None:
+        self._table = table
+        self._units = units
+        self._person = person
+        self._journal = journal
+        self._wait = wait
+        self._set_aside = set_aside
+        self._wanted = wanted
+        events = journal.events() if table is not None else []
+        self._given = deque(event for event in events if event["event"] == _EVENT)
+        self._coming: deque[Mounting] = deque()
+        self._mounted: list[Mounting] = []
+        self._count = 0
+        self._seen: int | None = None
+
+    def plan(
+        self,
+        conditions: Sequence[Condition],
+        order: Order,
+        *,
+        seed: int,
+        trial_index: int,
+        damages: Callable[[Condition], bool] = lambda _: False,
+    ) -> None:
+        """Begin anew with conditions: each group of equal values as often as the file says, round after round.
+
+        Those that damage are left to the last round, and to the end of their block.
+        """
+        self._mounted = []
+        self._coming = deque()
+        groups: dict[object, list[int]] = {}
+        for position, condition in enumerate(conditions):
+            values = {} if self._table is None else self._table.values(condition)
+            groups.setdefault(condition_key(values), []).append(position)
+        blocks = []
+        for positions in groups.values():
+            values = {} if self._table is None else self._table.values(conditions[positions[0]])
+            last = tuple(position for position in positions if damages(conditions[position]))
+            kept = tuple(position for position in positions if position not in last)
+            blocks.append(Mounting(None, values, kept, last))
+        rounds = 1 if self._table is None else self._table.mountings
+        for turn in range(rounds):
+            index = turn * _ROUND + trial_index
+            for place in block_order(range(len(blocks)), order, seed=seed, trial_index=index):
+                block = blocks[place] if turn == rounds - 1 else replace(blocks[place], last=())
+                if tuple(block):
+                    self._coming.append(block)
+
+    def next(self, index: int) -> Mounting | None:
+        """Return the next block, once it is mounted; None at the end. `index` is that of the next trial."""
+        if self._table is None:
+            return self._coming.popleft() if self._coming else None
+        while self._coming or self._mounted:
+            while self._coming and not self._wanted(self._coming[0]):
+                self._coming.popleft()
+            coming = self._coming[0] if self._coming else None
+            event = self._recorded(index)
+            if event is None:
+                wrong = self._asked(self._question(coming), _END if coming is None else _CHANGE, self._meant)
+                self._seen = self._count + 1
+            else:
+                self._given.popleft()
+                wrong = None if event["answer"] == "mounted" else self._numbered(event["number"])
+            if wrong is not None:
+                self._take_back(wrong, index, known=event is not None)
+            elif coming is None:
+                return None
+            else:
+                self._coming.popleft()
+                self._count += 1
+                made = replace(coming, number=self._count)
+                self._mounted.append(made)
+                if event is None:
+                    self._keep(index, "mounted", made)
+                return made
+        return None
+
+    def in_place(self, mounting: Mounting, index: int, *, stored: bool) -> bool:
+        """Tell whether a mounting is there for the trial with this index; if not, its trials are taken back.
+
+        Asked only where an earlier session left it, before the first trial that is not stored.
+        """
+        if mounting.number is None:
+            return True
+        known = self._recorded(index) is not None  # in the midst of a block only this is ever answered
+        if not known and (stored or self._seen == mounting.number):
+            return True
+        if not known:
+            text = f"{self._name(mounting)} was in place when the run stopped. Is it still?"
+            self._seen = mounting.number
+            if not self._asked(text, _STILL, _again):
+                return True
+        else:
+            self._given.popleft()
+        self._take_back(mounting, index, known=known)
+        return False
+
+    def _question(self, coming: Mounting | None) -> str:
+        table = self._table
+        if coming is None or table is None:
+            return f"All is measured. The last: {self._name(self._mounted[-1])}."
+        last = self._mounted[-1] if self._mounted else None
+        first = "Take it out, and then anew: " if last is not None and last.values == coming.values else ""
+        total = self._count + len(self._coming)
+        return f"{first}{table.told(coming.values, self._units)} (mounting {self._count + 1} of {total})"
+
+    def _name(self, mounting: Mounting) -> str:
+        values = ", ".join(f"{name} = {value}" for name, value in mounting.values.items())
+        return f"mounting {mounting.number} ({values})"
+
+    def _meant(self, line: str) -> Mounting | None:
+        """Return the mounting that a person takes back, None for none; ValueError says what cannot be meant."""
+        word, _, number = line.partition(" ")
+        if not line:
+            return None
+        if word not in ("back", "no", "b") or not (number == "" or number.strip().isdigit()):
+            raise ValueError(f"{line!r} is no answer")
+        if not self._mounted:
+            raise ValueError("nothing was mounted before that could be taken back")
+        if not number:
+            return self._mounted[-1]
+        found = self._numbered(int(number))
+        if found is None:
+            known = ", ".join(str(item.number) for item in self._mounted)
+            raise ValueError(f"there is no mounting {number.strip()} to go back to; there are {known}")
+        return found
+
+    def _numbered(self, number: int) -> Mounting | None:
+        return next((item for item in self._mounted if item.number == number), None)
+
+    def _asked(self, text: str, answers: str, meaning: Callable[[str], Any]) -> Any:
+        """Ask until the answer is one."""
+        self._person.ask(f"{text}\n  {answers}")
+        for _ in range(_MOST_ANSWERS):
+            while (line := self._person.answer()) is None:
+                self._wait()
+            try:
+                return meaning(line.strip().lower())
+            except ValueError as error:
+                problem = str(error)
+                self._person.ask(f"{problem}.\n{text}\n  {answers}")
+        raise ExperimentError(
+            f"{_MOST_ANSWERS} answers to {text!r} were none; the last: {problem}",
+            hint="the answers are: " + answers,
+        )
+
+    def _take_back(self, mounting: Mounting, index: int, *, known: bool) -> None:
+        """Set the trials of a mounting aside, and let it come once more, as the next."""
+        if not known:
+            self._keep(index, "back", mounting)
+        self._mounted = [item for item in self._mounted if item.number != mounting.number]
+        self._coming.appendleft(replace(mounting, number=None))
+        self._set_aside(mounting.number or 0)
+
+    def _recorded(self, index: int) -> Mapping[str, Any] | None:
+        return self._given[0] if self._given and self._given[0]["at_trial"] == index else None
+
+    def _keep(self, index: int, answer: str, mounting: Mounting) -> None:
+        self._journal.append(
+            _EVENT, at_trial=index, answer=answer, number=mounting.number, values=dict(mounting.values)
+        )
+
+
+def _again(line: str) -> bool:
+    if line not in ("", "again"):
+        raise ValueError(f"{line!r} is no answer")
+    return line == "again"

@@ -1,0 +1,238 @@
+"""Trials of many cycles that end by what they measure: reduced cycle by cycle while they run."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from labrun.devices import Channel, Samples, Trajectory
+from labrun.errors import ExperimentError
+from labrun.objectives import make_objective
+from labrun.runner.cycle_log import CycleLog
+from labrun.runner.evaluation import ObjectiveEvaluation
+from labrun.runner.motion import TrialMotion
+from labrun.runner.recording import LEAD_S, TAIL_S, Recording
+from labrun.runner.rig import Rig
+from labrun.signals import Signals
+from labrun.spec import CYCLES, Criterion, Experiment
+from labrun.store import ClockMap, RunFolder
+
+_TOLD_EVERY = 10
+"""Cycles between two words to whoever watches."""
+
+
+class _Stream:
+    """The samples of one device over the cycle that is being measured and the one before."""
+
+    def __init__(self, name: str, channels: tuple[Channel, ...], rate_hz: float) -> None:
+        self.name = name
+        self.channels = channels
+        self.rate_hz = rate_hz
+        self._blocks: list[Samples] = []
+
+    def append(self, block: Samples) -> None:
+        self._blocks.append(block)
+
+    def cycle(self, start_s: float, tare: Mapping[str, float]) -> Signals:
+        """Return what there is, its time counted from the start of the cycle; earlier cycles are let go."""
+        self._blocks = [block for block in self._blocks if float(block.host_time_s[-1]) >= start_s - TAIL_S]
+        samples = Samples.join(self._blocks, len(self.channels))
+        clock = ClockMap(self.rate_hz)
+        clock.learn(samples.device_time_s, samples.host_time_s)
+        return Signals(
+            self.name,
+            tuple(channel.name for channel in self.channels),
+            tuple(channel.unit for channel in self.channels),
+            clock.mapper(start_s)(samples.device_time_s),
+            samples.values,
+            {key.partition(".")[2]: value for key, value in tare.items() if key.startswith(f"{self.name}.")},
+            samples.device_time_s,
+            samples.host_time_s,
+        )
+
+
+class UntilRecorder:
+    """Records cycle after cycle until the condition of ``[trial.until]`` holds, or there are as many as allowed.
+
+    The motion goes out in stretches of `keep_every` cycles; between two of them the joints rest for a moment. Each
+    cycle is reduced to its objectives, which are on disk before the next one ends; of the first cycle of each stretch
+    the samples are kept as well, dated by the motion: rests are taken out. An interrupted trial goes on with the cycle
+    after the last one that was kept.
+
+    Parameters
+    ----------
+    experiment
+        With ``[trial.until]``.
+    rig
+        Its devices, opened.
+    folder
+        Where the run is stored.
+    seed
+        Of device noise; each stretch has its own.
+    phase
+        Told how far it is.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        rig: Rig,
+        folder: RunFolder,
+        *,
+        seed: int,
+        phase: Callable[[str], object],
+    ) -> None:
+        until = experiment.trial.until
+        assert until is not None  # noqa: S101  (asked by the caller)
+        self._until = until
+        self._rig = rig
+        self._folder = folder
+        self._seed = seed
+        self._phase = phase
+        self._tables = {name: one for name, one in experiment.objectives.items() if one.plugin != CYCLES}
+        self._counts = [name for name in experiment.objectives if name not in self._tables]
+        self._criterion = Criterion.of(until.when, list(self._tables))
+        self._evaluation = ObjectiveEvaluation(experiment.model_copy(update={"objectives": self._tables}))
+
+    def __call__(self, recording: Recording) -> None:
+        """Record one trial, or the rest of it."""
+        motion, request = recording.motion, recording.request
+        if motion.period_s is None:
+            raise ExperimentError("trial.until needs a gait that repeats, and this one has no period")
+        about = {"condition": dict(request.condition), "role": request.role, "mounting": request.mounting}
+        path = self._folder.path / CYCLES / f"{request.index:06d}.jsonl"
+        path.parent.mkdir(exist_ok=True)
+        log = CycleLog(path, about, durable=not self._rig.dry_run)
+        try:
+            self._take_up(recording, log)
+            ended = self._record(recording, log, motion.period_s)
+        finally:
+            log.close()
+        self._conclude(recording, log, motion.period_s, ended=ended)
+
+    def _take_up(self, recording: Recording, log: CycleLog) -> None:
+        """Begin, or go on with what the log holds."""
+        bench, request = recording.bench, recording.request
+        if self._rig.dry_run and log.head is not None:
+            log.back_to_rest()  # what came after is simulated once more, to the same numbers
+        if self._rig.dry_run and log.checkpoint is not None and log.head is not None:
+            bench.stop_sensors()
+            if hasattr(bench.clock, "time_s"):
+                bench.clock.time_s = log.checkpoint["clock_s"]
+            self._rig.restore(log.checkpoint)
+            self._rig.reseed(self._seed, request.index, log.cycles)
+            bench.start_sensors()
+            recording.tare = log.head["tare"]
+        if log.head is None:
+            log.begin(bench.clock.now() + LEAD_S, recording.tare)
+        assert log.head is not None  # noqa: S101  (just begun, if it had not)
+        recording.begin(log.head["started_s"])
+        for name, samples in log.kept():
+            sensor = self._rig.sensors[name]
+            recording.collector.writer.append(name, sensor.channels, sensor.rate_hz, samples)
+
+    def _record(self, recording: Recording, log: CycleLog, period_s: float) -> bool:
+        """Run stretch after stretch; return whether the condition held in the end."""
+        bench, until = recording.bench, self._until
+        if log.cycles and self._criterion.holds(log.values):
+            return True  # stopped between the last cycle and its storing
+        while log.cycles < until.max_cycles:
+            place = log.cycles % until.keep_every
+            count = min(until.keep_every - place, until.max_cycles - log.cycles)
+            start_s = bench.clock.now() + LEAD_S
+            bench.follow(_beginning(recording.motion.trajectory, count * period_s), start_s)
+            if self._stretch(recording, log, start_s, period_s, count):
+                return True
+            if self._rig.dry_run and log.cycles < until.max_cycles:
+                bench.stop_sensors()
+                log.rest({"clock_s": bench.clock.now(), **self._rig.snapshot()})
+                self._rig.reseed(self._seed, recording.request.index, log.cycles)
+                bench.start_sensors()
+        return False
+
+    def _stretch(
+        self, recording: Recording, log: CycleLog, start_s: float, period_s: float, count: int
+    ) -> bool:
+        """Measure some cycles of a motion that is under way; return whether the condition holds, as soon as it does."""
+        bench, collector = recording.bench, recording.collector
+        streams = {
+            name: _Stream(name, sensor.channels, sensor.rate_hz) for name, sensor in self._rig.sensors.items()
+        }
+
+        def take(blocks: Mapping[str, Samples]) -> None:
+            for name, block in blocks.items():
+                collector.count(name, block)
+                if len(block):
+                    streams[name].append(block)
+
+        one = _one_cycle(recording.motion, period_s)
+        for number in range(count):
+            begun_s = start_s + number * period_s
+            bench.watch(begun_s + period_s + TAIL_S, take)
+            signals = {name: stream.cycle(begun_s, recording.tare) for name, stream in streams.items()}
+            values = self._evaluation.evaluate(signals, one, recording.condition)
+            kept = self._kept(recording, log, signals, begun_s, period_s)
+            log.append(values, kept)
+            if log.cycles % _TOLD_EVERY == 0:
+                self._phase(f"cycle {log.cycles} of at most {self._until.max_cycles}")
+            if self._criterion.holds(log.values):
+                first = recording.motion.trajectory
+                rest = dict(zip(first.joints, first.angle_rad[0], strict=True))
+                bench.move(rest, recording.move_speed_rad_s)
+                return True
+        return False
+
+    def _kept(
+        self,
+        recording: Recording,
+        log: CycleLog,
+        signals: Mapping[str, Signals],
+        begun_s: float,
+        period_s: float,
+    ) -> dict[str, Samples]:
+        """Hand the samples of every so many cycles to the trial's file, and return them for the log."""
+        if log.cycles % self._until.keep_every or log.head is None:
+            return {}
+        kept = {}
+        moved_s = log.head["started_s"] + log.cycles * period_s - begun_s
+        for name, found in signals.items():
+            inside = found.between(0.0, np.nextafter(period_s, 0.0))
+            if inside.device_time_s is None or inside.host_time_s is None or not len(inside):
+                continue
+            kept[name] = Samples(inside.device_time_s + moved_s, inside.host_time_s + moved_s, inside.values)
+            recording.collector.writer.append(
+                name, self._rig.sensors[name].channels, self._rig.sensors[name].rate_hz, kept[name]
+            )
+        return kept
+
+    def _conclude(self, recording: Recording, log: CycleLog, period_s: float, *, ended: bool) -> None:
+        assert log.head is not None  # noqa: S101  (it has begun)
+        time_s = log.head["started_s"] + period_s * np.arange(1, log.cycles + 1)
+        channels = tuple(Channel(name, self._unit(name)) for name in log.values)
+        table = np.column_stack([np.asarray(values) for values in log.values.values()])
+        recording.collector.writer.append(CYCLES, channels, 1.0 / period_s, Samples(time_s, time_s, table))
+        means = {name: float(np.mean(values)) for name, values in log.values.items()}
+        recording.objectives = means | dict.fromkeys(self._counts, float(log.cycles))
+        recording.duration_s = log.cycles * period_s
+        recording.censored = not ended
+        recording.stored = log.remove
+
+    def _unit(self, objective: str) -> str:
+        table = self._tables[objective]
+        device, _, channel = (table.channel or "").partition(".")
+        sensor = self._rig.sensors.get(device)
+        units = {item.name: item.unit for item in sensor.channels} if sensor is not None else {}
+        return make_objective(objective, table).unit(units.get(channel, ""))
+
+
+def _beginning(motion: Trajectory, duration_s: float) -> Trajectory:
+    """Return the first so many seconds of a motion."""
+    if duration_s >= motion.duration_s * (1 - 1e-12):
+        return motion
+    times = motion.time_s[motion.time_s < duration_s * (1 - 1e-12)]
+    times = np.append(times, duration_s)
+    return Trajectory(motion.joints, times, motion.at(times), motion.period_s)
+
+
+def _one_cycle(motion: TrialMotion, period_s: float) -> TrialMotion:
+    return replace(motion, trajectory=_beginning(motion.trajectory, period_s), duration_s=period_s, cycles=1)

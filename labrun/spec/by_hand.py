@@ -1,0 +1,87 @@
+"""Factors that a person sets: what is mounted for which trials, and what does not go with that."""
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any
+
+from pydantic import Field, PositiveInt
+
+from labrun.spec.condition import Condition, value_text
+from labrun.spec.raw import check_name, listed_conditions, table
+from labrun.toml import Fault, KeyPath, Table, suggest
+
+_PLACE = re.compile(r"\{([^{}]*)\}")
+
+
+class ByHand(Table):
+    """Values of a condition that somebody has to see to: a specimen, a mass, the water in the tank.
+
+    Trials are measured in blocks of equal values, one a mounting; `ask` is what the person is told at each.
+    """
+
+    names: Annotated[list[str], Field(min_length=1)]
+    ask: str = ""
+    mountings: PositiveInt = 1
+
+    def values(self, condition: Condition) -> Condition:
+        """Return what of a condition is set by hand."""
+        return {name: condition[name] for name in self.names if name in condition}
+
+    def told(self, values: Condition, units: Mapping[str, str]) -> str:
+        """Return what the person is told, with the values filled in."""
+        texts = {name: value_text(value, units.get(name, "")) for name, value in values.items()}
+        if not self.ask:
+            return "Set " + ", ".join(f"{name} = {text}" for name, text in texts.items())
+        return _PLACE.sub(lambda place: texts.get(place[1], place[0]), self.ask)
+
+
+def check_by_hand(data: Mapping[str, Any], conditions: list[str]) -> Iterator[Fault]:
+    """Yield what does not fit between the table [by_hand] and the rest of the file."""
+    written = table(data, "by_hand")
+    given = written.get("names")
+    names = [name for name in given if isinstance(name, str)] if isinstance(given, list) else []
+    if not names:
+        return
+    for number, name in enumerate(names):
+        path: KeyPath = ("by_hand", "names", number)
+        yield from check_name(name, path, conditions, "no condition has this name", kind="names")
+        if name in names[:number]:
+            yield Fault(path, f'"{name}" stands there twice', at_value=True)
+    ask = written.get("ask")
+    for place in _PLACE.findall(ask) if isinstance(ask, str) else ():
+        if place not in names:
+            text = (
+                f"{{{place}}} stands for nothing that is set by hand; {suggest(place, names, kind='names')}"
+            )
+            yield Fault(("by_hand", "ask"), text, at_value=True)
+    if data.get("kind") == "cmaes":
+        yield Fault(
+            ("by_hand",),
+            "a search changes its variables with every candidate; by_hand goes with run and sweep",
+        )
+    if "reference" in table(data, "trial"):
+        text = "a reference every so many trials would change what is mounted; leave it out, or by_hand"
+        yield Fault(("trial", "reference"), text)
+    yield from _check_twice(data, names)
+
+
+def _check_twice(data: Mapping[str, Any], names: list[str]) -> Iterator[Fault]:
+    """Yield what is named twice: a person would be asked for it twice, and nobody meant that."""
+    advice = "by_hand.mountings says how often each is mounted, trial.repeats how often it is measured"
+    for name in names:
+        axis = table(data, "sweep", "axes").get(name)
+        listed = axis if isinstance(axis, list) else []
+        for value, count in Counter(one for one in listed if isinstance(one, str | float | int)).items():
+            if count > 1:
+                text = f"{value_text(value)} is named {count} times; {advice}"
+                yield Fault(("sweep", "axes", name), text, at_value=True)
+    for kind in ("run", "track"):
+        seen: dict[tuple[tuple[str, str], ...], int] = {}
+        for number, condition in enumerate(listed_conditions(data, kind)):
+            key = tuple(sorted((name, str(value)) for name, value in condition.items()))
+            if key in seen:
+                mounted = ", ".join(f"{name} = {condition[name]}" for name in names if name in condition)
+                text = f"{mounted} is named twice with the same values, here and as number {seen[key] + 1}; {advice}"
+                yield Fault((kind, "conditions", number), text)
+            seen.setdefault(key, number)
