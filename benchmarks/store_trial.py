@@ -8,6 +8,7 @@ dataset, flush and fsync; packing; and what xarray needs to open the packed run 
 """
 
 import argparse
+import json
 import os
 import tempfile
 import time
@@ -42,7 +43,7 @@ def store_with_labrun(folder: RunFolder, index: int, rng: np.random.Generator) -
         objectives={"thrust": 0.1, "side": 0.0},
         tare={f"wrench.{channel.name}": 0.1 for channel in CHANNELS},
         settle=SettleSummary("quiet", 6.0, 0.01, 0.002),
-        checkpoint={"clock_s": 11.0, "scene": {"state": [0.1] * 20}},
+        checkpoint=json.dumps({"clock_s": 11.0, "scene": {"state": [0.1] * 20}}),
     )
     start = time.perf_counter()
     writer = folder.writer(index)

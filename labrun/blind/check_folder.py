@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 from labrun.blind.jobs import Files, fingerprint
 from labrun.errors import LabrunError, RequestError
 from labrun.fit import Note
+from labrun.store import replace_durably
 
 SHIPPED_GENERATOR = Path(__file__).parent / "cases"
 """Code that makes sealed cases and imports nothing of labrun."""
@@ -114,6 +115,7 @@ def make_cases(
     seed: int,
     first: int,
     only: str | None,
+    data: Sequence[str] = (),
     workers: int,
     note: Note,
 ) -> str:
@@ -123,6 +125,8 @@ def make_cases(
     ----------
     only
         Kind of all cases; its mixture of kinds if None.
+    data
+        What all recordings are to be like, as ``repeats=1`` or ``noise=pink``.
 
     Raises
     ------
@@ -132,6 +136,7 @@ def make_cases(
     command = [sys.executable, str(generator), "--cases", str(cases), "--seed", str(seed)]
     command += ["--first", str(first), "--workers", str(workers), "--out", str(out)]
     command += [] if only is None else ["--only", only]
+    command += [f"--{one}" for one in data]
     told: list[str] = []
     with tempfile.TemporaryFile("w+", encoding="utf-8") as said:
         process = subprocess.Popen(command, stdout=said, stderr=subprocess.PIPE, text=True, encoding="utf-8")
@@ -261,9 +266,7 @@ def _write(path: Path, content: Mapping[str, Any]) -> None:
 def _replace(path: Path, text: str) -> None:
     """Write a file whole or not at all: an interruption must not leave half an answer."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(path.name + ".part")
-    beside.write_text(text, encoding="utf-8")
-    beside.replace(path)
+    replace_durably(path, text.encode())
 
 
 def _words(asked: Mapping[str, Any]) -> str:

@@ -12,6 +12,7 @@ from labrun.spec import Experiment, SceneTable
 
 PARAMETER = "parameter"
 """Kind of what is hidden that is no effect: a parameter's true value."""
+NO_BENCH = 'name one: [rig] scene = "..."; what stands in for none has no physics'
 _KEYS = ("effect", "site", "kind", "values")
 
 
@@ -52,7 +53,10 @@ def concealed(
     """
     scene = experiment.rig.scene
     if scene is None:
-        raise RequestError("there is no simulated bench to hide an effect in", hint="name one in rig.scene")
+        raise RequestError(
+            "there is no simulated bench to hide an effect in",
+            hint='name one: [rig] scene = "..."; the plain one has no physics',
+        )
     settings: dict[str, Any] = {
         **scene.settings,
         "hide": [{key: one[key] for key in _KEYS} for one in hidden if one["kind"] != PARAMETER],
@@ -83,7 +87,10 @@ def hiding_scene(experiment: Experiment) -> HidingScene:
         It names none, or one that cannot hide anything.
     """
     if experiment.rig.scene is None:
-        raise RequestError("there is no simulated bench to hide an effect in", hint="name one in rig.scene")
+        raise RequestError(
+            "there is no simulated bench to hide an effect in",
+            hint='name one: [rig] scene = "..."; the plain one has no physics',
+        )
     rig = Rig.build(concealed(experiment, []), clock=SimulatedClock(), seed=0, dry_run=True)
     scene: Any = rig.scene
     if not (hasattr(scene, "places") and hasattr(scene, "scale")):

@@ -1,7 +1,7 @@
 """The whole check: cases made and sealed, diagnosed, their seal opened, scored."""
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +12,10 @@ from labrun.blind.check_folder import SHIPPED_GENERATOR, CheckFolder, make_cases
 from labrun.blind.jobs import diagnose_case, shrink_case
 from labrun.blind.judging import ANNOUNCING, KINDS, Judged, Said, Shown, Truth, judge
 from labrun.blind.scoring import Scores, score
-from labrun.blind.workers import Pool, cores, pool, spread
+from labrun.blind.workers import Pool, pool, spread
 from labrun.errors import LabrunError, RequestError
-from labrun.fit import Note, silent
-from labrun.toml import nearest
+from labrun.fit import Note, cores, silent
+from labrun.toml import suggest
 
 FIRST_REPORTED_SEED = 1000
 """Seeds below are for development; those from here on are for figures that are reported."""
@@ -86,6 +86,7 @@ def check(
     seed: int = 0,
     first: int = 1,
     only: str | None = None,
+    data: Sequence[str] = (),
     workers: int | None = None,
     cluster: str | None = None,
     generator: Path | None = None,
@@ -108,6 +109,9 @@ def check(
     only
         Kind of all cases ("control", "effect", "pair", "parameter" or "outside", an s behind it or not); the
         generator's mixture of kinds if None. No job that diagnoses is told.
+    data
+        What all recordings are to be like: ``repeats=N``, ``noise=COLOUR``, ``zeros`` or ``no-zeros``; drawn if not
+        given.
     workers
         Processes; one per core if None. Results do not depend on it.
     cluster
@@ -130,11 +134,15 @@ def check(
     """
     workers = workers or cores()
     only = only if only is None else kind_named(only)
-    folder = CheckFolder(out or _default_folder(cases, seed, first, only))
+    folder = CheckFolder(out or _default_folder(cases, seed, first, only, data))
     try:
-        line = _prepared(folder, generator, cases, seed, first, only, workers, note)
-        printed = folder.ask({"cases": cases, "seed": seed, "first": first, "only": only})
-        (announce or _to_stderr)(line)
+        line = _prepared(folder, generator, cases, seed, first, only, data, workers, note)
+        asked = {"cases": cases, "seed": seed, "first": first, "only": only}
+        printed = folder.ask(asked | ({"data": list(data)} if data else {}))
+        if announce is None:
+            print(line, file=sys.stderr, flush=True)
+        else:
+            announce(line)
         with pool(workers, cluster) as there:
             said = _diagnosed(folder, seed, there, note)
             note("simulating the corrected models on fresh trials")
@@ -171,11 +179,7 @@ def kind_named(only: str) -> str:
     """
     if only.removesuffix("s") in KINDS:
         return only.removesuffix("s")
-    meant = nearest(only, KINDS)
-    raise RequestError(
-        f"there is no kind of case {only!r}",
-        hint=(f"did you mean {meant}? " if meant else "") + f"there are {', '.join(KINDS)}",
-    )
+    raise RequestError(f"there is no kind of case {only!r}", hint=suggest(only, KINDS, kind="kinds"))
 
 
 def case_seed(seed: int, case: str) -> int:
@@ -194,6 +198,8 @@ def _case(one: Judged) -> dict[str, Any]:
         "gap": truth.gap,
         "strength": truth.strength,
         "repeats": truth.repeats,
+        "noise": truth.noise,
+        "zeros_by_trial": truth.zeros,
         "hidden": [
             {"kind": cause.kind, "effect": cause.effect, "site": cause.site} for cause in truth.causes
         ],
@@ -229,6 +235,7 @@ def _prepared(
     seed: int,
     first: int,
     only: str | None,
+    data: Sequence[str],
     workers: int,
     note: Note,
 ) -> str:
@@ -254,6 +261,7 @@ def _prepared(
         seed=seed,
         first=first,
         only=only,
+        data=data,
         workers=workers,
         note=note,
     )
@@ -313,10 +321,7 @@ def _as_asked(truths: list[Truth], seed: int, only: str | None, folder: Path) ->
         )
 
 
-def _default_folder(cases: int, seed: int, first: int, only: str | None) -> Path:
+def _default_folder(cases: int, seed: int, first: int, only: str | None, data: Sequence[str]) -> Path:
     kinds = "" if only is None else f"only-{only}-"
+    kinds += "".join(f"{one.replace('=', '-')}-" for one in data)
     return Path("gap-check") / f"seed-{seed}-{kinds}cases-{first}-to-{first + cases - 1}"
-
-
-def _to_stderr(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)

@@ -18,7 +18,7 @@ from labrun.models import Model, Site, load_model
 from labrun.search import conditions as conditions_of
 from labrun.spec import Experiment, LoadedExperiment, Value, find_model_file
 from labrun.store import RunFolder, find_run
-from labrun.toml import nearest
+from labrun.toml import suggest
 
 Condition = Mapping[str, Value]
 
@@ -290,10 +290,9 @@ def _parsed(text: str, scene: HidingScene) -> dict[str, Any]:
     sites = [site for site in scene.places if site.name == site_name]
     if not sites:
         known = list(dict.fromkeys(site.name for site in scene.places))
-        near = nearest(site_name, known)
         raise RequestError(
             f"--hide {text}: this scene has no site {site_name!r}",
-            hint=f"did you mean {near!r}?" if near else f"it has {', '.join(known)}",
+            hint=suggest(site_name, known, kind="sites"),
         )
     refusals: list[str] = []
     for site in sites:
@@ -322,10 +321,9 @@ def _parameter(text: str, scene: HidingScene, model: Model | None) -> dict[str, 
         )
     known = [*scene.truth().get("parameters", {})]
     if name not in known:
-        near = nearest(name, known)
         raise RequestError(
             f"--hide {text}: this scene has no parameter {name!r}",
-            hint=f"did you mean {near!r}?" if near else f"it has {', '.join(known) or 'none'}",
+            hint=suggest(name, known, kind="parameters"),
         )
     units = {} if model is None else {one.name: one.unit for one in model.parameters}
     return {

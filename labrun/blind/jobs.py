@@ -6,7 +6,6 @@ answer.
 
 import hashlib
 import json
-import math
 import time
 from collections.abc import Mapping
 from functools import cache
@@ -20,6 +19,7 @@ import labrun
 from labrun.effects import AttachedEffect, load_effect
 from labrun.fit import load_dataset
 from labrun.gap import Options, diagnose_dataset, fresh_excess
+from labrun.json_numbers import finite
 from labrun.models import Model, load_model
 
 Files = Mapping[str, bytes]
@@ -145,16 +145,6 @@ def _unpack(files: Files, folder: Path) -> None:
 
 def _told(found: Mapping[str, Any], made: str, name: str) -> dict[str, Any]:
     """Return it JSON-ready, with the case in place of the folder that is gone by then."""
-    text = json.dumps(_finite(found), default=str)
+    text = json.dumps(finite(found), default=str)
     told: dict[str, Any] = json.loads(text.replace(f"{made}/", f"{name}/").replace(made, name))
     return told
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return value

@@ -81,6 +81,8 @@ class Truth:
         True systematic residual after recalibration, in units of one trial's noise.
     forms
         What was simulated, in words.
+    noise, zeros
+        Colour of the noise, and whether each trial has a zero of its own.
     """
 
     case: str
@@ -91,6 +93,18 @@ class Truth:
     repeats: int
     seed: int
     forms: tuple[str, ...]
+    noise: str = ""
+    zeros: bool = False
+
+    @property
+    def data(self) -> tuple[str, ...]:
+        """What its recording is like, in words."""
+        repeats = f"{self.repeats} repeat" + ("s" if self.repeats != 1 else "")
+        return (
+            repeats,
+            *((f"{self.noise} noise",) if self.noise else ()),
+            *(("zeros by trial",) if self.zeros else ()),
+        )
 
     @property
     def strength(self) -> str:
@@ -113,6 +127,8 @@ class Truth:
             int(answer.get("repeats", 0)),
             int(answer["seed"]),
             tuple(f"{one.get('form', one.get('effect', '?'))} at {one.get('site', '?')}" for one in hidden),
+            str(answer.get("noise", {}).get("colour", "")),
+            bool(answer.get("noise", {}).get("zero_by_trial", 0.0)),
         )
 
 

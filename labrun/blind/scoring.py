@@ -166,6 +166,8 @@ class Scores:
     calibration
         Confidence of every announced cause against whether it, or its first rival, was a true one, site included. Of
         one kind of case alone it says nothing about the confidence, which is one over all kinds.
+    by_data : kind of data -> share
+        Cases that came out as one would wish, by repeats, noise and what differs by trial.
     errors
         Cases that were not diagnosed.
     """
@@ -187,6 +189,7 @@ class Scores:
     extra: Share
     calibration: Reliability
     shrinkage: ShrinkageScore
+    by_data: ByStrength
     seconds: Mapping[str, float]
     errors: Sequence[str]
 
@@ -222,6 +225,7 @@ class Scores:
                 "not_computed": difference.failed,
                 "not_predicted": difference.unpredicted,
             },
+            "by_data": _shares(self.by_data),
             "seconds": dict(self.seconds),
             "errors": list(self.errors),
         }
@@ -261,6 +265,10 @@ def score(judged: Sequence[Judged]) -> Scores:
         extra=Share.among(one.extra > 0 for one in spoken),
         calibration=reliability([(named.confidence, held(named, truth)) for named, truth in announced]),
         shrinkage=shrinkage_score(judged),
+        by_data={
+            data: Share.among(one.good for one in judged if data in one.truth.data)
+            for data in sorted({data for one in judged for data in one.truth.data})
+        },
         seconds=_durations([one.said.seconds for one in judged if not one.said.error]),
         errors=[one.truth.case for one in judged if one.said.error],
     )

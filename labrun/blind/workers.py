@@ -39,11 +39,6 @@ class Pool:
     ahead: int
 
 
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 @contextmanager
 def pool(workers: int, cluster: str | None) -> Iterator[Pool]:
     """Open processes of this machine, or a cluster where one is named.

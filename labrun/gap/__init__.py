@@ -1,5 +1,6 @@
 """Where a model and measurements differ, which unmodelled effect causes it, and how far adding it closes the gap."""
 
+from labrun.gap.compare import Difference, UnitComparison, compare_units
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import (
     By,
@@ -16,10 +17,12 @@ from labrun.gap.diagnosis import (
     Trace,
     Verdict,
 )
+from labrun.gap.fresh import FreshTest, Prediction, predict_fresh
 from labrun.gap.question import Question
 from labrun.gap.recalibration import fresh_excess
-from labrun.gap.saving import recalibrated_only, require_new, save_model
+from labrun.gap.saving import recalibrated_only, require_new, save_model, save_with_law
 from labrun.gap.verdict import significant
+from labrun.gap.what_is_left import RestLaw
 
 __all__ = [
     "By",
@@ -27,20 +30,28 @@ __all__ = [
     "CandidateVerdict",
     "Cause",
     "Diagnosis",
+    "Difference",
     "Estimate",
+    "FreshTest",
     "MissingForce",
     "Name",
     "Options",
     "Place",
+    "Prediction",
     "Question",
+    "RestLaw",
     "Shrinkage",
     "Sizes",
     "Trace",
+    "UnitComparison",
     "Verdict",
+    "compare_units",
     "diagnose_dataset",
     "fresh_excess",
+    "predict_fresh",
     "recalibrated_only",
     "require_new",
     "save_model",
+    "save_with_law",
     "significant",
 ]

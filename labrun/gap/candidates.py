@@ -37,9 +37,6 @@ def push(model: Model, site: str, force: float) -> AttachedEffect:
     return AttachedEffect(effect, site, (force,))
 
 
-_Answer = tuple[FloatArray, FloatArray]
-
-
 def site_scales(problem: Problem, z: FloatArray) -> dict[tuple[str, str], Scale]:
     """Return the scale of every site where something happens: (kind, name) -> typical magnitudes.
 
@@ -90,7 +87,7 @@ def typical_time_s(problem: Problem) -> float:
 
 
 def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> Scale | None:
-    still = _answers(problem, z)
+    still = site_courses(problem, z)
     if still is None:
         return None
     motion = [one[:, place] for one, _ in still]
@@ -116,7 +113,11 @@ def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> 
 
 
 def _force(
-    problem: Problem, z: FloatArray, place: int, still: list[_Answer], peaks: tuple[float, float]
+    problem: Problem,
+    z: FloatArray,
+    place: int,
+    still: list[tuple[FloatArray, FloatArray]],
+    peaks: tuple[float, float],
 ) -> float | None:
     """Return the constant force that moves a site as far, or as fast, as it moves in the data.
 
@@ -125,7 +126,7 @@ def _force(
     """
     size = 1e-6
     while size < criteria.STRONGEST_PUSH:
-        pushed = _answers(problem, z, [push(problem.model, problem.model.sites[place].name, size)])
+        pushed = site_courses(problem, z, [push(problem.model, problem.model.sites[place].name, size)])
         if pushed is None:
             return None
         moved = np.concatenate(
@@ -145,11 +146,13 @@ def _force(
     return None
 
 
-def _answers(problem: Problem, z: FloatArray, added: Sequence[AttachedEffect] = ()) -> list[_Answer] | None:
+def site_courses(
+    problem: Problem, z: FloatArray, added: Sequence[AttachedEffect] = ()
+) -> list[tuple[FloatArray, FloatArray]] | None:
     """Return the course of the sites and the outputs of every unit; None if any is not finite."""
     parameters = problem.model_parameters(z)
     attached = (*problem.attached(problem.parameters(z)), *added)
-    found: list[_Answer] = []
+    found: list[tuple[FloatArray, FloatArray]] = []
     for index, trial in enumerate(problem.data.trials):
         simulation = simulate(
             problem.model,
@@ -248,6 +251,21 @@ def candidates(
                     continue  # it needs a second signal, which this model has not
                 found.append(Candidate(Name(effect.id, site.name), attached, scale, _starts(effect)))
     return [*found, *_parameters(model)]
+
+
+def untried(model: Model, withhold: Collection[str] = ()) -> tuple[str, ...]:
+    """Return sentences on effects that no site of the model takes, because none declares what they need."""
+    lacking: dict[str, list[str]] = {}
+    joints = [one for one in model.places if one.kind == "joint"]
+    for effect in effects(without=withhold):
+        fitting = [one for one in joints if effect.kind == "joint" and not effect.fits(one)]
+        if joints and len(fitting) == len(joints):
+            lacking.setdefault(effect.needs[0], []).append(effect.id)
+    return tuple(
+        f"Not tried: {', '.join(names)}; no joint site of the model declares a {need}. Where there is one, add "
+        f'{need} = "..." to [sites.{joints[0].name}]; a joint between two masses is a site of its own.'
+        for need, names in lacking.items()
+    )
 
 
 def _parameters(model: Model) -> list[Candidate]:

@@ -33,10 +33,17 @@ from labrun.gap.diagnosis import (
     Verdict,
 )
 from labrun.gap.held_out import fitted_excess, floor_of, mean_residuals
+from labrun.gap.kin import family, kin
+from labrun.gap.learnable import learnable_share
+from labrun.gap.noise import from_residual
 from labrun.gap.nuisance import information
 from labrun.gap.pipeline import Search
 from labrun.gap.rating import Rated
-from labrun.gap.verdict import Findings, limitations, sentence, verdict, what_next
+from labrun.gap.recalibration import member_residuals
+from labrun.gap.selection import Chosen
+from labrun.gap.trial_wise import words
+from labrun.gap.verdict import Findings, limitations, sentence, significant, verdict, what_next
+from labrun.gap.what_is_left import Learnable
 from labrun.gap.where.difference import Difference
 
 
@@ -54,7 +61,9 @@ def causes_of(search: Search, dataset: Dataset, moved: FloatArray) -> tuple[Caus
         else:
             place = _place(search, name)
             values = values_of(final.problem, final.z, place, moved, model, dataset)
-            remark = "; ".join(filter(None, (_bound_remark(search, place), _caution(one.rated))))
+            remark = "; ".join(
+                filter(None, (_bound_remark(search, place), _caution(one.rated), _kinship(one)))
+            )
         found.append(
             Cause(
                 name,
@@ -65,6 +74,12 @@ def causes_of(search: Search, dataset: Dataset, moved: FloatArray) -> tuple[Caus
             )
         )
     return tuple(found)
+
+
+def _kinship(one: Chosen) -> str:
+    """Return the family of a cause and its rivals, where they have one."""
+    alike = [rival.candidate.name for rival, _ in one.rivals if kin(one.name, rival.candidate.name)]
+    return f"{family(one.name)}: what mends one of the forms mends the other" if alike else ""
 
 
 def _caution(one: Rated) -> str:
@@ -104,11 +119,12 @@ def candidate_table(
                 name,
                 judged,
                 rated[name].share if name in rated else None,
-                early.gain / first.threshold.gain,
+                first.threshold.evidence(early.gain),
                 chosen[name].values if name in chosen else {},
                 bounds,
                 chosen[name].indistinguishable_from if name in chosen else tuple(rivals.get(name, ())),
-                _remark(judged, decided, _richer_than(candidate, chosen), several=len(chosen) > 1),
+                _remark(judged, decided, _richer_than(candidate, chosen), several=len(chosen) > 1)
+                or (_searched(candidate, search, dataset) if judged == "ruled-out" else ""),
             )
         )
     rank = {"cause": 0, "indistinguishable": 1, "ruled-out": 2, "not-visible": 3}
@@ -156,6 +172,21 @@ def _remark(judged: CandidateVerdict, decided: Verdict, contained: str = "", *, 
     if judged == "ruled-out" and decided == "not-in-library":
         return "does not explain enough of the gap on conditions it did not see"
     return ""
+
+
+def _searched(candidate: Tried, search: Search, dataset: Dataset) -> str:
+    """Return the range of sizes that were tried: beyond it nothing is ruled out."""
+    attached, scale = candidate.attached, candidate.scale
+    if attached is None or scale is None:
+        return ""
+    units = effect_units(attached, search.model, dataset)
+    ranges = [
+        f"{one.name} {significant(low)} to {significant(high)} {units[one.name]}".removesuffix(" 1")
+        for one in attached.effect.parameters
+        if not one.held
+        for low, high in [one.bounds(scale)]
+    ]
+    return f"searched: {', '.join(ranges)}"
 
 
 def _place(search: Search, name: Name) -> int:
@@ -221,10 +252,14 @@ def difference_of(search: Search) -> Difference:
 
     problem, z = search.recalibration.problem, search.recalibration.z
     units = range(len(problem.data.trials))
+    noise = search.noise
+    if noise.basis == "residual":  # noise to tell places by: what the causes leave, with its colour
+        final = search.selection.final
+        noise = from_residual(problem.data, member_residuals(final.problem, final.z))
     return Difference(
         problem.model,
         problem.data,
-        search.noise,
+        noise,
         problem.model_parameters(z),
         problem.attached(problem.parameters(z)),
         tuple(problem.initial_state(index, problem.own(z, index)) for index in units),
@@ -277,7 +312,9 @@ def conclude(
     selection, final = search.selection, search.selection.final
     floor = floor_of(search.data, noise, rng)
     if selection.chosen:
-        sizes = Sizes(search.raw.gap, search.held_out.gap, selection.held_out.gap, floor)
+        # where recalibration predicts worse than what is stated, nobody would recalibrate
+        before = min(search.held_out.gap, search.raw.gap)
+        sizes = Sizes(search.raw.gap, before, selection.held_out.gap, floor)
     else:  # nothing to compare on withheld conditions, where extrapolated parameters alone would leave a gap
         sizes = Sizes(search.raw.gap, search.recalibrated.gap, search.recalibrated.gap, floor)
     shrunk: Shrinkage | None = None
@@ -292,13 +329,18 @@ def conclude(
         kinds.count("effect"),
         kinds.count("parameter"),
         shrunk,
+        0.0 if noise.basis == "repeats" else learnable_share(final.problem, final.z),
     )
     decided = verdict(findings)
-    moved = scatter(final, search.draws)
-    announced = decided not in ("no-gap", "not-in-library") and not findings.unproven
+    moved = scatter(final, search.null.draws(final))
+    announced = decided not in ("no-gap", "undecided", "not-in-library") and not findings.unproven
     causes = causes_of(search, dataset, moved) if announced else ()
     if findings.unproven:
         sizes = replace(sizes, recalibrated=search.recalibrated.gap, after=search.recalibrated.gap)
+    learnable = None
+    if not causes or findings.remains:
+        note("asking what any model could learn of what is left")
+        learnable = _learnable(final.problem if causes else problem, final.z if causes else z)
     effects = final.problem.attached(final.problem.parameters(final.z))
     found: tuple[Place, ...] = ()
     missing: tuple[MissingForce, ...] = ()
@@ -313,6 +355,8 @@ def conclude(
             missing = missing_forces(difference)
     rated = selection.rounds[0].rated
     nearest = max(rated, key=lambda one: one.share).candidate.name if rated else None
+    channels = tuple((one.name, one.unit) for one in dataset.outputs)
+    differs = tuple(words(one, channels) for one in problem.deviations)
     recalibrated, last = _named(problem, z), _named(final.problem, final.z)
     repeats = search.data.repeats
     return Diagnosis(
@@ -320,7 +364,17 @@ def conclude(
         model=problem.model.name,
         source=str(dataset.source),
         verdict=decided,
-        sentence=sentence(decided, sizes, causes, shrunk, nearest, conditions=len(search.data.conditions)),
+        differs=differs,
+        sentence=sentence(
+            decided,
+            sizes,
+            causes,
+            shrunk,
+            nearest,
+            conditions=len(search.data.conditions),
+            told_by_repeats=noise.basis == "repeats",
+            differs=differs,
+        ),
         gap=sizes,
         where=found,
         causes=causes,
@@ -349,7 +403,7 @@ def conclude(
             *_unannounced(search, findings),
         ),
         what_next=tuple(what_next(decided, causes, repeats=repeats)),
-        channels=tuple((one.name, one.unit) for one in dataset.outputs),
+        channels=channels,
         input_channels=tuple((one.name, one.unit) for one in dataset.inputs),
         noise={one.name: float(sd) for one, sd in zip(dataset.outputs, noise.sd, strict=True)},
         trials=len(dataset.trials),
@@ -361,6 +415,14 @@ def conclude(
         guard=_guard_words(search),
         seed=seed,
         seconds=elapsed_s(),
+        learnable=learnable,
+    )
+
+
+def _learnable(problem: Problem, z: FloatArray) -> Learnable:
+    several = len(problem.data.conditions) > 1
+    return Learnable(
+        learnable_share(problem, z), learnable_share(problem, z, conditions=True) if several else None
     )
 
 
@@ -378,9 +440,14 @@ def _unannounced(search: Search, found: Findings) -> tuple[str, ...]:
 
 def _guard_words(search: Search) -> str:
     """Return what an announced cause had to beat."""
+    what = (
+        "surrogates of the residual (its spectrum, phases at random)"
+        if search.null.relative
+        else "draws of noise from the trials' own deviations"
+    )
     told = (
-        f"{len(search.draws)} draws of noise from the trials' own deviations, the whole library tried on each "
-        "(linearised); an announced cause must explain more than the best did in 97 of 100"
+        f"{criteria.NOISE_DRAWS} {what}, the whole library tried on each (linearised); an announced cause must "
+        f"explain more than the best did in {criteria.NOISE_PERCENTILE:.0f} of 100"
     )
     return (
         f"{told}; {criteria.FULL_SEARCH_DRAWS} of them searched with all fits" if search.full_guard else told

@@ -41,7 +41,10 @@ _RIDGE = 1e-10
 
 
 def scatter(base: Base, draws: Sequence[Sequence[FloatArray]]) -> FloatArray:
-    """Return how the scaled shared variables move with noise drawn from whole trials, (draws, size), linearly."""
+    """Return how the scaled shared variables move with noise drawn from whole trials, (draws, size), linearly.
+
+    What is stated of parameters is a measurement as well, as uncertain as its tolerance: it is drawn with the noise.
+    """
     jacobian = base.nuisance.jacobian
     size = base.problem.size
     prior = np.diag(base.problem.priors.slope)
@@ -52,7 +55,9 @@ def scatter(base: Base, draws: Sequence[Sequence[FloatArray]]) -> FloatArray:
         rows.append(shared - span @ (span.T @ shared))
         noise.append(stacked - span @ (span.T @ stacked))
     matrix = np.concatenate([*rows, prior])
-    right = np.concatenate([*noise, np.zeros((size, len(draws)))])
+    stated = np.random.default_rng(len(draws)).standard_normal((size, len(draws)))
+    stated[~np.isfinite(base.problem.priors.sigma)] = 0.0
+    right = np.concatenate([*noise, stated])
     norms = np.linalg.norm(matrix, axis=0)
     norms[norms == 0] = 1.0
     solution = np.linalg.lstsq(matrix / norms, right, rcond=_RIDGE)[0] / norms[:, None]
@@ -119,6 +124,7 @@ def upper_bounds(
     What cannot be negative, such as a friction, is bounded from zero up. What vanishes at infinity, such as the level
     of a saturation, is bounded by the least level; see `labrun.gap.confidence`.
     """
+    screened = screened.usual or screened  # bounds are of the usual form
     candidate = screened.candidate
     if candidate.attached is None or candidate.scale is None:
         return {}
@@ -157,6 +163,8 @@ def shrinkage(
     then, now = group_means(data, before.residual), group_means(data, after.residual)
     groups = len(then)
     sizes = np.array([len(mean) for mean, _ in then], dtype=float)
+    # without repeats the question is whether anything is removed at all, of all there is
+    fresh = min(groups, criteria.NEW_CONDITIONS) if noise.basis == "repeats" else groups
     shares = []
     for _ in range(criteria.RESAMPLES):
         drawn = group_means(data, noise.draw(data, rng))
@@ -166,7 +174,7 @@ def shrinkage(
             floor = noise.mean_floor(group, then[group][1])
             first[group] = _shaken(then[group][0], disturbance, noise.sd, floor)
             second[group] = _shaken(now[group][0], disturbance, noise.sd, floor)
-        chosen = rng.integers(0, groups, min(groups, criteria.NEW_CONDITIONS))
+        chosen = rng.integers(0, groups, fresh)
         total = float(sizes[chosen] @ first[chosen])
         if total > 0:
             shares.append(1.0 - float(sizes[chosen] @ second[chosen]) / total)

@@ -38,6 +38,11 @@ RECALIBRATION_STARTS = 3
 """Starts of the search for the recalibrated parameters: the stated values, those again piece by piece, one drawn."""
 PROBED_UNITS = 3
 """Trials that are simulated with a parameter at the end of what is believed of it, to see whether it simulates."""
+SAME_COURSE, NEAR_FACTOR = 0.95, 0.15
+"""Correlation of an output with the stated model from which only a factor is between them, and how near that is to the
+factor of a common mistake: parameters are not right to better than that."""
+REWEIGHED = 2
+"""How often a fit without repeats is repeated in units of what it left."""
 MODEL_ROUNDING = 5e-4
 """Part of an output's spread below which no model is believed: integrators and sampling differ by as much."""
 INTEGRATION_ERROR = 0.03
@@ -55,12 +60,16 @@ MOST_ORDER = 8
 """Highest order of the autoregressive predictor that makes noise white; AICc chooses below it."""
 LEAST_INNOVATION = 1e-6
 """Part of the variance that is left when a higher order of the predictor would be fitting rounding."""
-REPLACED_AS_GOOD = 0.7
-"""Without repeats: only candidates that gain this part of what the best one gains are followed to their ends."""
-REPLACED_PROMISE = 0.1
-"""Without repeats: only candidates whose survey promises this part of what the best one's does are fitted."""
-REPLACED_WORTH = 0.98
-"""Without repeats: a further candidate that leaves more than this part of the squared residual fits noise."""
+FEWEST_WITNESS_SAMPLES = 64
+"""Shorter trials say nothing of the noise of a sample: it is then taken to be all that the model leaves."""
+
+# --- what differs from trial to trial -----------------------------------------------------------------------------
+
+DEVIATION_SHARE, DEVIATION_P, DEVIATION_FREEDOM = 0.3, 1e-3, 30
+"""A bias, gain or start time by trial counts if it makes up this part of what repeats do not agree on, and if noise of
+the colour of the rest (a variance known as well as from so many trials) would scatter by so much this seldom."""
+MOST_DEVIATIONS, DEVIATION_DRAWS = 3, 200
+"""Deviations by trial that are taken apart at most, and draws of noise that each is compared with."""
 
 # --- candidates and screening -------------------------------------------------------------------------------------
 
@@ -78,7 +87,7 @@ FAR_OFF = 3.0
 """Factor by which a stated value may be wrong: beyond it, an effect is the better explanation."""
 SPANNED = 1e-7
 """Singular value, in units of the largest, below which a direction of the nuisance parameters is rounding."""
-IMITATED = 0.08
+IMITATED = 0.1
 """Part of a change, at a small size, below which it counts as imitated by parameters: it is not linear after all."""
 STARTS_FOLLOWED = 3
 """Starts that are followed: a delay, say, has a minimum of its own beside what damping imitates."""
@@ -100,8 +109,17 @@ FIT_TOLERANCE, FIT_EVALUATIONS = 1e-4, 30
 """The same of fits that are followed to their ends."""
 SHAPE_REMAINDER = 0.004
 """Part of what a candidate explains that has to be left over (beyond noise) before its shape is looked at."""
-SHAPE_PRICE = 10.0
-"""By how much the sum of squares must fall for every shape that is fitted, in units of the noise's dispersion ..."""
+WIDENINGS, WIDER = 3, 5.0
+"""How often, and by which factor, the range of a size is widened that a fit ended at the far end of."""
+FINER, FINEST, STEPS_DO = 4, 16, 0.005
+"""Steps of the integrator are so many times shortened, to so many per sample, until that moves the squared residual by
+less than this part of the recalibrated one: with one step for 20 ms, dry friction removed 0.38 of a servo's gap, with
+sixteen 0.80."""
+SHAPED_BESIDE_BEST = 0.3
+"""Shapes are looked at of what gains this part of the best one's gain: dry friction with the usual shape gained 0.45 of
+what backlash did, and with a sharper sign 0.95 (a position servo, six motions)."""
+SHAPE_PRICE = 5.0
+"""Log likelihood that every shape that is fitted must earn ..."""
 SHAPE_EARNS = 0.002
 """... and by which part of what the candidate explains."""
 
@@ -115,8 +133,8 @@ FULL_SEARCH_DRAWS = 30
 """... and in the search with all its fits."""
 LINEAR_SLACK = 1.3
 """Factor on the threshold: fits are not linear, and the noise itself is only estimated."""
-UNREPEATED_STRICTNESS = 2.5
-"""Factor on the threshold where noise was told from gap by a fit, not by repeats."""
+LEAST_LEFT = 1e-9
+"""Part of a sum of squares below which what is left of it is rounding."""
 
 # --- selection on withheld conditions -------------------------------------------------------------------------------
 
@@ -160,10 +178,34 @@ SIMPLER_SHARE = 0.02
 """A candidate with fewer variables is preferred if it removes no less than this part of the excess less."""
 RIVAL_WEIGHT = 0.05
 """What explains the data as well is told as a rival from this probability on ..."""
+SPEAKS_ALONE, EVIDENCE_ALONE = 1.6, 20.0
+"""Without repeats: number of conditions (weighed by the share removed in each) below which one speaks alone, and the
+evidence asked for then. Scatter of parameters from trial to trial made evidence of 4.5 in one condition of a control;
+an end stop that one piece of three reached had 180. Weighed by what is gained, a piece of a free swing that leaves
+most spoke alone (1.3) for friction that all have (2.0 by shares)."""
+FEWEST_AGREEING = 3
+"""Conditions from which candidates are compared by how far conditions agree."""
+HARDLY, AS_GOOD = 0.1, 0.5
+"""What leaves no more than this part more is hardly worse; and the odds from which it counts as well as the best."""
 RIVAL_EVIDENCE = 0.5
 """... if it gains this part of the threshold ..."""
 RIVAL_SHARE = 0.06
 """... and its share on withheld conditions is no more than this below the cause's."""
+
+# --- what any model could gain ---------------------------------------------------------------------------------------
+
+LEARNED_PIECES = 8
+"""Pieces of every trial, one of which is withheld at a time."""
+MOST_LEARNED = 20000
+"""Samples that are learned from; of more, every second, third ... is taken."""
+NEURONS, LOOKED_AT, STEEPNESS = 300, 3.0, (0.3, 10.0)
+"""Random neurons, at how many signals each looks in the mean, and how steep they are."""
+RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
+"""Strengths of the ridge per sample; the one that predicts best on what was withheld is told."""
+MEMORIES = (0.03, 0.125, 0.4)
+"""Pasts that are seen, in typical periods of the outputs."""
+LEARNABLE = 0.3
+"""Part of what is left that has to be learnable where nothing explains it, to be called a gap without repeats."""
 
 # --- verdict ------------------------------------------------------------------------------------------------------
 

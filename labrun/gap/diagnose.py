@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from labrun.fit import Dataset, Note, silent, workers
 from labrun.gap.conclusion import conclude
 from labrun.gap.diagnosis import Diagnosis
 from labrun.gap.pipeline import search_causes
+from labrun.gap.rest_law import explain_rest
 from labrun.models import Model
 
 
@@ -25,6 +26,8 @@ class Options:
         Run the whole search, with all its fits, on data made from the recalibrated model and the noise.
     places
         Whether to look for where the gap is; the search for causes does not need it.
+    explain_rest
+        Whether to propose a law for what the causes leave.
     """
 
     seed: int = 0
@@ -32,6 +35,7 @@ class Options:
     full_guard: bool = False
     workers: int = 1
     places: bool = True
+    explain_rest: bool = False
 
 
 def diagnose_dataset(
@@ -62,7 +66,7 @@ def diagnose_dataset(
             each=each,
             note=note,
         )
-        return conclude(
+        found = conclude(
             search,
             rng,
             seed=options.seed,
@@ -71,3 +75,8 @@ def diagnose_dataset(
             note=note,
             each=each,
         )
+        if not options.explain_rest:
+            return found
+        end = search.selection.final if found.causes else search.recalibration
+        rest = explain_rest(end.problem, end.z, search.noise, rng, note=note)
+        return replace(found, rest=rest, notes=(*found.notes, *(() if rest is None else (rest.sentence,))))

@@ -6,8 +6,9 @@ from typing import Any, Literal
 
 from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect
+from labrun.gap.what_is_left import Learnable, RestLaw
 
-Verdict = Literal["no-gap", "parameter", "explained", "partly-explained", "not-in-library"]
+Verdict = Literal["no-gap", "undecided", "parameter", "explained", "partly-explained", "not-in-library"]
 CandidateVerdict = Literal["cause", "ruled-out", "not-visible", "indistinguishable"]
 By = Literal["channel", "condition", "phase", "frequency", "state", "reversal", "equation"]
 CauseKind = Literal["effect", "parameter"]
@@ -216,6 +217,8 @@ class Diagnosis:
     ----------
     sentence
         The verdict, as a sentence.
+    differs
+        What differs from trial to trial and was taken out of noise and gap, in words.
     recalibration : parameter -> (stated value, tolerance, recalibrated value)
         Tolerance as in the model, relative or "free".
     corrected : parameter -> value
@@ -231,6 +234,10 @@ class Diagnosis:
     noise : output -> standard deviation of one trial
     traces
         The worst unit of each of a few conditions, those with the largest gap first.
+    rest
+        A law for what the causes leave, where one was asked for.
+    learnable
+        What any model could gain on what is left; None where nothing is left beyond noise.
     """
 
     name: str
@@ -241,6 +248,7 @@ class Diagnosis:
     gap: Sizes
     where: tuple[Place, ...]
     causes: tuple[Cause, ...]
+    differs: tuple[str, ...]
     candidates: tuple[Candidate, ...]
     shrinkage: Shrinkage | None
     recalibration: Mapping[str, tuple[float, float | str, float]]
@@ -261,6 +269,8 @@ class Diagnosis:
     guard: str
     seed: int
     seconds: float
+    rest: RestLaw | None = None
+    learnable: Learnable | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap diagnose --json`` prints."""
@@ -287,6 +297,7 @@ class Diagnosis:
                 }
                 for place in self.where
             ],
+            "differs_by_trial": list(self.differs),
             "causes": [_cause(cause) for cause in self.causes],
             "candidates": [_candidate(candidate) for candidate in self.candidates],
             "shrinkage": None
@@ -319,6 +330,10 @@ class Diagnosis:
             "guard": self.guard,
             "seed": self.seed,
             "seconds": round(self.seconds, 2),
+            "learnable": None
+            if self.learnable is None
+            else {"pieces_of_time": self.learnable.pieces, "conditions": self.learnable.conditions},
+            **({} if self.rest is None else {"rest": self.rest.to_json()}),
         }
 
 

@@ -63,21 +63,43 @@ def group_means(units: Dataset, residual: Sequence[FloatArray]) -> list[tuple[Fl
     return found
 
 
-def excess(data: Dataset, noise: Noise, residual: Sequence[FloatArray]) -> Excess:
-    """Return the excess of mean residuals (one array per trial) over the noise floor."""
+def excess(
+    data: Dataset, noise: Noise, residual: Sequence[FloatArray], deviations: Sequence[float] = ()
+) -> Excess:
+    """Return the excess of mean residuals (one array per trial) over the noise floor.
+
+    Parameters
+    ----------
+    deviations : per trial
+        What its own deviations have beyond their spread, in the same units: those that all trials share are a gap.
+    """
     groups = group_means(data, residual)
     present = [group for group in range(len(data.conditions)) if data.of_group(group)]
     values = [
         np.mean(np.square(mean / noise.sd), axis=0) - noise.mean_floor(group, count)
         for group, (mean, count) in zip(present, groups, strict=True)
     ]
+    if deviations:
+        beyond = [np.mean([deviations[index] for index in data.of_group(group)]) for group in present]
+        values = [value + more for value, more in zip(values, beyond, strict=True)]
     sizes = np.array([float(len(mean)) for mean, _ in groups])
     return Excess(np.array(values), sizes / sizes.sum(), residual)
 
 
+def _beyond_spread(problem: Problem, trial: int, own: FloatArray) -> float:
+    """Return what deviations of a trial's own have beyond their spread, per sample, in units of one trial's noise."""
+    if not problem.deviations:
+        return 0.0
+    data = problem.data.trials[trial]
+    squares = float(np.sum(np.square(own[len(own) - len(problem.deviations) :]))) - len(problem.deviations)
+    return squares / data.count / data.outputs.size
+
+
 def fitted_excess(problem: Problem, z: FloatArray, noise: Noise) -> Excess:
     """Return what a fit leaves of the data it has seen."""
-    return excess(problem.data, noise, mean_residuals(problem, z))
+    trials = range(len(problem.data.trials))
+    beyond = [_beyond_spread(problem, index, problem.own(z, index)) for index in trials]
+    return excess(problem.data, noise, mean_residuals(problem, z), beyond)
 
 
 def floor_of(data: Dataset, noise: Noise, rng: np.random.Generator) -> float:
@@ -88,7 +110,10 @@ def floor_of(data: Dataset, noise: Noise, rng: np.random.Generator) -> float:
 
 def held_out_excess(problem: Problem, z: FloatArray, noise: Noise) -> Excess:
     """Return what fits from `z` leave of conditions they have not seen."""
-    return excess(problem.data, noise, held_out_residuals(problem, z))
+    if len(problem.data.conditions) == 1:
+        return fitted_excess(problem, z, noise)
+    found = held_out_residuals(problem, z)
+    return excess(problem.data, noise, [one for one, _ in found], [beyond for _, beyond in found])
 
 
 def folds(groups: int) -> list[list[int]]:
@@ -97,18 +122,17 @@ def folds(groups: int) -> list[list[int]]:
     return [list(range(fold, groups, count)) for fold in range(count)]
 
 
-def held_out_residuals(problem: Problem, z: FloatArray) -> list[FloatArray]:
+def held_out_residuals(problem: Problem, z: FloatArray) -> list[tuple[FloatArray, float]]:
     """Return measured minus simulated of every unit, from fits that did not see its condition.
+
+    With each what its own deviations have beyond their spread.
 
     Only the unit's own initial states are fitted to it. The size of an effect that shows in the withheld condition
     alone (a level that only the largest motion reaches) cannot be learned from the others: it stays what the fit of
-    everything made it, and all else is fitted without that condition. With a single condition nothing can be left out:
-    the residual is then that of the fit itself.
+    everything made it, and all else is fitted without that condition.
     """
     groups = len(problem.data.conditions)
-    if groups == 1:
-        return mean_residuals(problem, z)
-    residual: list[FloatArray | None] = [None] * len(problem.data.trials)
+    residual: list[tuple[FloatArray, float] | None] = [None] * len(problem.data.trials)
     everything = range(len(problem.data.trials))
     # leaving a condition out moves the fit a little: derivatives taken once show every fold its way
     jacobian = problem.jacobian(z, central=False)
@@ -183,7 +207,7 @@ def _trained(
 
 def _tested(
     problem: Problem, z: FloatArray, shared: FloatArray, test: Sequence[int], jacobian: Jacobian
-) -> list[FloatArray]:
+) -> list[tuple[FloatArray, float]]:
     part = problem.part(test)
     start = np.concatenate([shared, _own(problem, z, test)])
     if problem.own_size:
@@ -208,5 +232,6 @@ def _tested(
                 parameters, index, part.own(start, index)
             )
         # parameters that blow up elsewhere explain nothing there: as bad as predicting the channels' means
-        found.append(trial.outputs - (np.mean(trial.outputs, axis=0) if outputs is None else outputs))
+        left = trial.outputs - (np.mean(trial.outputs, axis=0) if outputs is None else outputs)
+        found.append((left, _beyond_spread(part, index, part.own(start, index))))
     return found

@@ -166,6 +166,8 @@ class Noise:
     energy_freedom
         Degrees of freedom of the energy of one trial's noise: large for noise of a sensor, about 1 where trials differ
         in one way only, as by a friction that changes.
+    innovations
+        Without repeats: whether fits look at what a residual's own past does not predict, not at the residual itself.
     """
 
     sd: FloatArray
@@ -175,6 +177,7 @@ class Noise:
     deviations: tuple[tuple[FloatArray, ...], ...]
     freedom: int
     energy_freedom: float = np.inf
+    innovations: bool = False
 
     def floor(self, group: int) -> FloatArray:
         """Return the variance of one trial's own noise in a condition, in units of `sd` squared, (m,).
@@ -317,6 +320,42 @@ def _common_rounding(deviation: float, step: float) -> float:
     if deviation >= step:
         return 0.0
     return common(float(brentq(seen, 0.0, 2.0 * step)))
+
+
+def of_sensor(units: Dataset, residual: Sequence[FloatArray]) -> Noise:
+    """Estimate what a sensor adds to each sample, from witnesses that know no repeats.
+
+    The least of what an autoregressive predictor leaves of the residual, of what its second differences hold, and of
+    the floor of its spectrum (median over ln 2); at least the rounding of the sensor's steps, and what no model is
+    believed to. All of them take slow disturbances for gap: it is a lower bound of the noise.
+
+    Parameters
+    ----------
+    residual : per unit (n, m)
+        Of the recalibrated model.
+    """
+    spread = np.std(np.concatenate([unit.outputs for unit in units.trials]), axis=0)
+    least = np.maximum(quantum(units) * _QUANTUM, criteria.MODEL_ROUNDING * spread)
+    sd = [
+        max(_sensor_sd([one[:, column] for one in residual]), size)
+        for column, size in enumerate(least.tolist())
+    ]
+    groups: tuple[tuple[FloatArray, ...], ...] = tuple(() for _ in units.conditions)
+    return Noise(np.array(sd), white(len(sd)), "residual", np.zeros(len(sd)), groups, 0)
+
+
+def _sensor_sd(sequences: Sequence[FloatArray]) -> float:
+    """Return the least of what several witnesses say of the noise of one channel, (n,) per trial."""
+    size = float(np.sqrt(np.mean(np.square(np.concatenate(sequences)))))
+    long = [one for one in sequences if len(one) >= criteria.FEWEST_WITNESS_SAMPLES]
+    if not long or size == 0.0:
+        return size
+    total = sum(map(len, long))
+    innovation = size * float(_predictor([one / size for one in long]).deviation[-1])
+    difference = np.sqrt(sum(float(np.sum(np.square(np.diff(one, n=2)))) for one in long) / 6.0 / total)
+    densities = np.concatenate([np.square(np.abs(np.fft.rfft(one)[1:])) / len(one) for one in long])
+    spectrum = np.sqrt(float(np.median(densities)) / np.log(2.0))
+    return float(min(size, innovation, difference, spectrum))
 
 
 def from_residual(units: Dataset, residual: Sequence[Sequence[FloatArray]]) -> Noise:

@@ -1,85 +1,104 @@
-"""The threshold against false alarms: how much the best of all candidates would explain of noise alone."""
+"""The threshold against false alarms: how much the best of all candidates would explain by chance alone."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labrun.arrays import FloatArray
-from labrun.fit import Each, Problem, one_by_one
+from labrun.fit import Each, one_by_one
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
-from labrun.gap.noise import Noise
+from labrun.gap.null import Null, surrogate
 from labrun.gap.screening import Base, Survey, refit, screen_all, survey
 
 
 @dataclass(frozen=True)
 class NoiseThreshold:
-    """What noise alone would do.
+    """What chance alone would do.
 
     Attributes
     ----------
     gain
         Fall of the sum of squares that the best candidate must exceed.
     dispersion
-        Mean energy of the noise in one direction; 1 if the noise is as white as it was taken to be.
+        Mean energy of chance in one direction; 1 if noise is as white as it was taken to be.
+    floor
+        Sum of squares that noise alone leaves.
+    squares
+        Sum of squares of the base, where its size is not known to be that of noise or gap: what counts then is the
+        part of it that a candidate removes. Infinite where noise is known.
     """
 
     gain: float
     dispersion: float
+    floor: float = 0.0
+    squares: float = np.inf
 
     def times(self, strictness: float) -> "NoiseThreshold":
         """Return a threshold that asks for so many times more."""
-        return NoiseThreshold(self.gain * strictness, self.dispersion)
+        if np.isinf(self.squares):
+            return replace(self, gain=self.gain * strictness)
+        odds = strictness * self._odds(self.gain)
+        return replace(self, gain=self.squares * odds / (1.0 + odds))
 
+    def evidence(self, gain: float) -> float:
+        """Return how far a gain is beyond chance: above 1 it is. Where nothing shows at all, no gain is."""
+        if self.gain <= 0.0:
+            return 0.0
+        return self._odds(gain) / self._odds(self.gain) if np.isfinite(self.squares) else gain / self.gain
 
-def noise_draws(problem: Problem, noise: Noise, rng: np.random.Generator) -> list[list[FloatArray]]:
-    """Return whitened noise of the mean of every unit, as the residuals of `problem` see it, for every draw."""
-    behind = np.zeros(len(problem.states.read))  # no noise is drawn for what is read of initial states
-    found = []
-    for _ in range(criteria.NOISE_DRAWS):
-        parts = []
-        for index, drawn in enumerate(noise.draw(problem.data, rng)):
-            white = problem.whiten(drawn * problem.noise.weights, index).ravel()
-            parts.append(np.concatenate([white, behind]))
-        found.append(parts)
-    return found
+    def log_likelihood(self, gain: float) -> float:
+        """Return the tempered log likelihood that a gain adds; of noise of unknown size where it is not told."""
+        if np.isinf(self.squares):
+            return 0.5 * gain / self.dispersion
+        left = max(1.0 - gain / self.squares, criteria.LEAST_LEFT)
+        return -0.5 * self.squares / self.dispersion * float(np.log(left))
+
+    def _odds(self, gain: float) -> float:
+        return gain / max(self.squares - gain, criteria.LEAST_LEFT * self.squares)
 
 
 def full_strictness(
     base: Base,
     candidates: Sequence[Candidate],
-    noise: Noise,
+    null: Null,
     linear: NoiseThreshold,
     rng: np.random.Generator,
     each: Each = one_by_one,
 ) -> float:
-    """Return by what factor the linearised threshold has to grow, from the whole search run on noise alone.
+    """Return by what factor the linearised threshold has to grow, from the whole search run on chance alone.
 
-    Data are made from the base's own prediction and noise redrawn from whole trials; parameters are fitted again, every
-    candidate is surveyed and fitted with all its variables, and the gain of the best one kept.
+    Data are made from the base's own prediction and noise redrawn from whole trials (or a surrogate of its residual);
+    parameters are fitted again, every candidate is surveyed and fitted with all its variables, and the evidence of the
+    best one kept.
     """
-    simulated = base.problem.simulated(base.z)
+    simulated, problem = base.problem.simulated(base.z), base.problem
     most = []
     for _ in range(criteria.FULL_SEARCH_DRAWS):
-        drawn = noise.draw(base.problem.data, rng)
-        problem = base.problem.with_measured(
-            [one + other for one, other in zip(simulated, drawn, strict=True)]
-        )
-        null = Base.of(problem, refit(problem, base.z, tolerance=1e-4))
-        surveys = each(lambda one, null=null: survey(null, one), candidates)  # type: ignore[misc]
-        most.append(max(one.gain for one in screen_all(null, surveys, linear.gain, each)))
-    return max(1.0, float(np.percentile(most, criteria.NOISE_PERCENTILE)) / linear.gain)
+        if null.relative:
+            drawn = [
+                one[: trial.outputs.size].reshape(trial.outputs.shape) / problem.noise.weights
+                for one, trial in zip(surrogate(base, rng), problem.data.trials, strict=True)
+            ]
+        else:
+            drawn = null.noise.draw(problem.data, rng)
+        redrawn = problem.with_measured([one + other for one, other in zip(simulated, drawn, strict=True)])
+        chance = Base.of(redrawn, refit(redrawn, base.z, tolerance=1e-4))
+        surveys = each(lambda one, chance=chance: survey(chance, one), candidates)  # type: ignore[misc]
+        squares = chance.squares if null.relative else np.inf
+        scale = replace(linear, squares=squares, gain=linear.gain * min(squares / linear.squares, 1.0))
+        found = screen_all(chance, surveys, scale.gain, each)
+        most.append(max(scale.evidence(one.gain) for one in found))
+    return max(1.0, float(np.percentile(most, criteria.NOISE_PERCENTILE)))
 
 
-def noise_threshold(
-    base: Base, surveys: Sequence[Survey], draws: Sequence[Sequence[FloatArray]]
-) -> NoiseThreshold:
-    """Return the threshold from the linearised search: the whole library against noise drawn from the data's own.
+def noise_threshold(base: Base, surveys: Sequence[Survey], null: Null) -> NoiseThreshold:
+    """Return the threshold from the linearised search: the whole library against draws of chance.
 
     Every candidate is stood for by the changes it makes at several sizes, so that one draw costs a few products of
-    vectors. The gain is the energy of the noise in the best of them.
+    vectors. The gain is the energy of the draw in the best of them.
     """
+    draws = null.draws(base)
     units = len(base.residual)
     stacked = [np.column_stack([draw[unit] for draw in draws]) for unit in range(units)]
     noise = base.nuisance.remainder(stacked)
@@ -97,7 +116,15 @@ def noise_threshold(
             plane = np.linalg.qr(lines[:, :variables])[0]
             gain = np.maximum(gain, np.sum(np.square(plane.T @ noise), axis=0))
         most = np.maximum(most, gain)
-    dispersion = max(1.0, float(np.mean(energies))) if energies else 1.0
-    return NoiseThreshold(
-        criteria.LINEAR_SLACK * float(np.percentile(most, criteria.NOISE_PERCENTILE)), dispersion
+    floor = null.floor(base.problem)
+    if not null.relative:
+        dispersion = max(1.0, float(np.mean(energies))) if energies else 1.0
+        gain = float(np.percentile(most, criteria.NOISE_PERCENTILE))
+        return NoiseThreshold(gain, dispersion, floor).times(criteria.LINEAR_SLACK)
+    whole = np.sum(np.square(noise), axis=0)
+    shares = most / np.where(whole > 0, whole, 1.0)
+    dispersion = (
+        float(np.mean(energies)) * base.squares / max(float(np.mean(whole)), 1e-300) if energies else 1.0
     )
+    gain = base.squares * float(np.percentile(shares, criteria.NOISE_PERCENTILE))
+    return NoiseThreshold(gain, dispersion, floor, base.squares).times(criteria.LINEAR_SLACK)

@@ -1,29 +1,29 @@
 """The whole search on one dataset: recalibrate, measure the noise, try the library, choose the causes."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labrun.arrays import FloatArray
 from labrun.fit import Dataset, Each, Note, one_by_one, silent
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
-from labrun.gap.candidates import Candidate, candidates, site_scales, without
-from labrun.gap.data_checks import require_informative, with_sound_clocks
-from labrun.gap.diagnosis import Name
+from labrun.gap.candidates import Candidate, candidates, site_scales, untried
+from labrun.gap.data_checks import Checked, require_informative, with_sound_clocks
 from labrun.gap.held_out import Excess, fitted_excess, held_out_excess, not_withheld
-from labrun.gap.noise import Noise, from_residual
-from labrun.gap.noise_threshold import full_strictness, noise_draws, noise_threshold
+from labrun.gap.noise import Noise
+from labrun.gap.noise_threshold import full_strictness, noise_threshold
+from labrun.gap.null import Null
 from labrun.gap.recalibration import (
     Recalibrated,
     bound_remarks,
     in_noise,
-    member_residuals,
+    in_units_of,
     recalibrate,
+    unit_remarks,
     unsearched,
 )
-from labrun.gap.screening import Base, ends_of, screen_all, survey
+from labrun.gap.screening import Base, refit, survey
 from labrun.gap.selection import Selection, Selector
 from labrun.models import Model
 
@@ -38,8 +38,8 @@ class Search:
         The trials that were looked at, and the same with repeats averaged.
     limitations, notes
         What to know about them, in sentences.
-    draws
-        Noise of the averaged trials, whitened, that set the threshold.
+    null
+        What candidates had to beat.
     raw, recalibrated
         Excess with the stated and the recalibrated parameters; `held_out` that of recalibrations that did not
         see the condition.
@@ -51,12 +51,13 @@ class Search:
     notes: tuple[str, ...]
     recalibration: Recalibrated
     candidates: list[Candidate]
-    draws: list[list[FloatArray]]
+    null: Null
     raw: Excess
     recalibrated: Excess
     held_out: Excess
     selection: Selection
     full_guard: bool
+    withhold: Collection[str] = ()
 
     @property
     def model(self) -> Model:
@@ -76,6 +77,7 @@ class Search:
         left_out = [one.name for one in self.candidates if one.name not in tried]
         return (
             *bound_remarks(problem, self.recalibration.z),
+            *untried(problem.model, self.withhold),
             *not_withheld(final.problem, final.z, final.nuisance.jacobian),
             *(f"effect {name} gives no finite numbers at any size: it was not tried" for name in left_out),
         )
@@ -108,38 +110,79 @@ def search_causes(
     require_informative(dataset)
     clocks = with_sound_clocks(dataset)
     data = averaged(clocks.dataset, model)
-    recalibration = recalibrate(model, data, rng, note)
-    unfinished = unsearched(recalibration.problem, recalibration.z)
-    scales = site_scales(recalibration.problem, recalibration.z)
-    every = candidates(recalibration.problem.model, scales, withhold)
-    known: dict[Name, FloatArray] = {}
-    strictness = 1.0
-    if recalibration.noise.basis == "residual":
-        recalibration, known = _without_repeats(recalibration, every, note, each)
-        strictness = criteria.UNREPEATED_STRICTNESS
+    first = recalibrate(model, data, rng, note)
+    asked = _Asked(clocks, data, withhold, full_guard, rng, each, note)
+    found = _searched(asked, first)
+    if first.noise.basis == "residual" and not found.selection.chosen:
+        # the phase of a free swing drifts, so that nothing is linear but what its own past does not predict
+        note("nothing explains the residual: looking at what its own past does not predict")
+        noise = replace(first.noise, innovations=True)
+        again = _searched(asked, in_noise(first.problem, noise, first.z))
+        found = _fitted_to_motion(again, first.noise) if again.selection.chosen else found
+    return found
+
+
+def _fitted_to_motion(search: Search, noise: Noise) -> Search:
+    """Return a search whose causes are fitted once more to the motion itself, which is what a model has to predict.
+
+    What its own past does not predict tells which causes there are; of their sizes it says less than the motion.
+    """
+    final = search.selection.final
+    problem, z = final.problem, final.z
+    for _ in range(criteria.REWEIGHED):
+        problem = in_units_of(noise, problem, z)
+        z = refit(problem, z)
+    final = Base.of(problem, z, final.added)
+    selection = replace(search.selection, final=final, held_out=held_out_excess(problem, z, noise))
+    return replace(search, selection=selection)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What a search is asked, whichever way the residual is looked at."""
+
+    clocks: Checked
+    data: Dataset
+    withhold: Collection[str]
+    full_guard: bool
+    rng: np.random.Generator
+    each: Each
+    note: Note
+
+
+def _searched(asked: _Asked, recalibration: Recalibrated) -> Search:
     problem, noise, z = recalibration.problem, recalibration.noise, recalibration.z
-    note(f"trying {len(every)} candidates")
-    draws = noise_draws(problem, noise, rng)
+    every = candidates(problem.model, site_scales(problem, z), asked.withhold)
+    asked.note(f"trying {len(every)} candidates")
+    null = Null.of(problem, noise, asked.rng)
     held_out = held_out_excess(problem, z, noise)
     base = Base.of(problem, z)
-    if full_guard:
-        note("running the whole search on noise alone, for the guard")
-        linear = noise_threshold(base, each(lambda one: survey(base, one), every), draws)
-        strictness *= full_strictness(base, every, noise, linear, rng, each)
-    selector = Selector(base, every, noise, draws, held_out, strictness, known, each, note)
+    strictness = 1.0
+    if asked.full_guard:
+        asked.note("running the whole search on noise alone, for the guard")
+        linear = noise_threshold(base, asked.each(lambda one: survey(base, one), every), null)
+        strictness = full_strictness(base, every, null, linear, asked.rng, asked.each)
+    selector = Selector(base, every, noise, null, held_out, strictness, asked.each, asked.note)
+    limitations = (
+        *unit_remarks(problem, recalibration.raw),
+        *asked.clocks.limitations,
+        *unsearched(problem, z),
+        *_without(asked.withhold),
+    )
     return Search(
-        clocks.dataset,
-        data,
-        (*clocks.limitations, *unfinished, *_without(withhold)),
-        clocks.notes,
+        asked.clocks.dataset,
+        asked.data,
+        limitations,
+        asked.clocks.notes,
         recalibration,
         every,
-        draws,
+        null,
         fitted_excess(problem, recalibration.raw, noise),
         fitted_excess(problem, z, noise),
         held_out,
         selector.select(),
-        full_guard,
+        asked.full_guard,
+        asked.withhold,
     )
 
 
@@ -147,36 +190,3 @@ def _without(withhold: Collection[str]) -> tuple[str, ...]:
     if not withhold:
         return ()
     return (f"The library was without {', '.join(sorted(withhold))}, as asked: such a cause is not found.",)
-
-
-def _without_repeats(
-    recalibration: Recalibrated, every: list[Candidate], note: Note, each: Each
-) -> tuple[Recalibrated, dict[Name, FloatArray]]:
-    """Take as noise what the best few candidates together leave: without repeats nothing else tells it from the gap.
-
-    Its colour is believed of that remainder only: where the model is wrong, the gap has a colour of its own. Returned
-    with the sizes at which fits of candidates beside the recalibrated model ended.
-    """
-    units = recalibration.problem.data
-    note("no repeats: telling noise from gap by what the best candidates together leave")
-    base = Base.of(recalibration.problem, recalibration.z)
-    first, known = dict[Name, FloatArray](), dict[Name, FloatArray]()
-    for _ in range(criteria.MOST_CAUSES):
-        rest = without(every, {one.name for one in base.added})
-        surveys = each(lambda one, base=base: survey(base, one), rest)  # type: ignore[misc]
-        screened = screen_all(
-            base,
-            surveys,
-            each=each,
-            worth=criteria.REPLACED_AS_GOOD,
-            beside_best=criteria.REPLACED_PROMISE,
-            known=known,
-        )
-        known |= ends_of(screened)
-        first = first or dict(known)
-        best = min(screened, key=lambda one: one.squares, default=None)
-        if best is None or best.squares > criteria.REPLACED_WORTH * base.squares:
-            break
-        base = Base.of(best.problem, best.z, (*base.added, best.candidate))
-    noise = from_residual(units, member_residuals(base.problem, base.z))
-    return in_noise(recalibration.problem, noise, recalibration.z), first

@@ -1,16 +1,15 @@
 """Comparing candidates: how well each explains the data, on its own terms and on conditions it did not see."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import product
+from dataclasses import dataclass
 
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit import minimise
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
 from labrun.gap.held_out import Excess, held_out_excess
+from labrun.gap.kin import kin, rank
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import NoiseThreshold
 from labrun.gap.screening import Base, Screened
@@ -30,6 +29,10 @@ class Rated:
         Excess on conditions its fit did not see.
     share
         Part of the recalibrated model's held-out excess that it removes.
+    left
+        Part of its gain that is left beyond noise.
+    conditions
+        How many conditions it gains in, each weighed by the share that it removes there: 1 if it does in one alone.
     """
 
     screened: Screened
@@ -37,6 +40,8 @@ class Rated:
     score: float
     held_out: Excess
     share: float
+    left: float
+    conditions: float
 
     @property
     def candidate(self) -> Candidate:
@@ -44,7 +49,7 @@ class Rated:
         return self.screened.candidate
 
 
-def rate(screened: Screened, threshold: NoiseThreshold, noise: Noise, reference: Excess) -> Rated:
+def rate(base: Base, screened: Screened, threshold: NoiseThreshold, noise: Noise, reference: Excess) -> Rated:
     """Test a screened candidate on conditions its fit did not see.
 
     Parameters
@@ -54,14 +59,34 @@ def rate(screened: Screened, threshold: NoiseThreshold, noise: Noise, reference:
     """
     left = held_out_excess(screened.problem, screened.z, noise)
     share = 1.0 - left.total / reference.total if reference.total > 0 else 0.0
-    evidence = screened.gain / threshold.gain
-    return Rated(screened, evidence, score(screened, threshold), left, max(share, -1.0))
+    beyond = max(screened.squares - threshold.floor, 0.0)
+    return Rated(
+        screened,
+        threshold.evidence(screened.gain),
+        score(screened, threshold),
+        left,
+        max(share, -1.0),
+        beyond / screened.gain if screened.gain > 0 else 1.0,
+        _conditions(base, screened),
+    )
+
+
+def _conditions(base: Base, screened: Screened) -> float:
+    before, gains = np.zeros((2, len(base.problem.data.conditions)))
+    after = screened.problem.residuals(screened.z)
+    for trial, then, now in zip(base.problem.data.trials, base.residual, after, strict=True):
+        before[trial.group] += float(then @ then)
+        gains[trial.group] += float(then @ then) - float(now @ now)
+    # shares: what is explained in every condition alike is not that of the one that leaves most
+    shares = np.maximum(gains, 0.0) / np.where(before > 0.0, before, 1.0)
+    squares = float(np.sum(np.square(shares)))
+    return float(np.sum(shares)) ** 2 / squares if squares > 0 else 1.0
 
 
 def score(screened: Screened, threshold: NoiseThreshold) -> float:
     """Return the tempered log likelihood that a candidate adds, less a price for its variables."""
     price = criteria.VARIABLE_PRICE * max(screened.candidate.variables, 1)
-    return 0.5 * screened.gain / threshold.dispersion - price
+    return threshold.log_likelihood(screened.gain) - price
 
 
 def promising(screened: Sequence[Screened], threshold: NoiseThreshold, most: int) -> list[Screened]:
@@ -89,15 +114,19 @@ def weights(rated: Sequence[Rated], form_slack: float) -> FloatArray:
     return np.asarray(powers / powers.sum())
 
 
-def preferred(rated: Sequence[Rated], left: Excess, reference: Excess, *, further: bool) -> Rated | None:
+def preferred(
+    rated: Sequence[Rated], left: Excess, reference: Excess, *, further: bool, relative: bool = False
+) -> Rated | None:
     """Return the candidate to take in; the simplest of those that do as well as the best. None if none is needed.
 
     Parameters
     ----------
     left
         Held-out excess without it.
+    relative
+        Whether nothing was repeated.
     """
-    passing = [one for one in rated if one.evidence > 1.0]
+    passing = [one for one in rated if one.evidence > (_needed(one, left) if relative else 1.0)]
     if further and reference.total > 0:
         passing = [one for one in passing if _earns_its_place(one, left, reference)]
     if not passing:
@@ -119,6 +148,15 @@ def preferred(rated: Sequence[Rated], left: Excess, reference: Excess, *, furthe
     return max(alike, key=lambda one: one.score) if alike else best
 
 
+def _needed(one: Rated, left: Excess) -> float:
+    """Return the evidence that is asked for without repeats: more where one condition of several speaks alone.
+
+    What that trial has of its own, a parameter a little off, looks like a cause there.
+    """
+    alone = len(left.weights) > 1 and one.conditions < criteria.SPEAKS_ALONE
+    return criteria.EVIDENCE_ALONE if alone else 1.0
+
+
 def _earns_its_place(one: Rated, left: Excess, reference: Excess) -> bool:
     """Tell whether a further cause removes enough on withheld conditions, of the whole gap or of what is left of it."""
     removed = left.total - one.held_out.total
@@ -131,8 +169,17 @@ def _earns_its_place(one: Rated, left: Excess, reference: Excess) -> bool:
     return share >= criteria.SMALL_SHARE and nearly_all
 
 
-def rivals_of(best: Rated, rated: Sequence[Rated]) -> tuple[tuple[tuple[Rated, float], ...], float]:
-    """Return what cannot be told from the best, most probable first, and the best one's own weight."""
+def rivals_of(
+    best: Rated, rated: Sequence[Rated], *, relative: bool
+) -> tuple[tuple[tuple[Rated, float], ...], float]:
+    """Return what cannot be told from the best, most probable first, and the best one's own weight.
+
+    Parameters
+    ----------
+    relative
+        Whether noise is not told by repeats: what is left then is mostly what is wrong with either form, and a
+        difference counts as far as withheld conditions agree on it.
+    """
     near = [
         one
         for one in rated
@@ -142,12 +189,21 @@ def rivals_of(best: Rated, rated: Sequence[Rated]) -> tuple[tuple[tuple[Rated, f
     ]
     if best not in near:
         near.append(best)
+    if relative:  # of two forms that both leave much, the richer one says no more than the simpler one
+        near = [one for one in near if one is best or not any(_richer(one, other) for other in near)]
     shares = weights(near, _slack(best))
+    if relative:
+        shares = np.maximum(
+            shares, float(shares[near.index(best)]) * np.array([as_good(best, one) for one in near])
+        )
+        shares /= shares.sum()
     own = float(shares[near.index(best)])
     ordered = sorted(zip(near, shares, strict=True), key=lambda pair: -pair[1])
-    return tuple(
-        (one, float(weight)) for one, weight in ordered if one is not best and weight >= criteria.RIVAL_WEIGHT
-    ), own
+    rivals = [(one, float(weight)) for one, weight in ordered if one is not best]
+    found = [pair for pair in rivals if pair[1] >= criteria.RIVAL_WEIGHT]
+    # of forms that one would mend in the same way, the data hardly ever know which is nature's
+    family = [pair for pair in rivals if kin(best.candidate.name, pair[0].candidate.name)]
+    return tuple(found or family[:1]), own
 
 
 def _best_again(best: Rated, one: Rated) -> bool:
@@ -158,63 +214,48 @@ def _best_again(best: Rated, one: Rated) -> bool:
     return simple.name.effect in rich.attached.effect.contains and one.score <= best.score
 
 
+def _richer(one: Rated, other: Rated) -> bool:
+    """Tell whether a candidate contains another one at its site that predicts as well."""
+    rich, simple = one.candidate, other.candidate
+    if rich.attached is None or simple.attached is None or rich.name.site != simple.name.site:
+        return False
+    contains = (
+        simple.name.effect in rich.attached.effect.contains
+        and rich.name.effect not in simple.attached.effect.contains
+    )
+    return contains and other.share >= one.share - criteria.SIMPLER_SHARE
+
+
+def more_common(best: Rated, rated: Sequence[Rated]) -> Rated:
+    """Return the most common of those that explain as much as the best does; for where noise is not told by repeats."""
+    alike = [
+        one
+        for one in rated
+        if one.evidence > 1.0
+        and one.share >= best.share - criteria.SIMPLER_SHARE
+        and as_good(best, one) >= criteria.AS_GOOD
+    ]
+    return min([best, *alike], key=lambda one: rank(one.candidate.name))
+
+
+def as_good(best: Rated, one: Rated) -> float:
+    """Return the odds that a candidate does hardly worse than the best on conditions like the withheld ones, at most 1.
+
+    By Student's test of the log ratio of what both leave in each condition; 0 where there are too few.
+    """
+    if one is best:
+        return 1.0
+    left, best_left = (np.mean(which.held_out.values, axis=1) for which in (one, best))
+    floor = 1e-3 * float(np.max(np.abs(best_left)))
+    ratio = np.log(np.maximum(left, floor) / np.maximum(best_left, floor))
+    if len(ratio) < criteria.FEWEST_AGREEING:
+        return 0.0
+    from scipy.stats import ttest_1samp
+
+    worse = float(ttest_1samp(ratio, np.log1p(criteria.HARDLY), alternative="greater").pvalue)
+    return min(worse / max(1.0 - worse, 1e-9), 1.0)
+
+
 def _slack(best: Rated) -> float:
     """Return how far forms are to be believed: where the best one's leaves nothing, what leaves something is not it."""
-    screened = best.screened
-    rows = sum(part.size for part in best.held_out.residual)
-    left = max(screened.squares - rows, 0.0) / screened.gain if screened.gain > 0 else 1.0
-    return float(np.clip(left, *criteria.IDEALISED_FORM))
-
-
-def shaped(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screened:
-    """Return the candidate with its shape fitted, if that explains clearly more; else as it was."""
-    rows = sum(len(part) for part in base.residual)
-    left = screened.squares - rows
-    found = _with_shape(screened.candidate)
-    if found is None or screened.gain < threshold.gain or left < criteria.SHAPE_REMAINDER * screened.gain:
-        return screened
-    candidate, choices = found
-    problem = candidate.added_to(base.problem)
-    size = base.problem.size
-    shared, own = screened.z[:size], screened.problem.own_states(screened.z)
-    ends = [
-        minimise(
-            problem,
-            np.concatenate([shared, sizes, own]),
-            tolerance=criteria.ROUGH_TOLERANCE,
-            evaluations=criteria.ROUGH_EVALUATIONS,
-            central=False,
-        )
-        for sizes in _starts(choices, screened.sizes)
-    ]
-    best = min(ends, key=problem.squares)
-    z = minimise(
-        problem, best, tolerance=criteria.FIT_TOLERANCE, evaluations=criteria.FIT_EVALUATIONS, central=False
-    )
-    squares = problem.squares(z)
-    further = candidate.variables - screened.candidate.variables
-    worth = max(criteria.SHAPE_PRICE * threshold.dispersion * further, criteria.SHAPE_EARNS * screened.gain)
-    if screened.squares - squares < worth:
-        return screened
-    return Screened(candidate, problem, z, squares, max(base.squares - squares, 0.0), screened.survey)
-
-
-def _with_shape(candidate: Candidate) -> tuple[Candidate, list[tuple[float, ...]]] | None:
-    """Return the candidate with its shapes among what is fitted, and the starts of every variable; None if it has none.
-
-    The starts of what is fitted anyway are left open (empty).
-    """
-    attached = candidate.attached
-    if attached is None or not any(parameter.shape for parameter in attached.effect.parameters):
-        return None
-    parameters = attached.effect.parameters
-    freed = tuple(replace(one, held=False) if one.shape else one for one in parameters)
-    choices = [one.starts[1:] if one.shape else () for one in parameters if one.shape or not one.held]
-    effect = replace(attached.effect, parameters=freed)
-    return replace(candidate, attached=replace(attached, effect=effect)), choices
-
-
-def _starts(choices: list[tuple[float, ...]], sizes: FloatArray) -> list[tuple[float, ...]]:
-    """Return the fitted sizes with every combination of the shapes' starts."""
-    fitted = iter(sizes.tolist())
-    return list(product(*(choice or (next(fitted),) for choice in choices)))
+    return float(np.clip(best.left, *criteria.IDEALISED_FORM))

@@ -7,12 +7,15 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError
-from labrun.fit import Dataset, Note, OutputNoise, Problem, minimise, search
+from labrun.fit import Dataset, Deviation, Note, OutputNoise, Problem, minimise, search
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
-from labrun.gap.held_out import Excess, fitted_excess, floor_of
-from labrun.gap.noise import Noise, from_repeats, from_residual
+from labrun.gap.held_out import Excess, fitted_excess, floor_of, mean_residuals
+from labrun.gap.noise import Noise, fit_whitener, from_repeats, of_sensor
+from labrun.gap.null import independent_share
 from labrun.gap.screening import refit
+from labrun.gap.trial_wise import found_in_repeats
+from labrun.gap.verdict import significant
 from labrun.models import Model
 
 
@@ -43,15 +46,31 @@ def recalibrate(model: Model, units: Dataset, rng: np.random.Generator, note: No
     if refined.substeps > problem.substeps:
         z = refit(refined, z)
     problem = refined
-    deviations = member_residuals(problem, z)
-    noise = from_repeats(units, deviations) or from_residual(units, deviations).plain()
+    found = found_in_repeats(units, member_residuals(problem, z), problem.simulated(z))
+    noise = from_repeats(units, found.residual) or of_sensor(units, mean_residuals(problem, z))
+    if found.deviations:
+        note("taking apart what differs from trial to trial")
+        problem, z = with_deviations(problem, z, found.deviations)
     return in_noise(problem, noise, z)
+
+
+def with_deviations(
+    problem: Problem, z: FloatArray, deviations: Sequence[Deviation]
+) -> tuple[Problem, FloatArray]:
+    """Return a problem whose trials have deviations of their own, and where it begins."""
+    own = problem.own_states(z).reshape(len(problem.data.trials), problem.own_size)
+    own = np.column_stack([own, np.zeros((len(own), len(deviations)))])
+    problem = replace(problem, deviations=tuple(deviations))
+    return problem, np.concatenate([z[: problem.size], own.ravel()])
 
 
 def in_noise(problem: Problem, noise: Noise, z: FloatArray) -> Recalibrated:
     """Fit once more in units of a noise."""
-    measured = in_units_of(noise, problem)
+    measured = in_units_of(noise, problem, z)
     z = refit(measured, z)
+    for _ in range(criteria.REWEIGHED if noise.basis == "residual" else 0):  # what is left tells its own size
+        measured = in_units_of(noise, problem, z)
+        z = refit(measured, z)
     finer = with_shorter_steps(measured, z)
     if finer is not measured:
         z = refit(finer, z)
@@ -67,9 +86,21 @@ def stated_problem(model: Model, data: Dataset) -> Problem:
     return replace(problem, priors=problem.priors.within(criteria.WITHIN_TOLERANCES), read_free=True)
 
 
-def in_units_of(noise: Noise, problem: Problem) -> Problem:
-    """Return the problem in units of a noise."""
-    sd = np.sqrt(noise.sd**2 + (criteria.MODEL_ROUNDING * problem.spread) ** 2)
+def in_units_of(noise: Noise, problem: Problem, z: FloatArray) -> Problem:
+    """Return the problem in units of a noise.
+
+    Where nothing was repeated, in units of what the model leaves at `z`, as if its independent numbers were all there
+    are: what is stated of the parameters then weighs as much as it does beside so many measurements.
+    """
+    sd = noise.sd
+    if noise.basis == "residual":
+        residual = mean_residuals(problem, z)
+        sd = np.maximum(np.sqrt(np.mean(np.square(np.concatenate(residual)), axis=0)), noise.sd)
+        if noise.innovations:
+            noise = replace(noise, whitener=fit_whitener([one / sd for one in residual]))
+            residual = [noise.whitener.white(one / sd) for one in residual]
+        sd = sd / np.sqrt(independent_share(residual))
+    sd = np.sqrt(sd**2 + (criteria.MODEL_ROUNDING * problem.spread) ** 2)
     return problem.with_noise(OutputNoise(1.0 / sd, noise.white_mean))
 
 
@@ -105,6 +136,39 @@ def member_residuals(problem: Problem, z: FloatArray) -> list[list[FloatArray]]:
         [one - outputs for one in trial.members]
         for trial, outputs in zip(problem.data.trials, problem.simulated(z), strict=True)
     ]
+
+
+def unit_remarks(problem: Problem, stated: FloatArray) -> tuple[str, ...]:
+    """Return a sentence for every output that is the model's own, with stated parameters, but for its sign or unit.
+
+    No physics makes an output -1 or 57.3 times what a model says and leaves its course as it is.
+    """
+    simulated = problem.simulated(stated)
+    found = []
+    for column, output in enumerate(problem.data.outputs):
+        ours = np.concatenate([one[:, column] for one in simulated])
+        theirs = np.concatenate([one.outputs[:, column] for one in problem.data.trials])
+        ours, theirs = ours - ours.mean(), theirs - theirs.mean()
+        size, energy = float(ours @ theirs), float(ours @ ours)
+        if energy == 0.0 or size**2 < criteria.SAME_COURSE**2 * energy * float(theirs @ theirs):
+            continue
+        for factor, words in _MISTAKEN.items():
+            if abs(size / energy / factor - 1.0) < criteria.NEAR_FACTOR:
+                found.append(
+                    f"{output.name} is {significant(size / energy, 3)} times what the model says and runs as it does: "
+                    f"{words}. Check this before anything else."
+                )
+    return tuple(found)
+
+
+_MISTAKEN = {
+    -1.0: "its sign is flipped",
+    180.0 / np.pi: "degrees labelled rad?",
+    np.pi / 180.0: "radians labelled degrees?",
+    1000.0: "thousandths of its unit (mm labelled m)?",
+    0.001: "thousands of its unit (m labelled mm)?",
+}
+"""Factors of common mistakes."""
 
 
 def unsearched(problem: Problem, z: FloatArray) -> tuple[str, ...]:
@@ -171,6 +235,8 @@ def fresh_excess(
     noise = from_repeats(data, member_residuals(problem, stated(problem, problem.begin())))
     if noise is None:
         raise FitError("fresh trials without repeats cannot tell gap from noise")
-    problems = [in_units_of(noise, stated_problem(model, data)) for model in models]
+    problems = [
+        in_units_of(noise, one, one.begin()) for one in (stated_problem(model, data) for model in models)
+    ]
     left = [fitted_excess(one, stated(one, one.begin()), noise) for one in problems]
     return left, floor_of(data, noise, rng)

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from labrun.effects import AttachedEffect, load_effect
+from labrun.effects import AttachedEffect, load_effect, read_effects
 from labrun.errors import RequestError
-from labrun.gap.diagnosis import Name
+from labrun.gap.diagnosis import Diagnosis, Name
 from labrun.models import corrected_model_text, load_model
 
 
@@ -45,6 +45,44 @@ def save_model(diagnosis: Mapping[str, Any], source: str | Path, path: Path) -> 
         heading="Recalibrated only: the cause is not in the library. By labrun"
         if only
         else "Corrected by labrun",
+        data=diagnosis["source"],
+    )
+    path.write_text(text, encoding="utf-8")
+
+
+def save_with_law(diagnosis: Diagnosis, source: str | Path, law: Path, path: Path) -> None:
+    """Write the law for the rest as a file of effects, and the model with it, the causes and all sizes refitted.
+
+    Parameters
+    ----------
+    source
+        Where the model comes from.
+    law, path
+        The files to write; those that are there are replaced.
+
+    Raises
+    ------
+    ModelError
+        A value that the model does not allow.
+    """
+    rest = diagnosis.rest
+    if rest is None or not rest.terms:
+        return
+    law.write_text(f"# {rest.sentence}\n\n{rest.toml}", encoding="utf-8")
+    added = AttachedEffect(read_effects(law.resolve())[0], rest.site, rest.values)
+    text = corrected_model_text(
+        load_model(source),
+        source,
+        rest.corrected,
+        (*rest.effects, added),
+        [
+            diagnosis.sentence,
+            rest.sentence,
+            "The law was found by regression: look for the physics that has its form.",
+        ],
+        folder=path.parent,
+        heading="With a law for what the library lacks, by labrun",
+        data=diagnosis.source,
     )
     path.write_text(text, encoding="utf-8")
 

@@ -1,6 +1,6 @@
 """Fits of one problem with one candidate more: several starts, the most promising of them followed to their ends."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -97,6 +97,8 @@ class Screened:
         Where the fit ended; where the survey promised nothing, its best start.
     gain
         By how much the sum of squares fell.
+    usual
+        The candidate in its usual form, where another one does better.
     """
 
     candidate: Candidate
@@ -105,6 +107,7 @@ class Screened:
     squares: float
     gain: float
     survey: Survey = field(repr=False)
+    usual: "Screened | None" = field(default=None, repr=False)
 
     @property
     def sizes(self) -> FloatArray:
@@ -254,7 +257,7 @@ def screen_all(
     return each(finish, begun)
 
 
-def ends_of(screened: Sequence[Screened]) -> dict[Name, FloatArray]:
+def ends_of(screened: Iterable[Screened]) -> dict[Name, FloatArray]:
     """Return the sizes at which fits of effects ended, for later fits to start from."""
     return {
         one.candidate.name: one.sizes

@@ -10,10 +10,13 @@ from labrun.fit import Each, Note
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, without
 from labrun.gap.diagnosis import Name
+from labrun.gap.forms import best_form
 from labrun.gap.held_out import Excess, held_out_excess
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import NoiseThreshold, noise_threshold
-from labrun.gap.rating import Rated, preferred, promising, rate, rivals_of, shaped
+from labrun.gap.null import Null
+from labrun.gap.rating import Rated, more_common, preferred, promising, rate, rivals_of
+from labrun.gap.recalibration import in_units_of
 from labrun.gap.screening import Base, Screened, ends_of, refit, screen_all, survey
 
 
@@ -93,21 +96,18 @@ class Selector:
     ----------
     base, reference
         The recalibrated model, and what it leaves on withheld conditions.
-    draws
-        Noise of the trials' means, whitened.
+    null
+        What candidates have to beat.
     strictness
         Factor on the threshold that noise sets.
-    known
-        Sizes at which earlier fits of candidates ended.
     """
 
     base: Base
     candidates: Sequence[Candidate]
     noise: Noise
-    draws: Sequence[Sequence[FloatArray]]
+    null: Null
     reference: Excess
     strictness: float
-    known: dict[Name, FloatArray]
     each: Each
     note: Note
     _rounds: dict[frozenset[Name], Round] = field(default_factory=dict, repr=False)
@@ -144,6 +144,10 @@ class Selector:
         # one of two causes alone may fail where it was not fitted; all that were chosen together must not
         alone = max((one.share for one in first.rated), default=0.0)
         needed = criteria.LEAST_SHARE if alone >= criteria.LEAST_SHARE else criteria.TOGETHER_SHARE
+        if (
+            self.null.relative
+        ):  # what is left may be noise: how much a cause removes says little of whether it is one
+            needed = 0.0
         if not chosen or self._share(chosen[-1].held_out) < needed:
             return Selection([first], (), self.base, self.reference)
         return Selection(rounds, tuple(chosen), chosen[-1].base, chosen[-1].held_out)
@@ -189,7 +193,7 @@ class Selector:
         rated = next((other for other in first if other.candidate.name == one.name), None)
         if rated is None:
             return one
-        rivals, weight = rivals_of(rated, first)
+        rivals, weight = rivals_of(rated, first, relative=self.null.relative)
         return replace(one, rated=rated, rivals=rivals, weight=weight)
 
     def _fewer(self, chosen: list[Chosen], rounds: list[Round]) -> tuple[list[Chosen], list[Round]]:
@@ -213,12 +217,16 @@ class Selector:
         return found, held_out_excess(found.base.problem, found.base.z, self.noise)
 
     def _choose(self, current: Round, left: Excess, *, further: bool) -> Chosen | None:
-        best = preferred(current.rated, left, self.reference, further=further)
+        best = preferred(current.rated, left, self.reference, further=further, relative=self.null.relative)
         if best is None:
             return None
-        rivals, weight = rivals_of(best, current.rated)
-        problem = best.screened.problem
-        z = refit(problem, best.screened.z)
+        if self.null.relative:
+            best = more_common(best, current.rated)
+        rivals, weight = rivals_of(best, current.rated, relative=self.null.relative)
+        problem, z = best.screened.problem, best.screened.z
+        for _ in range(criteria.REWEIGHED if self.null.relative else 1):
+            problem = in_units_of(self.noise, problem, z)
+            z = refit(problem, z)
         base = Base.of(problem, z, (*current.base.added, best.candidate))
         return Chosen(best, rivals, weight, base, best.held_out)
 
@@ -232,19 +240,26 @@ class Selector:
     def _tried(self, base: Base, candidates: Sequence[Candidate]) -> Round:
         """Try candidates beside a base: fits, the threshold of noise, and the best of them on withheld conditions."""
         surveys = self.each(lambda one: survey(base, one), candidates)
-        threshold = noise_threshold(base, surveys, self.draws).times(self.strictness)
+        threshold = noise_threshold(base, surveys, self.null).times(self.strictness)
         screened = screen_all(base, surveys, threshold.gain, self.each, known=self._known())
+        most = max((one.gain for one in screened), default=0.0)
+        screened = self.each(lambda one: best_form(base, one, most, threshold), screened)
         rated = self.each(
-            lambda one: rate(shaped(base, one, threshold), threshold, self.noise, self.reference),
+            lambda one: rate(base, one, threshold, self.noise, self.reference),
             promising(screened, threshold, criteria.RATED),
         )
         return Round(base, screened, threshold, rated)
 
     def _known(self) -> dict[Name, FloatArray]:
         """Return the sizes at which fits of candidates ended so far."""
-        known = dict(self.known)
-        for earlier in self._rounds.values():
-            known |= ends_of(earlier.screened)
+        variables = {one.name: one.variables for one in self.candidates}
+        known: dict[Name, FloatArray] = {}
+        for earlier in self._rounds.values():  # with a shape fitted, sizes are of another form
+            known |= ends_of(
+                one
+                for one in earlier.screened
+                if one.candidate.variables == variables.get(one.candidate.name)
+            )
         return known
 
     def _refitted(self, last: Base, names: frozenset[Name]) -> Base:
@@ -258,5 +273,8 @@ class Selector:
                 problem = candidate.added_to(problem)
                 kept.append(candidate)
                 parts.append(variables)
-        z = np.concatenate([*parts, last.problem.own_states(last.z)])
-        return Base.of(problem, refit(problem, z), tuple(kept))
+        # what was found with short steps may need them
+        problem = problem.with_substeps(last.problem.substeps)
+        z = refit(problem, np.concatenate([*parts, last.problem.own_states(last.z)]))
+        problem = in_units_of(self.noise, problem, z)
+        return Base.of(problem, z, tuple(kept))

@@ -28,6 +28,8 @@ class Findings:
         Whether the recalibrated gap is beyond what noise leaves; `remains` the same of what the causes leave.
     told_by_repeats
         Whether noise was told from gap by repeats.
+    learnable
+        Part of the squared residual that is left, which a model without physics predicts on withheld conditions.
     effects, parameters
         Number of causes of each kind.
     """
@@ -39,40 +41,67 @@ class Findings:
     effects: int
     parameters: int
     shrinkage: Shrinkage | None
+    learnable: float = 0.0
+
+    @property
+    def known_share(self) -> float:
+        """Share that the causes remove of what is known to be no noise; of all the excess where repeats tell noise."""
+        share = 0.0 if self.shrinkage is None else self.shrinkage.value
+        if self.told_by_repeats:
+            return share
+        left = (1.0 - share) * self.learnable
+        return share / (share + left) if share + left > 0 else 0.0
 
     @property
     def unproven(self) -> bool:
         """Whether causes were found whose help on withheld conditions cannot be told from none at all."""
         share = self.shrinkage
-        return (
-            self.effects > 0
-            and share is not None
-            and share.low <= 0.0
-            and share.value < criteria.PROVEN_SHARE
-        )
+        if self.effects == 0 or share is None or share.low > 0.0:
+            return False
+        return not self.told_by_repeats or share.value < criteria.PROVEN_SHARE
 
 
 def verdict(found: Findings) -> Verdict:
     """Return the verdict."""
     if found.unproven or found.effects + found.parameters == 0 or found.shrinkage is None:
-        plain = found.sizes.recalibrated >= max(criteria.FAR_ABOVE_FLOOR * found.sizes.floor, 1.0)
-        least_gap = max(criteria.BEYOND_FLOOR * found.sizes.floor, criteria.SMALL_GAP_UNEXPLAINED)
-        if found.significant and (plain or (found.told_by_repeats and found.sizes.recalibrated >= least_gap)):
+        if found.significant and _unexplained(found):
             return "not-in-library"
-        return "parameter" if _recalibration_helps(found.sizes) else "no-gap"
-    least = next(
-        (share for size, share in criteria.DOUBTFUL_SHARES if found.sizes.after >= size),
-        criteria.IMPOSTOR_SHARE,
-    )
-    impostor = found.shrinkage.value < least and found.shrinkage.high < least + criteria.IMPOSTOR_ROOM
+        if _recalibration_helps(found.sizes):
+            return "parameter"
+        return "no-gap" if found.told_by_repeats or not found.significant else "undecided"
+    plain = found.sizes.after >= max(criteria.FAR_ABOVE_FLOOR * found.sizes.floor, 1.0)
+    if not found.told_by_repeats:
+        plain, least, whole = (
+            found.learnable >= criteria.LEARNABLE,
+            criteria.IMPOSTOR_SHARE,
+            criteria.WHOLE_SHARE,
+        )
+        impostor = found.known_share < least
+    else:
+        least = next(
+            (share for size, share in criteria.DOUBTFUL_SHARES if found.sizes.after >= size),
+            criteria.IMPOSTOR_SHARE,
+        )
+        impostor = found.shrinkage.value < least and found.shrinkage.high < least + criteria.IMPOSTOR_ROOM
+        whole = criteria.NEARLY_ALL if found.sizes.after >= criteria.LARGE_REMAINDER else criteria.WHOLE_SHARE
     # a parameter's form is the model's own: what it plainly leaves has another cause
-    plain = found.remains and found.sizes.after >= max(criteria.FAR_ABOVE_FLOOR * found.sizes.floor, 1.0)
+    plain = found.remains and plain
     if impostor and found.remains and (found.effects or plain):
         return "not-in-library"
     if found.effects == 0:
         return "partly-explained" if plain else "parameter"
-    whole = criteria.NEARLY_ALL if found.sizes.after >= criteria.LARGE_REMAINDER else criteria.WHOLE_SHARE
-    return "explained" if found.shrinkage.value >= whole or not found.remains else "partly-explained"
+    return "explained" if found.known_share >= whole or not found.remains else "partly-explained"
+
+
+def _unexplained(found: Findings) -> bool:
+    """Tell whether there is a gap without a cause: plainly more than noise, or at least predictable."""
+    if not found.told_by_repeats:
+        return found.learnable >= criteria.LEARNABLE and found.sizes.recalibrated >= 1.0
+    floor = found.sizes.floor
+    plain = max(criteria.FAR_ABOVE_FLOOR * floor, 1.0)
+    return found.sizes.recalibrated >= min(
+        plain, max(criteria.BEYOND_FLOOR * floor, criteria.SMALL_GAP_UNEXPLAINED)
+    )
 
 
 def _recalibration_helps(sizes: Sizes) -> bool:
@@ -87,8 +116,10 @@ def sentence(
     best: Name | None,
     *,
     conditions: int,
+    told_by_repeats: bool = True,
+    differs: Sequence[str] = (),
 ) -> str:
-    """Return the verdict as one sentence.
+    """Return the verdict as one sentence, behind one on what differs by trial.
 
     Parameters
     ----------
@@ -97,43 +128,61 @@ def sentence(
     conditions
         How many there are: of one, nothing could be withheld from the fit.
     """
-    one_only = "on the data of the fit, as there is one condition only"
-    where = "on conditions the fit did not see" if conditions > 1 else one_only
+    if differs:
+        rest = sentence(
+            verdict, sizes, causes, shrinkage, best, conditions=conditions, told_by_repeats=told_by_repeats
+        )
+        return f"{_capital(' and '.join(differs))}. Beside that: {rest[:1].lower()}{rest[1:]}"
     raw, recalibrated = significant(sizes.raw), significant(sizes.recalibrated)
-    after, floor = significant(sizes.after), significant(sizes.floor)
-    named = " and ".join(cause.name.words for cause in causes)
+    unit = "one trial's noise" if told_by_repeats else "the noise of a sample"
+    removed = "" if shrinkage is None else f" {100 * shrinkage.value:.0f} %"
+    if causes:
+        return _of_causes(verdict, sizes, causes, removed, unit, conditions=conditions, sure=told_by_repeats)
     if verdict == "no-gap":
         return (
-            f"No gap beyond noise: what model and measurement differ by ({recalibrated} times one trial's "
-            f"noise) is what noise leaves (up to {floor})."
+            f"No gap beyond noise: what model and measurement differ by ({recalibrated} times {unit}) is what noise "
+            f"leaves (up to {significant(sizes.floor)})."
         )
-    if verdict == "parameter" and not causes:
+    if verdict == "undecided":
+        return (
+            f"Nothing that was tried explains what is left ({recalibrated} times {unit}): it is a gap, or disturbances "
+            "that repeats would show."
+        )
+    if verdict == "parameter":
+        end = "nothing is missing" if told_by_repeats else "nothing that was tried explains the rest"
         return (
             f"Parameters explain it: recalibrated within what is known of them, the gap falls from {raw} to "
-            f"{recalibrated} times one trial's noise, and nothing is missing."
+            f"{recalibrated} times {unit}, and {end}."
         )
-    removed = "" if shrinkage is None else f" {100 * shrinkage.value:.0f} %"
-    verb = "explain" if len(causes) > 1 else "explains"
-    if verdict == "parameter":
-        return f"A stated value is wrong: {named} {verb}{removed} of the gap {where}."
-    if verdict == "explained":
-        return (
-            f"{_capital(named)} {verb}{removed} of the gap {where} "
-            f"({recalibrated} to {after} times one trial's noise)."
-        )
-    if verdict == "partly-explained":
-        also = "" if conditions > 1 else f" {one_only}"
-        return (
-            f"{_capital(named)} {verb}{removed} of the gap{also}; {after} times one trial's noise remains that "
-            "nothing in the library accounts for."
-        )
-    nearest = (
-        f"; the nearest, {best.words}, removes{removed or ' too little'} of it" if best is not None else ""
-    )
+    nearest = "" if best is None else f"; the nearest, {best.words}, removes{removed or ' too little'} of it"
     return (
-        f"The cause is not in the library: a gap of {recalibrated} times one trial's noise remains after "
+        f"The cause is not in the library: a gap of {recalibrated} times {unit} remains after "
         f"recalibration{nearest}."
     )
+
+
+def _of_causes(
+    verdict: Verdict,
+    sizes: Sizes,
+    causes: Sequence[Cause],
+    removed: str,
+    unit: str,
+    *,
+    conditions: int,
+    sure: bool,
+) -> str:
+    one_only = "on the data of the fit, as there is one condition only"
+    where = "on conditions the fit did not see" if conditions > 1 else one_only
+    named = " and ".join(cause.name.words for cause in causes)
+    does = f"{named} {'explain' if len(causes) > 1 else 'explains'}{removed} of the gap"
+    recalibrated, after = significant(sizes.recalibrated), significant(sizes.after)
+    if verdict == "parameter":
+        return f"A stated value is wrong: {does} {where}."
+    if verdict == "explained":
+        return f"{_capital(does)} {where} ({recalibrated} to {after} times {unit})."
+    also = "" if conditions > 1 else f" {one_only}"
+    rest = "nothing in the library accounts for" + ("" if sure else ", or that is no gap")
+    return f"{_capital(does)}{also}; {after} times {unit} remains that {rest}."
 
 
 def limitations(*, repeats: int, conditions: int, basis: str, single_trial: bool, rejected: int) -> list[str]:
@@ -145,8 +194,8 @@ def limitations(*, repeats: int, conditions: int, basis: str, single_trial: bool
         )
     if basis == "residual":
         found.append(
-            "No condition was repeated: gap and noise are not separable by repeats. What the best candidates together "
-            "leave was taken as noise, so a cause outside the library would be taken for noise, too."
+            "No condition was repeated: how much of what is left is noise is not known. A cause was believed where it "
+            "explains more of the residual than anything does of the residual with its phases at random."
         )
     elif repeats < 3:
         found.append(
@@ -183,7 +232,7 @@ def what_next(verdict: Verdict, causes: Sequence[Cause], *, repeats: int) -> lis
         )
     if verdict == "partly-explained":
         found.append("Diagnose again with the corrected model to see where the rest is.")
-    if verdict == "no-gap" and repeats < 3:
+    if verdict in ("no-gap", "undecided") and repeats < 3:
         found.append("Repeat every condition three times or more: a smaller gap becomes visible.")
     if verdict == "parameter" and not causes:
         found.append("Take the recalibrated parameters over into the model.")

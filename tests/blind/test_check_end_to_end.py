@@ -23,6 +23,7 @@ from labrun.report.diagnosis_check import check_text, write_check_page
 
 TWO_CASES: dict[str, Any] = {"cases": 2, "seed": 5, "first": 33}
 """Hysteresis of a static fin, far above the noise, and a control: made and diagnosed within seconds."""
+KEPT_S = 12345.0
 
 
 @pytest.fixture(scope="module")
@@ -31,14 +32,34 @@ def told() -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def checked(tmp_path_factory: pytest.TempPathFactory, told: list[str]) -> Checked:
+def interrupted(tmp_path_factory: pytest.TempPathFactory, told: list[str]) -> Path:
+    """A check that Ctrl-C has stopped after its first diagnosis."""
     out = tmp_path_factory.mktemp("check") / "two"
+    before = {child.pid for child in multiprocessing.active_children()}
 
     def announce(line: str) -> None:
         told.append(line)
         told.append("diagnosed already" if (out / "diagnoses").exists() else "nothing diagnosed yet")
 
-    return check(**TWO_CASES, workers=2, out=out, announce=announce)
+    def interrupting(text: str) -> None:
+        if (out / "diagnoses").exists() and "1 of 2" in text:
+            raise KeyboardInterrupt
+
+    with pytest.raises(LabrunError, match="every diagnosis that was finished is kept"):
+        check(**TWO_CASES, workers=1, out=out, announce=announce, note=interrupting)
+    assert not (out / "check.json").exists()
+    for child in multiprocessing.active_children():
+        if child.pid not in before:
+            child.join(10.0)
+            assert not child.is_alive()
+    (kept,) = (out / "diagnoses").iterdir()
+    kept.write_text(json.dumps({**json.loads(kept.read_text()), "seconds": KEPT_S}))
+    return out
+
+
+@pytest.fixture(scope="module")
+def checked(interrupted: Path) -> Checked:
+    return check(**TWO_CASES, workers=2, out=interrupted, announce=silent)
 
 
 @pytest.fixture
@@ -104,30 +125,15 @@ def test_an_announced_cause_is_held_against_fresh_trials(checked: Checked) -> No
     assert effect.shown.value <= 1.0
 
 
-def test_an_interrupted_check_goes_on_and_one_process_finds_the_same_as_two(
-    checked: Checked, tmp_path: Path
-) -> None:
-    folder = copy_of(checked, tmp_path / "interrupted")
-    before = {child.pid for child in multiprocessing.active_children()}
+def test_an_interrupted_check_goes_on_with_what_was_diagnosed(checked: Checked) -> None:
+    assert [one.said.seconds == KEPT_S for one in checked.judged].count(True) == 1
 
-    def interrupting(text: str) -> None:
-        if "1 of 2" in text:
-            raise KeyboardInterrupt
 
-    with pytest.raises(LabrunError, match="every diagnosis that was finished is kept"):
-        check(**TWO_CASES, workers=1, out=folder, announce=silent, note=interrupting)
-    (kept,) = (folder / "diagnoses").iterdir()
-    assert not (folder / "check.json").exists()
-    for child in multiprocessing.active_children():
-        if child.pid not in before:
-            child.join(10.0)
-            assert not child.is_alive()
-
-    marked = {**json.loads(kept.read_text()), "seconds": 12345.0}
-    kept.write_text(json.dumps(marked))
-    resumed = check(**TWO_CASES, workers=1, out=folder, announce=silent)
-    assert without_seconds(resumed.to_json()) == without_seconds(checked.to_json())
-    assert 12345.0 in [one.said.seconds for one in resumed.judged]
+def test_any_number_of_processes_finds_the_same(checked: Checked, tmp_path: Path) -> None:
+    folder = copy_of(checked, tmp_path / "again", "diagnoses", "shrinkage")
+    (folder / "diagnoses" / "case-0034.json").unlink()
+    again = check(**TWO_CASES, workers=1, out=folder, announce=silent)
+    assert without_seconds(again.to_json()) == without_seconds(checked.to_json())
 
 
 def test_a_diagnosis_by_other_code_is_not_taken_for_one_of_this(checked: Checked, tmp_path: Path) -> None:

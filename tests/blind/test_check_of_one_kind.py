@@ -156,7 +156,7 @@ def test_kinds_are_those_of_the_generator_and_may_be_said_in_the_plural() -> Non
 def test_a_kind_with_a_typo_is_told_the_nearest_before_anything_is_made(tmp_path: Path) -> None:
     with pytest.raises(RequestError, match="no kind of case 'contrlo'") as caught:
         check(only="contrlo", out=tmp_path / "out")
-    assert "did you mean control?" in str(caught.value.hint)
+    assert 'did you mean "control"?' in str(caught.value.hint)
     assert not (tmp_path / "out").exists()
 
 

@@ -165,7 +165,7 @@ def test_a_run_that_is_not_packed_yet_tells_no_more_than_a_finished_one(tmp_path
 def _checkpoints(run):
     from labrun.store import RunFolder
 
-    return [json.dumps(outcome.checkpoint) for outcome in RunFolder(run).outcomes().values()]
+    return [outcome.checkpoint for outcome in RunFolder(run).outcomes().values()]
 
 
 def test_of_what_is_drawn_nothing_is_told_in_the_folder_or_to_the_person(tmp_path):
@@ -300,14 +300,14 @@ def test_a_hidden_effect_is_one_of_the_library_at_a_site_of_the_model(drawn):
     ("hide", "said"),
     [
         (["coulomb-frction@hinge"], "coulomb-friction"),
-        (["coulomb-friction@hing"], "did you mean 'hinge'"),
+        (["coulomb-friction@hing"], 'did you mean "hinge'),
         (["coulomb-friction"], "EFFECT@SITE"),
         (["coulomb-friction@hinge:torqe=1"], "torque"),
         (["coulomb-friction@hinge:torque=much"], "not name=number"),
         (["coulomb-friction@angle"], "sits at joint sites"),
         (["delay@hinge"], "not at a joint site"),
         (["random", "none"], "stands alone"),
-        (["stifness=0.02"], "did you mean 'stiffness'"),
+        (["stifness=0.02"], 'did you mean "stiffness'),
         (["stiffness=soft"], "not name=number"),
         (["stiffness=0.02", "none"], "stands alone"),
     ],

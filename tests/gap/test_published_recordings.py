@@ -52,4 +52,32 @@ def test_the_geared_servo_has_friction_that_grows_with_its_load(recordings: Path
     assert "load-dependent-friction" in effects(found.causes[0])
     assert found.causes[0].name.site == "shaft"
     assert found.shrinkage is not None
-    assert found.shrinkage.value > 0.9
+    assert found.shrinkage.value > 0.85
+
+
+def test_the_servo_at_its_stop_has_one_end_only(recordings: Path) -> None:
+    stop = said(recordings / "so101-wrist").causes[0]
+    assert stop.name.effect == "end-stop"
+    assert stop.values["lower"].value == pytest.approx(-1.02, abs=0.03)
+    assert "upper" not in stop.values
+
+
+def test_the_servo_that_sticks_has_dry_friction_or_play(recordings: Path) -> None:
+    found = said(recordings / "so101-pan").causes
+    assert [one.name.effect for one in found] == ["coulomb-friction"]
+    assert effects(found[0]) == {"coulomb-friction", "backlash"}
+
+
+def test_the_robot_joint_has_the_published_dry_friction(recordings: Path) -> None:
+    found = said(recordings / "tx40-forearm")
+    assert found.causes[0].name.effect == "coulomb-friction"
+    assert found.causes[0].values["torque"].value * 48 == pytest.approx(2.48, rel=0.15)
+
+
+def test_the_seal_rubs_in_proportion_to_its_pressure(recordings: Path) -> None:
+    found = said(recordings / "o-ring")
+    (seal,) = (one for one in found.causes if "load-dependent-friction" in effects(one))
+    bore_m2 = 4.9087e-4
+    per_bar = seal.values["coefficient"].value * bore_m2 * 1e5
+    published = (15.62 - 7.84) / 2 / 6  # half the difference between directions, over 6 bar
+    assert per_bar == pytest.approx(published, rel=0.15)

@@ -79,11 +79,11 @@ def test_a_file_that_is_there_is_not_overwritten(bench):
         save_model(diagnosis.to_json(), "hinge-pendulum", model)
 
 
-def test_a_stored_diagnosis_gives_the_same_model(bench, tmp_path):
+def test_a_stored_diagnosis_gives_the_same_model(bench):
     folder, run, diagnosis, model = bench
     store(diagnosis, run, folder / "results", page=False, source="hinge-pendulum")
-    assert save(run, tmp_path / "saved.toml") == ""
-    assert (tmp_path / "saved.toml").read_text() == model.read_text()
+    assert save(run, folder / "saved.toml") == ""
+    assert (folder / "saved.toml").read_text() == model.read_text()
     with pytest.raises(RequestError, match="there already"):
         save(run, model)
 

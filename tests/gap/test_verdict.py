@@ -33,7 +33,7 @@ def test_what_removes_too_little_to_be_the_cause_is_not_taken_for_one():
     assert verdict(findings(share=(0.4, 0.2, 0.5), remains=True)) == "not-in-library"
 
 
-@pytest.mark.parametrize(("raw", "said"), [(34.0, "parameter"), (0.3, "no-gap")])
+@pytest.mark.parametrize(("raw", "said"), [(34.0, "parameter"), (0.3, "undecided")])
 def test_a_cause_whose_help_on_withheld_conditions_may_be_nothing_is_not_announced(raw, said):
     found = findings(sizes=(raw, 0.27, 0.22, 0.13), share=(0.3, -0.4, 1.54), repeated=False)
     assert found.unproven

@@ -85,7 +85,7 @@ class Bench:
             now = self.drive.one(row, t - shift, inside - shift) if shift else u[row]
             if row in self.worked_out:
                 now = self.worked_out[row].one(0, t, t)
-            u[row], dz[rows] = one.mechanism.law(one.size, t, z[rows], now, plain)
+            u[row], dz[rows] = one.apply(t, z[rows], now, plain)
         return u
 
     def _forces(
@@ -97,14 +97,14 @@ class Bench:
         masses: list[tuple[str, FloatArray]] = []
         for one, rows in self.parts.joints:
             at = self.plant.at(one.mechanism.site, x, u, self.p)
-            f, dz[rows] = one.mechanism.law(one.size, t, z[rows], at)
+            f, dz[rows] = one.apply(t, z[rows], at)
             force[one.mechanism.site] += f
             if one.mechanism.mass:
                 masses.append((one.mechanism.site, one.mechanism.mass(one.size, at)))
         for site, mass in masses:
             row = self.plant.rate_row(site)
-            without = self.plant.rates(t, x, u, self.p, force)[row]
-            pushed = self.plant.rates(t, x, u, self.p, {**force, site: force[site] + 1.0})[row]
+            without = self.plant.rates(x, u, self.p, force)[row]
+            pushed = self.plant.rates(x, u, self.p, {**force, site: force[site] + 1.0})[row]
             force[site] -= mass * without / (1.0 + mass * (pushed - without))
         return force
 
@@ -123,12 +123,12 @@ class Bench:
         x, u, dy, force = self._evaluate(t, y, inside)
         s = len(self.plant.states)
         if s:
-            dy[:s] = self.plant.rates(t, x, u, self.p, force)
+            dy[:s] = self.plant.rates(x, u, self.p, force)
         lagging = [one for one in self.parts.outputs if one[0].mechanism.states]
         if lagging:
-            read = self.plant.read(t, x, u, self.p, force)
+            read = self.plant.read(x, u, self.p, force)
             for one, rows, row in lagging:
-                _, dy[s:][rows] = one.mechanism.law(one.size, t, y[s:][rows], read[row], read)
+                _, dy[s:][rows] = one.apply(t, y[s:][rows], read[row], read)
         return dy
 
     def read(self, times: FloatArray, states: Mapping[float, FloatArray]) -> FloatArray:
@@ -146,14 +146,12 @@ class Bench:
                 if shift:
                     late = max(float(t) - shift, 0.0)
                     now = self._read_at(late, states[round(late, 9)])[row]
-                result[row, index], _ = one.mechanism.law(
-                    one.size, float(t), state[s:][rows], now, plain[:, index]
-                )
+                result[row, index], _ = one.apply(float(t), state[s:][rows], now, plain[:, index])
         return result
 
     def _read_at(self, t: float, y: FloatArray) -> FloatArray:
         x, u, _, force = self._evaluate(t, y, t)
-        return self.plant.read(t, x, u, self.p, force)
+        return self.plant.read(x, u, self.p, force)
 
     def initial(self) -> FloatArray:
         """Return all states at the begin; filters of signals begin at rest on the first value."""

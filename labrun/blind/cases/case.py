@@ -1,5 +1,6 @@
 """Make one case: a bench, what is hidden in it, how large, its recording, fresh trials, and the answer."""
 
+import copy
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from .forms import FORMS, OUTSIDE, OUTSIDE_SIGNALS
 from .measures import measure
 from .mechanism import Hidden, Mechanism
 from .mixture import Chosen, aim_of, choose, kind_of, stream_of, strength_class
-from .noise import ChannelNoise, draw_noise, rescaled
+from .noise import ChannelNoise, Colour, draw_noise, rescaled
 from .plant import FloatArray, Plant, Programme
 from .refit import Recalibration, size_of
 from .simulate import BlewUpError, adaptive, fixed
@@ -26,6 +27,7 @@ _LARGEST_GAP_SHARE = 0.2
 """A gap stays below this share of the signal: beyond it nobody would need a diagnosis."""
 _LARGEST_NOISE_SHARE = 0.08
 _MOST_SCATTER = 0.02
+_ZEROS_SHARE = 1 / 7
 _MOST_ALIKE = 0.9
 """Cosine of the signatures of two effects beyond which nobody could tell that there are two."""
 
@@ -50,18 +52,39 @@ def case_name(index: int) -> str:
     return f"case-{index + 1:04d}"
 
 
-def make_case(seed: int, index: int, folder: Path, only: str | None = None) -> str:
+@dataclass(frozen=True)
+class Asked:
+    """What all cases are to have; drawn where it is None.
+
+    Attributes
+    ----------
+    only
+        Kind of all cases.
+    zeros
+        Whether every trial has a zero of its own.
+    """
+
+    only: str | None = None
+    repeats: int | None = None
+    noise: Colour | None = None
+    zeros: bool | None = None
+
+
+def make_case(seed: int, index: int, folder: Path, asked: Asked | None = None) -> str:
     """Make a case, write it below `folder`, and return its name; the same for the same seed and index anywhere.
 
-    Its kind comes from the mixture, unless `only` names one.
+    Its kind comes from the mixture, unless one is asked for.
     """
+    asked = asked or Asked()
+    only = asked.only
     rng = np.random.default_rng([seed, 10111, index, *stream_of(only)])
     kind = only or kind_of(seed, index)
+    zero = _zero(np.random.default_rng([seed, 40411, index]), asked.zeros)
     rejected: list[list[str]] = []
     for _ in range(_ATTEMPTS):
         chosen = choose(kind, rng)
         try:
-            case = _draw(kind, chosen, rng)
+            case = _draw(kind, chosen, rng, asked, zero)
             name = case_name(index)
             case.answer.update({"case": name, "seed": seed, "rejected_before": rejected})
             _write(case, name, folder, rng)
@@ -74,13 +97,21 @@ def make_case(seed: int, index: int, folder: Path, only: str | None = None) -> s
     raise RuntimeError(f"case {index} of seed {seed}: no draw of {_ATTEMPTS} could be made")
 
 
-def _draw(kind: str, chosen: Chosen, rng: np.random.Generator) -> Case:
+def _zero(rng: np.random.Generator, wanted: bool | None) -> float:
+    """Return how far zeros of trials scatter, in units of the sensor's noise; of one case in seven, if not asked."""
+    size = float(np.exp(rng.uniform(np.log(0.5), np.log(8.0))))
+    there = rng.random() < _ZEROS_SHARE
+    return size if (there if wanted is None else wanted) else 0.0
+
+
+def _draw(kind: str, chosen: Chosen, rng: np.random.Generator, asked: Asked, zero: float) -> Case:
     plant = chosen.plant
     conditions = int(rng.integers(4, 11))
     both = plant.programme(rng, conditions + FRESH_CONDITIONS)
     order = rng.permutation(conditions + FRESH_CONDITIONS)
     recorded, fresh = both.take(sorted(order[:conditions])), both.take(sorted(order[conditions:]))
     repeats = int(rng.choice([1, 3, 5], p=[0.2, 0.5, 0.3]))
+    repeats = asked.repeats or repeats
     aim = aim_of(kind, rng)
     stated, wrong = _stated(plant, kind, rng)
 
@@ -90,7 +121,7 @@ def _draw(kind: str, chosen: Chosen, rng: np.random.Generator) -> Case:
     share = float(np.exp(rng.uniform(np.log(7e-4), np.log(0.03))))
     if kind in ("effect", "pair", "outside"):
         share = min(share, _LARGEST_GAP_SHARE / aim)
-    noise = draw_noise(rng, share * size)
+    noise = [replace(one, zero=round(zero, 3)) for one in draw_noise(rng, share * size, asked.noise)]
     sensor = np.array([one.sd for one in noise])
     projection = Projection(plant, recorded, plant.truth, sensor)
     free = sum(one.tolerance != 0.0 for one in plant.parameters)
@@ -146,6 +177,7 @@ def _draw(kind: str, chosen: Chosen, rng: np.random.Generator) -> Case:
             "trial_sd": {one.name: float(s) for one, s in zip(plant.outputs, total, strict=True)},
             "correlation": noise[0].correlation,
             "zero_creep_share": noise[0].creep_share,
+            "zero_by_trial": noise[0].zero,
             "parameter_scatter": scatter,
         },
         "true_parameters": plant.truth,
@@ -179,8 +211,6 @@ def _held(plant: Plant, wrong: str) -> Plant:
     """Return the plant with one parameter held where it is stated: what would be left if it were not looked at."""
     if not wrong:
         return plant
-    import copy
-
     held = copy.copy(plant)
     held.parameters = tuple(
         replace(one, tolerance=0.0) if one.name == wrong else one for one in plant.parameters

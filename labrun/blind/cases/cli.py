@@ -9,8 +9,9 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
-from .case import make_case
+from .case import Asked, make_case
 from .mixture import DECK
+from .noise import COLOURS
 from .seal import SEAL, seal, verify
 
 
@@ -21,6 +22,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="below 1000: development")
     parser.add_argument("--first", type=int, default=1, metavar="K", help="number of the first case, from 1")
     parser.add_argument("--only", choices=tuple(DECK), help="make cases of this kind alone, not the mixture")
+    parser.add_argument(
+        "--repeats", type=int, metavar="N", help="repeats of every condition, not those drawn"
+    )
+    parser.add_argument("--noise", choices=tuple(COLOURS), help="the colour of all noise, not one drawn")
+    parser.add_argument(
+        "--zeros",
+        action=argparse.BooleanOptionalAction,
+        help="whether each trial has a zero of its own; drawn if not given",
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="a folder that is new or empty")
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes")
     parser.add_argument(
@@ -34,6 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _verify(given.verify)
     if given.out is None:
         parser.error("--out DIR is needed (or --verify DIR)")
+    if given.repeats is not None and given.repeats < 1:
+        parser.error("--repeats is 1 or more")
     if given.cases < 1 or given.first < 1 or given.workers < 1 or given.seed < 0:
         parser.error("--cases, --first and --workers are 1 or more, --seed is 0 or more")
     if given.out.exists() and any(given.out.iterdir()):
@@ -47,7 +59,9 @@ def _make(folder: Path, seed: int, indices: range, given: argparse.Namespace) ->
     shutil.rmtree(making, ignore_errors=True)
     making.mkdir(parents=True)
     try:
-        make = partial(make_case, seed, folder=making, only=given.only)
+        make = partial(
+            make_case, seed, folder=making, asked=Asked(given.only, given.repeats, given.noise, given.zeros)
+        )
         if given.workers == 1:
             for index in indices:
                 _tell(make(index), indices)

@@ -57,8 +57,8 @@ def _of_joint(bench: Bench, outputs: FloatArray, site: str, step_s: float, lengt
         load.append(at.load)
         stiffness.append(at.stiffness)
         if row is not None:
-            without = plant.rates(float(t), x, u, bench.p, bench.zero)[row]
-            pushed = plant.rates(float(t), x, u, bench.p, {**bench.zero, site: bench.zero[site] + 1.0})[row]
+            without = plant.rates(x, u, bench.p, bench.zero)[row]
+            pushed = plant.rates(x, u, bench.p, {**bench.zero, site: bench.zero[site] + 1.0})[row]
             a.append(without)
             push = float(np.mean(pushed - without))
     spread, speed = _rms(np.array(q) - np.mean(q, axis=0)), _rms(np.array(v))

@@ -4,8 +4,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-import numpy as np
-
 from .plant import At, FloatArray
 
 Kind = Literal["joint", "body", "input", "output"]
@@ -58,7 +56,7 @@ class Mechanism:
     law
         ``law(size, t, z, at) -> (force, dz)`` at joints and bodies; at inputs and outputs
         ``law(size, t, z, now, signals) -> (signal, dz)``, `signals` being all of the same kind. z and dz have the shape
-        (states, trials).
+        (states, trials); a law without states takes and returns none.
     mass
         ``mass(size, at) -> (trials,)``: force in proportion to minus the acceleration, on top of `law`.
     shift_s
@@ -100,7 +98,7 @@ class Hidden:
     mechanism: Mechanism
     size: float
 
-
-def no_states(trials: int) -> FloatArray:
-    """Return the derivative of no states."""
-    return np.zeros((0, trials))
+    def apply(self, t: float, z: FloatArray, *seen: Any) -> tuple[FloatArray, FloatArray | float]:
+        """Return its force or signal at what it sees, and the derivative of its states."""
+        law = self.mechanism.law
+        return law(self.size, t, z, *seen) if self.mechanism.states else (law(self.size, t, *seen), 0.0)

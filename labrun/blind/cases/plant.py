@@ -1,9 +1,10 @@
-"""A bench: equations twice (as text for the model file, as numpy here), parameters, sites and a programme of trials."""
+"""A bench: equations as the model file has them, parameters, sites and a programme of trials."""
 
+import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,23 @@ _Item = TypeVar("_Item")
 Values = Mapping[str, FloatArray]
 """Parameters and the numbers of conditions: one value per trial each, shape (trials,)."""
 Condition = dict[str, float | str]
+_NAME = re.compile(r"(?<![\w.])[A-Za-z_][\w.]*")
+
+YIELDING = (
+    "coulomb-friction",
+    "stribeck-friction",
+    "presliding-friction",
+    "cubic-stiffness",
+    "asymmetric-friction",
+    "asymmetric-stiffness",
+    "viscoelastic-creep",
+    "hysteresis",
+    "end-stop",
+)
+JOINT = (*YIELDING, "quadratic-drag")
+DRIVEN = ("delay", "lag", "saturation", "rate-limit", "dead-band")
+READ = ("lag", "delay", "drift", "saturation")
+"""Effects of the library that most joints, inputs and outputs may have; an order that seeds rely on."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +60,8 @@ class Site:
 
     Attributes
     ----------
+    spring
+        The spring that is there all the same where the model file names no stiffness.
     effects
         Physics of the library that may be hidden here without two others being exactly equal to it.
     """
@@ -52,6 +72,7 @@ class Site:
     rate: str
     stiffness: str = ""
     load: str = ""
+    spring: str = ""
     effects: tuple[str, ...] = ()
 
 
@@ -92,7 +113,7 @@ class Programme:
 class Plant(ABC):
     """One bench, drawn at random within what such a bench may be.
 
-    Subclasses add `rates`, `read`, `at` and `programme`.
+    Subclasses say all of it, and add `programme`.
 
     Attributes
     ----------
@@ -117,17 +138,44 @@ class Plant(ABC):
     output_effects: dict[str, tuple[str, ...]] = field(default_factory=dict)
     returns: bool = True
 
-    @abstractmethod
-    def rates(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
+    def __post_init__(self) -> None:
+        self._rates = self._function([self.equations[state] for state in self.states])
+        self._read = self._function([one.equation for one in self.outputs])
+        self._at = {
+            one.name: self._function([one.coordinate, one.rate, one.load, one.stiffness or one.spring])
+            for one in self.sites
+        }
+
+    def _function(self, equations: Sequence[str]) -> Callable[..., FloatArray]:
+        """Return equations of the model file as one function of numpy arrays; an empty one is 0."""
+        places = {name: f"x[{row}]" for row, name in enumerate(self.states)}
+        places |= {one.name: f"u[{row}]" for row, one in enumerate(self.inputs)}
+        places |= {
+            name: f"p['{name}']" for name in (*(one.name for one in self.parameters), *self.conditions)
+        }
+        places |= {f"force.{one.name}": f"force['{one.name}']" for one in self.sites}
+        places |= {name: f"np.{name}" for name in ("sin", "cos", "abs")}
+        rows = [
+            _NAME.sub(lambda found: places[found.group()], text).replace("^", "**") if text else "nothing"
+            for text in equations
+        ]
+        # our own texts, with our own names put in
+        return cast(
+            "Callable[..., FloatArray]",
+            eval(f"lambda x, u, p, force, nothing: np.array([{', '.join(rows)}])"),
+        )
+
+    def rates(self, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
         """Return the derivatives of the states (states, trials)."""
+        return self._rates(x, u, p, force, None) if self.states else np.zeros((0, x.shape[1]))
 
-    @abstractmethod
-    def read(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
+    def read(self, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
         """Return the outputs (outputs, trials)."""
+        return self._read(x, u, p, force, None)
 
-    @abstractmethod
     def at(self, site: str, x: FloatArray, u: FloatArray, p: Values) -> At:
         """Return where a site is."""
+        return At(*self._at[site](x, u, p, None, np.zeros(x.shape[1])))
 
     @abstractmethod
     def programme(self, rng: np.random.Generator, trials: int) -> Programme:
@@ -175,7 +223,12 @@ def only_if(holds: bool, *items: _Item) -> tuple[_Item, ...]:
 
 def near(rng: np.random.Generator, value: float, factor: float = 1.3) -> float:
     """Return a value up to a factor away, to four digits."""
-    return float(f"{value * factor ** rng.uniform(-1, 1):.4g}")
+    return four_digits(value * factor ** rng.uniform(-1, 1))
+
+
+def four_digits(value: float) -> float:
+    """Return a value as a person would state it."""
+    return float(f"{value:.4g}")
 
 
 def draw_between(rng: np.random.Generator) -> Between:

@@ -73,42 +73,69 @@ class RunBench:
             Its experiment moves in a way that cannot be planned from here.
         """
         stored = loads_experiment(run.experiment_toml, run.name).experiment
+        known = {key for outcome in run.outcomes for key in outcome.condition}
+        measured = [one.condition for one in dataset.trials if known <= set(one.condition)]
+        settled = [outcome.settle.duration_s for outcome in run.outcomes if outcome.settle is not None]
+        step_s = float(np.median(np.diff(dataset.trials[0].time_s)))
+        settle_s = float(np.median(settled)) if settled else None
+        return cls.planned(run.name, stored, measured, model, signals, repeats, step_s, settle_s)
+
+    @classmethod
+    def planned(
+        cls,
+        name: str,
+        stored: Experiment,
+        conditions: Sequence[Condition],
+        model: Model,
+        signals: Mapping[str, str],
+        repeats: int,
+        step_s: float,
+        settle_s: float | None = None,
+    ) -> "RunBench":
+        """Take up an experiment at these conditions, whether it ran or not.
+
+        Raises
+        ------
+        RequestError
+            It moves in a way that cannot be planned from here.
+        """
         if stored.track is not None:
             raise RequestError(
-                f"{run.name} closes a loop: what it commands depends on what it measures, and cannot be planned ahead",
+                f"{name} closes a loop: what it commands depends on what it measures, and cannot be planned ahead",
                 hint="make an open-loop experiment of the same bench, and diagnose that",
             )
         tree = tomllib.loads(resolved(stored))
-        known = {key for outcome in run.outcomes for key in outcome.condition}
-        measured = _distinct([one.condition for one in dataset.trials if known <= set(one.condition)])
         constants = _free_constants(tree)
+        measured = _distinct(conditions)
         measured = _distinct([{**constants, **one} for one in measured])
         tree["kind"] = "run"
         for key in ("sweep", "cmaes", "leaders"):
             tree.pop(key, None)
         tree["run"] = {"conditions": measured, "order": "shuffled"}
         tree["trial"]["repeats"] = {"min": repeats, "max": repeats}
-        for name in constants:
-            tree.setdefault("units", {})[name] = _FREED[name]
+        for freed in constants:
+            tree.setdefault("units", {})[freed] = _FREED[freed]
 
-        experiment = loads_experiment(tomli_w.dumps(tree), run.name).experiment
+        experiment = loads_experiment(tomli_w.dumps(tree), name).experiment
         joints, stands_in = _commanded(model, signals, tuple(experiment.gait.joints))
-        settled = [outcome.settle.duration_s for outcome in run.outcomes if outcome.settle is not None]
-        step_s = float(np.median(np.diff(dataset.trials[0].time_s)))
         return cls(
-            run.name, tree, experiment, model, measured, float(np.median(settled)) if settled else None, step_s,
-            joints, stands_in, _constraints(stored),
-        )  # fmt: skip
+            name, tree, experiment, model, measured, settle_s, step_s, joints, stands_in, _constraints(stored)
+        )
 
     def pool(self, rng: np.random.Generator) -> list[PlannedTrial]:
         """Return trials at conditions that were not measured and that stay inside every limit."""
+        return self.trials(self._conditions(Planner(self.experiment), rng))
+
+    def trials(self, conditions: Sequence[Condition]) -> list[PlannedTrial]:
+        """Return trials at these conditions."""
         planner, maker = Planner(self.experiment), MotionMaker(self.experiment)
         found = []
-        for condition in self._conditions(planner, rng):
+        for condition in conditions:
             plan = planner.plan([condition])
             motion = maker.motion(condition)
             time_s = np.arange(0.0, motion.duration_s + 0.5 * self.step_s, self.step_s)
             trajectory = motion.trajectory
+            begin = trajectory.angle_rad[0].tolist()
             inputs = np.column_stack(
                 [np.empty((len(time_s), 0))]
                 + [
@@ -126,6 +153,7 @@ class RunBench:
                     inputs,
                     self.time_s(plan) + plan.trials * criteria.BY_HAND_S * self._changes(condition),
                     reach=self._reach(condition),
+                    begin_rad=begin[0] if len(begin) == 1 else 0.0,
                 )
             )
         return found

@@ -25,6 +25,8 @@ class PlannedTrial:
         FitTrial of the data whose beginning it takes over, and a factor on it; None where the condition tells.
     reach
         How far it goes beyond what was measured, as a factor: the farther, the less any model is to be believed.
+    begin_rad
+        The angle at which the only joint begins; 0 where there are several.
     """
 
     label: str
@@ -34,6 +36,7 @@ class PlannedTrial:
     cost_s: float
     like: tuple[int, float] | None = None
     reach: float = 1.0
+    begin_rad: float = 0.0
 
 
 def planned_data(

@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from ..mechanism import Measures, Mechanism, no_states
+from ..mechanism import Measures, Mechanism
 from ..plant import At, FloatArray
 
 _ECHO_STAGES = 8
@@ -14,8 +14,8 @@ def drag_error(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
     """Drag larger than thought, with an exponent of 1.85 to 1.95."""
     power = rng.uniform(1.85, 1.95)
 
-    def law(size: float, t: float, z: FloatArray, at: At) -> tuple[FloatArray, FloatArray]:
-        return -size * m.force * np.sign(at.rate) * (np.abs(at.rate) / m.v) ** power, no_states(at.rate.size)
+    def law(size: float, t: float, at: At) -> FloatArray:
+        return -size * m.force * np.sign(at.rate) * (np.abs(at.rate) / m.v) ** power
 
     return Mechanism(
         "drag-error", site, "body", "drag with exponent below two", law,
@@ -27,10 +27,10 @@ def reynolds_drag(site: str, m: Measures, rng: np.random.Generator) -> Mechanism
     """Drag of a laminar boundary layer and of creeping flow, added up."""
     laminar = rng.uniform(0.3, 0.7)
 
-    def law(size: float, t: float, z: FloatArray, at: At) -> tuple[FloatArray, FloatArray]:
+    def law(size: float, t: float, at: At) -> FloatArray:
         share = np.abs(at.rate) / m.v
         drag = laminar * share**1.5 + (1.0 - laminar) * share
-        return -size * m.force * np.sign(at.rate) * drag, no_states(at.rate.size)
+        return -size * m.force * np.sign(at.rate) * drag
 
     return Mechanism(
         "reynolds-dependent-drag", site, "body", "laminar layer (exponent 1.5) and creeping flow (exponent 1)", law,
@@ -77,13 +77,13 @@ def mean_current(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
     power, drag = rng.uniform(1.88, 1.95), rng.uniform(0.4, 1.2)
     sign, beat = float(rng.choice([-1, 1])), rng.uniform(0.15, 0.4)
 
-    def law(size: float, t: float, z: FloatArray, at: At) -> tuple[FloatArray, FloatArray]:
+    def law(size: float, t: float, at: At) -> FloatArray:
         through = at.rate - sign * size * m.v * (1.0 + 0.05 * np.sin(beat * t))
 
         def drag_of(v: FloatArray) -> FloatArray:
             return np.sign(v) * (np.abs(v) / m.v) ** power
 
-        return drag * m.force * (drag_of(at.rate) - drag_of(through)), no_states(at.rate.size)
+        return drag * m.force * (drag_of(at.rate) - drag_of(through))
 
     return Mechanism(
         "mean-current", site, "body", "drag with exponent below two, in a current that varies by 5 %", law,

@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from ..mechanism import Measures, Mechanism, no_states
+from ..mechanism import Measures, Mechanism
 from ..plant import At, FloatArray
 
 
@@ -34,10 +34,10 @@ def stribeck(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
     speed, edge = m.v * rng.uniform(0.08, 0.25), m.v * rng.uniform(0.008, 0.02)
     excess, power = rng.uniform(1.0, 2.5), rng.uniform(1.0, 1.6)
 
-    def law(size: float, t: float, z: FloatArray, at: At) -> tuple[FloatArray, FloatArray]:
+    def law(size: float, t: float, at: At) -> FloatArray:
         v = at.rate
         level = 1.0 + excess * np.exp(-((np.abs(v) / speed) ** power))
-        return -size * m.force * level * v / np.sqrt(v * v + edge * edge), no_states(v.size)
+        return -size * m.force * level * v / np.sqrt(v * v + edge * edge)
 
     return Mechanism(
         "stribeck-friction", site, "joint", "algebraic rounded sign, Stribeck peak with its own exponent", law,
@@ -112,11 +112,11 @@ def asymmetric(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
     edge = m.v * rng.uniform(0.008, 0.02)
     one_sided = float(rng.uniform(0.3, 0.8) * rng.choice([-1, 1]))
 
-    def law(size: float, t: float, z: FloatArray, at: At) -> tuple[FloatArray, FloatArray]:
+    def law(size: float, t: float, at: At) -> FloatArray:
         v = at.rate
         # an arctangent has long tails: either level is reached later than the sign is
         level = 1.0 + one_sided * 2.0 / np.pi * np.arctan(v / (0.5 * edge))
-        return -size * m.force * level * v / np.sqrt(v * v + edge * edge), no_states(v.size)
+        return -size * m.force * level * v / np.sqrt(v * v + edge * edge)
 
     return Mechanism(
         "asymmetric-friction", site, "joint", "algebraic rounded sign, level by an arctangent of the speed", law,

@@ -2,37 +2,17 @@
 
 # ruff: noqa: ARG001 - the signatures are fixed, whatever of them a form uses
 
-from collections.abc import Callable, Mapping
-
 import numpy as np
 
-from ..mechanism import Measures, Mechanism, no_states
+from ..mechanism import Measures, Mechanism
 from ..plant import At, FloatArray
-
-
-def _plain(
-    effect: str,
-    site: str,
-    form: str,
-    force: Callable[[float, float, At], FloatArray],
-    values: Callable[[float], Mapping[str, float]],
-    start: float = 0.1,
-    most: float = 1.5,
-    fastest: Callable[[float], float] = lambda _s: 0.0,
-) -> Mechanism:
-    """Return a mechanism without states."""
-
-    def law(size: float, t: float, z: FloatArray, at: At) -> tuple[FloatArray, FloatArray]:
-        return force(size, t, at), no_states(at.rate.size)
-
-    return Mechanism(effect, site, "joint", form, law, values, start, most, fastest=fastest)
 
 
 def viscous(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
     """Damping a little more or less than proportional to speed."""
     power = 1.0 + rng.uniform(0.04, 0.1) * rng.choice([-1, 1])
-    return _plain(
-        "viscous-damping", site, "power law near one",
+    return Mechanism(
+        "viscous-damping", site, "joint", "power law near one",
         lambda s, _t, at: -s * m.force * np.sign(at.rate) * (np.abs(at.rate) / m.v) ** power,
         lambda s: {"coefficient": s * m.force / m.v, "exponent": power}, most=3.0,
     )  # fmt: skip
@@ -41,8 +21,8 @@ def viscous(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
 def quadratic_drag(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
     """Drag with an exponent of 1.85 to 1.95."""
     power = rng.uniform(1.85, 1.95)
-    return _plain(
-        "quadratic-drag", site, "drag with exponent below two",
+    return Mechanism(
+        "quadratic-drag", site, "joint", "drag with exponent below two",
         lambda s, _t, at: -s * m.force * np.sign(at.rate) * (np.abs(at.rate) / m.v) ** power,
         lambda s: {"coefficient": s * m.force / m.v**2, "exponent": power}, most=4.0,
     )  # fmt: skip
@@ -51,8 +31,8 @@ def quadratic_drag(site: str, m: Measures, rng: np.random.Generator) -> Mechanis
 def cubic(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
     """Hardening spring: mostly cubic, with some fifth order."""
     fifth = rng.uniform(0.05, 0.15)
-    return _plain(
-        "cubic-stiffness", site, "third with some fifth order",
+    return Mechanism(
+        "cubic-stiffness", site, "joint", "third with some fifth order",
         lambda s, _t, at: -s * m.stiffness * m.q * ((at.coordinate / m.q) ** 3 + fifth * (at.coordinate / m.q) ** 5),
         lambda s: {"coefficient": s * m.stiffness / m.q**2, "fifth_order_share": fifth}, most=2.0,
     )  # fmt: skip
@@ -67,8 +47,8 @@ def asymmetric(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
         q = at.coordinate
         return -sign * s * m.stiffness * 0.5 * (q + np.sqrt(q * q + width * width) - width)
 
-    return _plain(
-        "asymmetric-stiffness", site, "hyperbolic bend", force,
+    return Mechanism(
+        "asymmetric-stiffness", site, "joint", "hyperbolic bend", force,
         lambda s: {"excess": sign * s * m.stiffness, "bend_width": width}, most=2.0,
     )  # fmt: skip
 
@@ -76,8 +56,8 @@ def asymmetric(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
 def rest_offset(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
     """A spring set to one side, its own force a little less there than linear."""
     sign = float(rng.choice([-1, 1]))
-    return _plain(
-        "rest-offset", site, "offset that grows slightly with the deflection",
+    return Mechanism(
+        "rest-offset", site, "joint", "offset that grows slightly with the deflection",
         lambda s, _t, at: sign * s * at.stiffness * m.q * (1.0 + 0.03 * np.tanh(at.coordinate / m.q)),
         lambda s: {"offset": sign * s * m.q}, start=0.05, most=0.8,
     )  # fmt: skip
@@ -86,10 +66,10 @@ def rest_offset(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
 def constant_force(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
     """A pull that changes a little over the stroke, as a cable's does."""
     sign, tilt = float(rng.choice([-1, 1])), rng.uniform(-0.05, 0.05)
-    return _plain(
-        "constant-force", site, "pull with a few percent of change over the stroke",
+    return Mechanism(
+        "constant-force", site, "joint", "pull with a few percent of change over the stroke",
         lambda s, _t, at: sign * s * m.force * (1.0 + tilt * np.sin(at.coordinate / m.q)),
-        lambda s: {"force": sign * s * m.force, "tilt": tilt}, start=0.05,
+        lambda s: {"force": sign * s * m.force, "tilt": tilt}, start=0.05, most=1.5,
     )  # fmt: skip
 
 
@@ -102,8 +82,8 @@ def backlash(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
         share = at.coordinate / half
         return at.stiffness * at.coordinate / (1.0 + np.abs(share) ** power) ** (1.0 / power)
 
-    return _plain(
-        "backlash", site, "dead zone with rounded edges", force,
+    return Mechanism(
+        "backlash", site, "joint", "dead zone with rounded edges", force,
         lambda s: {"gap": s * m.q, "roundness": power}, most=1.2,
     )  # fmt: skip
 
@@ -130,9 +110,9 @@ def added_inertia(site: str, m: Measures, rng: np.random.Generator) -> Mechanism
     uneven = rng.uniform(0.03, 0.08)
     own = m.force / m.a
 
-    def law(size: float, t: float, z: FloatArray, at: At) -> tuple[FloatArray, FloatArray]:
+    def law(size: float, t: float, at: At) -> FloatArray:
         slope = -uneven / m.q * np.sin(at.coordinate / m.q)
-        return -0.5 * size * own * slope * at.rate**2, no_states(at.rate.size)
+        return -0.5 * size * own * slope * at.rate**2
 
     def mass(size: float, at: At) -> FloatArray:
         return size * own * (1.0 + uneven * np.cos(at.coordinate / m.q))
@@ -168,8 +148,8 @@ def end_stop(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
         both_places = {"upper": level, "lower": -level}
         return {**(both_places if both else places), "stiffness_at_depth": hard * m.stiffness, "depth": scale}
 
-    return _plain(
-        "end-stop", site, "Hertz contact with loss", force, values, start=0.15, most=0.7,
+    return Mechanism(
+        "end-stop", site, "joint", "Hertz contact with loss", force, values, start=0.15, most=0.7,
         fastest=lambda _s: 3.0 * np.sqrt(hard * m.stiffness * m.a / m.force),
     )  # fmt: skip
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..mechanism import Kind, Measures, Mechanism, no_states
+from ..mechanism import Kind, Measures, Mechanism
 from ..plant import At, FloatArray
 
 
@@ -19,11 +19,8 @@ def _force(
     jumps_s: tuple[float, ...] = (),
     fastest: float = 0.0,
 ) -> Mechanism:
-    def law(size: float, t: float, z: FloatArray, at: At) -> tuple[FloatArray, FloatArray]:
-        return force(size, t, at), no_states(at.rate.size)
-
     return Mechanism(
-        "", site, kind, name, law, lambda s: {"size": s, **values}, most=1.5, jumps_s=jumps_s,
+        "", site, kind, name, force, lambda s: {"size": s, **values}, most=1.5, jumps_s=jumps_s,
         fastest=lambda _s: fastest,
     )  # fmt: skip
 
@@ -145,11 +142,9 @@ def fifth_order(site: str, kind: Kind, m: Measures, rng: np.random.Generator) ->
     """A linkage that turns the command by more, the further it goes, and not the same to both sides."""
     even = rng.uniform(0.4, 0.9) * float(rng.choice([-1, 1]))
 
-    def law(
-        size: float, t: float, z: FloatArray, now: FloatArray, signals: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def law(size: float, t: float, now: FloatArray, signals: FloatArray) -> FloatArray:
         share = now / m.q
-        return now + size * m.q * (share**5 + even * share**2), no_states(now.size)
+        return now + size * m.q * (share**5 + even * share**2)
 
     return Mechanism(
         "", site, kind, "fifth-order-linkage", law, lambda s: {"size": s, "even": even}, most=1.0
@@ -176,10 +171,8 @@ def hum(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechani
     """Gain that goes up and down in time, in step with the start of the trial."""
     omega = 2 * np.pi / m.period_s * rng.uniform(0.3, 2.2)
 
-    def law(
-        size: float, t: float, z: FloatArray, now: FloatArray, signals: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        return now * (1.0 + size * np.sin(omega * t)), no_states(now.size)
+    def law(size: float, t: float, now: FloatArray, signals: FloatArray) -> FloatArray:
+        return np.asarray(now * (1.0 + size * np.sin(omega * t)))
 
     return Mechanism("", site, kind, "pulsating-gain", law, lambda s: {"size": s, "rad_s": omega}, most=1.0)
 

@@ -2,34 +2,15 @@
 
 # ruff: noqa: ARG001 - the signatures are fixed, whatever of them a form uses
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
 
-from ..mechanism import Measures, Mechanism, no_states
+from ..mechanism import Measures, Mechanism
 from ..plant import FloatArray
 
 Way = Literal["input", "output"]
-_Static = Callable[[float, float, FloatArray, FloatArray], FloatArray]
-
-
-def _static(
-    effect: str,
-    site: str,
-    way: Way,
-    form: str,
-    change: _Static,
-    values: Callable[[float], Mapping[str, float]],
-    start: float = 0.1,
-    most: float = 0.8,
-) -> Mechanism:
-    def law(
-        size: float, t: float, z: FloatArray, now: FloatArray, signals: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        return change(size, t, now, signals), no_states(now.size)
-
-    return Mechanism(effect, site, way, form, law, values, start, most)
 
 
 def _lag(way: Way) -> Callable[[str, Measures, np.random.Generator], Mechanism]:
@@ -56,10 +37,8 @@ def _delay(way: Way) -> Callable[[str, Measures, np.random.Generator], Mechanism
     def make(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
         """A true transport delay."""
 
-        def law(
-            size: float, t: float, z: FloatArray, now: FloatArray, signals: FloatArray
-        ) -> tuple[FloatArray, FloatArray]:
-            return now, no_states(now.size)
+        def law(size: float, t: float, now: FloatArray, signals: FloatArray) -> FloatArray:
+            return now
 
         return Mechanism(
             "delay", site, way, "true transport delay", law, lambda s: {"delay": s * m.period_s},
@@ -78,7 +57,7 @@ def _saturation(way: Way) -> Callable[[str, Measures, np.random.Generator], Mech
             level = m.q * (1.0 - s)
             return np.asarray(now / (1.0 + np.abs(now / level) ** power) ** (1.0 / power))
 
-        return _static(
+        return Mechanism(
             "saturation", site, way, "soft knee", change,
             lambda s: {"level": m.q * (1.0 - s), "knee": power}, start=0.25, most=0.85,
         )  # fmt: skip
@@ -94,13 +73,14 @@ def _bias(way: Way) -> Callable[[str, Measures, np.random.Generator], Mechanism]
         def change(s: float, t: float, now: FloatArray, signals: FloatArray) -> FloatArray:
             return now + float(sign * s * m.q * (1.0 - 0.06 * np.exp(-t / settle_s)))
 
-        return _static(
+        return Mechanism(
             "bias",
             site,
             way,
             "offset that settles by 6 %",
             change,
             lambda s: {"offset": sign * s * m.q},
+            most=0.8,
             start=0.05,
         )
 
@@ -115,13 +95,14 @@ def _gain_error(way: Way) -> Callable[[str, Measures, np.random.Generator], Mech
         def change(s: float, t: float, now: FloatArray, signals: FloatArray) -> FloatArray:
             return now * (1.0 + sign * s * (1.0 - bend * (now / m.q) ** 2))
 
-        return _static(
+        return Mechanism(
             "gain-error",
             site,
             way,
             "gain error with a slight bend",
             change,
             lambda s: {"error": sign * s, "bend": bend},
+            most=0.8,
         )
 
     return make
@@ -141,10 +122,8 @@ def rate_limit(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
             result[index] = result[index - 1] + np.clip(signal[index] - result[index - 1], down, up)
         return result
 
-    def law(
-        size: float, t: float, z: FloatArray, now: FloatArray, signals: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        return now, no_states(now.size)
+    def law(size: float, t: float, now: FloatArray, signals: FloatArray) -> FloatArray:
+        return now
 
     return Mechanism(
         "rate-limit", site, "input", "limit that differs by some percent up and down", law,
@@ -159,7 +138,7 @@ def dead_band(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
     def change(s: float, t: float, now: FloatArray, signals: FloatArray) -> FloatArray:
         return np.asarray(now - now / (1.0 + np.abs(now / (s * m.q)) ** power) ** (1.0 / power))
 
-    return _static(
+    return Mechanism(
         "dead-band", site, "input", "dead zone with rounded edges", change,
         lambda s: {"half_width": s * m.q, "roundness": power}, most=0.7,
     )  # fmt: skip
@@ -172,9 +151,9 @@ def drift(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
     def change(s: float, t: float, now: FloatArray, signals: FloatArray) -> FloatArray:
         return now + float(sign * s * m.q * settle_s / m.length_s * (1.0 - np.exp(-t / settle_s)))
 
-    return _static(
+    return Mechanism(
         "drift", site, "output", "creep of the zero that tires", change,
-        lambda s: {"slope": sign * s * m.q / m.length_s, "settling_s": settle_s},
+        lambda s: {"slope": sign * s * m.q / m.length_s, "settling_s": settle_s}, most=0.8,
     )  # fmt: skip
 
 
@@ -186,9 +165,9 @@ def cross_talk(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
         other = signals[(m.row + 1) % len(signals)]
         return np.asarray(now + sign * s * m.q / m.other * other * (1.0 - bend * (other / m.other) ** 2))
 
-    return _static(
+    return Mechanism(
         "cross-talk", site, "output", "share of the next signal, with a slight bend", change,
-        lambda s: {"share": sign * s * m.q / m.other, "bend": bend},
+        lambda s: {"share": sign * s * m.q / m.other, "bend": bend}, most=0.8,
     )  # fmt: skip
 
 

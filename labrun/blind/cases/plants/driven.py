@@ -1,39 +1,22 @@
 """Driven mechanisms: a hinge with a torque, an arm with a payload, a linear stage."""
 
-# ruff: noqa: ARG002 - the signatures are fixed, whatever of them a bench uses
-
 import numpy as np
 
 from ..plant import (
-    At,
-    FloatArray,
+    DRIVEN,
+    JOINT,
+    READ,
     Parameter,
     Plant,
     Programme,
     Signal,
     Site,
-    Values,
     draw_between,
+    four_digits,
     near,
     only_if,
 )
 from .programmes import driven, time_base
-
-_G = 9.80665
-_JOINT = (
-    "coulomb-friction",
-    "stribeck-friction",
-    "presliding-friction",
-    "cubic-stiffness",
-    "asymmetric-friction",
-    "asymmetric-stiffness",
-    "viscoelastic-creep",
-    "hysteresis",
-    "end-stop",
-    "quadratic-drag",
-)
-_INPUT = ("delay", "lag", "saturation", "rate-limit", "dead-band")
-_OUTPUT = ("lag", "delay", "drift", "saturation")
 
 
 class HingeDrive(Plant):
@@ -45,11 +28,9 @@ class HingeDrive(Plant):
         sprung = rng.random() < 0.5
         cell = rng.random() < 0.6
         known = rng.random() < 0.5
-        gravity = float(f"{total * rng.uniform(0.3, 0.6):.4g}")
+        gravity = four_digits(total * rng.uniform(0.3, 0.6))
         damping = rng.random() < 0.8
-        self.damped = damping
-        self.cell = cell
-        spring = float(f"{total - gravity:.4g}")
+        spring = four_digits(total - gravity)
         self.peak = total
         super().__init__(
             name="hinge-drive",
@@ -74,7 +55,7 @@ class HingeDrive(Plant):
                     damping,
                     Parameter(
                         "damping",
-                        float(f"{rng.uniform(0.06, 0.3) * np.sqrt(total * inertia):.4g}"),
+                        four_digits(rng.uniform(0.06, 0.3) * np.sqrt(total * inertia)),
                         "free",
                         "N m s/rad",
                     ),
@@ -94,8 +75,9 @@ class HingeDrive(Plant):
                     "rate",
                     "stiffness" if sprung else "",
                     "gravity_torque*cos(angle)",
+                    "stiffness",
                     effects=(
-                        *_JOINT,
+                        *JOINT,
                         "load-dependent-friction",
                         *(("backlash",) if sprung else ("constant-force",)),
                         *only_if(known, "added-inertia"),
@@ -106,36 +88,15 @@ class HingeDrive(Plant):
             initial={"angle": 0.0, "rate": 0.0},
             input_effects={
                 "torque": (
-                    *(_INPUT if cell else ("saturation", "rate-limit", "dead-band")),
+                    *(DRIVEN if cell else ("saturation", "rate-limit", "dead-band")),
                     *only_if(not sprung, "bias"),
                     *only_if(known and cell, "gain-error"),
                 )
             },
-            output_effects={"angle": (*(_OUTPUT if cell else ("drift", "saturation")), "bias")}
-            | (
-                {"reaction": ("lag", "delay", "drift", "saturation", "bias", "gain-error", "cross-talk")}
-                if cell
-                else {}
-            ),
+            output_effects={"angle": (*(READ if cell else ("drift", "saturation")), "bias")}
+            | ({"reaction": (*READ, "bias", "gain-error", "cross-talk")} if cell else {}),
         )
         self.natural_hz = natural_hz
-
-    def rates(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        pull = u[0] + force["hinge"] - p["stiffness"] * x[0] - p["gravity_torque"] * np.sin(x[0])
-        if self.damped:
-            pull = pull - p["damping"] * x[1]
-        return np.array([x[1], pull / p["inertia"]])
-
-    def read(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        if not self.cell:
-            return x[:1].copy()
-        reaction = p["stiffness"] * x[0] - force["hinge"]
-        if self.damped:
-            reaction = reaction + p["damping"] * x[1]
-        return np.array([x[0], reaction])
-
-    def at(self, site: str, x: FloatArray, u: FloatArray, p: Values) -> At:
-        return At(x[0], x[1], p["gravity_torque"] * np.cos(x[0]), p["stiffness"])
 
     def programme(self, rng: np.random.Generator, trials: int) -> Programme:
         return driven(rng, trials, time_base(rng), [self.peak * rng.uniform(0.15, 0.35)], self.natural_hz)
@@ -149,7 +110,7 @@ class PayloadArm(Plant):
         natural_hz = rng.uniform(1.5, 3.0)
         self.natural_hz = natural_hz
         held = own + 0.1 * arm**2
-        loop = float(f"{held * (2 * np.pi * natural_hz) ** 2:.4g}")
+        loop = four_digits(held * (2 * np.pi * natural_hz) ** 2)
         known = rng.random() < 0.5
         self.payloads = (0.05, 0.1, 0.2) if rng.random() < 0.5 else (0.0, 0.08, 0.16, 0.24)
         super().__init__(
@@ -167,7 +128,7 @@ class PayloadArm(Plant):
                 Parameter("loop_gain", loop, "free", "N m/rad"),
                 Parameter(
                     "loop_damping",
-                    float(f"{rng.uniform(0.3, 0.8) * np.sqrt(loop * held):.4g}"),
+                    four_digits(rng.uniform(0.3, 0.8) * np.sqrt(loop * held)),
                     "free",
                     "N m s/rad",
                 ),
@@ -185,7 +146,7 @@ class PayloadArm(Plant):
                     "rate",
                     load="(own_gravity + 9.80665*payload_kg*arm)*sin(angle)",
                     effects=(
-                        *_JOINT,
+                        *JOINT,
                         "load-dependent-friction",
                         "viscous-damping",
                         "constant-force",
@@ -195,27 +156,12 @@ class PayloadArm(Plant):
             ),
             initial={"angle": 0.0, "rate": 0.0},
             conditions=("payload_kg",),
-            input_effects={"command": (*_INPUT, "bias", "gain-error")},
+            input_effects={"command": (*DRIVEN, "bias", "gain-error")},
             output_effects={
-                "angle": (*_OUTPUT, "bias", "gain-error", "cross-talk"),
-                "motor_torque": (*_OUTPUT, "bias", "gain-error", "cross-talk"),
+                "angle": (*READ, "bias", "gain-error", "cross-talk"),
+                "motor_torque": (*READ, "bias", "gain-error", "cross-talk"),
             },
         )
-
-    def _gravity(self, x: FloatArray, p: Values) -> FloatArray:
-        return np.asarray((p["own_gravity"] + _G * p["payload_kg"] * p["arm"]) * np.sin(x[0]))
-
-    def rates(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        pull = (
-            p["loop_gain"] * (u[0] - x[0]) - p["loop_damping"] * x[1] + force["shaft"] - self._gravity(x, p)
-        )
-        return np.array([x[1], pull / (p["inertia"] + p["payload_kg"] * p["arm"] ** 2)])
-
-    def read(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        return np.array([x[0], p["loop_gain"] * (u[0] - x[0]) - p["loop_damping"] * x[1]])
-
-    def at(self, site: str, x: FloatArray, u: FloatArray, p: Values) -> At:
-        return At(x[0], x[1], self._gravity(x, p), np.zeros_like(x[0]))
 
     def programme(self, rng: np.random.Generator, trials: int) -> Programme:
         base = driven(rng, trials, time_base(rng), [np.deg2rad(rng.uniform(25, 60))], self.natural_hz * 0.5)
@@ -229,25 +175,25 @@ class LinearStage(Plant):
 
     def __init__(self, rng: np.random.Generator) -> None:
         mass, natural_hz = near(rng, 6.0, 1.6), rng.uniform(0.6, 2.0)
-        spring = float(f"{mass * (2 * np.pi * natural_hz) ** 2:.4g}")
-        self.sprung = rng.random() < 0.6
-        self.tacho = rng.random() < 0.5
+        spring = four_digits(mass * (2 * np.pi * natural_hz) ** 2)
+        sprung = rng.random() < 0.6
+        tacho = rng.random() < 0.5
         self.natural_hz, self.push = natural_hz, spring * near(rng, 0.02)
         known = rng.random() < 0.5
-        names = ("stiffness*position + " if self.sprung else "") + "damping*speed"
-        damping = float(f"{rng.uniform(0.1, 0.5) * np.sqrt(spring * mass):.4g}")
-        site_spring = self.sprung and rng.random() < 0.5
+        names = ("stiffness*position + " if sprung else "") + "damping*speed"
+        damping = four_digits(rng.uniform(0.1, 0.5) * np.sqrt(spring * mass))
+        site_spring = sprung and rng.random() < 0.5
         super().__init__(
             name="linear-stage",
             states=("position", "speed"),
             inputs=(Signal("force", "N", draw_between(rng)),),
             outputs=(
                 Signal("position", "m", equation="position"),
-                *only_if(self.tacho, Signal("speed_sensor", "m/s", equation="speed")),
+                *only_if(tacho, Signal("speed_sensor", "m/s", equation="speed")),
             ),
             parameters=(
                 Parameter("mass", mass, 0.0 if known else 0.05, "kg"),
-                *only_if(self.sprung, Parameter("stiffness", spring, "free", "N/m")),
+                *only_if(sprung, Parameter("stiffness", spring, "free", "N/m")),
                 Parameter("damping", damping, "free", "N s/m"),
             ),
             equations={"position": "speed", "speed": f"(force + force.carriage - ({names})) / mass"},
@@ -258,43 +204,31 @@ class LinearStage(Plant):
                     "position",
                     "speed",
                     "stiffness" if site_spring else "",
+                    spring="stiffness" if sprung else "",
                     effects=(
-                        *_JOINT,
+                        *JOINT,
                         *only_if(site_spring, "backlash"),
                         *only_if(not site_spring, "constant-force"),
                     ),
                 ),
             ),
-            initial={"position": 0.0, "speed": 0.0} if self.sprung else {"position": "free", "speed": 0.0},
+            initial={"position": 0.0, "speed": 0.0} if sprung else {"position": "free", "speed": 0.0},
             input_effects={
                 "force": (
                     "saturation",
                     "rate-limit",
                     "dead-band",
-                    *only_if(self.tacho, "lag", "delay"),
+                    *only_if(tacho, "lag", "delay"),
                     *only_if(not site_spring, "bias"),
                 )
             },
-            output_effects={"position": ("saturation", "drift", *only_if(self.tacho, "lag", "delay"))}
+            output_effects={"position": ("saturation", "drift", *only_if(tacho, "lag", "delay"))}
             | (
                 {"speed_sensor": ("lag", "delay", "bias", "drift", "saturation", "gain-error", "cross-talk")}
-                if self.tacho
+                if tacho
                 else {}
             ),
         )
-
-    def rates(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        pull = u[0] + force["carriage"] - p["damping"] * x[1]
-        if self.sprung:
-            pull = pull - p["stiffness"] * x[0]
-        return np.array([x[1], pull / p["mass"]])
-
-    def read(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        return x.copy() if self.tacho else x[:1].copy()
-
-    def at(self, site: str, x: FloatArray, u: FloatArray, p: Values) -> At:
-        none = np.zeros_like(x[0])
-        return At(x[0], x[1], none, p["stiffness"] if self.sprung else none)
 
     def programme(self, rng: np.random.Generator, trials: int) -> Programme:
         return driven(rng, trials, time_base(rng), [self.push * rng.uniform(0.7, 1.3)], self.natural_hz)

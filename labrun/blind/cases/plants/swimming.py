@@ -1,20 +1,19 @@
 """Benches in water or driven by position: a fin on a servo, a swimming body, a tethered one, a static relation."""
 
-# ruff: noqa: ARG002 - the signatures are fixed, whatever of them a bench uses
-
 import numpy as np
 
 from ..plant import (
-    At,
+    DRIVEN,
+    READ,
+    YIELDING,
     Condition,
-    FloatArray,
     Parameter,
     Plant,
     Programme,
     Signal,
     Site,
-    Values,
     draw_between,
+    four_digits,
     near,
     only_if,
 )
@@ -29,9 +28,9 @@ class ServoFin(Plant):
 
     def __init__(self, rng: np.random.Generator) -> None:
         inertia, self.natural_hz = near(rng, 8e-4, 1.6), rng.uniform(2.0, 4.5)
-        spring = float(f"{inertia * (2 * np.pi * self.natural_hz) ** 2:.4g}")
+        spring = four_digits(inertia * (2 * np.pi * self.natural_hz) ** 2)
         known = rng.random() < 0.5
-        self.drag = rng.random() < 0.4
+        drag = rng.random() < 0.4
         super().__init__(
             name="servo-fin",
             states=("angle", "rate"),
@@ -45,19 +44,17 @@ class ServoFin(Plant):
                 Parameter("stiffness", spring, "free", "N m/rad"),
                 Parameter(
                     "damping",
-                    float(f"{rng.uniform(0.2, 0.7) * np.sqrt(spring * inertia):.4g}"),
+                    four_digits(rng.uniform(0.2, 0.7) * np.sqrt(spring * inertia)),
                     "free",
                     "N m s/rad",
                 ),
                 Parameter("horn", 0.02, 0.0, "m"),
-                *only_if(
-                    self.drag, Parameter("drag", float(f"{0.4 * inertia:.4g}"), "free", "N m s^2/rad^2")
-                ),
+                *only_if(drag, Parameter("drag", four_digits(0.4 * inertia), "free", "N m s^2/rad^2")),
             ),
             equations={
                 "angle": "rate",
                 "rate": "(stiffness*(command - angle) - damping*rate"
-                + (" - drag*abs(rate)*rate" if self.drag else "")
+                + (" - drag*abs(rate)*rate" if drag else "")
                 + " + force.fin) / inertia",
             },
             sites=(
@@ -67,43 +64,20 @@ class ServoFin(Plant):
                     "angle",
                     "rate",
                     effects=(
-                        "coulomb-friction",
-                        "stribeck-friction",
-                        "presliding-friction",
-                        "cubic-stiffness",
-                        "asymmetric-friction",
-                        "asymmetric-stiffness",
-                        "viscoelastic-creep",
-                        "hysteresis",
-                        "end-stop",
+                        *YIELDING,
                         "constant-force",
-                        *only_if(not self.drag, "quadratic-drag"),
+                        *only_if(not drag, "quadratic-drag"),
                         *only_if(known, "added-inertia"),
                     ),
                 ),
             ),
             initial={"angle": "first" if rng.random() < 0.3 else 0.0, "rate": 0.0},
-            input_effects={
-                "command": ("delay", "lag", "saturation", "rate-limit", "dead-band", "gain-error", "bias")
-            },
+            input_effects={"command": (*DRIVEN, "gain-error", "bias")},
             output_effects={
-                "angle": ("lag", "delay", "drift", "saturation", "gain-error", "bias", "cross-talk"),
-                "horn_force": ("lag", "delay", "drift", "saturation", "gain-error", "bias", "cross-talk"),
+                "angle": (*READ, "gain-error", "bias", "cross-talk"),
+                "horn_force": (*READ, "gain-error", "bias", "cross-talk"),
             },
         )
-
-    def rates(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        pull = p["stiffness"] * (u[0] - x[0]) - p["damping"] * x[1] + force["fin"]
-        if self.drag:
-            pull = pull - p["drag"] * np.abs(x[1]) * x[1]
-        return np.array([x[1], pull / p["inertia"]])
-
-    def read(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        return np.array([x[0], p["stiffness"] * (u[0] - x[0]) / p["horn"]])
-
-    def at(self, site: str, x: FloatArray, u: FloatArray, p: Values) -> At:
-        none = np.zeros_like(x[0])
-        return At(x[0], x[1], none, none)
 
     def programme(self, rng: np.random.Generator, trials: int) -> Programme:
         amplitude_deg = rng.uniform(15, 45)
@@ -119,22 +93,22 @@ class Swimmer(Plant):
     def __init__(self, rng: np.random.Generator) -> None:
         mass = near(rng, 2.5, 1.6)
         self.tether = rng.random() < 0.5
-        self.quadratic = rng.random() < 0.6
+        quadratic = rng.random() < 0.6
         self.mass = mass
         self.natural_hz = rng.uniform(0.3, 0.7)
-        spring = float(f"{mass * (2 * np.pi * self.natural_hz) ** 2:.4g}")
-        drag = float(f"{mass * rng.uniform(2.0, 5.0):.4g}")
-        linear = float(f"{mass * rng.uniform(0.3, 0.8):.4g}")
+        spring = four_digits(mass * (2 * np.pi * self.natural_hz) ** 2)
+        drag = four_digits(mass * rng.uniform(2.0, 5.0))
+        linear = four_digits(mass * rng.uniform(0.3, 0.8))
         # where drag is calibrated, it takes an error of its own; and with the thrust's share, an added mass
         drag_known = rng.random() < 0.6
         pull = " - tether*position" if self.tether else ""
-        law = "drag*abs(speed)*speed" if self.quadratic else "damping*speed"
-        exact = self.quadratic and drag_known
+        law = "drag*abs(speed)*speed" if quadratic else "damping*speed"
+        exact = quadratic and drag_known
         effects = [
             "reynolds-dependent-drag",
             "wall-echo",
             "mean-current",
-            *only_if(exact or not self.quadratic, "drag-error"),
+            *only_if(exact or not quadratic, "drag-error"),
             *only_if(exact or self.tether, "added-mass"),
         ]
         super().__init__(
@@ -153,7 +127,7 @@ class Swimmer(Plant):
                 Parameter("mass", mass, 0.0, "kg"),
                 Parameter("thrust_share", near(rng, 0.8, 1.15), "free", "1"),
                 Parameter("drag", drag, 0.0 if drag_known else "free", "N s^2/m^2")
-                if self.quadratic
+                if quadratic
                 else Parameter("damping", linear, 0.04 if rng.random() < 0.3 else "free", "N s/m"),
                 *only_if(self.tether, Parameter("tether", spring, 0.04, "N/m")),
             ),
@@ -178,20 +152,6 @@ class Swimmer(Plant):
                 else {"speed_log": ("drift", "bias", "saturation")}
             ),
         )
-
-    def rates(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        pull = p["thrust_share"] * u[0] + force["hull"]
-        pull = pull - (p["drag"] * np.abs(x[1]) * x[1] if self.quadratic else p["damping"] * x[1])
-        if self.tether:
-            pull = pull - p["tether"] * x[0]
-        return np.array([x[1], pull / p["mass"]])
-
-    def read(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        return np.array([x[0], p["tether"] * x[0]]) if self.tether else x[1:].copy()
-
-    def at(self, site: str, x: FloatArray, u: FloatArray, p: Values) -> At:
-        none = np.zeros_like(x[0])
-        return At(x[0], x[1], none, none)
 
     def programme(self, rng: np.random.Generator, trials: int) -> Programme:
         time_s = time_base(rng)
@@ -219,8 +179,7 @@ class StaticFin(Plant):
 
     def __init__(self, rng: np.random.Generator) -> None:
         stiffness = near(rng, 0.3, 1.6)
-        self.side = rng.random() < 0.6
-        self.static_torque = stiffness * 0.3
+        side = rng.random() < 0.6
         super().__init__(
             name="static-fin",
             inputs=(Signal("angle", "rad"), Signal("rate", "rad/s")),
@@ -230,15 +189,13 @@ class StaticFin(Plant):
                     "N m",
                     equation="stiffness*angle + damping*rate + lift*stream_m_s^2*sin(2*angle) - force.root",
                 ),
-                *only_if(
-                    self.side, Signal("side_force", "N", equation="slope*sin(angle)*(0.2 + stream_m_s^2)")
-                ),
+                *only_if(side, Signal("side_force", "N", equation="slope*sin(angle)*(0.2 + stream_m_s^2)")),
             ),
             parameters=(
                 Parameter("stiffness", stiffness, "free", "N m/rad"),
                 Parameter("damping", near(rng, stiffness * 0.05, 1.5), "free", "N m s/rad"),
                 Parameter("lift", near(rng, stiffness * 0.5, 1.4), 0.05, "N m s^2/m^2"),
-                *only_if(self.side, Parameter("slope", near(rng, 2.0), "free", "N")),
+                *only_if(side, Parameter("slope", near(rng, 2.0), "free", "N")),
             ),
             sites=(
                 Site(
@@ -262,7 +219,7 @@ class StaticFin(Plant):
                 ),
             ),
             conditions=("stream_m_s",),
-            input_effects={"angle": only_if(self.side, "delay", "lag", "saturation")},
+            input_effects={"angle": only_if(side, "delay", "lag", "saturation")},
             output_effects={
                 "torque": (
                     "lag",
@@ -270,29 +227,11 @@ class StaticFin(Plant):
                     "drift",
                     "bias",
                     "saturation",
-                    *only_if(self.side, "cross-talk"),
+                    *only_if(side, "cross-talk"),
                 )
             }
-            | (
-                {"side_force": ("lag", "delay", "drift", "bias", "saturation", "cross-talk")}
-                if self.side
-                else {}
-            ),
+            | ({"side_force": ("lag", "delay", "drift", "bias", "saturation", "cross-talk")} if side else {}),
         )
-
-    def rates(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        return np.zeros((0, u.shape[1]))
-
-    def read(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        torque = p["stiffness"] * u[0] + p["damping"] * u[1] - force["root"]
-        torque = torque + p["lift"] * p["stream_m_s"] ** 2 * np.sin(2 * u[0])
-        if not self.side:
-            return np.asarray(torque[None, :])
-        return np.array([torque, p["slope"] * np.sin(u[0]) * (0.2 + p["stream_m_s"] ** 2)])
-
-    def at(self, site: str, x: FloatArray, u: FloatArray, p: Values) -> At:
-        none = np.zeros_like(u[0])
-        return At(u[0], u[1], none, none)
 
     def programme(self, rng: np.random.Generator, trials: int) -> Programme:
         time_s = time_base(rng)

@@ -1,26 +1,24 @@
 """Benches that swing freely, and two joints in a chain."""
 
-# ruff: noqa: ARG002 - the signatures are fixed, whatever of them a bench uses
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..plant import At, FloatArray, Parameter, Plant, Programme, Signal, Site, Values, near, only_if
-from .programmes import driven, releases, time_base
-
-_JOINT = (
-    "coulomb-friction",
-    "stribeck-friction",
-    "presliding-friction",
-    "cubic-stiffness",
-    "asymmetric-friction",
-    "asymmetric-stiffness",
-    "viscoelastic-creep",
-    "hysteresis",
-    "end-stop",
-    "quadratic-drag",
+from ..plant import (
+    DRIVEN,
+    JOINT,
+    READ,
+    FloatArray,
+    Parameter,
+    Plant,
+    Programme,
+    Signal,
+    Site,
+    four_digits,
+    near,
+    only_if,
 )
+from .programmes import driven, releases, time_base
 
 
 class FreeDecay(Plant):
@@ -29,14 +27,13 @@ class FreeDecay(Plant):
     def __init__(self, rng: np.random.Generator) -> None:
         self.pendulum = rng.random() < 0.5
         inertia, natural_hz = near(rng, 3e-3, 2.0), rng.uniform(0.8, 2.2)
-        total = float(f"{inertia * (2 * np.pi * natural_hz) ** 2:.4g}")
-        damping = float(f"{rng.uniform(0.01, 0.05) * np.sqrt(total * inertia):.4g}")
+        total = four_digits(inertia * (2 * np.pi * natural_hz) ** 2)
+        damping = four_digits(rng.uniform(0.01, 0.05) * np.sqrt(total * inertia))
         damped = rng.random() < 0.8
-        self.damped = damped
         start: float | str = str(rng.choice(["release_rad", "first", "free"]))
-        self.restoring = "gravity_torque" if self.pendulum else "stiffness"
+        restoring = "gravity_torque" if self.pendulum else "stiffness"
         law = "gravity_torque*sin(angle)" if self.pendulum else "stiffness*angle"
-        effects = [*_JOINT, *only_if(not damped, "viscous-damping")]
+        effects = [*JOINT, *only_if(not damped, "viscous-damping")]
         if self.pendulum:
             effects += ["constant-force", "load-dependent-friction"]
         else:
@@ -49,7 +46,7 @@ class FreeDecay(Plant):
             parameters=(
                 Parameter("inertia", inertia, 0.0, "kg m^2"),
                 Parameter(
-                    self.restoring,
+                    restoring,
                     total,
                     "free" if rng.random() < 0.6 else 0.03,
                     "N m" if self.pendulum else "N m/rad",
@@ -80,21 +77,6 @@ class FreeDecay(Plant):
         start[0] = [one["release_rad"] for one in conditions]
         return start
 
-    def rates(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        pull = force["hinge"] - p[self.restoring] * (np.sin(x[0]) if self.pendulum else x[0])
-        if self.damped:
-            pull = pull - p["damping"] * x[1]
-        return np.array([x[1], pull / p["inertia"]])
-
-    def read(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        return x[:1].copy()
-
-    def at(self, site: str, x: FloatArray, u: FloatArray, p: Values) -> At:
-        none = np.zeros_like(x[0])
-        if self.pendulum:
-            return At(x[0], x[1], p["gravity_torque"] * np.cos(x[0]), none)
-        return At(x[0], x[1], none, p["stiffness"])
-
     def programme(self, rng: np.random.Generator, trials: int) -> Programme:
         return releases(rng, trials, time_base(rng), 10.0, 80.0 if self.pendulum else 45.0)
 
@@ -105,12 +87,12 @@ class Chain(Plant):
     def __init__(self, rng: np.random.Generator) -> None:
         inner, outer = near(rng, 4e-3, 1.5), near(rng, 1.5e-3, 1.5)
         self.natural_hz = rng.uniform(0.9, 1.8)
-        k1 = float(f"{inner * (2 * np.pi * self.natural_hz) ** 2:.4g}")
-        k2 = float(f"{outer * (2 * np.pi * self.natural_hz * 1.3) ** 2:.4g}")
-        self.shaft = rng.random() < 0.6
+        k1 = four_digits(inner * (2 * np.pi * self.natural_hz) ** 2)
+        k2 = four_digits(outer * (2 * np.pi * self.natural_hz * 1.3) ** 2)
+        shaft = rng.random() < 0.6
         known = rng.random() < 0.5
         tolerance = 0.0 if known else 0.04
-        common = (*_JOINT, *only_if(known, "added-inertia"))
+        common = (*JOINT, *only_if(known, "added-inertia"))
         super().__init__(
             name="two-joint-chain",
             states=("angle_1", "rate_1", "angle_2", "rate_2"),
@@ -118,27 +100,27 @@ class Chain(Plant):
             outputs=(
                 Signal("angle_1", "rad", equation="angle_1"),
                 Signal("angle_2", "rad", equation="angle_2"),
-                *only_if(self.shaft, Signal("shaft_torque", "N m", equation="coupling*(angle_2 - angle_1)")),
+                *only_if(shaft, Signal("shaft_torque", "N m", equation="coupling*(angle_2 - angle_1)")),
             ),
             parameters=(
                 Parameter("inertia_1", inner, tolerance, "kg m^2"),
                 Parameter("inertia_2", outer, tolerance, "kg m^2"),
                 Parameter("stiffness_1", k1, "free", "N m/rad"),
                 Parameter("stiffness_2", k2, 0.05, "N m/rad"),
-                Parameter("coupling", float(f"{k2 * rng.uniform(0.5, 1.2):.4g}"), 0.05, "N m/rad"),
+                Parameter("coupling", four_digits(k2 * rng.uniform(0.5, 1.2)), 0.05, "N m/rad"),
                 Parameter(
                     "damping_1",
-                    float(f"{rng.uniform(0.1, 0.3) * np.sqrt(k1 * inner):.4g}"),
+                    four_digits(rng.uniform(0.1, 0.3) * np.sqrt(k1 * inner)),
                     "free",
                     "N m s/rad",
                 ),
                 Parameter(
                     "damping_2",
-                    float(f"{rng.uniform(0.1, 0.3) * np.sqrt(k2 * outer):.4g}"),
+                    four_digits(rng.uniform(0.1, 0.3) * np.sqrt(k2 * outer)),
                     "free",
                     "N m s/rad",
                 ),
-                Parameter("gravity_2", float(f"{k2 * rng.uniform(0.3, 0.7):.4g}"), 0.03, "N m"),
+                Parameter("gravity_2", four_digits(k2 * rng.uniform(0.3, 0.7)), 0.03, "N m"),
             ),
             equations={
                 "angle_1": "rate_1",
@@ -161,32 +143,15 @@ class Chain(Plant):
             ),
             initial={"angle_1": 0.0, "rate_1": 0.0, "angle_2": 0.0, "rate_2": 0.0},
             input_effects={
-                "torque_1": ("delay", "lag", "saturation", "rate-limit", "dead-band"),
-                "torque_2": ("delay", "lag", "saturation", "rate-limit", "dead-band", "bias"),
+                "torque_1": DRIVEN,
+                "torque_2": (*DRIVEN, "bias"),
             },
             output_effects={
-                "angle_1": ("lag", "delay", "drift", "saturation", "bias", "gain-error", "cross-talk"),
-                "angle_2": ("lag", "delay", "drift", "saturation", "bias", "gain-error", "cross-talk"),
+                "angle_1": (*READ, "bias", "gain-error", "cross-talk"),
+                "angle_2": (*READ, "bias", "gain-error", "cross-talk"),
             },
         )
         self.peak = [0.3 * k1, 0.3 * k2]
-
-    def rates(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        twist = p["coupling"] * (x[2] - x[0])
-        first = u[0] + force["shoulder"] - p["stiffness_1"] * x[0] - p["damping_1"] * x[1] + twist
-        second = u[1] + force["elbow"] - p["stiffness_2"] * x[2] - p["damping_2"] * x[3] - twist
-        second = second - p["gravity_2"] * np.sin(x[2])
-        return np.array([x[1], first / p["inertia_1"], x[3], second / p["inertia_2"]])
-
-    def read(self, t: float, x: FloatArray, u: FloatArray, p: Values, force: Values) -> FloatArray:
-        angles = [x[0], x[2]]
-        return np.array([*angles, p["coupling"] * (x[2] - x[0])] if self.shaft else angles)
-
-    def at(self, site: str, x: FloatArray, u: FloatArray, p: Values) -> At:
-        none = np.zeros_like(x[0])
-        if site == "shoulder":
-            return At(x[0], x[1], none, p["stiffness_1"])
-        return At(x[2], x[3], p["gravity_2"] * np.cos(x[2]), none)
 
     def programme(self, rng: np.random.Generator, trials: int) -> Programme:
         return driven(rng, trials, time_base(rng), self.peak, self.natural_hz)

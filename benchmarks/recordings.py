@@ -1,0 +1,117 @@
+"""What the diagnosis says of real recordings, beside what is published of them, and how long it takes.
+
+    python benchmarks/recordings.py FOLDER               # one row per recording in it
+    python benchmarks/recordings.py FOLDER --splits      # EMPS and Silverbox: corrected on half, simulated on the rest
+
+FOLDER holds recordings (folders with recording.toml and model.toml); LABRUN_RECORDINGS names it if none is given. Each
+is diagnosed once, with the simple model beside it and nothing else said. Seconds are of the processor, all processes.
+
+The splits are not those of the benchmarks, whose test parts (EMPS: the record with pulses; Silverbox: the drive of
+growing amplitude) are not among these recordings: the model is corrected by the first half of the parts, and tested on
+the other half, each part simulated whole from a fitted beginning.
+"""
+
+import argparse
+import os
+import resource
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from labrun.app.question import ask
+from labrun.gap import Options, diagnose_dataset, predict_fresh
+from labrun.report.text import percent, value_words
+
+PUBLISHED = {
+    "emps": "Coulomb friction 20.3 N and a constant force (Janot et al. 2019)",
+    "silverbox": "cubic stiffness (Wigren and Schoukens 2013)",
+    "o-ring": "Coulomb friction: half of 7.84, 10.88, 13.84, 15.62 N at 1, 3, 5, 7 bar (authors' script)",
+    "tx40-forearm": "dry friction 2.48/48 = 0.0517, offset -0.102/48 = -0.0021, motor inertia (figaroh-examples)",
+}
+SPLITS = {
+    "emps": ("published 0.45 to 2 mm on another record", 1e3, "mm"),
+    "silverbox": ("published 0.30 to 0.36 mV on another drive", 1e3, "mV"),
+}
+
+
+def seconds() -> float:
+    """Return the processor's time of this process and of those it has waited for."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+def said_of(folder: Path, workers: int) -> list[str]:
+    """Return a row of the table."""
+    begin, clock = seconds(), time.perf_counter()
+    question = ask(folder, None)
+    found = diagnose_dataset(question.dataset, question.model, Options(places=False, workers=workers))
+    causes = []
+    for cause in found.causes:
+        rivals = "".join(f" or {name.words}" for name in cause.indistinguishable_from)
+        values = ", ".join(value_words(cause.values))
+        causes.append(f"{cause.name.words}{rivals} ({values}; {percent(cause.confidence)})")
+    share = "" if found.shrinkage is None else percent(found.shrinkage.value)
+    return [
+        folder.name,
+        f"{found.trials} trials, {found.repeats} of each",
+        PUBLISHED.get(folder.name, "not known"),
+        found.verdict,
+        "; ".join(causes) or "no cause",
+        share,
+        f"{seconds() - begin:.0f} s ({time.perf_counter() - clock:.0f} s)",
+    ]
+
+
+def split(folder: Path, workers: int) -> list[str]:
+    """Return what a model corrected by the first half of the parts leaves of the other half, and one fitted to them."""
+    question = ask(folder, None)
+    trials = question.dataset.trials
+    half = len(trials) // 2
+    seen, unseen = (replace(question.dataset, trials=part) for part in (trials[:half], trials[half:]))
+    found = diagnose_dataset(seen, question.model, Options(places=False, workers=workers))
+    corrected = question.model.with_values(found.corrected).with_effects(found.effects)
+    result = predict_fresh(
+        corrected, unseen, np.random.default_rng(0), before=question.model, horizons_s=(0.1,)
+    )
+    whole = next(one for one in result.predictions if one.horizon_s is None)
+    words, factor, unit = SPLITS[folder.name]
+    return [
+        folder.name,
+        f"corrected by {half} parts, simulated on {len(trials) - half}",
+        f"{factor * whole.error.value:.3g} {unit} [{factor * whole.error.low:.3g}, {factor * whole.error.high:.3g}]",
+        f"as it was {factor * whole.before.value:.3g} {unit}",
+        "; ".join(cause.name.words for cause in found.causes),
+        words,
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", nargs="?", default=os.environ.get("LABRUN_RECORDINGS"), type=Path)
+    parser.add_argument(
+        "--splits", action="store_true", help="halves of EMPS and Silverbox instead of the table"
+    )
+    parser.add_argument("--only", help="one recording by its name")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    given = parser.parse_args()
+    if given.folder is None or not given.folder.is_dir():
+        parser.error("name the folder of the recordings, or set LABRUN_RECORDINGS")
+    folders = sorted(one.parent for one in given.folder.glob("*/recording.toml"))
+    wanted = [
+        one for one in folders if given.only in (None, one.name) and (not given.splits or one.name in SPLITS)
+    ]
+    if not wanted:
+        parser.error(
+            f"no such recording in {given.folder}: it holds {', '.join(one.name for one in folders) or 'none'}"
+        )
+    for folder in wanted:
+        row = split(folder, given.workers) if given.splits else said_of(folder, given.workers)
+        print("| " + " | ".join(row) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,177 @@
+"""The form of a candidate: shapes that are fitted before anything is ruled out, and levels that it does without."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.effects import EffectParameter
+from labrun.fit import Problem, minimise
+from labrun.gap import criteria
+from labrun.gap.candidates import Candidate
+from labrun.gap.noise_threshold import NoiseThreshold
+from labrun.gap.screening import Base, Screened
+
+
+def best_form(base: Base, screened: Screened, best: float, threshold: NoiseThreshold) -> Screened:
+    """Return a candidate with its shape fitted, and without levels that nothing asks for, if it is worth that.
+
+    Parameters
+    ----------
+    best
+        Gain of the best candidate: of what is far behind it, no shape is looked at.
+    """
+    if screened.gain < criteria.SHAPED_BESIDE_BEST * max(best, threshold.gain):
+        return screened
+    screened = widened(base, screened)
+    found = resolved(base, shaped(base, resolved(base, screened), threshold))
+    found = without_needless_levels(base, found, threshold)
+    return found if found.candidate is screened.candidate else replace(found, usual=screened)
+
+
+def widened(base: Base, screened: Screened) -> Screened:
+    """Return a candidate fitted in a wider range, where its size ended at the far end of what was searched.
+
+    What is typical at a site comes from the model as it is: play in a joint that is rigid there goes far beyond its
+    wind-up.
+    """
+    for _ in range(criteria.WIDENINGS):
+        attached = screened.candidate.attached
+        if attached is None:
+            break
+        sizes = iter(screened.sizes.tolist())
+        parameters = tuple(
+            one if one.held else _further(one, next(sizes)) for one in attached.effect.parameters
+        )
+        if parameters == attached.effect.parameters:
+            break
+        candidate = replace(
+            screened.candidate,
+            attached=replace(attached, effect=replace(attached.effect, parameters=parameters)),
+        )
+        problem = candidate.added_to(base.problem).with_substeps(screened.problem.substeps)
+        screened = replace(_ended(base, screened, problem, screened.z), candidate=candidate)
+    return screened
+
+
+def _further(one: EffectParameter, size: float) -> EffectParameter:
+    if one.neutral != 0.0 or one.quantity == "ratio" or size < (1.0 - criteria.AT_BOUND) * one.upper:
+        return one
+    return replace(one, upper=criteria.WIDER * one.upper)
+
+
+def resolved(base: Base, screened: Screened) -> Screened:
+    """Return a candidate fitted with steps of the integrator as short as its force asks for.
+
+    The base's steps do for the base: friction that holds a joint still, or a stiff stop, wants shorter ones, and is
+    fitted again with them.
+    """
+    while screened.candidate.attached is not None and screened.problem.substeps < criteria.FINEST:
+        finer = screened.problem.with_substeps(criteria.FINER * screened.problem.substeps)
+        if abs(finer.squares(screened.z) - screened.squares) < criteria.STEPS_DO * base.squares:
+            break
+        screened = _ended(base, screened, finer, screened.z)
+    return screened
+
+
+def _ended(base: Base, screened: Screened, problem: Problem, start: FloatArray) -> Screened:
+    z = minimise(
+        problem, start, tolerance=criteria.FIT_TOLERANCE, evaluations=criteria.FIT_EVALUATIONS, central=False
+    )
+    squares = problem.squares(z)
+    return replace(screened, problem=problem, z=z, squares=squares, gain=max(base.squares - squares, 0.0))
+
+
+def shaped(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screened:
+    """Return the candidate with its shape fitted, if that explains clearly more; else as it was."""
+    left = screened.squares - threshold.floor
+    found = _with_shape(screened.candidate)
+    if found is None or screened.gain < threshold.gain or left < criteria.SHAPE_REMAINDER * screened.gain:
+        return screened
+    candidate, choices = found
+    problem = candidate.added_to(base.problem).with_substeps(screened.problem.substeps)
+    size = base.problem.size
+    shared, own = screened.z[:size], screened.problem.own_states(screened.z)
+    ends = [
+        minimise(
+            problem,
+            np.concatenate([shared, sizes, own]),
+            tolerance=criteria.ROUGH_TOLERANCE,
+            evaluations=criteria.ROUGH_EVALUATIONS,
+            central=False,
+        )
+        for sizes in _starts(choices, screened.sizes)
+    ]
+    best = min(ends, key=problem.squares)
+    end = replace(_ended(base, screened, problem, best), candidate=candidate)
+    further = candidate.variables - screened.candidate.variables
+    earned = threshold.log_likelihood(end.gain) - threshold.log_likelihood(screened.gain)
+    if (
+        earned < criteria.SHAPE_PRICE * further
+        or end.gain - screened.gain < criteria.SHAPE_EARNS * screened.gain
+    ):
+        return screened
+    return end
+
+
+def without_needless_levels(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screened:
+    """Return an effect of several levels without those that the data do not ask for: an end stop on one side only."""
+    for name in _levels(screened.candidate):
+        candidate = _out_of_reach(screened.candidate, name)
+        problem = candidate.added_to(base.problem).with_substeps(screened.problem.substeps)
+        fitted = [one.name for one in _fitted(screened.candidate)]
+        sizes = np.delete(screened.sizes, fitted.index(name))
+        start = np.concatenate(
+            [screened.z[: base.problem.size], sizes, screened.problem.own_states(screened.z)]
+        )
+        end = replace(_ended(base, screened, problem, start), candidate=candidate)
+        lost = threshold.log_likelihood(screened.gain) - threshold.log_likelihood(end.gain)
+        if lost < criteria.VARIABLE_PRICE:
+            screened = end
+    return screened
+
+
+def _fitted(candidate: Candidate) -> list[EffectParameter]:
+    attached = candidate.attached
+    return [] if attached is None else [one for one in attached.effect.parameters if not one.held]
+
+
+def _levels(candidate: Candidate) -> list[str]:
+    """Return the fitted parameters that are out of reach without the effect, if there is more than one."""
+    found = [one.name for one in _fitted(candidate) if one.neutral is not None and np.isinf(one.neutral)]
+    return found if len(found) > 1 else []
+
+
+def _out_of_reach(candidate: Candidate, name: str) -> Candidate:
+    attached, scale = candidate.attached, candidate.scale
+    if attached is None or scale is None:
+        return candidate
+    parameters, values = list(attached.effect.parameters), list(attached.values)
+    place = [one.name for one in parameters].index(name)
+    one = parameters[place]
+    far = one.upper if one.neutral == np.inf else one.lower
+    parameters[place], values[place] = replace(one, held=True), far * scale.of(one.quantity)
+    effect = replace(attached.effect, parameters=tuple(parameters))
+    return replace(candidate, attached=replace(attached, effect=effect, values=tuple(values)))
+
+
+def _with_shape(candidate: Candidate) -> tuple[Candidate, list[tuple[float, ...]]] | None:
+    """Return the candidate with its shapes among what is fitted, and the starts of every variable; None if it has none.
+
+    The starts of what is fitted anyway are left open (empty).
+    """
+    attached = candidate.attached
+    if attached is None or not any(parameter.shape for parameter in attached.effect.parameters):
+        return None
+    parameters = attached.effect.parameters
+    freed = tuple(replace(one, held=False) if one.shape else one for one in parameters)
+    choices = [one.starts[1:] if one.shape else () for one in parameters if one.shape or not one.held]
+    effect = replace(attached.effect, parameters=freed)
+    return replace(candidate, attached=replace(attached, effect=effect)), choices
+
+
+def _starts(choices: list[tuple[float, ...]], sizes: FloatArray) -> list[tuple[float, ...]]:
+    """Return the fitted sizes with every combination of the shapes' starts."""
+    fitted = iter(sizes.tolist())
+    return list(product(*(choice or (next(fitted),) for choice in choices)))

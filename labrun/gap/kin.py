@@ -1,0 +1,41 @@
+"""Candidates that are near one another: families that a person would repair in the same way, and what is common."""
+
+from collections.abc import Mapping
+
+from labrun.gap.diagnosis import Name
+
+FAMILIES: Mapping[str, tuple[str, ...]] = {
+    "dry friction": (
+        "coulomb-friction",
+        "stribeck-friction",
+        "asymmetric-friction",
+        "load-dependent-friction",
+    ),
+    "hysteretic friction": ("presliding-friction", "hysteresis"),
+    "lost motion": ("backlash", "dead-band", "end-stop"),
+    "lateness": ("lag", "delay"),
+}
+"""Effects of one family, the common ones first."""
+
+COMMON = (
+    "coulomb-friction", "viscous-damping", "constant-force", "bias", "gain-error", "delay", "lag", "backlash",
+    "stribeck-friction", "load-dependent-friction", "saturation", "end-stop", "dead-band", "quadratic-drag",
+    "cubic-stiffness",
+)  # fmt: skip
+"""How often a bench lacks it, most often first (judged, not counted): friction and offsets are everywhere. What is not
+here comes last."""
+
+
+def family(one: Name) -> str:
+    """Return the family of an effect; empty if it has none."""
+    return next((name for name, members in FAMILIES.items() if one.effect in members), "")
+
+
+def kin(one: Name, other: Name) -> bool:
+    """Tell whether two effects at one site are of one family."""
+    return one != other and one.site == other.site and family(one) != "" and family(one) == family(other)
+
+
+def rank(one: Name) -> int:
+    """Return the place of an effect among what benches lack, from 0."""
+    return COMMON.index(one.effect) if one.effect in COMMON else len(COMMON)

@@ -1,0 +1,172 @@
+"""What differs from trial to trial: a zero that was set anew, a clock started by hand, a gain that is never the same.
+
+A mixed-effects model (Laird and Ware, Biometrics 38 (1982) 963): each trial has a small deviation of its own, drawn
+from one distribution whose variance is estimated. It is neither noise of single samples nor a cause common to all.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.fit import Dataset, Deviation, DeviationKind
+from labrun.gap import criteria
+from labrun.gap.noise import fit_whitener
+
+_KINDS: tuple[DeviationKind, ...] = ("bias", "start time", "gain")
+
+
+@dataclass(frozen=True)
+class Found:
+    """Deviations by trial, and residuals without them.
+
+    Attributes
+    ----------
+    residual : per unit, per member (n, m)
+    """
+
+    deviations: tuple[Deviation, ...]
+    residual: list[list[FloatArray]]
+
+
+def found_in_repeats(
+    units: Dataset, residual: Sequence[Sequence[FloatArray]], simulated: Sequence[FloatArray]
+) -> Found:
+    """Look for what repeats of a condition differ in as whole trials, the largest first.
+
+    One counts if it makes up a good part of what repeats do not agree on, and scatters by more than what is left of
+    them, with its colour, would have it do (F test).
+
+    Parameters
+    ----------
+    residual : per unit, per member (n, m)
+        Measured minus simulated of every trial.
+    """
+    found: list[Deviation] = []
+    left = [list(members) for members in residual]
+    outputs = range(units.trials[0].outputs.shape[1])
+    tried = [(kind, output) for kind in _KINDS for output in (outputs if kind != "start time" else (None,))]
+    while len(found) < criteria.MOST_DEVIATIONS:
+        rest = [one for one in tried if one not in [(other.kind, other.output) for other in found]]
+        looked = [_looked_at(units, left, simulated, kind, output) for kind, output in rest]
+        best = max((one for one in looked if one is not None), key=lambda one: one[0], default=None)
+        if best is None:
+            break
+        _, deviation, left = best
+        found.append(deviation)
+    return Found(tuple(found), left)
+
+
+_Looked = tuple[float, Deviation, list[list[FloatArray]]]
+
+
+def _looked_at(
+    units: Dataset,
+    residual: list[list[FloatArray]],
+    simulated: Sequence[FloatArray],
+    kind: DeviationKind,
+    output: int | None,
+) -> _Looked | None:
+    """Return the share of the disagreement that one kind makes up, its deviation, and residuals without it."""
+    after = [list(members) for members in residual]
+    sizes, freedom, taken, total = list[float](), 0, 0.0, 0.0
+    scale = _disagreement(units, residual)
+    columns = slice(None) if output is None else slice(output, output + 1)
+    for group in range(len(units.conditions)):
+        members = [(index, place) for index in units.of_group(group) for place in range(len(residual[index]))]
+        if len(members) < 2:
+            continue
+        length = min(len(residual[index][place]) for index, place in members)
+        mean = np.mean([residual[index][place][:length] for index, place in members], axis=0)
+        own = []
+        for index, place in members:
+            signature = (shape_of(kind, simulated[index], units.trials[index].time_s) / scale)[:, columns]
+            away = ((residual[index][place][:length] - mean) / scale)[:, columns]
+            energy = float(np.sum(np.square(signature[:length])))
+            own.append(float(np.sum(signature[:length] * away)) / energy if energy > 0 else 0.0)
+            total += float(np.sum(np.square(away)))
+            taken += own[-1] ** 2 * energy
+            after[index][place] = residual[index][place].copy()
+            after[index][place][:, columns] -= own[-1] * signature * scale[columns]
+        sizes += own
+        freedom += len(own) - 1
+    if freedom == 0 or total == 0.0 or taken < criteria.DEVIATION_SHARE * total:
+        return None
+    variance = float(np.sum(np.square(sizes))) / freedom
+    expected = _by_noise(units, after, simulated, kind, columns, scale)
+    from scipy.stats import f
+
+    if f.sf(variance / max(expected, 1e-300), freedom, criteria.DEVIATION_FREEDOM) > criteria.DEVIATION_P:
+        return None
+    return taken / total, Deviation(kind, output, float(np.sqrt(variance))), after
+
+
+def words(one: Deviation, outputs: Sequence[tuple[str, str]]) -> str:
+    """Return a deviation in words.
+
+    Parameters
+    ----------
+    outputs
+        Names and units.
+    """
+    if one.kind == "start time" or one.output is None:
+        return f"the start time differs by trial (standard deviation {one.sd:.2g} s)"
+    name, unit = outputs[one.output]
+    size = f"{100.0 * one.sd:.2g} %" if one.kind == "gain" else f"{one.sd:.2g} {unit}".rstrip("1 ")
+    return f"{one.kind} at {name} differs by trial (standard deviation {size})"
+
+
+def shape_of(kind: DeviationKind, simulated: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Return by what outputs (n, m) change with a deviation of one: unit of the output, second, or factor."""
+    if kind == "bias":
+        return np.ones_like(simulated)
+    if kind == "gain":
+        return simulated
+    return (
+        -np.asarray(np.gradient(simulated, time_s, axis=0)) if len(time_s) > 1 else np.zeros_like(simulated)
+    )
+
+
+def _disagreement(units: Dataset, residual: Sequence[Sequence[FloatArray]]) -> FloatArray:
+    """Return the root mean square of what repeats do not agree on, per output; 1 where they agree, (m,)."""
+    squares = []
+    for group in range(len(units.conditions)):
+        trials = [one for index in units.of_group(group) for one in residual[index]]
+        length = min(map(len, trials), default=0)
+        if len(trials) > 1:
+            mean = np.mean([one[:length] for one in trials], axis=0)
+            squares += [np.mean(np.square(one[:length] - mean), axis=0) for one in trials]
+    size = np.sqrt(np.mean(squares, axis=0)) if squares else np.ones(residual[0][0].shape[1])
+    return np.asarray(np.where(size > 0, size, 1.0))
+
+
+def _by_noise(
+    units: Dataset,
+    residual: Sequence[Sequence[FloatArray]],
+    simulated: Sequence[FloatArray],
+    kind: DeviationKind,
+    columns: slice,
+    scale: FloatArray,
+) -> float:
+    """Return the variance that a deviation would have from noise of the colour of what is left alone."""
+    rng = np.random.default_rng(0)
+    left = []
+    for group in range(len(units.conditions)):
+        trials = [one for index in units.of_group(group) for one in residual[index]]
+        length = min(map(len, trials), default=0)
+        if len(trials) > 1:
+            mean = np.mean([one[:length] for one in trials], axis=0)
+            left += [(one[:length] - mean) / scale for one in trials]
+    size = np.sqrt(np.mean(np.square(np.concatenate(left)), axis=0))
+    size = np.where(size > 0, size, 1.0)
+    whitener = fit_whitener([one / size for one in left])
+    drawn = []
+    for _ in range(criteria.DEVIATION_DRAWS):
+        index = int(rng.integers(len(simulated)))
+        signature = (shape_of(kind, simulated[index], units.trials[index].time_s) / scale)[:, columns]
+        noise = (whitener.coloured(rng.standard_normal(simulated[index].shape)) * size)[:, columns]
+        energy = float(np.sum(np.square(signature)))
+        if energy > 0:
+            drawn.append(float(np.sum(signature * noise)) / energy)
+    return float(np.mean(np.square(drawn))) if drawn else np.inf

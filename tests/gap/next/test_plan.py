@@ -1,0 +1,73 @@
+"""A plan before any data: sizes that scale as statistics say, what parameters imitate, and a file that holds."""
+
+import pytest
+
+from labrun.app.check import check
+from labrun.app.plan_trials import plan_trials
+from labrun.errors import RequestError
+from labrun.report.trial_plan import plan_text
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("plan")
+
+
+@pytest.fixture(scope="module")
+def plan(folder):
+    return plan_trials(
+        "hinge-pendulum", "hinge", noise={"angle": 2e-3}, out=folder / "plan.toml", workspace=folder
+    )
+
+
+def sizes(found):
+    return {str(one.name): one.size.value for one in found.visible if one.size is not None}
+
+
+def test_half_the_noise_and_a_quarter_of_the_repeats_show_the_same_sizes(plan, folder):
+    other = plan_trials(
+        "hinge-pendulum",
+        "hinge",
+        noise={"angle": 1e-3},
+        repeats=12,
+        out=folder / "other.toml",
+        workspace=folder,
+    )
+    mine, theirs = sizes(plan), sizes(other)
+    for name in ("rest-offset at hinge", "constant-force at hinge"):  # linear in their size
+        assert theirs[name] == pytest.approx(0.25 * mine[name], rel=0.25)
+
+
+def test_what_a_free_parameter_imitates_no_trial_can_show(plan):
+    damping = next(one for one in plan.visible if one.name.effect == "viscous-damping")
+    assert damping.size is None
+    assert "imitate" in damping.why
+
+
+def test_effects_that_would_look_the_same_are_named_with_one_another(plan):
+    friction = next(one for one in plan.visible if one.name.effect == "coulomb-friction")
+    assert "stribeck-friction at hinge" in map(str, friction.alike)
+    assert 0 <= friction.best < len(plan.trials)
+
+
+def test_the_experiment_that_is_written_stays_inside_the_limits(plan):
+    planned = check(str(plan.file))
+    planned.require_feasible()
+    assert planned.trials == len(plan.trials) * plan.repeats
+    assert all(abs(one.condition["release"]) <= 90 for one in plan.trials)
+
+
+def test_the_words_name_trials_sizes_and_what_is_hidden(plan):
+    text = plan_text(plan)
+    assert "not visible in any of them" in text
+    assert "Coulomb friction at hinge" in text
+    assert f"labrun run {plan.file}" in text
+    assert plan.to_json()["noise"] == {"angle": 2e-3}
+
+
+def test_bad_requests_are_told_before_anything_is_computed(folder, plan):
+    with pytest.raises(RequestError, match="there already"):
+        plan_trials("hinge-pendulum", "hinge", out=plan.file, workspace=folder)
+    with pytest.raises(RequestError, match="positive size of an output") as refused:
+        plan_trials("hinge-pendulum", "hinge", noise={"angel": 1.0}, out=folder / "x.toml", workspace=folder)
+    assert "angle" in refused.value.hint

@@ -1,0 +1,86 @@
+"""Two units held against one model: what differs is named, what does not is bounded, and noise is no difference."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from swings import DAMPING, MODEL, STIFFNESS, dataset_of, swing
+
+from labrun.errors import RequestError
+from labrun.fit import workers
+from labrun.gap import compare_units
+from labrun.models import load_model, parse_model
+from labrun.report.units import units_text
+from labrun.store import SignalInfo
+
+
+def unit(seed, **physics):
+    rng = np.random.default_rng(seed)
+    made = []
+    for release in (0.2, 0.4, 0.6, 0.8):
+        time_s, angle = swing(release, duration_s=2.0, rate_hz=120.0, **physics)
+        made.append((time_s, angle + 2e-3 * rng.standard_normal(len(angle))))
+    return dataset_of(made)
+
+
+def compared(first, second, model=MODEL, **given):
+    with workers(2) as each:
+        return compare_units(
+            first, second, parse_model(model, "hinge.toml"), np.random.default_rng(0), each=each, **given
+        )
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return unit(1)
+
+
+def friction(torque):
+    return lambda _, rate: -torque * np.tanh(rate / 0.02)
+
+
+def test_a_stiffness_that_differs_is_named_with_its_change_and_the_rest_is_bounded(plain):
+    found = compared(plain, unit(2, stiffness=1.1 * STIFFNESS))
+    (only,) = found.differing
+    assert only.parameter == "stiffness"
+    assert only.change.low < 0.1 * STIFFNESS < only.change.high
+    assert found.share > 0.95
+    same = {one.parameter: one for one in found.differences if one.verdict == "same"}
+    assert same["damping"].change.low < 0.0 < same["damping"].change.high
+    text = units_text(found)
+    assert "parameter stiffness differs" in text.splitlines()[0]
+    assert "kg m^2" in text
+
+
+def test_friction_that_one_unit_alone_has_is_named_with_its_unit(plain):
+    found = compared(plain, unit(2, extra=friction(1.5e-3)))
+    assert {one.name.effect for one in found.differing} <= {
+        "coulomb-friction",
+        "stribeck-friction",
+        "presliding-friction",
+    }
+    assert found.differing[0].first == 0.0
+    assert found.differing[0].second == pytest.approx(1.5e-3, rel=0.1)
+
+
+def test_the_size_of_an_effect_that_the_model_carries_is_compared():
+    carried = MODEL + '[[effects]]\neffect = "coulomb-friction"\nsite = "hinge"\nvalues = { torque = 1e-3 }\n'
+    first, second = unit(1, extra=friction(1e-3)), unit(2, extra=friction(1.4e-3))
+    found = compared(first, second, carried)
+    (only,) = found.differing
+    assert (only.name.effect, only.parameter) == ("coulomb-friction", "torque")
+    assert only.second / only.first == pytest.approx(1.4, rel=0.1)
+
+
+def test_two_recordings_of_one_unit_do_not_differ(plain):
+    found = compared(plain, unit(3))
+    assert found.differing == ()
+    assert units_text(found).startswith("No parameter or effect differs beyond noise")
+    damping = next(one for one in found.differences if one.parameter == "damping")
+    assert abs(damping.change.high) < 0.2 * DAMPING
+
+
+def test_units_recorded_unlike_are_refused(plain):
+    other = replace(plain, outputs=(SignalInfo("angle", "deg"),))
+    with pytest.raises(RequestError, match="other channels"):
+        compare_units(plain, other, load_model("hinge-pendulum"), np.random.default_rng(0))

@@ -1,0 +1,46 @@
+"""What any model could gain: of a gap that goes with the motion much, of noise nothing; told in words and JSON."""
+
+from dataclasses import replace
+
+import gap_examples
+import numpy as np
+import pytest
+from swings import dataset_of, swing
+
+from labrun.gap.averaging import averaged
+from labrun.gap.learnable import learnable_share
+from labrun.gap.recalibration import recalibrate
+from labrun.gap.what_is_left import Learnable
+from labrun.models import load_model
+from labrun.report import gap_lines
+
+
+def left_by(sensor):
+    rng = np.random.default_rng(1)
+    made = []
+    for release in (0.5, 0.7, 0.9, 1.1):
+        time_s, angle = swing(release, duration_s=3.0, rate_hz=120.0)
+        made.append((time_s, angle + sensor(angle) + 1e-3 * rng.standard_normal(len(angle))))
+    model = load_model("hinge-pendulum").with_values(
+        {"inertia": 1.2e-3, "gravity_torque": 0.06, "stiffness": 0.0686}
+    )
+    return recalibrate(model, averaged(dataset_of(made), model), np.random.default_rng(0), lambda _: None)
+
+
+def test_of_noise_nothing_can_be_learned_and_of_an_error_that_goes_with_the_motion_much():
+    noise, error = left_by(np.zeros_like), left_by(lambda angle: 5e-3 * np.sin(12 * angle))
+    assert learnable_share(noise.problem, noise.z) < 0.1
+    assert learnable_share(noise.problem, noise.z, conditions=True) < 0.1
+    assert learnable_share(error.problem, error.z) > 0.5
+
+
+@pytest.mark.parametrize(
+    ("conditions", "told"), [(None, "one condition"), (0.4, "on unseen conditions 40 %")]
+)
+def test_a_diagnosis_says_what_could_be_learned(conditions, told):
+    diagnosis = replace(gap_examples.not_in_library(), learnable=Learnable(0.8, conditions))
+    lines = [line.plain for line in gap_lines(diagnosis, 100)]
+    (line,) = [one for one in lines if "could be learned" in one]
+    assert "at least 80 % could be learned, at most 20 % is noise" in line
+    assert len(lines) <= 20
+    assert diagnosis.to_json()["learnable"] == {"pieces_of_time": 0.8, "conditions": conditions}

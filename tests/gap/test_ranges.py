@@ -1,0 +1,114 @@
+"""What was searched is told, ranges follow what the data want, and mistakes of sign and unit are named."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labrun.effects import Scale, load_effect
+from labrun.fit import Dataset, OutputNoise
+from labrun.fit.dataset import FitTrial
+from labrun.gap.averaging import averaged
+from labrun.gap.candidates import untried
+from labrun.gap.confidence import scatter
+from labrun.gap.diagnose import Options, diagnose_dataset
+from labrun.gap.diagnosis import Diagnosis
+from labrun.gap.recalibration import stated, stated_problem, unit_remarks
+from labrun.gap.screening import Base
+from labrun.models import parse_model
+from labrun.store import SignalInfo
+
+from .benches import PENDULUM, dry_friction, pendulum, recorded
+
+
+def in_other_units(data: Dataset, factor: float) -> Dataset:
+    trials = tuple(
+        replace(one, outputs=factor * one.outputs, members=(factor * one.outputs,)) for one in data.trials
+    )
+    return replace(data, trials=trials)
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"), [(-1.0, "flipped"), (180.0 / np.pi, "degrees labelled rad"), (0.001, "labelled mm")]
+)
+def test_a_flipped_sign_and_a_wrong_unit_are_named(factor: float, words: str) -> None:
+    data = in_other_units(recorded(repeats=1), factor)
+    problem = stated_problem(pendulum(), data)
+    (remark,) = unit_remarks(problem, stated(problem, problem.begin()))
+    assert words in remark
+
+
+def test_nothing_is_said_of_units_that_are_right() -> None:
+    problem = stated_problem(pendulum(), in_other_units(recorded(dry_friction(0.006), repeats=1), 1.0))
+    assert unit_remarks(problem, stated(problem, problem.begin())) == ()
+
+
+def test_what_a_model_has_no_place_for_is_said_with_what_to_add() -> None:
+    bare = PENDULUM.replace('stiffness = "stiffness"\n', "")
+    said = " ".join(untried(parse_model(bare, "pendulum.toml")))
+    assert "backlash" in said
+    assert 'add stiffness = "..." to [sites.hinge]' in said
+    assert not untried(pendulum())
+
+
+@pytest.fixture(scope="module")
+def found() -> Diagnosis:
+    return diagnose_dataset(recorded(dry_friction(0.006)), pendulum(), Options(places=False))
+
+
+def test_what_is_ruled_out_is_told_with_the_range_that_was_searched(found: Diagnosis) -> None:
+    play = next(one for one in found.candidates if one.name.effect == "backlash")
+    assert play.verdict == "ruled-out"
+    assert play.remark.startswith("searched: gap 0 to ")
+
+
+SWING = """
+name = "swing"
+states = ["angle", "rate"]
+[parameters]
+inertia = { value = 1.0e-3, tolerance = 0.05,   unit = "kg m^2" }
+gravity = { value = 0.06,   tolerance = 0.05,   unit = "N m" }
+damping = { value = 1.0e-4, tolerance = "free", unit = "N m s/rad" }
+[equations]
+angle = "rate"
+rate = "(force.hinge - damping*rate - gravity*sin(angle)) / inertia"
+[outputs]
+angle = { equation = "angle", unit = "rad" }
+[sites.hinge]
+kind = "joint"
+coordinate = "angle"
+rate = "rate"
+[initial]
+angle = "release"
+rate = 0.0
+"""
+
+
+def test_intervals_carry_what_is_stated_of_a_scale_that_the_data_do_not_show() -> None:
+    time_s = np.arange(0.0, 4.0, 0.02)
+    nothing_yet = np.sin(7.7 * time_s)[:, None]
+    trials = tuple(
+        FitTrial(
+            f"{release} rad",
+            {"release": release},
+            1,
+            time_s,
+            np.empty((len(time_s), 0)),
+            release * nothing_yet,
+        )
+        for release in (0.4, 0.9)
+    )
+    outputs = (SignalInfo("angle", "rad", "linear"),)
+    data = averaged(
+        Dataset("swing", Path("swing"), "recording", (), outputs, trials), parse_model(SWING, "swing.toml")
+    )
+    problem = stated_problem(parse_model(SWING, "swing.toml"), data)
+    friction = load_effect("coulomb-friction").attach("hinge", torque=2e-3, transition_speed=0.05)
+    problem = problem.with_effects([friction], [Scale(force=1e-3)]).with_noise(OutputNoise(np.array([1e3])))
+    z = problem.begin()
+    base = Base.of(problem.with_measured(problem.simulated(z)), z)
+    silent = [[np.zeros_like(one) for one in base.residual]] * 400
+    torque = scatter(base, silent)[:, -1] / z[problem.size - 1]
+    # all torques scale together with the inertia: of the scale, two statements of 5 % each tell what they can
+    assert np.std(torque) == pytest.approx(0.05 / np.sqrt(2.0), rel=0.1)

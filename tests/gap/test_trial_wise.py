@@ -1,0 +1,63 @@
+"""What differs from trial to trial is told as such, and neither taken for noise nor for a cause common to all."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labrun.fit import Dataset, Deviation
+from labrun.fit.deviations import deviated
+from labrun.gap.diagnose import Options, diagnose_dataset
+from labrun.gap.trial_wise import words
+
+from .benches import dry_friction, nothing, pendulum, recorded
+
+QUICK = Options(places=False)
+
+
+def with_zeros_set_anew(data: Dataset, sd: float, common: float = 0.0) -> Dataset:
+    rng = np.random.default_rng(3)
+    trials = [replace(one, outputs=one.outputs + common + sd * rng.standard_normal()) for one in data.trials]
+    return replace(data, trials=tuple(trials))
+
+
+def test_friction_is_found_behind_zeros_that_are_set_anew() -> None:
+    found = diagnose_dataset(
+        with_zeros_set_anew(recorded(dry_friction(0.006), noise=0.002), 0.03), pendulum(), QUICK
+    )
+    assert found.differs == ("bias at angle differs by trial (standard deviation 0.043 rad)",)  # as drawn
+    assert found.sentence.startswith("Bias at angle differs by trial")
+    assert found.causes[0].values["torque"].value == pytest.approx(0.006, rel=0.02)
+    assert found.noise["angle"] == pytest.approx(0.002, rel=0.1)
+
+
+def test_zeros_that_are_set_anew_are_no_cause() -> None:
+    found = diagnose_dataset(with_zeros_set_anew(recorded(nothing), 0.03), pendulum(), QUICK)
+    assert found.differs
+    assert not found.causes
+
+
+def test_a_bias_common_to_all_trials_stays_one() -> None:
+    found = diagnose_dataset(with_zeros_set_anew(recorded(nothing), 0.01, common=0.1), pendulum(), QUICK)
+    assert found.differs
+    names = {str(found.causes[0].name), *map(str, found.causes[0].indistinguishable_from)}
+    assert "bias at angle" in names
+
+
+def test_noise_alone_differs_by_nothing() -> None:
+    assert not diagnose_dataset(recorded(nothing), pendulum(), QUICK).differs
+
+
+def test_a_trial_that_began_late_is_shifted_and_a_gain_is_a_factor() -> None:
+    time_s = np.linspace(0.0, 1.0, 101)
+    outputs = np.column_stack([time_s, np.ones(101)])
+    late = deviated(outputs, time_s, [Deviation("start time", None, 0.1)], np.array([1.0]), 1)
+    assert late[50] == pytest.approx([0.4, 1.0])
+    larger = deviated(outputs, time_s, [Deviation("gain", 0, 0.2)], np.array([-1.0]), 4)
+    assert larger[50] == pytest.approx([0.45, 1.0])
+
+
+def test_a_deviation_is_told_in_its_unit() -> None:
+    outputs = [("angle", "rad")]
+    assert words(Deviation("gain", 0, 0.012), outputs).endswith("(standard deviation 1.2 %)")
+    assert words(Deviation("start time", None, 0.02), outputs).startswith("the start time")
