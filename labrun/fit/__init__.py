@@ -3,8 +3,10 @@
 import sys
 
 from labrun import UseCasePackage
+from labrun.fit.comparison import Comparison, Pair, Point, compared, predictions
 from labrun.fit.correlation import correlation_length
 from labrun.fit.dataset import Dataset, FitTrial, load_dataset
+from labrun.fit.deviations import Deviation, DeviationKind
 from labrun.fit.estimate import Estimate, rounded
 from labrun.fit.figure import Curve, FigureData, Panel, Stack
 from labrun.fit.initial_states import FIRST_SAMPLES
@@ -13,10 +15,11 @@ from labrun.fit.levenberg_marquardt import NormalEquations, minimise
 from labrun.fit.method import GROUP, FitJob, FitMethod, FitPlan, FitPlugin, NoSettings, is_method, make_method
 from labrun.fit.notes import Note, silent
 from labrun.fit.output_error import FEW_TRIALS, fit_model
-from labrun.fit.parallel import Each, one_by_one, workers
+from labrun.fit.parallel import Each, cores, one_by_one, workers
 from labrun.fit.problem import FEWEST_SAMPLES, OutputNoise, Problem
-from labrun.fit.resampling import LEVEL, resample_trials, student
+from labrun.fit.resampling import LEVEL, by_mounting, resample_trials, student
 from labrun.fit.result import FitResult, FitSummary, FittedData, TextTable
+from labrun.fit.side_by_side import paired, predicted_numbers, told_apart
 from labrun.fit.starts import search
 from labrun.store import is_recording
 
@@ -26,8 +29,11 @@ __all__ = [
     "FIRST_SAMPLES",
     "GROUP",
     "LEVEL",
+    "Comparison",
     "Curve",
     "Dataset",
+    "Deviation",
+    "DeviationKind",
     "Each",
     "Estimate",
     "FigureData",
@@ -44,10 +50,15 @@ __all__ = [
     "NormalEquations",
     "Note",
     "OutputNoise",
+    "Pair",
     "Panel",
+    "Point",
     "Problem",
     "Stack",
     "TextTable",
+    "by_mounting",
+    "compared",
+    "cores",
     "correlation_length",
     "fit_model",
     "is_method",
@@ -56,11 +67,15 @@ __all__ = [
     "make_method",
     "minimise",
     "one_by_one",
+    "paired",
+    "predicted_numbers",
+    "predictions",
     "resample_trials",
     "rounded",
     "search",
     "silent",
     "student",
+    "told_apart",
     "workers",
 ]
 

@@ -71,6 +71,8 @@ class FitTrial:
         A table with one header line that it was read from; None if it came from elsewhere.
     group
         Number of its condition, in a dataset that knows its conditions.
+    mounting
+        Number of the mounting it belongs to, where specimens were set by hand.
     members : per repeat (n, m)
         Measured outputs of the repeats that `outputs` is the mean of; empty where it is one trial.
     """
@@ -84,6 +86,7 @@ class FitTrial:
     file: Path | None = None
     group: int = 0
     members: tuple[FloatArray, ...] = ()
+    mounting: int | None = None
 
     @property
     def count(self) -> int:
@@ -232,6 +235,7 @@ def _run_trial(
         time_s,
         table(model.inputs),
         table(model.outputs),
+        mounting=outcome.mounting,
     )
 
 

@@ -24,7 +24,7 @@ from labrun.fit.levenberg_marquardt import minimise
 from labrun.fit.method import FitJob, NoSettings
 from labrun.fit.notes import Note, silent
 from labrun.fit.problem import OutputNoise, Problem
-from labrun.fit.resampling import resample_trials
+from labrun.fit.resampling import by_mounting, resample_trials
 from labrun.fit.result import FitResult, FittedData, StartOutcome
 from labrun.fit.starts import Minimum, search
 from labrun.models import Model
@@ -248,6 +248,10 @@ def _sums(problem: Problem, z: FloatArray, noise: ResidualSize) -> tuple[FloatAr
     # J is the derivative of measured minus simulated, so the pull on a parameter has the other sign
     information = np.array([matrix for matrix, _ in pairs])
     score = np.array([-pull for _, pull in pairs])
+    if trials > 1:
+        mountings = [trial.mounting for trial in problem.data.trials]
+        information, score, remark = by_mounting(information, score, mountings)
+        warnings += [remark] if remark else []
     return information, score, warnings
 
 

@@ -12,6 +12,7 @@ from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, Scale
 from labrun.errors import FitError
 from labrun.fit.dataset import Dataset, FitTrial
+from labrun.fit.deviations import Deviation, deviated
 from labrun.fit.initial_states import InitialStates
 from labrun.fit.jacobian import Jacobian, columns, difference_quotient
 from labrun.fit.parallel import stop_if_told
@@ -65,6 +66,8 @@ class Problem:
         Whether a state that begins at the "first" samples is free too, held by what noise they have.
     short
         Whether the trials are beginnings only: what is read from the first samples is taken from them then.
+    deviations
+        What every trial has of its own beside its initial states, behind which it stands in `z`.
     """
 
     data: Dataset
@@ -76,6 +79,7 @@ class Problem:
     drives: tuple[Drive, ...]
     read_free: bool = False
     short: bool = False
+    deviations: tuple[Deviation, ...] = ()
     simulations: Simulations = field(default_factory=Simulations)
 
     @classmethod
@@ -119,8 +123,13 @@ class Problem:
 
     @property
     def own_size(self) -> int:
-        """Number of free initial states of one trial."""
-        return len(self.states.free)
+        """Number of free initial states and deviations of one trial."""
+        return len(self.states.free) + len(self.deviations)
+
+    @property
+    def behind(self) -> int:
+        """Number of rows behind the samples of a trial's residual: what is read of initial states, and deviations."""
+        return len(self.states.read) + len(self.deviations)
 
     @property
     def substeps(self) -> int:
@@ -164,7 +173,7 @@ class Problem:
 
     def initial_state(self, trial: int, own: FloatArray) -> FloatArray:
         """Return the initial state of one trial, shape (k,)."""
-        return self.states.state(trial, own)
+        return self.states.state(trial, own[: len(self.states.free)])
 
     # --- problems made from this one --------------------------------------------------------------------------------
 
@@ -234,6 +243,13 @@ class Problem:
 
     def simulate(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray | None:
         """Return the outputs (n, m) of one trial; None where they are not finite."""
+        outputs = self._simulated(parameters, trial, own)
+        if outputs is None or not self.deviations:
+            return outputs
+        data = self.data.trials[trial]
+        return deviated(outputs, data.time_s, self.deviations, own[len(self.states.free) :], data.count)
+
+    def _simulated(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray | None:
         stop_if_told()
         effects, drive = self.attached(parameters), self.drives[trial]
         parameters = parameters[: len(self.model.parameters)]
@@ -306,7 +322,12 @@ class Problem:
         # a simulation on its way to infinity must not overflow when it is squared
         huge = self._huge
         residual = self.whiten(np.clip(residual, -huge, huge), trial).ravel()
-        return np.concatenate([residual, self.states.read_residual(trial, own)])
+        return np.concatenate([residual, self._behind(trial, own)])
+
+    def _behind(self, trial: int, own: FloatArray) -> FloatArray:
+        """Return what first samples and the spread of deviations have against the trial's own variables."""
+        states = len(self.states.free)
+        return np.concatenate([self.states.read_residual(trial, own[:states]), own[states:]])
 
     def finite_residuals(self, z: FloatArray) -> list[FloatArray] | None:
         """Return the residual of every trial; None where a simulation is not finite."""
@@ -326,7 +347,7 @@ class Problem:
             residual = self.trial_residual(parameters, index, own)
             if residual is None:
                 huge = np.full(trial.outputs.size, self._huge)
-                residual = np.concatenate([huge, self.states.read_residual(index, own)])
+                residual = np.concatenate([huge, self._behind(index, own)])
             found.append(residual)
         return found
 
@@ -385,15 +406,15 @@ class Problem:
             for place, state in enumerate(self.states.free):
                 column = self.states.output_of(state)
                 own[place] = 0.0 if column is None else trial.outputs[0, column] / self.states.scale[place]
-            for _ in range(_GUESS_ROUNDS if self.own_size else 0):
+            free = len(self.states.free)
+            for _ in range(_GUESS_ROUNDS if free else 0):
                 base = short.trial_residual(parameters, index, own)
                 if base is None:
                     break
                 slopes = [
-                    short._by_state(parameters, index, own, place, base, False)
-                    for place in range(self.own_size)
+                    short._by_state(parameters, index, own, place, base, False) for place in range(free)
                 ]
-                own = own - np.linalg.lstsq(np.column_stack(slopes), base, rcond=1e-8)[0]
+                own[:free] -= np.linalg.lstsq(np.column_stack(slopes), base, rcond=1e-8)[0]
             guesses.append(own)
         return np.concatenate(guesses) if guesses else np.empty(0)
 

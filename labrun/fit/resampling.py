@@ -1,5 +1,6 @@
 """Intervals from resampling whole trials, without refitting: one Gauss-Newton step per resample."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,6 +8,8 @@ import numpy as np
 from labrun.arrays import FloatArray
 
 LEVEL = 0.95
+FEW_MOUNTINGS = 5
+"""So many should be behind an interval; it is coarse with fewer."""
 _LEAST_FREEDOM = 1e-3
 """Smallest share of a direction that other trials must determine, for the leverage correction."""
 
@@ -84,6 +87,35 @@ def resample_trials(
     low, high = np.percentile(draws, [tail, 100.0 - tail], axis=0)
     # the estimate itself is always inside: a step of a skewed resample must not push the interval past it
     return Resampled(draws, np.minimum(low, 0.0), np.maximum(high, 0.0))
+
+
+def by_mounting(
+    information: FloatArray, score: FloatArray, mountings: Sequence[int | None]
+) -> tuple[FloatArray, FloatArray, str]:
+    """Sum J'J and J'r of the trials of each mounting: these, not their trials, are independent of one another.
+
+    Returns
+    -------
+    information : (M, p, p)
+    score : (M, p)
+    remark
+        What has to be said of it: how few mountings there are; empty where nothing has.
+    """
+    numbers = list(dict.fromkeys(mountings))
+    if numbers == [None] or len(numbers) == len(mountings):
+        return information, score, ""
+    if len(numbers) == 1:
+        return (
+            information,
+            score,
+            "all trials are of one mounting: how mountings differ is not in the intervals",
+        )
+    owner = np.array([numbers.index(number) for number in mountings])
+    sums = np.zeros((len(numbers), *information.shape[1:])), np.zeros((len(numbers), score.shape[1]))
+    np.add.at(sums[0], owner, information)
+    np.add.at(sums[1], owner, score)
+    few = f"intervals rest on {len(numbers)} mountings of {len(mountings)} trials"
+    return *sums, few if len(numbers) < FEW_MOUNTINGS else ""
 
 
 def _leverage_corrected(information: FloatArray, score: FloatArray, total: FloatArray) -> FloatArray:

@@ -176,11 +176,8 @@ class FitResult(FitSummary):
     def record(self) -> dict[str, Any]:
         """Return what is stored with the numbers of `to_json`."""
         pairs = zip(self.dataset.trials, self.by_trial, strict=False)
-        return {
-            "fixed": dict(self.fixed),
-            "findings": list(self.findings),
-            "by_trial": [{"trial": trial.label, **found} for trial, found in pairs],
-        }
+        by_trial = [{"trial": trial.label, **found} for trial, found in pairs]
+        return {**FitSummary.record(self), "by_trial": by_trial}
 
 
 def _estimate_lines(parameters: Mapping[str, Estimate], fixed: Mapping[str, float]) -> list[str]:

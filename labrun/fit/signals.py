@@ -13,7 +13,7 @@ from labrun.errors import FitError, RequestError
 from labrun.signals import Signals
 from labrun.spec import Experiment, condition_text, loads_experiment
 from labrun.store import COMMAND, TrialOutcome, imported_channels, is_recording, open_run
-from labrun.toml import nearest, resolve
+from labrun.toml import resolve, suggest
 
 GAIT = "gait"
 """The pseudo device of a gait's named quantities over time."""
@@ -96,6 +96,8 @@ class SignalTrial:
     values : name -> (n,)
     period_s
         Of a gait cycle; None if the gait has none.
+    mounting
+        Where something was set by hand, the number of its mounting.
     """
 
     label: str
@@ -104,6 +106,7 @@ class SignalTrial:
     time_s: FloatArray
     values: Mapping[str, FloatArray]
     period_s: float | None = None
+    mounting: int | None = None
 
     @property
     def step_s(self) -> float:
@@ -235,8 +238,7 @@ class _Channels:
         if device == GAIT and self._experiment is not None:
             return _gait_value(self._experiment, self.outcome.condition, part, time_s)
         if name not in self._known:
-            near = nearest(name, list(self._known))
-            hint = f"did you mean {near!r}?" if near else f"recorded were {', '.join(self._known)}"
+            hint = suggest(name, self._known, kind="recorded channels")
             raise RequestError(f"no channel {name!r} in {self._target}", hint=hint)
         device, column = self._known[name]
         signal = self._measured[device].signal(column)
@@ -259,7 +261,9 @@ def _trial(
         values[name], unit = _signal(table, channels, time_s)
         units[name] = table.unit(unit)
     repeat = outcome.repeat + 1 if channels.bare else outcome.repeat  # recordings count from 1
-    trial = SignalTrial(channels.label, outcome.condition, repeat, time_s, values, outcome.period_s)
+    trial = SignalTrial(
+        channels.label, outcome.condition, repeat, time_s, values, outcome.period_s, outcome.mounting
+    )
     return trial, units
 
 
@@ -293,8 +297,7 @@ def _gait_value(
     known = resolve(experiment.gait.let, {**condition, "t": time_s})
     value = known.get(name)
     if value is None or isinstance(value, str) or name == "t":
-        near = nearest(name, [one for one in known if one != "t"])
-        hint = f"did you mean gait.{near}?" if near else f"it has {', '.join(f'gait.{one}' for one in known)}"
+        hint = suggest(f"gait.{name}", [f"gait.{one}" for one in known if one != "t"], kind="parts")
         raise RequestError(f"the gait and its conditions have no number named {name!r}", hint=hint)
     unit = experiment.units.get(name, "1")
     return np.broadcast_to(np.asarray(value, dtype=float), time_s.shape).copy(), unit

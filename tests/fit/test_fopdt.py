@@ -106,7 +106,7 @@ def test_coefficients_survive_toml_and_a_response_is_chosen_by_name():
     assert TransferFunction.from_toml(one.to_toml()) == one
     text = f"[magnitude]\n{one.to_toml()}\n[angle]\n{other.to_toml()}"
     assert TransferFunction.from_toml(text, "angle") == other
-    with pytest.raises(RequestError, match="did you mean 'magnitude'"):
+    with pytest.raises(RequestError, match='did you mean "magnitude"'):
         TransferFunction.from_toml(text, "magnitud")
     with pytest.raises(RequestError, match=r"fit\.toml:2:1: lag .*did you mean 'lag_s'|lag_s"):
         TransferFunction.from_toml("gain = 1\nlag = 2\n", name="fit.toml")

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from labrun.app.fit import fit
 from labrun.app.run import execute
+from labrun.control import HalfSineSettings
 from labrun.control.feedforward import FeedforwardPid
 from labrun.control.pid import PidController
 from labrun.control.protocol import LoopContext, Step
@@ -23,7 +24,7 @@ from labrun.fit.result import FitSummary, FittedData
 from labrun.fit.transfer import TransferFunction
 from labrun.fit.transfer.summary import TransferSummary
 from labrun.fit.tuning.closed_loop import Gains, run_loop, steady_error
-from labrun.fit.tuning.designs import Design, HalfSine
+from labrun.fit.tuning.designs import Design
 from labrun.fit.tuning.figure import shown_designs
 from labrun.fit.tuning.loop import Loop
 from labrun.fit.tuning.margins import margins, ultimate
@@ -298,7 +299,7 @@ def test_at_109_6_deg_per_newton_half_of_the_reference_is_missing():
 
 def test_the_gains_of_table_5_4_do_in_the_prediction_what_the_source_says():
     """Section 5.4's simulated errors: reference 0.18-0.45 N, drive 20-60 deg, 20 Hz, mean over a cycle."""
-    reference, bounds = HalfSine(0.18, 0.45, 100.0), (20.0, 60.0)
+    reference, bounds = HalfSineSettings(low=0.18, high=0.45, period_s=100.0), (20.0, 60.0)
     factors = (0.85, 1.0, 1.15)
 
     def errors(p, i_per_s=0.0, feedforward=None):
@@ -536,7 +537,7 @@ def test_a_response_without_resamples_is_a_plant_and_says_so():
 
 
 def test_a_response_that_was_not_fitted_is_named_with_the_nearest():
-    with pytest.raises(RequestError, match="did you mean response=angle"):
+    with pytest.raises(RequestError, match='did you mean "angle"'):
         plant_of(fitted_summary(), "angel", 50)
     with pytest.raises(FitError, match="no transfer function"):
         plant_of(FitSummary("hinge", "hinge", FittedData("x", "run", 1), {}), None, 50)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from labrun.arrays import FloatArray
 from labrun.errors import RequestError
 from labrun.fit.resampling import resample_trials
-from labrun.toml import nearest
+from labrun.toml import suggest
 
 BASKETS: dict[str, list[str]] = {
     "a,b": ["a", "b"],
@@ -45,10 +45,9 @@ def term_values(term: str, signals: Mapping[str, FloatArray], step_s: float) -> 
             )
         name, primes, power = found.groups()
         if name not in signals:
-            near = nearest(name, list(signals))
-            hint = f"did you mean {near}?" if near else f"inputs are {', '.join(signals)}"
             raise RequestError(
-                f"a basket's term {term!r} needs {name}, which is not among the inputs", hint=hint
+                f"a basket's term {term!r} needs {name}, which is not among the inputs",
+                hint=suggest(name, signals, kind="inputs"),
             )
         one = signals[name]
         for _ in primes:

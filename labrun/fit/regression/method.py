@@ -157,6 +157,11 @@ def _matrix(
 
 
 def _groups(data: SignalSet, settings: LeastSquaresSettings) -> NDArray[np.int64]:
+    """Return the group of each sample, which is left out or resampled as one: mounting, trial or block of time."""
+    mountings = list(dict.fromkeys(trial.mounting for trial in data.trials))
+    if len(mountings) >= _FEW:
+        owners = [(mountings.index(t.mounting), len(t.time_s[_skip(t, settings) :])) for t in data.trials]
+        return np.concatenate([np.full(count, owner) for owner, count in owners])
     numbers: list[NDArray[np.int64]] = []
     used = 0
     for trial in data.trials:

@@ -2,6 +2,6 @@
 
 from labrun.fit.transfer.response import StateSpace
 from labrun.fit.transfer.summary import TransferSummary
-from labrun.fit.transfer.transfer_function import TransferFunction
+from labrun.fit.transfer.transfer_function import NamedTransferTable, TransferFunction
 
-__all__ = ["StateSpace", "TransferFunction", "TransferSummary"]
+__all__ = ["NamedTransferTable", "StateSpace", "TransferFunction", "TransferSummary"]

@@ -17,18 +17,19 @@ As TOML it is one table for each response, or the keys alone::
 Keys that end in ``_ci95`` are read over: a fit writes its 95 % intervals so.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Self
+from typing import Any
 
 import numpy as np
+import tomli_w
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from labrun.arrays import FloatArray
+from labrun.control import TransferTable, response_table
 from labrun.errors import RequestError
 from labrun.fit.transfer.response import Hold, evenly, step_response
-from labrun.toml import Faults, Places, Table, nearest, parsed, refusal, validate
+from labrun.toml import Places, parsed, refusal, validate
 
 ComplexArray = NDArray[np.complex128]
 _NAMES = ("input_name", "output_name", "input_unit", "output_unit")
@@ -38,41 +39,13 @@ _SOME_S = 1e-9
 """A shorter dead time is none to a reader: rounding of a search that ended at zero."""
 
 
-class _Keys(Table):
-    """A transfer function in TOML."""
+class NamedTransferTable(TransferTable):
+    """A transfer function in TOML, with names and units of what goes in and comes out."""
 
-    gain: float | None = None
-    lag_s: PositiveFloat | None = None
-    dead_s: NonNegativeFloat = 0.0
-    numerator: Annotated[list[float], Field(min_length=1)] | None = None
-    denominator: Annotated[list[float], Field(min_length=1)] | None = None
     input_name: str = ""
     output_name: str = ""
     input_unit: str = "1"
     output_unit: str = "1"
-
-    @model_validator(mode="after")
-    def _one_form(self) -> Self:
-        first = [key for key in ("gain", "lag_s") if getattr(self, key) is not None]
-        general = [key for key in ("numerator", "denominator") if getattr(self, key) is not None]
-        with Faults() as faults:
-            if first and general:
-                faults.add(
-                    general[0],
-                    f"and {first[0]} are two ways to write one: keep gain and lag_s, or both polynomials",
-                )
-            elif len(general) == 1:
-                faults.add(None, "a transfer function has a numerator and a denominator")
-            elif not general and len(first) < 2:
-                faults.add(None, "a first-order transfer function has gain, lag_s and dead_s")
-            elif self.numerator is not None and self.denominator is not None:
-                if not any(self.denominator):
-                    faults.add("denominator", "must not be all zeros")
-                elif len(_without_leading_zeros(self.numerator)) > len(
-                    _without_leading_zeros(self.denominator)
-                ):
-                    faults.add("numerator", "must not be of higher order than the denominator")
-        return self
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,8 +237,6 @@ class TransferFunction:
 
     def to_toml(self) -> str:
         """Return it as TOML, its keys at the top."""
-        import tomli_w
-
         return tomli_w.dumps(self.to_table())
 
     @classmethod
@@ -289,19 +260,19 @@ class TransferFunction:
             Not TOML, no such response, a key that is missing, unknown or of the wrong kind; with line and column.
         """
         data = parsed(text, name)
-        tables = {key: value for key, value in data.items() if isinstance(value, dict)}
-        alone = response is None and len(tables) < len(data)
-        chosen = "" if alone else _chosen(tables, response, name)
-        table, path = (data, ()) if alone else (tables[chosen], (chosen,))
+        table, path = response_table(data, name, response)
         keys, faults = validate(
-            _Keys, {key: one for key, one in table.items() if not key.endswith(_INTERVAL)}, path
+            NamedTransferTable, {key: one for key, one in table.items() if not key.endswith(_INTERVAL)}, path
         )
-        if not isinstance(keys, _Keys):
+        if keys is None:
             raise refusal(RequestError, name, Places(name, text, data).of_all(faults))
-        names = {key: getattr(keys, key) for key in _NAMES}
-        if keys.numerator is not None and keys.denominator is not None:
-            return cls(tuple(keys.numerator), tuple(keys.denominator), keys.dead_s, **names)
-        return cls.first_order(float(keys.gain or 0.0), float(keys.lag_s or 0.0), keys.dead_s, **names)
+        return cls.of(keys)
+
+    @classmethod
+    def of(cls, table: NamedTransferTable) -> "TransferFunction":
+        """Return that of a table."""
+        above, below = table.numerator or (table.gain or 0.0,), table.denominator or (table.lag_s, 1.0)
+        return cls(tuple(above), tuple(below), table.dead_s, **{key: getattr(table, key) for key in _NAMES})
 
     def __str__(self) -> str:
         """Return it as people write it."""
@@ -332,18 +303,3 @@ def _polynomial(coefficients: tuple[float, ...]) -> str:
         number = "" if s and abs(value) == 1.0 else f"{abs(value):.4g}"
         terms.append(f"{sign}{(number + s).strip()}")
     return "".join(terms) or "0"
-
-
-def _chosen(tables: Mapping[str, Any], response: str | None, name: str) -> str:
-    if response is not None and response in tables:
-        return response
-    known = ", ".join(tables)
-    if not tables:
-        raise RequestError(f"{name}: holds no transfer function", hint="give it gain, lag_s and dead_s")
-    if response is not None:
-        near = nearest(response, tables)
-        hint = f"did you mean {near!r}?" if near else f"it has {known}"
-        raise RequestError(f"{name}: has no response {response!r}", hint=hint)
-    if len(tables) > 1:
-        raise RequestError(f"{name}: holds several transfer functions", hint=f"say which one: {known}")
-    return next(iter(tables))

@@ -9,8 +9,8 @@ import numpy as np
 import tomli_w
 
 from labrun.arrays import FloatArray
+from labrun.control import HalfSineReference, HalfSineSettings
 from labrun.errors import FitError
-from labrun.fit.transfer import TransferFunction
 from labrun.fit.tuning.closed_loop import (
     Gains,
     StepFigures,
@@ -35,19 +35,6 @@ _PER_LAG = 40.0
 _DEFAULT_FILTER_STEPS = 2.0
 """Time constant of the derivative's filter in steps, where a controller names none: as of the controller plugin."""
 _DIGITS = 5
-
-
-@dataclass(frozen=True, slots=True)
-class HalfSine:
-    """``low + (high - low) |sin(pi t / period_s)|``, the reference of section 5.4 of the source."""
-
-    low: float
-    high: float
-    period_s: float
-
-    def __call__(self, time_s: float) -> float:
-        """Return the value at a time."""
-        return self.low + (self.high - self.low) * abs(float(np.sin(np.pi * time_s / self.period_s)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +125,7 @@ class Design:
 
     def errors(
         self,
-        reference: HalfSine,
+        reference: HalfSineSettings,
         bounds: tuple[float, float],
         factors: Sequence[float],
     ) -> dict[float, tuple[float, float]]:
@@ -159,26 +146,22 @@ class Design:
             found[factor] = (float(np.mean(size[:half])), float(np.mean(size[half:])))
         return found
 
-    def follow(self, reference: HalfSine, bounds: tuple[float, float], factor: float = 1.0) -> Track:
+    def follow(self, reference: HalfSineSettings, bounds: tuple[float, float], factor: float = 1.0) -> Track:
         """Run two arches of a reference, on a plant of `factor` times the gain."""
         start = float(min(max(0.0, bounds[0]), bounds[1]))
         lasting_s = self.loop.delay_s + float(np.sum(self.loop.lags_s))
         enough_hz = max(_TRACK_STEPS / (2.0 * reference.period_s), _PER_LAG / lasting_s)
         rate_hz = min(self.loop.rate_hz or enough_hz, enough_hz)
-        plant = scaled_plant(self.loop.plant, factor)
+        plant = self.loop.plant
+        plant = replace(plant, numerator=tuple(factor * value for value in plant.numerator))
         return run_loop(
             self.gains,
             replace(self.loop, plant=plant, rate_hz=rate_hz),
-            reference,
+            HalfSineReference(reference.model_dump(), {}),
             2.0 * reference.period_s,
             bounds=bounds,
             start=start,
         )
-
-
-def scaled_plant(plant: TransferFunction, factor: float) -> TransferFunction:
-    """Return a plant of `factor` times the gain."""
-    return replace(plant, numerator=tuple(factor * value for value in plant.numerator))
 
 
 def as_json(design: Design, rate_hz: float) -> Mapping[str, object]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit.figure import Curve, FigureData, Panel, Stack
-from labrun.fit.tuning.designs import Design, HalfSine
+from labrun.fit.tuning.designs import Design
 from labrun.fit.tuning.study import UNBOUNDED, Study
 
 _MOST = 5
@@ -118,10 +118,9 @@ def _nyquist(study: Study, shown: Sequence[Design]) -> Panel:
 
 def _following(study: Study, shown: Sequence[Design]) -> tuple[Panel, ...]:
     """Return the reference followed, and its error, on a plant whose gain is below the model's."""
-    table, plant, settings = study.settings.reference, study.loop.plant, study.settings
-    if table is None or not shown:
+    reference, plant, settings = study.settings.reference, study.loop.plant, study.settings
+    if reference is None or not shown:
         return ()
-    reference = HalfSine(table.low, table.high, table.period_s)
     tracks = [one.follow(reference, settings.range or UNBOUNDED, 1.0 - settings.gain_error) for one in shown]
     outputs = [
         _curve(study, place, one, track.time_s, track.output)

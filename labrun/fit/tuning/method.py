@@ -19,7 +19,7 @@ from labrun.fit.tuning.figure import design_figure
 from labrun.fit.tuning.settings import PidSettings
 from labrun.fit.tuning.study import Study, study
 from labrun.store import is_recording, open_run
-from labrun.toml import nearest
+from labrun.toml import suggest
 
 _LOOP_NAMES = {"magnitude": "force"}
 """What the loop around a response is called in the experiments that labrun brings along."""
@@ -91,9 +91,7 @@ def find_plant(job: FitJob, settings: PidSettings) -> Plant:
         The response cannot be fitted.
     """
     if settings.given_plant is not None:
-        given = settings.given_plant
-        units = {"input_unit": given.input_unit, "output_unit": given.output_unit}
-        transfer = TransferFunction.first_order(given.gain, given.lag_s, given.dead_s, **units)
+        transfer = TransferFunction.of(settings.given_plant)
         return Plant(settings.response or "given", transfer, FittedData(Path(job.target).stem, "run", 0))
     keys = {**job.settings_of(settings.plant), **settings.plant_settings}
     fitted = make_method(settings.plant, keys)(job)
@@ -153,9 +151,9 @@ def chosen(names: Sequence[str], wanted: str | None) -> str:
         return names[0]
     if wanted in names:
         return wanted
-    near = nearest(wanted, list(names))
-    hint = f"did you mean response={near}?" if near else f"fitted were {', '.join(names)}"
-    raise RequestError(f"no response {wanted!r} was fitted", hint=hint)
+    raise RequestError(
+        f"no response {wanted!r} was fitted", hint=suggest(wanted, names, kind="fitted responses")
+    )
 
 
 def cycle_of(job: FitJob) -> float | None:

@@ -4,20 +4,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
 
+from labrun.control import HalfSineSettings
+from labrun.fit.transfer import NamedTransferTable
+
 Number = Annotated[float, Field(allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0)]
 
 
 class _Keys(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class HalfSineTable(_Keys):
-    """A reference to be followed: from `low` up to `high` and back in `period_s`, like reference plugin half-sine."""
-
-    low: Number
-    high: Number
-    period_s: PositiveFloat
 
 
 class GivenTable(_Keys):
@@ -29,16 +24,6 @@ class GivenTable(_Keys):
     d: Number = 0.0
     filter_s: NonNegative | None = None
     feedforward: bool = False
-
-
-class PlantTable(_Keys):
-    """A plant that is known already: ``gain exp(-dead_s s) / (lag_s s + 1)``."""
-
-    gain: Number
-    lag_s: NonNegative
-    dead_s: NonNegative = 0.0
-    input_unit: str = "1"
-    output_unit: str = "1"
 
 
 class PidSettings(_Keys):
@@ -53,7 +38,7 @@ class PidSettings(_Keys):
     response
         Which of its responses; the first, if not said.
     given_plant
-        A plant instead of a fitted one.
+        A plant instead of a fitted one: ``gain exp(-dead_s s) / (lag_s s + 1)``, or any transfer function.
     method, structure
         What is designed: by which rule, and with which terms.
     feedforward
@@ -78,7 +63,7 @@ class PidSettings(_Keys):
     range
         Of the drive, when a reference is followed.
     reference
-        To be followed in the prediction; none, if not said.
+        Half-wave sine, as of the reference plugin, to be followed in the prediction; none, if not said.
     gain_error
         Relative error of the plant's gain for which that is predicted too.
     compare
@@ -90,7 +75,7 @@ class PidSettings(_Keys):
     plant: Literal["fopdt", "transfer-function"] = "fopdt"
     plant_settings: dict[str, Any] = Field(default_factory=dict)
     response: str | None = None
-    given_plant: PlantTable | None = None
+    given_plant: NamedTransferTable | None = None
     method: Literal["simc", "optimum", "both"] = "both"
     structure: Literal["P", "PI", "PID", "all"] = "all"
     feedforward: bool = True
@@ -108,7 +93,7 @@ class PidSettings(_Keys):
     derivative_filter: Annotated[float, Field(ge=1)] = 10.0
     i_per: Literal["second", "sample"] = "second"
     range: tuple[Number, Number] | None = None
-    reference: HalfSineTable | None = None
+    reference: HalfSineSettings | None = None
     gain_error: Annotated[float, Field(ge=0, lt=1)] = 0.15
     compare: dict[str, GivenTable] = Field(default_factory=dict)
     resamples: Annotated[int, Field(ge=20, le=2000)] = 200

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from labrun.fit.transfer import TransferFunction
-from labrun.fit.tuning.designs import Design, HalfSine, Spread, design_all, wanted_of
+from labrun.fit.tuning.designs import Design, Spread, design_all, wanted_of
 from labrun.fit.tuning.loop import Loop
 from labrun.fit.tuning.optimum import keeps, loop_error
 from labrun.fit.tuning.settings import PidSettings
@@ -95,12 +95,10 @@ def lost(spread: Spread) -> bool:
 def _errors(designs: Sequence[Design], settings: PidSettings) -> dict[str, Errors]:
     if settings.reference is None:
         return {}
-    table = settings.reference
-    reference = HalfSine(table.low, table.high, table.period_s)
     off = settings.gain_error
     factors = (1.0 - off, 1.0, 1.0 + off) if off else (1.0,)
     bounds = settings.range or UNBOUNDED
-    return {one.name: one.errors(reference, bounds, factors) for one in designs}
+    return {one.name: one.errors(settings.reference, bounds, factors) for one in designs}
 
 
 def _score(design: Design, errors: Errors | None, settings: PidSettings) -> float:
