@@ -1,7 +1,7 @@
 """What an experiment file says about RC servos on an Arduino."""
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, NonNegativeInt, model_validator
 
@@ -99,6 +99,11 @@ class ArduinoServoSettings(BoardSettings):
     pins
         Pins of the firmware's channels, in their order (the table PINS of labservo.ino).
     """
+
+    example: ClassVar[str] = """\
+port   = "/dev/ttyACM0"
+joints = { joint_1 = { pin = 3 } }     # joint -> pin of its servo
+limits = { angle_deg = [-60, 60], speed_deg_s = 400 }"""
 
     joints: dict[str, Joint] | None = Field(default=None, min_length=1)
     pins: tuple[NonNegativeInt, ...] = Field(default=(3, 5, 6, 9), min_length=1, max_length=12)

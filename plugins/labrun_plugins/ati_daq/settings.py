@@ -1,7 +1,7 @@
 """Keys of an ATI force/torque sensor on a data acquisition card in the experiment file."""
 
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -35,6 +35,11 @@ class AtiDaqSettings(DeviceSettings):
     silence_ms
         No sample for this long is a fault, ms.
     """
+
+    example: ClassVar[str] = """\
+calibration_file = "sensor.cal"        # came with your sensor
+input  = "Dev1/ai0:5"
+limits = { force_n = 20, torque_n_m = 1 }"""
 
     calibration_file: Path = Path("sensor.cal")
     input: Port = "Dev1/ai0:5"

@@ -1,6 +1,6 @@
 """Keys of an ATI force/torque sensor on a Net F/T box in the experiment file."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -50,6 +50,11 @@ class AtiNetFtSettings(DeviceSettings):
     rdt_port, http_port, tcp_port
         Ports of the box.
     """
+
+    example: ClassVar[str] = """\
+host    = "192.168.1.1"
+rate_hz = 500
+limits  = { force_n = 20, torque_n_m = 1 }"""
 
     host: Port
     rate_hz: float = Field(default=500.0, gt=0, le=BOX_RATE_HZ)

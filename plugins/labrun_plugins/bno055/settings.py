@@ -1,6 +1,6 @@
 """Keys of a BNO055 in the experiment file."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator
 
@@ -35,6 +35,10 @@ class Bno055Settings(DeviceSettings):
         A turn between two readings that is faster than the gyroscope tells by more than this is taken for damaged
         bytes: the line has no checksum.
     """
+
+    example: ClassVar[str] = """\
+port       = "/dev/ttyUSB0"
+mounted_on = "body"                    # what it is glued on"""
 
     port: Port
     mounted_on: str = Field(min_length=1)

@@ -1,5 +1,7 @@
 """What an experiment file says about the servo and pulley that pull a carriage back."""
 
+from typing import ClassVar
+
 from pydantic import Field, NonNegativeInt, PositiveFloat, model_validator
 
 from labrun_plugins.arduino_servo.settings import PULSE_US, BoardSettings
@@ -28,6 +30,11 @@ class CarriageResetSettings(BoardSettings):
     channel
         Of the firmware.
     """
+
+    example: ClassVar[str] = """\
+port     = "/dev/ttyACM0"
+stroke_m = 1.0                         # line between both ends
+limits   = { travel_m = [0, 1], speed_m_s = 0.2 }"""
 
     stroke_m: PositiveFloat = 1.0
     start_us: int = Field(default=1000, ge=PULSE_US[0], le=PULSE_US[1])

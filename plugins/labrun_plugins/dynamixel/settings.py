@@ -1,6 +1,6 @@
 """What an experiment file may say about a bus of Dynamixels; driver and stand-in understand the same keys."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, field_validator, model_validator
 
@@ -62,6 +62,13 @@ class DynamixelSettings(DeviceSettings):
         What the stream holds of each joint. Models without a current sensor measure ``load`` instead, a
         share of full PWM.
     """
+
+    example: ClassVar[str] = """\
+port   = "/dev/ttyUSB0"
+baud   = 1_000_000                     # as set in the servos; 57 600 when new
+joints = { joint_1 = { id = 1 }, joint_2 = { id = 2 } }      # joint -> id on the bus
+feedback_hz = 100                      # measured angles, speeds and currents as a stream
+limits = { angle_deg = [-90, 90], speed_deg_s = 180 }"""
 
     port: Port
     baud: PositiveInt = 1_000_000

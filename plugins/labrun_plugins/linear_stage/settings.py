@@ -1,7 +1,7 @@
 """Keys of the stage in the experiment file."""
 
 import math
-from typing import Self
+from typing import ClassVar, Self
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
 
@@ -49,6 +49,14 @@ class LinearStageSettings(DeviceSettings):
     boot_wait_s
         How long the board may take to come up: opening its port resets most boards. 0 for one that it does not reset.
     """
+
+    example: ClassVar[str] = """\
+port      = "/dev/ttyACM0"
+stroke_mm = 60                         # from end switch to end switch
+zero_mm   = 30                         # here the pusher touches the specimen at rest
+joints    = { bend = { lever_mm = 100 } }        # angle is displacement over lever
+calibration = { slope_n_per_count = 4.676e-6, offset_counts = 21400, residual_n = 0.004, date = "2026-03-02" }   # yours
+limits = { travel_m = [-0.027, 0.027], speed_m_s = 0.005, force_n = 7, angle_deg = [-15, 15], speed_deg_s = 2 }"""
 
     port: Port
     rate_hz: float = Field(default=80.0, ge=1.0, le=80.0)

@@ -14,11 +14,12 @@ from labrun.devices import (
     DeviceSettings,
     Health,
     Identity,
+    NoTerminalError,
+    Terminal,
     Trajectory,
 )
 from labrun.errors import LimitExceededError
 from labrun_plugins.operator.settings import OperatorSettings
-from labrun_plugins.operator.terminal import NoTerminalError, Terminal
 
 _LOOK_S = 0.002
 

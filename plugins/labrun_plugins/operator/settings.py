@@ -1,5 +1,7 @@
 """What an experiment file says about the person at the bench."""
 
+from typing import ClassVar
+
 from pydantic import Field
 
 from labrun.devices import DeviceSettings
@@ -15,6 +17,10 @@ class OperatorSettings(DeviceSettings):
     patience_s
         How long to wait for the person's answer.
     """
+
+    example: ClassVar[str] = """\
+instruction = "Hold {joint} at {angle_deg} deg"  # a person is the actuator
+limits = { angle_deg = [-90, 90] }"""
 
     instruction: str = "Hold {joint} at {angle_deg} deg"
     patience_s: float = Field(default=600.0, gt=0)

@@ -1,7 +1,7 @@
 """What an experiment file says about the motion capture."""
 
 from ipaddress import IPv4Address
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -59,6 +59,12 @@ class OptiTrackSettings(DeviceSettings):
     lost_tracking_s
         A body that is not tracked for longer than this fails the trial.
     """
+
+    example: ClassVar[str] = """\
+host    = "192.168.1.10"               # the machine that runs Motive
+rate_hz = 120
+bodies  = ["arm"]                      # rigid bodies as Motive calls them
+angles  = { angle = { body = "arm", axis = [0, 1, 0] } }"""
 
     host: Port
     interface: str = ""

@@ -1,5 +1,7 @@
 """Keys of a Robotiq FT300 in the experiment file."""
 
+from typing import ClassVar
+
 from pydantic import Field
 
 from labrun.devices import DeviceSettings, Port
@@ -22,6 +24,10 @@ class RobotiqFt300Settings(DeviceSettings):
     silence_ms
         A stream without a good frame for this long is lost, ms; the vendor's driver uses 160.
     """
+
+    example: ClassVar[str] = """\
+port   = "/dev/ttyUSB0"
+limits = { force_n = 300, torque_n_m = 30 }"""
 
     port: Port
     baud: int = Field(default=19_200, ge=9_600, le=921_600)

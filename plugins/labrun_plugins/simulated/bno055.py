@@ -64,7 +64,7 @@ class SimulatedBno055(SimulatedSensor):
     def __init__(self, name: str, settings: SimulatedBno055Settings, context: DeviceContext) -> None:
         self._mounted_on = settings.mounted_on
         self._mode = settings.mode
-        self._felt = tuple(f"{settings.mounted_on}_{part}" for part in _FELT)
+        self.feels = tuple(f"{settings.mounted_on}_{part}" for part in _FELT)
         # Drawn once: the same chip stays glued on as it is for the whole run.
         self._askew = 0.5 * _LEANING_SD_RAD * context.rng.standard_normal(3)
         drift = float(context.rng.standard_normal()) * _HEADING_DRIFT_SD_RAD_S
@@ -86,7 +86,7 @@ class SimulatedBno055(SimulatedSensor):
             This bench has no such body to mount it on.
         """
         signals = self.scene.signals
-        if not all(signal in signals for signal in self._felt):
+        if not all(signal in signals for signal in self.feels):
             ends = f"_{_FELT[-1]}"
             bodies = sorted(signal.removesuffix(ends) for signal in signals if signal.endswith(ends))
             raise DeviceError(
@@ -108,7 +108,7 @@ class SimulatedBno055(SimulatedSensor):
 
     def _measure(self, time_s: FloatArray) -> FloatArray:
         count = len(time_s)
-        felt = self.scene.observe(self._felt, time_s)
+        felt = self.scene.observe(self.feels, time_s)
         noise = self._rng.standard_normal((count, 6))
         q = _turned(felt[:, :4], self._askew + 0.5 * _ORIENTATION_SD_RAD * noise[:, :3])
         heading = 0.5 * self._drift_rad_s * time_s

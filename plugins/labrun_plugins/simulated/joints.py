@@ -7,6 +7,7 @@ import numpy as np
 
 from labrun.devices import DeviceContext, DeviceError, Trajectory
 from labrun.errors import LimitExceededError
+from labrun_plugins.simulated.bench import packed, unpacked
 from labrun_plugins.simulated.device import SimulatedDevice
 from labrun_plugins.simulated.settings import SimulatedSettings
 from labrun_plugins.simulated.shaft import Shaft
@@ -155,12 +156,12 @@ def _remembered(start_s: float, trajectory: Trajectory, now_s: float) -> list[An
     """Return what is left of a motion as JSON-ready values: the points passed are of no more use."""
     first = int(np.searchsorted(trajectory.time_s, now_s - start_s)) - 2
     kept = slice(min(max(first, 0), len(trajectory.time_s) - 1), None)
-    return [start_s, trajectory.time_s[kept].tolist(), trajectory.angle_rad[kept, 0].tolist()]
+    return [start_s, packed(trajectory.time_s[kept]), packed(trajectory.angle_rad[kept, 0])]
 
 
 def _recalled(joint: str, stored: list[Any]) -> tuple[float, Trajectory]:
     start_s, time_s, angle_rad = stored
-    return start_s, Trajectory((joint,), np.array(time_s), np.array(angle_rad)[:, None])
+    return start_s, Trajectory((joint,), unpacked(time_s), unpacked(angle_rad)[:, None])
 
 
 def joints_or_own_name(name: str, context: DeviceContext) -> tuple[str, ...]:

@@ -36,7 +36,7 @@ class SimulatedOptiTrack(SimulatedSensor):
     def __init__(self, name: str, settings: SimulatedOptiTrackSettings, context: DeviceContext) -> None:
         self.bodies = settings.bodies
         channels = channels_of(settings.bodies, settings.angles, settings.markers)
-        self._pose_signals = tuple(c.name for c in channels[: _POSE_CHANNELS * len(self.bodies)])
+        self.feels = tuple(c.name for c in channels[: _POSE_CHANNELS * len(self.bodies)])
         self._markers = tuple(settings.markers.get(body, 0) for body in self.bodies)
         self._angles = [
             (self.bodies.index(angle.body), np.array(angle.axis) / np.linalg.norm(angle.axis))
@@ -60,12 +60,12 @@ class SimulatedOptiTrack(SimulatedSensor):
         DeviceError
             A body is not to be seen on this bench.
         """
-        self._require_signals(self._pose_signals)
+        self._require_signals(self.feels)
         super().open()
 
     def _measure(self, time_s: FloatArray) -> FloatArray:
         count = len(time_s)
-        poses = self.scene.observe(self._pose_signals, time_s).reshape(count, len(self.bodies), 7).copy()
+        poses = self.scene.observe(self.feels, time_s).reshape(count, len(self.bodies), 7).copy()
         poses[:, :, :3] += _POSITION_SD_M * self._rng.standard_normal((count, len(self.bodies), 3))
         half_turn = 0.5 * _ORIENTATION_SD_RAD * self._rng.standard_normal((count, len(self.bodies), 3))
         poses[:, :, 3:] = _turned(poses[:, :, 3:], half_turn)

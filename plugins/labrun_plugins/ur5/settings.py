@@ -1,7 +1,7 @@
 """What an experiment file may say about the arm."""
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, FiniteFloat, field_validator
 
@@ -49,6 +49,10 @@ class Ur5Settings(DeviceSettings):
     tool_channels
         Streams tool pose, speeds and speed scaling beside the position.
     """
+
+    example: ClassVar[str] = """\
+host   = "192.168.1.2"
+limits = { travel_m = [0.0, 0.5], speed_m_s = 0.1 }      # along its line, from where the tool stands"""
 
     host: Port
     interface: str | None = None

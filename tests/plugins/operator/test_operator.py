@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from labrun_plugins.operator.driver import Operator
 from labrun_plugins.operator.settings import OperatorSettings
-from labrun_plugins.operator.terminal import Terminal
 
-from labrun.devices import Actuator, DeviceContext, Trajectory
+from labrun.devices import Actuator, DeviceContext, Terminal, Trajectory
 from labrun.errors import DeviceError, LimitExceededError
 from labrun.runner import Bench, Interrupted, RealClock, Rig
 from labrun.runner.resolve import ResolvedDevice

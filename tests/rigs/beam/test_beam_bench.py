@@ -47,7 +47,7 @@ def still_force(beam, displacement_m):
 @settings(max_examples=15, deadline=None)
 @given(to_m=st.floats(-0.045, 0.045))
 def test_at_rest_the_force_is_that_of_three_straight_pieces(beam, to_m):
-    force = pushed(bench(hysteresis=0.0, beam=beam), [0.0, to_m], [0.0, 5.0], [6.0])[0, 0]
+    force = pushed(bench(hysteresis=0.0, after_share=1.0, beam=beam), [0.0, to_m], [0.0, 5.0], [6.0])[0, 0]
     assert force == pytest.approx(still_force(beam, to_m), abs=1e-9)
 
 

@@ -6,11 +6,11 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat
 
-from labrun.devices import FloatArray, Trajectory
+from labrun.devices import FloatArray
 from labrun.effects import Scale, load_effect
 from labrun.errors import ExperimentError, SpecError
-from labrun.models import Stepper
-from labrun_plugins.rigs.beam.model import STIFFNESS_N_M, Beam, beam_model
+from labrun.models import Stepper, kernel
+from labrun_plugins.rigs.beam.model import HYSTERESIS, STIFFNESS_N_M, Beam, beam_model
 from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
@@ -34,20 +34,28 @@ class BeamBenchSettings(BenchSettings):
     Attributes
     ----------
     beam
-        "long" or "short", see `beam_model`; a condition ``beam`` changes it.
+        Which, see `beam_model`; a condition ``beam`` changes it.
     lever_mm
         From the beam's clamp to the pusher. The source bends over 50 mm of way and gives no lever; 100 mm keeps the
         long beam's opposite-sense limit out of reach of 25 mm (chosen).
     hysteresis
         Half the width of the loop between loading and unloading, as a share of the torque at which the beam buckles in
-        equal sense (chosen; the source names pusher slip and friction, section 7.2.1).
+        equal sense (chosen; the source names pusher slip and friction, section 7.2.1). By default the beam's own.
+    after_share
+        What the beam carries after it has snapped in opposite sense, as a share of the limit it snapped at (chosen); 1
+        for a beam that goes on as before.
+    damaged_share
+        What is left of both limits once a beam has snapped in opposite sense (chosen; that it is damaged for good, the
+        source says in section 7.1). Another beam of the name is a new one.
     scatter
         Factor on the scatter between mountings.
     """
 
     beam: Beam = "long"
     lever_mm: PositiveFloat = 100.0
-    hysteresis: float = Field(default=0.03, ge=0.0, le=1.0)
+    hysteresis: float | None = Field(default=None, ge=0.0, le=1.0)
+    after_share: float = Field(default=0.3, gt=0.0, le=1.0)
+    damaged_share: float = Field(default=0.7, gt=0.0, le=1.0)
     scatter: NonNegativeFloat = 1.0
 
 
@@ -56,7 +64,9 @@ class BeamBench(Bench):
 
     The pusher holds the arm on the beam, so that it pushes and pulls. Its displacement is counted from where the beam
     is at rest; positive is the opposite sense, in which the beam is stiff. Physics and sources: see `beam_model`.
-    Loading and unloading differ by a small loop. With `as_modelled` there is no loop, and no scatter.
+    Loading and unloading differ by a small loop. In opposite sense the beam snaps at its limit, carries less from there
+    on, comes back on that path, and is damaged: its limits are lower ever after. With `as_modelled` there is no
+    loop, no snap, no damage, and no scatter.
 
     The joint ``pusher`` is driven in metres: what a trajectory calls an angle is its displacement.
 
@@ -83,8 +93,9 @@ class BeamBench(Bench):
         self._pusher = joint_stepper(self.joints, self.step_s, hidden_pusher) if hidden_pusher else None
         self._cell = joint_stepper(self.sensed, self.step_s, hidden_cell) if hidden_cell else None
         self._told_before = np.zeros(1)
-        self._moved_before = np.zeros(1)
         self._force_before = np.zeros(1)
+        self._snapped, self._damaged = False, False
+        self._inputs_before = np.array([[0.0, 1.0, 1.0]])
         self._put(self._settings.beam, self._mounted())
 
     def arrange(self, condition: Mapping[str, float | str]) -> None:
@@ -97,20 +108,22 @@ class BeamBench(Bench):
             self._put(wanted, self._mounted())
             self._stepper.state = state
 
+    def mount(self, number: int) -> None:  # noqa: ARG002  (every mounting is another specimen of the same beam)
+        """Clamp a new specimen of the beam that is asked for."""
+        state = self._stepper.state
+        self._put(self._beam, self._mounted())
+        self._stepper.state = state
+
     def tow(self, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:
         """Move the pusher at constant speed from `start_s` on; a slow stage starts and stops within a step."""
-        way = abs(to_m - from_m)
-        if way == 0.0 or speed_m_s <= 0.0:
-            path = Trajectory(self.joints, np.zeros(1), np.array([[to_m]]))
-        else:
-            path = Trajectory(self.joints, np.array([0.0, way / speed_m_s]), np.array([[from_m], [to_m]]))
-        self.drive("pusher", path, start_s)
+        self._push("pusher", from_m, to_m, speed_m_s, start_s)
 
     def truth(self) -> dict[str, Any]:
         """Return the mounted beam, parameters as they are on the bench, and hidden effects."""
         names = (one.name for one in self._model.parameters)
         return {
             "beam": self._beam,
+            "damaged": self._damaged,
             "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
             "parameter_errors": dict(self._settings.parameters),
             "built_in": [described(self._loop)],
@@ -124,13 +137,15 @@ class BeamBench(Bench):
 
     def _put(self, beam: Beam, factors: FloatArray) -> None:
         self._beam, self._factors = beam, factors
+        self._snapped, self._damaged = False, False
         model = beam_model(beam, 1e-3 * self._settings.lever_mm)
         names = [one.name for one in model.parameters]
         nominal = dict(zip(names, model.values.tolist(), strict=True))
         mounted = {name: nominal[name] * factors[0] for name in ("stiffness", "buckled_stiffness")}
         mounted |= {name: nominal[name] * factors[1] for name in ("equal_limit", "opposite_limit")}
         self._model = self._with_errors(model.with_values(mounted))
-        share = 0.0 if self._settings.as_modelled else self._settings.hysteresis
+        share = HYSTERESIS[beam] if self._settings.hysteresis is None else self._settings.hysteresis
+        share = 0.0 if self._settings.as_modelled else share
         limit = float(self._model.values[names.index("equal_limit")])
         self._loop = load_effect("hysteresis").attach(
             "beam", force=share * limit, yield_displacement=_YIELD_RAD
@@ -142,20 +157,41 @@ class BeamBench(Bench):
     def _advance(self, time_s: FloatArray) -> FloatArray:
         told = self._drives["pusher"].angles(time_s)
         moved = _through(self._pusher, self._told_before, told)
-        force = self._stepper.advance(np.append(self._moved_before, moved)[:, None])[:, 0]
+        inputs = np.concatenate([self._inputs_before, self._driven(moved)])
+        force = self._stepper.advance(inputs)[:, 0]
+        self._inputs_before = inputs[-1:].copy()
         felt = _through(self._cell, self._force_before, force)
-        self._told_before, self._moved_before = told[-1:].copy(), moved[-1:].copy()
+        self._told_before = told[-1:].copy()
         self._force_before = force[-1:].copy()
         if not self._stepper.finite:
             raise ExperimentError("the simulated beam bench blew up", hint="hide a weaker effect, or none")
         return np.column_stack([felt, moved, moved / (1e-3 * self._settings.lever_mm)])
+
+    def _driven(self, moved: FloatArray) -> FloatArray:
+        """Return the model's inputs while the pusher moves: its displacement, and what the beam has been through."""
+        inputs = np.ones((len(moved), 3))
+        inputs[:, 0] = moved
+        if self._settings.as_modelled or self._settings.after_share == 1.0:
+            return inputs
+        stiffness, _, opposite, buckled = (float(value) for value in self._model.values[:4])
+        after, left = self._settings.after_share, self._settings.damaged_share
+        self._snapped, self._damaged = _history(
+            moved / (1e-3 * self._settings.lever_mm),
+            np.array([stiffness, opposite, buckled, after, left]),
+            self._snapped,
+            self._damaged,
+            inputs,
+        )
+        return inputs
 
     def _memory(self) -> dict[str, Any]:
         return {
             "beam": self._beam,
             "factors": self._factors.tolist(),
             "told_before": self._told_before.tolist(),
-            "moved_before": self._moved_before.tolist(),
+            "inputs_before": self._inputs_before.tolist(),
+            "snapped": self._snapped,
+            "damaged": self._damaged,
             "force_before": self._force_before.tolist(),
             "pusher": None if self._pusher is None else self._pusher.snapshot(),
             "cell": None if self._cell is None else self._cell.snapshot(),
@@ -165,7 +201,8 @@ class BeamBench(Bench):
     def _recall(self, memory: Mapping[str, Any]) -> None:
         self._put(memory["beam"], np.array(memory["factors"]))
         self._told_before = np.array(memory["told_before"])
-        self._moved_before = np.array(memory["moved_before"])
+        self._inputs_before = np.array(memory["inputs_before"])
+        self._snapped, self._damaged = bool(memory["snapped"]), bool(memory["damaged"])
         self._force_before = np.array(memory["force_before"])
         if self._pusher is not None:
             self._pusher.restore(memory["pusher"])
@@ -180,3 +217,24 @@ def _through(stepper: Stepper | None, before: FloatArray, values: FloatArray) ->
         return values
     passed: FloatArray = stepper.advance(np.append(before, values)[:, None])[:, 0]
     return passed
+
+
+@kernel
+def _history(
+    angle: FloatArray, beam: FloatArray, snapped: bool, damaged: bool, inputs: FloatArray
+) -> tuple[bool, bool]:
+    """Write which share of the limits is left, and which of them a snapped beam carries, at every angle.
+
+    A beam that snaps is damaged from when it has come back: on its way there and back it is on the path after the snap.
+    """
+    stiffness, new_limit, buckled, after, left = beam
+    for i in range(len(angle)):
+        limit = new_limit * (left if damaged else 1.0)
+        if not snapped:
+            snapped = stiffness * angle[i] > limit
+        elif stiffness * angle[i] < after * limit + buckled * (angle[i] - limit / stiffness):
+            snapped, damaged = False, True
+            limit = new_limit * left
+        inputs[i, 1] = limit / new_limit
+        inputs[i, 2] = after if snapped else 1.0
+    return snapped, damaged

@@ -11,6 +11,7 @@ from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import ExperimentError
 from labrun.models import Stepper, kernel
+from labrun_plugins.rigs.caudal_fin.fins import BEST_N, thrust_n
 from labrun_plugins.rigs.caudal_fin.model import (
     AMPLITUDE_DEAD_S,
     ANGLE_DEAD_S,
@@ -33,12 +34,25 @@ from labrun_plugins.simulated.bench import (
 _SCALE = Scale(coordinate=1.0, rate=0.5, acceleration=5.0, force=0.3, signal=0.5, time_s=2.0)
 _NOT_IN_THE_STEP_MODELS = ("echo", "left_over", "bend")
 """Parameters of what (5.5) and (5.6) do not have: what walls and saturation do to a tail off its best gait."""
+_OF_THE_FIN = ("thrust_gain", "vortices")
+"""Parameters that grow with the thrust of the fin."""
 
 
 class CaudalTankSettings(BenchSettings):
-    """`bar_length_m`: the fish hangs this far below the sensor, which so feels torque = force x bar length."""
+    """The bar, and the fin.
+
+    Attributes
+    ----------
+    bar_length_m
+        The fish hangs this far below the sensor, which so feels torque = force x bar length.
+    material, thickness_mm, fin
+        "polyester" or "acrylic", how thick, "large" or "small", see `thrust_n`; conditions of these names change it.
+    """
 
     bar_length_m: PositiveFloat = 0.4
+    material: str = "polyester"
+    thickness_mm: PositiveFloat = 1.016
+    fin: str = "large"
 
 
 class DelayLine:
@@ -75,6 +89,8 @@ class CaudalTank(Bench):
     (time constant about 3 s), a returning current (4 s) and random vortices (3 s) behind, which the next
     trial feels unless it waits.
 
+    Another fin pushes and stirs up as much more or less as it does in Table 5.2; its lag is the same (chosen).
+
     With `as_modelled` no wave comes back and the thrust is straight in amplitude: (5.5), (5.6), what a stroke's own
     momentum does, and vortices.
 
@@ -105,10 +121,12 @@ class CaudalTank(Bench):
         hidden_joints = hidden_effects(on_joints, joint_model(self.joints), _SCALE)
         water = hidden_effects(in_water, self._model, _SCALE)
         hidden_sensors = hidden_effects(in_sensor, joint_model(self.sensed), _SCALE)
+        self._water = water
         self._hidden = water + hidden_joints + hidden_sensors
         self._servo = joint_stepper(self.joints, self.step_s, hidden_joints) if hidden_joints else None
         self._sensor = joint_stepper(self.sensed, self.step_s, hidden_sensors) if hidden_sensors else None
-        self._stepper = Stepper(self._model, effects=water, step_s=self.step_s)
+        self._large = self._model
+        self._put((self._settings.material, self._settings.thickness_mm, self._settings.fin))
         self._tip_rad = 0.0
         self._servo_rad = 0.0
         self._late = DelayLine(self._steps(AMPLITUDE_DEAD_S + ECHO_S) + 2)
@@ -118,9 +136,20 @@ class CaudalTank(Bench):
         self._momentum = np.zeros(2)
         self._inputs_before = np.zeros((1, len(self._model.inputs)))
 
+    def arrange(self, condition: Mapping[str, float | str]) -> None:
+        """Mount the fin that the condition names by ``material``, ``thickness_mm`` and ``fin``."""
+        material, thickness_mm, fin = self._fin
+        thickness_mm = float(condition.get("thickness_mm", thickness_mm))
+        wanted = str(condition.get("material", material)), thickness_mm, str(condition.get("fin", fin))
+        if wanted != self._fin:
+            state = self._stepper.state
+            self._put(wanted)
+            self._stepper.state = state
+
     def truth(self) -> dict[str, Any]:
-        """Return parameters as they are on the bench, and hidden effects."""
+        """Return the fin, parameters as they are on the bench, and hidden effects."""
         return {
+            "fin": dict(zip(("material", "thickness_mm", "fin"), self._fin, strict=True)),
             "parameters": dict(
                 zip((one.name for one in self._model.parameters), self._model.values.tolist(), strict=True)
             ),
@@ -128,6 +157,14 @@ class CaudalTank(Bench):
             "bar_length_m": self._settings.bar_length_m,
             "hidden": [described(effect) for effect in self._hidden],
         }
+
+    def _put(self, fin: tuple[str, float, str]) -> None:
+        share = thrust_n(*fin) / BEST_N
+        names = [one.name for one in self._large.parameters]
+        large = dict(zip(names, self._large.values.tolist(), strict=True))
+        self._fin: tuple[str, float, str] = fin
+        self._model = self._large.with_values({name: share * large[name] for name in _OF_THE_FIN})
+        self._stepper = Stepper(self._model, effects=self._water, step_s=self.step_s)
 
     def _steps(self, duration_s: float) -> int:
         return round(duration_s / self.step_s)
@@ -180,6 +217,7 @@ class CaudalTank(Bench):
 
     def _memory(self) -> dict[str, Any]:
         return {
+            "fin": list(self._fin),
             "tip_rad": self._tip_rad,
             "servo_rad": self._servo_rad,
             "late": self._late.snapshot(),
@@ -194,6 +232,8 @@ class CaudalTank(Bench):
         }
 
     def _recall(self, memory: Mapping[str, Any]) -> None:
+        material, thickness_mm, fin = memory["fin"]
+        self._put((material, float(thickness_mm), fin))
         self._tip_rad = float(memory["tip_rad"])
         self._servo_rad = float(memory["servo_rad"])
         self._late.restore(memory["late"])

@@ -101,9 +101,9 @@ def _directions(axes: FloatArray, directions: FloatArray, normals: FloatArray) -
 @kernel
 def _normalize(vectors: FloatArray) -> None:
     for row in range(len(vectors)):
-        size = math.sqrt(vectors[row, 0] ** 2 + vectors[row, 1] ** 2 + vectors[row, 2] ** 2)
+        scale = 1.0 / math.sqrt(vectors[row, 0] ** 2 + vectors[row, 1] ** 2 + vectors[row, 2] ** 2)
         for i in range(3):
-            vectors[row, i] /= size
+            vectors[row, i] *= scale
 
 
 @kernel
@@ -128,7 +128,6 @@ def _add(load: FloatArray, fx: float, fy: float, fz: float, x: float, y: float, 
     load[5] += x * fy - y * fx
 
 
-@kernel
 def fin_loads(
     joints: FloatArray, tow_m_s: FloatArray, step_s: float, motion: FloatArray, wake: FloatArray
 ) -> FloatArray:
@@ -151,13 +150,23 @@ def fin_loads(
         Force (N) and torque (N m), six axes; and the mean size of the forces (N), a measure of how the water
         is stirred.
     """
+    before = motion[:_ELEMENTS].reshape(2, _DIRECTIONS, 3)
+    bent = motion[_ELEMENTS:-2].reshape(2, _STAGES, 3, 3)
+    loads = np.zeros((len(joints), 7))
+    _add_loads(joints, tow_m_s, step_s, before, bent, motion[-2:], wake, loads)
+    return loads
+
+
+@kernel
+def _add_loads(
+    joints: FloatArray, tow_m_s: FloatArray, step_s: float, before: FloatArray, bent: FloatArray, tail: FloatArray,
+    wake: FloatArray, loads: FloatArray,
+) -> None:  # fmt: skip
     count = len(joints)
-    loads = np.zeros((count, 7))
     mechanism, axes, normals = np.empty((2, 3, 3)), np.empty((3, 3)), np.empty((2, 3))
     now = np.empty((_DIRECTIONS, 3))
-    before = motion[:_ELEMENTS].reshape(2, _DIRECTIONS, 3)
-    bent = motion[_ELEMENTS : _ELEMENTS + _BENT].reshape(2, _STAGES, 3, 3)
     share = 1.0 - math.exp(-step_s / _BEND_S)
+    rate_hz = 1.0 / step_s
     fin = np.zeros(6)
     for n in range(count):
         for which in range(2):
@@ -174,9 +183,9 @@ def fin_loads(
             for d in range(_DIRECTIONS):
                 link = d // 2
                 n_x, n_y, n_z = normals[link, 0], normals[link, 1], normals[link, 2]
-                r_x = (now[d, 0] - before[which, d, 0]) / step_s
-                r_y = (now[d, 1] - before[which, d, 1]) / step_s
-                r_z = (now[d, 2] - before[which, d, 2]) / step_s
+                r_x = (now[d, 0] - before[which, d, 0]) * rate_hz
+                r_y = (now[d, 1] - before[which, d, 1]) * rate_hz
+                r_z = (now[d, 2] - before[which, d, 2]) * rate_hz
                 for ring in range(_RINGS):
                     radius = _RING_M[ring]
                     force = plate_force(
@@ -199,12 +208,11 @@ def fin_loads(
             loads[n, 6] += math.sqrt(fin[0] ** 2 + fin[1] ** 2 + fin[2] ** 2)
         for i in range(6):
             fin[i] = 0.0
-        _tail(joints[n, 4], tow_m_s[n], step_s, motion, wake, fin)
+        _tail(joints[n, 4], tow_m_s[n], step_s, tail, wake, fin)
         _take_along(wake, 2, fin, tow_m_s[n], step_s)
         for i in range(6):
             loads[n, i] += fin[i]
         loads[n, 6] += math.sqrt(fin[0] ** 2 + fin[1] ** 2)
-    return loads
 
 
 @kernel
@@ -217,13 +225,13 @@ def _take_along(wake: FloatArray, which: int, force: FloatArray, tow_m_s: float,
 
 @kernel
 def _tail(
-    angle: float, tow_m_s: float, step_s: float, motion: FloatArray, wake: FloatArray, load: FloatArray
+    angle: float, tow_m_s: float, step_s: float, angles: FloatArray, wake: FloatArray, load: FloatArray
 ) -> None:
     """Add the load on the tail's two plates, and update their angles."""
-    stem_before, tip_before = motion[-2], motion[-1]
+    stem_before, tip_before = angles[0], angles[1]
     tip = angle + (tip_before - angle) * math.exp(-step_s / _TAIL_LAG_S)
     stem_rate, tip_rate = (angle - stem_before) / step_s, (tip - tip_before) / step_s
-    motion[-2], motion[-1] = angle, tip
+    angles[0], angles[1] = angle, tip
     area = _TAIL_PIECE_M * _TAIL_HEIGHT_M
     half = 0.5 * _TAIL_PIECE_M
     # Points backward at zero; a positive angle swings it to the right (turn about z).

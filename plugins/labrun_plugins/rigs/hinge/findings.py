@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labrun.devices import FloatArray
-from labrun.fit import Estimate, rounded, student
+from labrun.fit import Estimate, FitTrial, TextTable, rounded, student
 from labrun_plugins.rigs.hinge.body import FOUND, Body
 from labrun_plugins.rigs.hinge.releases import Release
 
@@ -74,6 +74,34 @@ def trend(amplitude: FloatArray, values: FloatArray, unit: str) -> Trend | None:
         bool(sure),
         residual,
     )
+
+
+def by_test(
+    trials: Sequence[FitTrial], releases: Sequence[Release], units: Sequence[str]
+) -> tuple[TextTable, ...]:
+    """Return stiffness and damping of every test with mean and scatter, as Table 3.2; none without two tests.
+
+    A test is what the conditions call ``test``; its values are means over its releases.
+    """
+    tests: dict[float | str, list[FloatArray]] = {}
+    for trial, release in zip(trials, releases, strict=True):
+        if "test" in trial.condition:
+            tests.setdefault(trial.condition["test"], []).append(release.values)
+    if len(tests) < 2:
+        return ()
+    values = np.array([np.mean(tests[name], axis=0) for name in sorted(tests, key=str)])
+    mean, sd = values.mean(axis=0), values.std(axis=0, ddof=1)
+    rows = [
+        (f"{name:g}" if isinstance(name, float | int) else name, *(f"{value:.4g}" for value in row))
+        for name, row in zip(sorted(tests, key=str), values, strict=True)
+    ]
+    rows += [
+        ("mean", *(f"{value:.4g}" for value in mean)),
+        ("standard deviation", *(f"{value:.2g}" for value in sd)),
+        ("of the mean", *(f"{100 * share:.2g} %" for share in sd / np.abs(mean))),
+    ]
+    header = ("test", *(f"{name}, {unit}" for name, unit in zip(FOUND, units, strict=True)))
+    return (TextTable(f"between {len(tests)} tests", header, tuple(rows)),)
 
 
 def release_findings(releases: Sequence[Release], units: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -29,6 +29,7 @@ from labrun_plugins.rigs.hinge.body import FOUND, Body, hinge_model, taken_as_st
 from labrun_plugins.rigs.hinge.findings import (
     agreement_warnings,
     body_warning,
+    by_test,
     release_findings,
     residual_warning,
 )
@@ -170,6 +171,7 @@ def _one_by_one(
         initial_states=tuple(release.initial_state for release in releases),
         warnings=tuple(warnings),
         findings=tuple(findings),
+        tables=by_test(trials, releases, units),
         by_trial=tuple(_named(release) for release in releases),
     )
 

@@ -52,6 +52,12 @@ class HingeBenchSettings(BenchSettings):
         that is towed has about 2; the default is less, since the map's b has most of the air's drag in it.
     scatter
         Factor on the scatter of stiffness and damping.
+    stiffness_n_m_rad, damping_n_m_s_rad
+        Of a specimen that the maps do not hold for, such as that of Table 3.2.
+    between_tests
+        Relative scatter (sd) of stiffness and damping between tests of one mounting, minutes apart; another value of
+        the condition ``test`` begins another test. It then takes the place of the scatter between setups, from which
+        Table 3.2 does not tell it.
     model
         A model file that the bench is, in place of a specimen: one that a diagnosis saved, say.
     """
@@ -63,6 +69,9 @@ class HingeBenchSettings(BenchSettings):
     areal_density_kg_m2: PositiveFloat = 3.58
     drag_coefficient: NonNegativeFloat = 0.4
     scatter: NonNegativeFloat = 1.0
+    stiffness_n_m_rad: PositiveFloat | None = None
+    damping_n_m_s_rad: PositiveFloat | None = None
+    between_tests: tuple[NonNegativeFloat, NonNegativeFloat] | None = None
     model: str | None = None
 
 
@@ -116,7 +125,10 @@ class HingeBench(Bench):
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
         scatter = self._settings.scatter * self._settings.noise
-        self._setup_sd = scatter * np.array(_BETWEEN_SETUPS)
+        between_tests = self._settings.between_tests
+        self._test_sd = scatter * np.array(between_tests or (0.0, 0.0))
+        self._setup_sd = scatter * np.array(_BETWEEN_SETUPS if between_tests is None else (0.0, 0.0))
+        self._test: float | str | None = None
         self._release_sd = scatter * np.array(_BETWEEN_RELEASES)
         self._setup_scale = 1.0 + self._setup_sd * rng.standard_normal(2)
         self._scales = self._setup_scale.copy()
@@ -136,7 +148,10 @@ class HingeBench(Bench):
         return (*self._model.sites, *(Site(signal, "output") for signal in self.sensed))
 
     def arrange(self, condition: Mapping[str, float | str]) -> None:
-        """Mount another specimen where the condition names another ``width_mm``, ``length_mm`` or ``area_cm2``."""
+        """Mount another specimen where the condition names another ``width_mm``, ``length_mm`` or ``area_cm2``.
+
+        Another ``test`` of the same specimen differs as tests do minutes apart.
+        """
         wanted = {name: float(condition.get(name, size)) for name, size in self._specimen.items()}
         if wanted != self._specimen:
             state = self._stepper.state
@@ -144,6 +159,10 @@ class HingeBench(Bench):
             self._stepper.state = state
             self._setup_scale = self._mounted()
             self._scales = self._setup_scale.copy()
+        test = condition.get("test", self._test)
+        if self._settings.between_tests is not None and test != self._test:
+            self._test = test
+            self._setup_scale = 1.0 + self._test_sd * self._rng.standard_normal(2)
 
     def truth(self) -> dict[str, Any]:
         """Return specimen, parameters as they are on the bench, drag, and hidden effects.
@@ -185,13 +204,13 @@ class HingeBench(Bench):
         height_m = area_m2 / body_width_m
         mass_kg = self._settings.areal_density_kg_m2 * area_m2
         self._lever_m = (height_m + length_m) / 2
-        k = stiffness(width_m, length_m)
+        k = self._settings.stiffness_n_m_rad or stiffness(width_m, length_m)
         inertia = mass_kg * (height_m**2 / 12 + self._lever_m**2)
         gravity = mass_kg * _GRAVITY_M_S2 * self._lever_m
         coefficient = 0.0 if self._settings.as_modelled else self._settings.drag_coefficient
         drag = 0.5 * _AIR_KG_M3 * coefficient * body_width_m * height_m**4 / 4
         speed_rad_s = math.sqrt((k + gravity) / inertia) * _ORDINARY_RAD
-        total = damping(area_m2, width_m, length_m)
+        total = self._settings.damping_n_m_s_rad or damping(area_m2, width_m, length_m)
         model = hinge_model(
             stiffness=k,
             damping=max(0.0, total - 8.0 / (3.0 * math.pi) * drag * speed_rad_s),
@@ -254,6 +273,7 @@ class HingeBench(Bench):
         return {
             "specimen": self._specimen,
             "setup_scale": self._setup_scale.tolist(),
+            "test": self._test,
             "scales": self._scales.tolist(),
             "held": self._held,
             "releases": [list(one) for one in self._releases],
@@ -265,6 +285,7 @@ class HingeBench(Bench):
     def _recall(self, memory: Mapping[str, Any]) -> None:
         self._put(dict(memory["specimen"]))
         self._setup_scale = np.array(memory["setup_scale"])
+        self._test = memory["test"]
         self._scales = np.array(memory["scales"])
         self._held = bool(memory["held"])
         self._releases = [[float(value) for value in one] for one in memory["releases"]]

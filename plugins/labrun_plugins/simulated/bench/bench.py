@@ -87,6 +87,15 @@ class Bench:
             "this bench has no carriage", hint="leave out trial.carriage, or use another scene"
         )
 
+    def _push(self, joint: str, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:
+        """Drive the joints along one way at constant speed, for stages that start and stop within a step."""
+        way = abs(to_m - from_m)
+        if way == 0.0 or speed_m_s <= 0.0:
+            path = Trajectory(self.joints, np.zeros(1), np.array([[to_m]]))
+        else:
+            path = Trajectory(self.joints, np.array([0.0, way / speed_m_s]), np.array([[from_m], [to_m]]))
+        self.drive(joint, path, start_s)
+
     def observe(self, signals: Sequence[str], time_s: FloatArray) -> FloatArray:
         """Return the true signals at ascending times, shape (n, signals)."""
         columns = self._columns_of(tuple(signals))

@@ -1,0 +1,248 @@
+"""The fit ``tape-spring``: measured limits of beams beside (7.1) to (7.8), and which width the theory holds with."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
+
+from labrun.devices import FloatArray
+from labrun.errors import FitError
+from labrun.fit import (
+    Curve,
+    Dataset,
+    Estimate,
+    FigureData,
+    FitJob,
+    FitSummary,
+    FittedData,
+    Panel,
+    Stack,
+    TextTable,
+    load_dataset,
+    student,
+)
+from labrun.models import Output
+from labrun_plugins.rigs.beam.limits import BucklingLimit, buckling_limit
+from labrun_plugins.rigs.beam.tape_spring import TapeSpring
+
+_SENSES = ("equal", "opposite")
+
+
+class TapeSpringSettings(BaseModel):
+    """Keys of ``[fit.settings]``.
+
+    Attributes
+    ----------
+    beam
+        Which of the conditions ``beam`` the theory is held against: a long one, since it knows no clamped ends.
+    lever_mm
+        From the beam's clamp to the pusher.
+    arc_mm, theta_deg
+        Of the cross-section: its length along the curve, and its angle.
+    young_gpa, poisson
+        Of the sheet; Poisson's ratio is not in the source (0.35 for polyester).
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    beam: str = "long"
+    lever_mm: PositiveFloat = 100.0
+    arc_mm: PositiveFloat = 25.4
+    theta_deg: float = Field(default=180.0, gt=0.0, le=360.0)
+    young_gpa: PositiveFloat = 4.383
+    poisson: float = Field(default=0.35, ge=0.0, lt=0.5)
+
+
+@dataclass(frozen=True)
+class _Ports:
+    inputs: tuple[Output, ...] = ()
+    outputs: tuple[Output, ...] = (Output("force", "N"), Output("displacement", "m"))
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """Limits of one beam in one sense, one a trial that buckled."""
+
+    beam: str
+    sense: str
+    values: FloatArray
+    survived: int
+
+    @property
+    def estimate(self) -> Estimate | None:
+        if not len(self.values):
+            return None
+        mean, count = float(self.values.mean()), len(self.values)
+        half = student(count - 1) * float(self.values.std(ddof=1)) / math.sqrt(count) if count > 1 else 0.0
+        return Estimate(mean, (mean - half, mean + half), "N m")
+
+
+class TapeSpringFit:
+    """Equal limit gives the sheet's effective thickness; with it the theory says what the opposite limit must be."""
+
+    Settings: ClassVar[type[BaseModel]] = TapeSpringSettings
+
+    def __init__(self, settings: TapeSpringSettings) -> None:
+        self._settings = settings
+
+    def __call__(self, job: FitJob) -> FitSummary:
+        """Fit.
+
+        Raises
+        ------
+        FitError
+            No trial of the beam buckled in equal sense.
+        """
+        keys = self._settings
+        data = load_dataset(job.target, _Ports(), job.signals)
+        found = [
+            buckling_limit(trial.outputs[:, 0], trial.outputs[:, 1], 1e-3 * keys.lever_mm)
+            for trial in data.trials
+        ]
+        measured = _grouped(data, found)
+        equal, opposite = (
+            next((one for one in measured if (one.beam, one.sense) == (keys.beam, sense)), None)
+            for sense in _SENSES
+        )
+        limit = None if equal is None else equal.estimate
+        if limit is None:
+            beams = ", ".join(sorted({one.beam for one in measured}))
+            raise FitError(
+                f"no trial of the beam {keys.beam!r} buckled in equal sense, which the sheet's thickness follows from",
+                hint=f"measured were {beams}: name one with --set beam=NAME, or bend it further",
+            )
+        arc, chord = (self._strip(limit.value, width) for width in ("arc", "chord"))
+        low, high = (self._strip(end, "arc") for end in limit.ci95)
+        mm = Estimate(1e3 * arc.thickness_m, (1e3 * low.thickness_m, 1e3 * high.thickness_m), "mm")
+        parameters = {"equal_limit": limit, "effective_thickness": mm}
+        snapped = None if opposite is None else opposite.estimate
+        if snapped is not None:
+            parameters["opposite_limit"] = snapped
+        for name, strip in (("arc", arc), ("chord", chord)):
+            ends = tuple(self._strip(end, name).opposite_limit_n_m for end in limit.ci95)
+            parameters[f"opposite_by_{name}"] = Estimate(strip.opposite_limit_n_m, (ends[0], ends[1]), "N m")
+        return FitSummary(
+            method="tape-spring",
+            model_name="tape spring",
+            data=FittedData.of(data),
+            parameters=parameters,
+            fixed={"young_gpa": keys.young_gpa, "poisson": keys.poisson, "arc_mm": keys.arc_mm},
+            tables=(_table(measured),),
+            findings=tuple(_findings(arc, chord, snapped)),
+            warnings=tuple(_warnings(measured)),
+            figure_data=lambda: _figure(data, found, keys, arc, chord),
+        )
+
+    def _strip(self, limit_n_m: float, width: str) -> TapeSpring:
+        keys = self._settings
+        unit = TapeSpring(
+            1.0, 1e-3 * keys.arc_mm, math.radians(keys.theta_deg), 1e9 * keys.young_gpa, keys.poisson
+        )
+        thickness = (max(limit_n_m, 1e-12) / unit.equal_limit_n_m) ** (1.0 / 3.0)
+        return replace(unit, thickness_m=thickness, width="arc" if width == "arc" else "chord")
+
+
+def _grouped(data: Dataset, found: list[BucklingLimit]) -> list[_Measured]:
+    groups: dict[tuple[str, str], list[BucklingLimit]] = {}
+    for trial, limit in zip(data.trials, found, strict=True):
+        groups.setdefault((str(trial.condition.get("beam", "long")), limit.sense), []).append(limit)
+    return [
+        _Measured(
+            beam,
+            sense,
+            np.array([one.torque_n_m for one in limits if one.reached]),
+            sum(not one.reached for one in limits),
+        )
+        for (beam, sense), limits in sorted(groups.items())
+    ]
+
+
+def _table(measured: list[_Measured]) -> TextTable:
+    rows = []
+    for one in measured:
+        estimate = one.estimate
+        told = ("none", "") if estimate is None else (f"{estimate.value:.4g}", _half(estimate))
+        rows.append((one.beam, one.sense, str(len(one.values)), *told))
+    return TextTable("limits as measured, N m", ("beam", "sense", "trials", "mean", "95 %"), tuple(rows))
+
+
+def _half(estimate: Estimate) -> str:
+    return (
+        f"+- {0.5 * (estimate.ci95[1] - estimate.ci95[0]):.2g}" if estimate.ci95[0] < estimate.ci95[1] else ""
+    )
+
+
+def _findings(arc: TapeSpring, chord: TapeSpring, snapped: Estimate | None) -> list[str]:
+    told = [
+        f"{1e3 * arc.thickness_m:.3g} mm is the thickness of a single sheet of the stated modulus that buckles in "
+        "equal sense where the beam does, (1 - nu) D theta; a laminate is thinner and of several materials"
+    ]
+    if snapped is None:
+        return [*told, "no trial snapped in opposite sense: which width holds is not known"]
+    off = {
+        name: strip.opposite_limit_n_m / snapped.value - 1.0
+        for name, strip in (("arc", arc), ("chord", chord))
+    }
+    holds = min(off, key=lambda name: abs(off[name]))
+    means = {"arc": "the arc, r theta", "chord": "the chord, 2 r sin(theta/2)"}
+    words = [
+        f"with {means[name]}, {strip.opposite_limit_n_m:.3g} N m ({100 * off[name]:+.0f} %)"
+        for name, strip in (("arc", arc), ("chord", chord))
+    ]
+    return [
+        *told,
+        f"in opposite sense (7.1) then says {'; '.join(words)}; measured is {snapped.value:.3g} N m",
+        f"{means[holds]}, holds as the width of (7.1)",
+    ]
+
+
+def _warnings(measured: list[_Measured]) -> list[str]:
+    alone = [f"{one.beam} in {one.sense} sense" for one in measured if len(one.values) == 1]
+    told = [f"one trial only of {', '.join(alone)}: no interval is known"] if alone else []
+    return told + [
+        f"{one.survived} of {one.survived + len(one.values)} trials of the beam {one.beam} did not buckle in "
+        f"{one.sense} sense: its limit is above what they bore"
+        for one in measured
+        if one.survived
+    ]
+
+
+def _figure(
+    data: Dataset, found: list[BucklingLimit], keys: TapeSpringSettings, arc: TapeSpring, chord: TapeSpring
+) -> FigureData:
+    """Return torque over angle of a trial of each beam and sense, theory beside that which it is about."""
+    lever_m = 1e-3 * keys.lever_mm
+    stacks: dict[str, list[Curve]] = {}
+    seen = set()
+    for trial, limit in zip(data.trials, found, strict=True):
+        beam = str(trial.condition.get("beam", "long"))
+        if (beam, limit.sense) in seen:
+            continue
+        seen.add((beam, limit.sense))
+        step = max(len(trial.time_s) // 4000, 1)
+        force, way = trial.outputs[::step, 0], trial.outputs[::step, 1]
+        label = "measured" if beam not in stacks else ""
+        stacks.setdefault(beam, []).append(
+            Curve(np.degrees(way / lever_m), lever_m * force, "measured", label, bold=False)
+        )
+    for beam, curves in stacks.items():
+        if beam != keys.beam:
+            continue
+        ends = np.array([min(np.min(one.x) for one in curves), max(np.max(one.x) for one in curves)])
+        for number, (name, level) in enumerate(
+            (
+                ("equal, (7.8)", -arc.equal_limit_n_m),
+                ("opposite, arc", arc.opposite_limit_n_m),
+                ("opposite, chord", chord.opposite_limit_n_m),
+            )
+        ):
+            curves.append(Curve(ends, np.full(2, level), number, name, dashed=True))
+    panels = [
+        Stack((Panel(tuple(curves), beam, x_label="angle, deg", y_label="torque, N m", zero=True),))
+        for beam, curves in stacks.items()
+    ]
+    rows = tuple(tuple(panels[start : start + 2]) for start in range(0, len(panels), 2))
+    title = f"Tape spring beside {data.name}\nPositive is the opposite sense"
+    return FigureData(title, rows)

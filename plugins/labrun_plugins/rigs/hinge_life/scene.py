@@ -1,0 +1,202 @@
+"""A servo turns a hinge to and fro, a sensor under its mount feels the torque (section 2.1 of the source work)."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import PositiveFloat
+
+from labrun.devices import FloatArray
+from labrun.effects import Scale
+from labrun.errors import ExperimentError, SpecError
+from labrun.models import Stepper
+from labrun_plugins.rigs.hinge_life.model import turned_hinge
+from labrun_plugins.simulated.bench import (
+    Bench,
+    BenchSettings,
+    described,
+    hidden_effects,
+    joint_model,
+    joint_stepper,
+)
+
+_SCALE = Scale(coordinate=1.5, rate=4.0, acceleration=10.0, force=0.02, signal=0.1, time_s=2.0)
+_JOINT_SCALE = Scale(signal=1.5, time_s=2.0)
+MEDIANS: Mapping[tuple[str, int], float] = {
+    ("polyester", 120): 2500.0,
+    ("sandwich", 120): 200_000.0,
+    ("polyester", 90): 25_000.0,
+    ("sandwich", 90): 2_000_000.0,
+}
+"""Cycles that half of the hinges survive. Polyester turned by +-120 deg, where rigid parts strike the mount and twist
+the hinge, tears at about 2500; sandwiches outlive 50,000 (source). By how much, and what +-90 deg gives, is chosen."""
+SHAPE = 3.0
+"""Of the Weibull distribution of lives (chosen)."""
+_PER_DECADE = 0.05
+"""Torque that a hinge loses while its cycles grow tenfold (chosen)."""
+_TORN = 0.02
+_ASIDE_RAD = 0.2
+"""A hinge this far from zero is on one side: it may rest at zero between two stretches of a long motion."""
+
+
+class LifeBenchSettings(BenchSettings):
+    """The hinge.
+
+    Attributes
+    ----------
+    layup, range_deg
+        "polyester" or "sandwich", and 90 or 120; conditions ``layup`` and ``range`` change them.
+    shape
+        Of the Weibull distribution of lives.
+    """
+
+    layup: str = "polyester"
+    range_deg: PositiveFloat = 120.0
+    shape: PositiveFloat = SHAPE
+
+
+class LifeBench(Bench):
+    """Torque of a hinge that tires and tears.
+
+    The torque falls by 5 % per decade of cycles; a hinge's life is drawn from a Weibull distribution as it is mounted,
+    and after it a fiftieth of the torque is left. A cycle is counted when the angle has gone from one side to the other
+    and back. A condition ``specimen`` names another hinge; every mounting is of a new one. With `as_modelled` hinges
+    neither tire nor tear.
+
+    Signals: ``torque_z`` about the hinge (N m), ``hinge``, the angle of the servo (rad).
+    """
+
+    Settings: ClassVar[type[BenchSettings]] = LifeBenchSettings
+    step_s = 0.01
+    scale = _SCALE
+    joints = ("hinge",)
+    sensed = ("torque_z",)
+    signals: Mapping[str, str] = {"torque_z": "N m", "hinge": "rad"}
+
+    def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
+        super().__init__(settings, rng)
+        at_joint = [one for one in self._settings.hide if one.site in self.joints and one.kind == "input"]
+        at_sensor = [one for one in self._settings.hide if one.site in self.sensed]
+        in_hinge = [one for one in self._settings.hide if one not in at_joint and one not in at_sensor]
+        hidden_joint = hidden_effects(at_joint, joint_model(self.joints), _JOINT_SCALE)
+        hidden_sensor = hidden_effects(at_sensor, joint_model(self.sensed), _SCALE)
+        self._model = self._with_errors(turned_hinge())
+        in_model = hidden_effects(in_hinge, self._model, _SCALE)
+        self._hidden = [*in_model, *hidden_joint, *hidden_sensor]
+        self._servo = joint_stepper(self.joints, self.step_s, hidden_joint) if hidden_joint else None
+        self._sensor = joint_stepper(self.sensed, self.step_s, hidden_sensor) if hidden_sensor else None
+        self._stepper = Stepper(self._model, effects=in_model, step_s=self.step_s)
+        self._told_before, self._torque_before = np.zeros(1), np.zeros(1)
+        self._inputs_before = np.array([[0.0, 1.0]])
+        self._batch = int(rng.integers(2**63))
+        self._put(self._settings.layup, self._settings.range_deg, "", 1)
+
+    def arrange(self, condition: Mapping[str, float | str]) -> None:
+        """Mount the hinge that the condition names by ``layup``, ``range`` and ``specimen``; one in place stays."""
+        layup, range_deg, specimen, _ = self._hinge
+        wanted = (
+            str(condition.get("layup", layup)),
+            float(condition.get("range", range_deg)),
+            condition.get("specimen", specimen),
+        )
+        if wanted != (layup, range_deg, specimen):
+            self._put(*wanted, 1)
+
+    def mount(self, number: int) -> None:
+        """Mount a new hinge of the kind that is asked for."""
+        self._put(*self._hinge[:3], number)
+
+    def truth(self) -> dict[str, Any]:
+        """Return the hinge, its life, how many cycles it has seen, parameters, and hidden effects."""
+        names = (one.name for one in self._model.parameters)
+        return {
+            "layup": self._hinge[0],
+            "specimen": self._hinge[2],
+            "life": self._life,
+            "cycles": self._cycles,
+            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
+            "parameter_errors": dict(self._settings.parameters),
+            "hidden": [described(effect) for effect in self._hidden],
+        }
+
+    def _put(self, layup: str, range_deg: float, specimen: float | str, mounting: int) -> None:
+        median = MEDIANS.get((layup, round(range_deg)))
+        if median is None:
+            known = "; ".join(f"{name} by {angle} deg" for name, angle in MEDIANS)
+            raise SpecError(
+                f"this bench knows no hinge of {layup!r} turned by {range_deg:g} deg",
+                hint=f"it knows {known}",
+            )
+        words = [*f"{layup}/{range_deg:g}/{specimen}".encode()]
+        share = float(np.random.default_rng((self._batch, mounting, *words)).random())
+        share = share if self._settings.noise else 0.5
+        self._life = median * (-math.log1p(-share) / math.log(2.0)) ** (1.0 / self._settings.shape)
+        self._hinge = (layup, range_deg, specimen, mounting)
+        self._cycles, self._side = 0, 1
+
+    def _advance(self, time_s: FloatArray) -> FloatArray:
+        told = self._drives["hinge"].angles(time_s)
+        sides = _sides(told, self._side)
+        cycles = self._cycles + np.cumsum(np.diff(sides) > 0)
+        turned = _through(self._servo, self._told_before, told)
+        inputs = np.column_stack([turned, self._left(cycles)])
+        torque = self._stepper.advance(np.concatenate([self._inputs_before, inputs]))[:, 0]
+        felt = _through(self._sensor, self._torque_before, torque)
+        self._told_before, self._torque_before = told[-1:].copy(), torque[-1:].copy()
+        self._inputs_before, self._cycles, self._side = inputs[-1:].copy(), int(cycles[-1]), int(sides[-1])
+        if not self._stepper.finite:
+            raise ExperimentError("the simulated life bench blew up", hint="hide a weaker effect, or none")
+        return np.column_stack([felt, turned])
+
+    def _left(self, cycles: NDArray[np.int64]) -> FloatArray:
+        """Return the share of a new hinge's torque after so many cycles."""
+        if self._settings.as_modelled:
+            return np.ones(len(cycles))
+        tired = 1.0 - _PER_DECADE * np.log10(np.maximum(cycles, 1))
+        return np.where(cycles >= self._life, _TORN, tired)
+
+    def _memory(self) -> dict[str, Any]:
+        return {
+            "batch": self._batch,
+            "hinge": list(self._hinge),
+            "cycles": self._cycles,
+            "side": self._side,
+            "told_before": self._told_before.tolist(),
+            "torque_before": self._torque_before.tolist(),
+            "inputs_before": self._inputs_before.tolist(),
+            "servo": None if self._servo is None else self._servo.snapshot(),
+            "sensor": None if self._sensor is None else self._sensor.snapshot(),
+            "stepper": self._stepper.snapshot(),
+        }
+
+    def _recall(self, memory: Mapping[str, Any]) -> None:
+        self._batch = int(memory["batch"])
+        layup, range_deg, specimen, mounting = memory["hinge"]
+        self._put(layup, float(range_deg), specimen, int(mounting))
+        self._cycles, self._side = int(memory["cycles"]), int(memory["side"])
+        self._told_before = np.array(memory["told_before"])
+        self._torque_before = np.array(memory["torque_before"])
+        self._inputs_before = np.array(memory["inputs_before"])
+        if self._servo is not None:
+            self._servo.restore(memory["servo"])
+        if self._sensor is not None:
+            self._sensor.restore(memory["sensor"])
+        self._stepper.restore(memory["stepper"])
+
+
+def _sides(angle: FloatArray, before: int) -> NDArray[np.int64]:
+    """Return on which side (-1, 1) the hinge was last, before the first angle and at each, shape (n + 1,)."""
+    aside = np.where(angle > _ASIDE_RAD, 1, np.where(angle < -_ASIDE_RAD, -1, 0))
+    sides = np.concatenate([[before], aside])
+    last = np.maximum.accumulate(np.where(sides != 0, np.arange(len(sides)), 0))
+    return np.asarray(sides[last])
+
+
+def _through(stepper: Stepper | None, before: FloatArray, values: FloatArray) -> FloatArray:
+    """Return a signal after the effects that hide in it; as it is where none does."""
+    if stepper is None:
+        return values
+    passed: FloatArray = stepper.advance(np.append(before, values)[:, None])[:, 0]
+    return passed

@@ -1,0 +1,260 @@
+"""The fit ``tensile``: modulus, yield stress, toe and fracture of every specimen, with intervals over specimens."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, PositiveFloat
+
+from labrun.errors import FitError
+from labrun.fit import (
+    Curve,
+    Dataset,
+    Estimate,
+    FigureData,
+    FitJob,
+    FitSummary,
+    FittedData,
+    FitTrial,
+    Panel,
+    Stack,
+    TextTable,
+    load_dataset,
+    student,
+)
+from labrun.models import Output
+from labrun_plugins.rigs.tensile.allowable_angle import allowable_deg, printed_deg
+from labrun_plugins.rigs.tensile.curve import TensileCurve, tensile_curve
+
+SPECIMEN = "specimen"
+NEAR_GRIP_MM = 5.0
+"""A break this near a grip is the grip's (D882-12 lets it count only if it fits the others)."""
+_QUANTITIES: tuple[tuple[str, str, Callable[[TensileCurve], float]], ...] = (
+    ("young", "MPa", lambda one: 1e-6 * one.young_pa),
+    ("yield_stress", "MPa", lambda one: 1e-6 * one.yield_pa),
+    ("yield_strain", "%", lambda one: 100.0 * one.yield_strain),
+    ("toe_strain", "%", lambda one: 100.0 * one.toe_strain),
+    ("fracture_load", "N", lambda one: one.greatest_n if one.broke else math.nan),
+)
+
+
+class TensileSettings(BaseModel):
+    """Keys of ``[fit.settings]``.
+
+    Attributes
+    ----------
+    thickness_mm, width_mm, grips_mm
+        Of the strip, and from grip to grip.
+    window_strain
+        Length of the straight part whose slope is the modulus.
+    departs_by_strain
+        The curve yields where it is this far from the line; the source does not say how it read its yield stress.
+    hinge_length_mm
+        Of a hinge of this sheet, whose allowable angle is told.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    thickness_mm: PositiveFloat = 0.127
+    width_mm: PositiveFloat = 15.0
+    grips_mm: PositiveFloat = 100.0
+    window_strain: PositiveFloat = 0.003
+    departs_by_strain: PositiveFloat = 5e-4
+    hinge_length_mm: PositiveFloat = 1.75
+
+
+@dataclass(frozen=True)
+class _Ports:
+    inputs: tuple[Output, ...] = ()
+    outputs: tuple[Output, ...] = (Output("force", "N"), Output("displacement", "m"))
+
+
+class TensileFit:
+    """Each test by itself; estimates are means over specimens with t-intervals."""
+
+    Settings: ClassVar[type[BaseModel]] = TensileSettings
+
+    def __init__(self, settings: TensileSettings) -> None:
+        self._settings = settings
+
+    def __call__(self, job: FitJob) -> FitSummary:
+        """Fit.
+
+        Raises
+        ------
+        FitError
+            No test can be read: strain that runs backwards, a load cell beyond its range.
+        """
+        data = load_dataset(job.target, _Ports(), job.signals)
+        keys = self._settings
+        area_m2 = 1e-6 * keys.thickness_mm * keys.width_mm
+        read: list[tuple[FitTrial, TensileCurve]] = []
+        refused: list[FitError] = []
+        for trial in data.trials:
+            try:
+                curve = tensile_curve(
+                    trial.outputs[:, 0],
+                    trial.outputs[:, 1],
+                    area_m2=area_m2,
+                    grips_m=1e-3 * keys.grips_mm,
+                    window_strain=keys.window_strain,
+                    departs_by_strain=keys.departs_by_strain,
+                    label=trial.label,
+                )
+            except FitError as error:
+                refused.append(error)
+            else:
+                read.append((trial, curve))
+        if not read:
+            raise refused[0]
+        groups = _grouped(read)
+        parameters: dict[str, Estimate] = {}
+        for group, specimens in groups.items():
+            for name, unit, of in _QUANTITIES:
+                found = _estimate([[of(one) for one in curves] for curves in specimens.values()], unit)
+                if found is not None:
+                    parameters[f"{name}_{group}" if group else name] = found
+        warnings = [f"left out: {error.args[0]}" for error in refused]
+        warnings += _near_grips(read)
+        warnings += [
+            f"{group or 'the sheet'}: one specimen only, and no interval"
+            for group, specimens in groups.items()
+            if len(specimens) == 1
+        ]
+        return FitSummary(
+            method="tensile",
+            model_name="tensile",
+            data=FittedData(data.name, data.kind, len(read), data.left_out + len(refused)),
+            parameters=parameters,
+            fixed={"thickness_mm": keys.thickness_mm, "width_mm": keys.width_mm, "grips_mm": keys.grips_mm},
+            tables=(_table(groups),),
+            findings=(*_findings(groups, parameters), *_allowable(parameters, keys)),
+            warnings=tuple(warnings),
+            details={"by_specimen": _details(groups)},
+            figure_data=lambda: _figure(data, read, keys, area_m2),
+        )
+
+
+Groups = Mapping[str, Mapping[str, Sequence[TensileCurve]]]
+
+
+def _grouped(read: Sequence[tuple[FitTrial, TensileCurve]]) -> Groups:
+    """Return tests by what else than the specimen their conditions say, and by specimen."""
+    others = sorted({name for trial, _ in read for name in trial.condition} - {SPECIMEN, "break_at_mm"})
+    groups: dict[str, dict[str, list[TensileCurve]]] = {}
+    for number, (trial, curve) in enumerate(read):
+        group = "_".join(_word(trial.condition[name]) for name in others if name in trial.condition)
+        specimen = _word(trial.condition.get(SPECIMEN, f"test {number + 1}"))
+        groups.setdefault(group, {}).setdefault(specimen, []).append(curve)
+    return groups
+
+
+def _word(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def _estimate(by_specimen: Sequence[Sequence[float]], unit: str) -> Estimate | None:
+    """Return the mean over specimens, each the mean of its tests, with a t-interval; None if none has a value."""
+    means = [float(np.mean(own)) for own in by_specimen if np.all(np.isfinite(own))]
+    if not means:
+        return None
+    mean, count = float(np.mean(means)), len(means)
+    half = student(count - 1) * float(np.std(means, ddof=1)) / math.sqrt(count) if count > 1 else 0.0
+    return Estimate(mean, (mean - half, mean + half), unit)
+
+
+def _table(groups: Groups) -> TextTable:
+    header = (SPECIMEN, *(f"{name}, {unit}" for name, unit, _ in _QUANTITIES))
+    rows = []
+    for group, specimens in groups.items():
+        for specimen, curves in specimens.items():
+            values = (float(np.mean([of(one) for one in curves])) for _, _, of in _QUANTITIES)
+            told = ("" if math.isnan(value) else f"{value:.4g}" for value in values)
+            rows.append((f"{group} {specimen}".strip(), *told))
+    return TextTable("by specimen", header, tuple(rows))
+
+
+def _details(groups: Groups) -> list[dict[str, Any]]:
+    return [
+        {"group": group, SPECIMEN: specimen}
+        | {
+            name: float(np.mean([of(one) for one in curves]))
+            for name, _, of in _QUANTITIES
+            if math.isfinite(np.mean([of(one) for one in curves]))
+        }
+        for group, specimens in groups.items()
+        for specimen, curves in specimens.items()
+    ]
+
+
+def _findings(groups: Groups, parameters: Mapping[str, Estimate]) -> list[str]:
+    if len(groups) != 2 or "" in groups:
+        return []
+    one, other = groups
+    told = []
+    for name, what in (("young", "initial slopes"), ("fracture_load", "fracture loads")):
+        first, second = parameters.get(f"{name}_{one}"), parameters.get(f"{name}_{other}")
+        if first is None or second is None:
+            continue
+        apart = first.ci95[1] < second.ci95[0] or second.ci95[1] < first.ci95[0]
+        ratio = second.value / first.value
+        told.append(
+            f"{what}: {other} has {ratio:.2f} times that of {one}"
+            + ("" if apart else ", which their intervals do not tell apart")
+        )
+    return told
+
+
+def _allowable(parameters: Mapping[str, Estimate], keys: TensileSettings) -> list[str]:
+    """Say how far a hinge of the sheet may turn."""
+    young, yields = parameters.get("young"), parameters.get("yield_stress")
+    if young is None or yields is None:
+        return []
+    stated = 1e6 * yields.value, 1e6 * young.value
+    size = 1e-3 * keys.hinge_length_mm, 1e-3 * keys.thickness_mm
+    moment, end_force = (allowable_deg(*stated, *size, load) for load in ("moment", "end force"))
+    printed = printed_deg(*stated, keys.hinge_length_mm)
+    return [
+        f"a hinge {keys.hinge_length_mm:g} mm long yields at {moment:.1f} deg where a moment bends it, at "
+        f"{end_force:.1f} deg where a force at its end does; (3.2) to (3.4) as printed say {printed:.2f} deg, too low "
+        "by the factor t in mm"
+    ]
+
+
+def _near_grips(read: Sequence[tuple[FitTrial, TensileCurve]]) -> list[str]:
+    near = [
+        trial.label
+        for trial, curve in read
+        if curve.broke
+        and isinstance(at := trial.condition.get("break_at_mm"), int | float)
+        and at < NEAR_GRIP_MM
+    ]
+    if not near:
+        return []
+    return [f"broken within {NEAR_GRIP_MM:g} mm of a grip, which the grip may have caused: {'; '.join(near)}"]
+
+
+def _figure(
+    data: Dataset, read: Sequence[tuple[FitTrial, TensileCurve]], keys: TensileSettings, area_m2: float
+) -> FigureData:
+    """Return stress over strain without the toe of every test, the mean line and the yield points."""
+    curves, yields = [], []
+    for number, (trial, curve) in enumerate(read):
+        step = max(len(trial.time_s) // 2000, 1)
+        strain = 1e3 * trial.outputs[::step, 1] / keys.grips_mm - curve.toe_strain
+        stress = 1e-6 * trial.outputs[::step, 0] / area_m2
+        curves.append(Curve(100 * strain, stress, "measured", "measured" if number == 0 else ""))
+        if math.isfinite(curve.yield_pa):
+            yields.append((100 * curve.yield_strain, 1e-6 * curve.yield_pa))
+    young = 1e-6 * float(np.mean([curve.young_pa for _, curve in read]))
+    top = max((stress for _, stress in yields), default=max(float(np.max(one.y)) for one in curves))
+    line = np.array([0.0, 1.1 * top])
+    curves.append(Curve(100 * line / young, line, "fitted", f"{young:.0f} MPa"))
+    if yields:
+        at, stress = np.array(yields).T
+        curves.append(Curve(at, stress, "point", "yield", kind="points"))
+    panel = Panel(tuple(curves), x_label="strain without the toe, %", y_label="stress, MPa", zero=True)
+    title = f"Tensile tests of {data.name}\nEach shifted by its toe strain"
+    return FigureData(title, ((Stack((panel,), width=1.6),),), row_height_in=3.8)

@@ -1,0 +1,230 @@
+"""A tensile tester: a strip between a grip on a linear stage and a load cell (source, sections 2.1 and 3.1)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import NonNegativeFloat, PositiveFloat
+
+from labrun.devices import FloatArray
+from labrun.effects import Scale
+from labrun.errors import ExperimentError, SpecError
+from labrun.models import Stepper
+from labrun_plugins.rigs.tensile.model import (
+    GRIPS_M,
+    HARDENING_SHARE,
+    THICKNESS_M,
+    WIDTH_M,
+    YIELD_PA,
+    YOUNG_PA,
+    strip_model,
+)
+from labrun_plugins.simulated.bench import (
+    Bench,
+    BenchSettings,
+    described,
+    hidden_effects,
+    joint_model,
+    joint_stepper,
+)
+
+_SCALE = Scale(coordinate=1e-3, rate=2e-4, acceleration=1e-3, force=20.0, signal=80.0, time_s=5.0)
+_GRIP_SCALE = Scale(signal=2e-3, time_s=5.0)
+_BETWEEN_SPECIMENS = (0.02, 0.03, 0.05)
+"""Relative scatter of Young's modulus, yield stress and load at fracture from specimen to specimen (chosen)."""
+_MOST_SLACK = 0.005
+"""A strip is mounted up to this strain too long, evenly spread (chosen)."""
+_NOMINAL_SLACK = 0.0025
+_AT_ZERO_M = 1e-5
+"""Here a person clamps the strip."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layup:
+    """What is pulled: its slope beyond the yield stress, as a share of Young's modulus, and where 15 mm break, N."""
+
+    hardening: float
+    breaks_n: float
+
+
+LAYUPS: Mapping[str, Layup] = {
+    "polyester": Layup(HARDENING_SHARE, 130.0),
+    "sandwich": Layup(2.0 * HARDENING_SHARE, 175.0),
+}
+"""The plain sheet, and fabric - polyester - fabric. That they begin with the same slope and the sandwich bears more the
+source says (section 2.1); by how much, it shows in a picture: chosen."""
+
+
+class TensileBenchSettings(BenchSettings):
+    """The strip and its grips.
+
+    Attributes
+    ----------
+    layup
+        "polyester" or "sandwich"; a condition ``layup`` changes it.
+    thickness_mm, width_mm, grips_mm
+        Of the sheet, and from grip to grip.
+    scatter
+        Factor on the scatter between specimens, and of the slack they are mounted with.
+    """
+
+    layup: str = "polyester"
+    thickness_mm: PositiveFloat = 1e3 * THICKNESS_M
+    width_mm: PositiveFloat = 1e3 * WIDTH_M
+    grips_mm: PositiveFloat = 1e3 * GRIPS_M
+    scatter: NonNegativeFloat = 1.0
+
+
+class TensileBench(Bench):
+    """Force on a strip over the displacement of its grip.
+
+    Stress is ``E w ln(1 + exp((e - slack) / w))`` to the yield stress, with a toe of width w, and rises with a
+    twentieth of E from there; a strip unloads straight, and is longer for good. It breaks at a force, and bears none
+    then. E and yield stress are the source's means (section 3.1); everything else is chosen, see `model`. A condition
+    ``specimen`` names another strip of the same sheet; mounting it anew gives another slack. A person clamps a strip
+    when the grip is back at zero. With `as_modelled` specimens do not scatter and slack is 0.25 %.
+
+    The joint ``pusher`` is driven in metres. Signals: ``force`` (N) and ``position`` of the grip (m).
+    """
+
+    Settings: ClassVar[type[BenchSettings]] = TensileBenchSettings
+    step_s = 0.005
+    scale = _SCALE
+    joints = ("pusher",)
+    sensed = ("force",)
+    signals: Mapping[str, str] = {"force": "N", "position": "m"}
+
+    def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
+        super().__init__(settings, rng)
+        at_grip = [one for one in self._settings.hide if one.site in self.joints]
+        at_cell = [one for one in self._settings.hide if one.site in self.sensed]
+        hidden_grip = hidden_effects(at_grip, joint_model(self.joints), _GRIP_SCALE)
+        hidden_cell = hidden_effects(at_cell, joint_model(self.sensed), _SCALE)
+        self._elsewhere = hidden_grip + hidden_cell
+        self._grip = joint_stepper(self.joints, self.step_s, hidden_grip) if hidden_grip else None
+        self._cell = joint_stepper(self.sensed, self.step_s, hidden_cell) if hidden_cell else None
+        self._told_before, self._force_before = np.zeros(1), np.zeros(1)
+        self._batch = int(rng.integers(2**63))
+        self._inputs_before = np.array([[0.0, 0.0, 0.0, 1.0]])
+        self._put(self._settings.layup, "", 1)
+
+    def arrange(self, condition: Mapping[str, float | str]) -> None:
+        """Mount the strip that the condition names by ``layup`` and ``specimen``; one that is in place stays."""
+        layup = str(condition.get("layup", self._layup))
+        specimen = condition.get("specimen", self._specimen)
+        if (layup, specimen) != (self._layup, self._specimen):
+            self._put(layup, specimen, 1)
+
+    def mount(self, number: int) -> None:
+        """Mount the strip anew: it is as slack as it comes, and whole."""
+        self._put(self._layup, self._specimen, number)
+
+    def tow(self, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:
+        """Move the grip at constant speed from `start_s` on; a slow stage starts and stops within a step."""
+        self._push("pusher", from_m, to_m, speed_m_s, start_s)
+
+    def truth(self) -> dict[str, Any]:
+        """Return the strip, its parameters and slack as they are on the bench, and hidden effects."""
+        names = (one.name for one in self._model.parameters)
+        return {
+            "layup": self._layup,
+            "specimen": self._specimen,
+            "slack": self._slack,
+            "broken": not self._whole,
+            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
+            "parameter_errors": dict(self._settings.parameters),
+            "hidden": [described(effect) for effect in (*self._hidden, *self._elsewhere)],
+        }
+
+    def _put(self, layup: str, specimen: float | str, mounting: int) -> None:
+        if layup not in LAYUPS:
+            raise SpecError(f"this bench has no layup {layup!r}", hint=f"it has {', '.join(LAYUPS)}")
+        keys = self._settings
+        spread = 0.0 if keys.as_modelled else keys.scatter * keys.noise
+        words = [*f"{layup}/{specimen}".encode()]
+        of_strip = np.random.default_rng((self._batch, *words))
+        of_mounting = np.random.default_rng((self._batch, mounting, *words))
+        young, yields, breaks = 1.0 + spread * np.array(_BETWEEN_SPECIMENS) * of_strip.standard_normal(3)
+        cross_section = keys.thickness_mm * keys.width_mm / (1e6 * THICKNESS_M * WIDTH_M)
+        self._breaks_n = breaks * cross_section * LAYUPS[layup].breaks_n
+        self._layup, self._specimen, self._mounting = layup, specimen, mounting
+        self._slack = _NOMINAL_SLACK + min(spread, 1.0) * (
+            of_mounting.uniform(0.0, _MOST_SLACK) - _NOMINAL_SLACK
+        )
+        area_m2 = 1e-6 * keys.thickness_mm * keys.width_mm
+        model = strip_model(
+            young * YOUNG_PA, yields * YIELD_PA, LAYUPS[layup].hardening, area_m2, 1e-3 * keys.grips_mm
+        )
+        self._model = self._with_errors(model)
+        at_strip = [one for one in keys.hide if one.site not in (*self.joints, *self.sensed)]
+        self._hidden = hidden_effects(at_strip, self._model, _SCALE)
+        self._stepper = Stepper(self._model, effects=self._hidden, step_s=self.step_s)
+        self._stepper.state = (float(self._inputs_before[0, 0]),)
+        self._farthest, self._whole, self._clamped = -np.inf, True, False
+
+    def _advance(self, time_s: FloatArray) -> FloatArray:
+        told = self._drives["pusher"].angles(time_s)
+        moved = _through(self._grip, self._told_before, told)
+        held = np.full(len(moved), self._clamped)
+        if not self._clamped:
+            held = np.logical_or.accumulate(moved <= _AT_ZERO_M)
+            self._clamped = bool(held[-1])
+        farthest = np.maximum.accumulate(np.append(self._farthest, np.where(held, moved, -np.inf)))[1:]
+        force = self._pulled(moved, farthest, held * float(self._whole))
+        breaks = np.flatnonzero(force >= self._breaks_n)
+        if self._whole and len(breaks):
+            self._whole = False
+            force[breaks[0] :] = 0.0
+        self._farthest = float(farthest[-1])
+        felt = _through(self._cell, self._force_before, force)
+        self._told_before, self._force_before = told[-1:].copy(), force[-1:].copy()
+        if not self._stepper.finite:
+            raise ExperimentError("the simulated tensile bench blew up", hint="hide a weaker effect, or none")
+        return np.column_stack([felt, moved])
+
+    def _pulled(self, moved: FloatArray, farthest: FloatArray, whole: FloatArray) -> FloatArray:
+        """Return the force while the grip moves."""
+        slack = np.full(len(moved), self._slack)
+        inputs = np.column_stack([moved, slack, np.maximum(farthest, moved), whole])
+        force = self._stepper.advance(np.concatenate([self._inputs_before, inputs]))[:, 0]
+        self._inputs_before = inputs[-1:].copy()
+        return np.array(force)
+
+    def _memory(self) -> dict[str, Any]:
+        return {
+            "strip": [self._layup, self._specimen, self._mounting],
+            "batch": self._batch,
+            "farthest": self._farthest if np.isfinite(self._farthest) else None,
+            "whole": self._whole,
+            "clamped": self._clamped,
+            "told_before": self._told_before.tolist(),
+            "force_before": self._force_before.tolist(),
+            "inputs_before": self._inputs_before.tolist(),
+            "grip": None if self._grip is None else self._grip.snapshot(),
+            "cell": None if self._cell is None else self._cell.snapshot(),
+            "stepper": self._stepper.snapshot(),
+        }
+
+    def _recall(self, memory: Mapping[str, Any]) -> None:
+        self._batch = int(memory["batch"])
+        layup, specimen, mounting = memory["strip"]
+        self._put(layup, specimen, int(mounting))
+        self._farthest = -np.inf if memory["farthest"] is None else float(memory["farthest"])
+        self._whole, self._clamped = bool(memory["whole"]), bool(memory["clamped"])
+        self._told_before = np.array(memory["told_before"])
+        self._force_before = np.array(memory["force_before"])
+        self._inputs_before = np.array(memory["inputs_before"])
+        if self._grip is not None:
+            self._grip.restore(memory["grip"])
+        if self._cell is not None:
+            self._cell.restore(memory["cell"])
+        self._stepper.restore(memory["stepper"])
+
+
+def _through(stepper: Stepper | None, before: FloatArray, values: FloatArray) -> FloatArray:
+    """Return a signal after the effects that hide in it; as it is where none does."""
+    if stepper is None:
+        return values
+    passed: FloatArray = stepper.advance(np.append(before, values)[:, None])[:, 0]
+    return passed
