@@ -10,23 +10,31 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from labrun.app.check import check as check
+    from labrun.app.compare import compare as compare
+    from labrun.app.compare_units import compare_units as compare_units
     from labrun.app.diagnose import diagnose as diagnose
     from labrun.app.doctor import doctor as doctor
     from labrun.app.export import export as export
     from labrun.app.fit import fit as fit
+    from labrun.app.fresh import predict_fresh as predict_fresh
     from labrun.app.next import propose_next as propose_next
     from labrun.app.open import open as open  # noqa: A004 - labrun.open is what people call
+    from labrun.app.plan_trials import plan_trials as plan_trials
     from labrun.app.report import report as report
     from labrun.app.resume import resume as resume
     from labrun.app.run import run as run
 
 _USE_CASES = {
     "check": "check",
+    "compare": "compare",
+    "compare_units": "compare_units",
     "diagnose": "diagnose",
     "doctor": "doctor",
     "export": "export",
     "fit": "fit",
     "open": "open",
+    "plan_trials": "plan_trials",
+    "predict_fresh": "fresh",
     "propose_next": "next",
     "report": "report",
     "resume": "resume",

@@ -1,5 +1,6 @@
 """What all tests share."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -13,6 +14,7 @@ settings.load_profile(os.environ.get("LABRUN_HYPOTHESIS", "same"))
 
 # before numpy is imported: labrun's matrices are small, and BLAS threads on shared cores mostly wait for one another
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+gc.set_threshold(100_000, 20, 20)  # as the command line does: what imports make stays
 
 _BESIDE_THE_CHECKOUT = Path(__file__).parents[2] / "shared" / "data"
 

@@ -145,6 +145,7 @@ def explained():
         gap=Sizes(9.1, 4.2, 0.62, 0.8),
         where=WHERE,
         causes=(Cause(COULOMB, 0.96, {"torque": friction}),),
+        differs=(),
         candidates=(*OTHERS, Candidate(COULOMB, "cause", 0.97, 11.3, {"torque": friction})),
         shrinkage=Shrinkage(0.97, 0.94, 0.99),
         recalibration={

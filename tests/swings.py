@@ -15,6 +15,29 @@ FloatArray = NDArray[np.float64]
 INERTIA, GRAVITY = 1.2e-3, 0.06
 STIFFNESS, DAMPING = 0.0686, 2.886e-4
 """Means of Table 3.2 of the source work; its body is not given, so this one is ours."""
+MODEL = """
+name = "hinge"
+states = ["angle", "rate"]
+[parameters]
+inertia        = { value = 1.2e-3, tolerance = 0.03,   unit = "kg m^2" }
+gravity_torque = { value = 0.06,   tolerance = 0.03,   unit = "N m" }
+stiffness      = { value = 0.068,  tolerance = "free", unit = "N m/rad" }
+damping        = { value = 2.9e-4, tolerance = "free", unit = "N m s/rad" }
+[equations]
+angle = "rate"
+rate  = "(force.hinge - stiffness*angle - damping*rate - gravity_torque*sin(angle)) / inertia"
+[outputs]
+angle = { equation = "angle", unit = "rad" }
+[sites.hinge]
+kind = "joint"
+coordinate = "angle"
+rate = "rate"
+stiffness = "stiffness"
+[initial]
+angle = "free"
+rate = 0.0
+"""
+"""The swinging hinge as a model, its parameters as stated."""
 
 
 def swing(

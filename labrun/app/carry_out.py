@@ -17,11 +17,14 @@ from labrun.report import RunView, experiment_of
 from labrun.runner import (
     Interrupted,
     LimitReached,
+    MotionMaker,
+    Person,
     Planner,
     Progress,
     Recorder,
     Rig,
     Session,
+    UntilRecorder,
     record_planned,
     unsettled,
 )
@@ -53,8 +56,12 @@ def carry_out(
     limit: int | None,
     progress: Progress,
     draw: bool = False,
+    person: Person | None = None,
+    motions: MotionMaker | None = None,
 ) -> RunResult:
     """Measure, name the honest best, pack, draw; trials that are stored already are not run again.
+
+    `motions` are those made for the plan.
 
     Raises
     ------
@@ -70,7 +77,16 @@ def carry_out(
         progress = _BestSoFar(progress, *goal, unit, experiment.trial.repeats.min)
     with folder.lock(), _resumable(folder), _terminate_like_interrupt():
         session = Session(
-            experiment, rig, folder, rig.clock, seed, progress, limit, _recorder(experiment, rig)
+            experiment,
+            rig,
+            folder,
+            rig.clock,
+            seed,
+            progress,
+            limit,
+            _recorder(experiment, rig, folder, seed, progress),
+            person,
+            motions,
         )
         try:
             best = _measure(experiment, rig, session, folder, seed, unit, progress)
@@ -139,10 +155,12 @@ def _measure(
     return honest_best(session, found, objective=name, goal=direction, unit=unit, leaders=experiment.leaders)
 
 
-def _recorder(experiment: Experiment, rig: Rig) -> Recorder:
-    """Return how trials are recorded: with the loops closed where the experiment has any."""
+def _recorder(experiment: Experiment, rig: Rig, folder: RunFolder, seed: int, progress: Progress) -> Recorder:
+    """Return how trials are recorded: with the loops closed, or cycle by cycle until an end, where asked for."""
     if experiment.kind == "track":
         return ClosedLoopRecorder(experiment, rig)
+    if experiment.trial.until is not None:
+        return UntilRecorder(experiment, rig, folder, seed=seed, phase=progress.phase)
     return record_planned
 
 
@@ -258,7 +276,8 @@ def _saved(folder: RunFolder) -> str:
         count = len(folder.outcomes())
     except (OSError, LabrunError):
         return f"what was measured is kept in {folder.path}"
-    return f"{count} trials are kept in {folder.path}"
+    kept = "1 trial is" if count == 1 else f"{count} trials are"
+    return f"{kept} kept in {folder.path}"
 
 
 def _so_far(folder: RunFolder) -> dict[str, Any]:

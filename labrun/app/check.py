@@ -6,7 +6,7 @@ from pathlib import Path
 
 from labrun.control import ClosedLoopRecorder
 from labrun.errors import PlanError, SpecError
-from labrun.runner import ConditionExcess, Plan, Planner, Rig
+from labrun.runner import ConditionExcess, MotionMaker, Plan, Planner, Rig
 from labrun.search import (
     ConstraintError,
     allowed_points,
@@ -15,8 +15,12 @@ from labrun.search import (
     most_trials,
     survey_space,
 )
-from labrun.spec import Condition, Experiment, LoadedExperiment, load_named
+from labrun.spec import Condition, Experiment, LoadedExperiment, condition_key, condition_text, load_named
 from labrun.store import lacking_room
+
+NO_SCENE = "[rig] names no scene: joints follow their commands, sensors read zero and their own noise"
+
+_MOST_LISTED = 6
 
 
 def check(
@@ -57,12 +61,10 @@ def check(
         loaded = experiment
     else:
         loaded = load_named(str(experiment), Path(workspace), overrides)
+    plan = whole_plan(loaded, seed, None)
     if dry_run and loaded.experiment.rig.scene is None:
-        raise SpecError(
-            f"{loaded.path} names no scene, so there is no bench to simulate",
-            hint='add scene = "..." to [rig]; labrun plugins lists the scenes',
-        )
-    return whole_plan(loaded, seed, None)
+        return replace(plan, notes=(*plan.notes, NO_SCENE))
+    return plan
 
 
 def require_room(plan: Plan, results: str | Path) -> None:
@@ -72,10 +74,12 @@ def require_room(plan: Plan, results: str | Path) -> None:
         raise PlanError(problem, hint="make room, or name another disk with --results")
 
 
-def whole_plan(loaded: LoadedExperiment, seed: int, rig: Rig | None) -> Plan:
-    """Return the plan of every trial; `rig` is one that is built already, as a run has it."""
+def whole_plan(
+    loaded: LoadedExperiment, seed: int, rig: Rig | None, motions: MotionMaker | None = None
+) -> Plan:
+    """Return the plan of every trial; `rig` and `motions` are those that a run has, and goes on with."""
     experiment = loaded.experiment
-    planner = Planner(experiment, rig)
+    planner = Planner(experiment, rig, motions)
     try:
         found = _search_plan(experiment, planner) if experiment.kind == "cmaes" else None
         chosen = [] if found is not None else conditions(experiment, seed)
@@ -116,6 +120,14 @@ def _counted(found: Plan, experiment: Experiment, chosen: Sequence[Condition]) -
             *notes,
             f"leaders.count = {leaders} is more than the {len(chosen)} conditions: all of them are measured again",
         )
+    if experiment.damage is not None:
+        notes = (*notes, *_damage_notes(experiment, chosen))
+    by_hand = experiment.by_hand
+    if by_hand is not None:
+        groups = len({condition_key(by_hand.values(condition)) for condition in chosen})
+        count, what = groups * by_hand.mountings, ", ".join(by_hand.names)
+        some = "1 mounting" if count == 1 else f"{count} mountings"
+        notes = (*notes, f"{some} of {what} by hand: how long that takes is not counted")
     return replace(
         found,
         trials=least,
@@ -124,4 +136,34 @@ def _counted(found: Plan, experiment: Experiment, chosen: Sequence[Condition]) -
         time_at_most_s=found.time_at_most_s / found.trials_at_most * most,
         disk_bytes=int(found.disk_bytes / found.trials * least),
         notes=notes,
+    )
+
+
+def _damage_notes(experiment: Experiment, chosen: Sequence[Condition]) -> list[str]:
+    """Return what is to be said of conditions that damage.
+
+    Raises
+    ------
+    PlanError
+        There are some, and the file does not allow it.
+    """
+    table = experiment.damage
+    if table is None or table.when is None:
+        return []
+    damaging = [condition for condition in chosen if table.when(condition)]
+    if damaging and not table.allow_damage:
+        listed = "".join(
+            f"\n  {condition_text(condition, experiment.units)}" for condition in damaging[:_MOST_LISTED]
+        )
+        more = f"\n  and {len(damaging) - _MOST_LISTED} more" if len(damaging) > _MOST_LISTED else ""
+        raise PlanError(
+            f"{len(damaging)} of {len(chosen)} conditions would damage what they are measured on "
+            f"(damage.when: {table.when.text}):{listed}{more}",
+            hint="damage.allow_damage = true lets them run, last of all, once on each specimen; or leave them out",
+        )
+    count = len(damaging)
+    return (
+        [f"{count} conditions damage what they are measured on: they come last, once on each"]
+        if count
+        else []
     )

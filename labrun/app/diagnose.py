@@ -1,7 +1,6 @@
 """A diagnosis: which data, against which model, and where its answer is kept."""
 
 import json
-import os
 import secrets
 import shutil
 import time
@@ -15,9 +14,10 @@ from rich.text import Text
 
 from labrun.app.question import ask, find_data
 from labrun.errors import RequestError, StoreError
-from labrun.fit import Note, silent
-from labrun.gap import Diagnosis, Options, diagnose_dataset, recalibrated_only, require_new
+from labrun.fit import Note, cores, silent
+from labrun.gap import Diagnosis, Options, diagnose_dataset, recalibrated_only, require_new, save_with_law
 from labrun.gap import save_model as write_model
+from labrun.json_numbers import finite
 from labrun.notebook import as_html
 from labrun.report import gap_lines
 from labrun.store import find_run, is_recording, replace_durably, require_writable
@@ -26,6 +26,7 @@ FOLDER = "gap"
 NUMBERS = "diagnosis.json"
 PAGE = "gap.html"
 FIGURE = "gap_figure.png"
+LAW, LAW_MODEL = "rest-law.toml", "rest-model.toml"
 
 
 _NOTEBOOK_WIDTH = 100
@@ -43,6 +44,8 @@ class StoredDiagnosis:
         None if they were not asked for.
     model
         The corrected model; None if it was not asked for.
+    law
+        The effect that was proposed for the rest, with the refitted model beside it; None if there is none.
     """
 
     diagnosis: Diagnosis
@@ -50,6 +53,7 @@ class StoredDiagnosis:
     page: Path | None = None
     figure: Path | None = None
     model: Path | None = None
+    law: Path | None = None
 
     @property
     def warning(self) -> str:
@@ -65,6 +69,8 @@ class StoredDiagnosis:
         files = {"report": self.page or self.numbers}
         if self.model is not None:
             files["saved"] = self.model
+        if self.law is not None:
+            files["law"] = self.law
         return gap_lines(self.diagnosis, width, files)
 
     def to_json(self) -> dict[str, Any]:
@@ -74,6 +80,7 @@ class StoredDiagnosis:
             "report": self.page,
             "figure": self.figure,
             "saved_model": self.model,
+            **({} if self.law is None else {"law": self.law, "law_model": self.law.with_name(LAW_MODEL)}),
         }
         files = {name: None if path is None else str(path) for name, path in named.items()}
         return {**self.diagnosis.to_json(), **files}
@@ -90,6 +97,7 @@ def diagnose(
     seed: int | None = None,
     workers: int | None = None,
     save_model: Path | None = None,
+    explain_rest: bool = False,
     page: bool = True,
     results: str | Path = "results",
     workspace: str | Path = ".",
@@ -111,6 +119,9 @@ def diagnose(
         0 if None, so that the same data give the same numbers.
     save_model
         Where the corrected model goes.
+    explain_rest
+        Whether to propose a law for what the causes leave: an effect in ``rest-law.toml``, and the model refitted with
+        it in ``rest-model.toml``, beside the diagnosis.
     page
         Whether to write the page and its picture.
 
@@ -129,12 +140,20 @@ def diagnose(
     note(f"reading {folder}")
     question = ask(folder, model, further, signals, workspace)
     options = Options(
-        seed=seed or 0, withhold=tuple(withhold), full_guard=full_guard, workers=workers or _cores()
+        seed=seed or 0,
+        withhold=tuple(withhold),
+        full_guard=full_guard,
+        workers=workers or cores(),
+        explain_rest=explain_rest,
     )
     found = diagnose_dataset(question.dataset, question.model, options, note=note, began=began)
     diagnosis = replace(found, source=str(folder))
     note("writing the report" if page else "storing the diagnosis")
     stored = store(diagnosis, folder, results, page=page, source=question.model.source)
+    if diagnosis.rest is not None and diagnosis.rest.terms:
+        law = stored.numbers.with_name(LAW)
+        save_with_law(diagnosis, question.model.source, law, stored.numbers.with_name(LAW_MODEL))
+        stored = replace(stored, law=law)
     if save_model is None:
         return stored
     write_model(diagnosis.to_json(), question.model.source, save_model)
@@ -202,17 +221,15 @@ def store(
     """
     folder = _folder(target, results)
     numbers = folder / NUMBERS
-    partial = numbers.with_name(f".{NUMBERS}.partial")
     try:
         _put_aside(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        numbers_of = _finite(diagnosis.to_json())
+        numbers_of = finite(diagnosis.to_json())
         if source is not None:
             numbers_of["model_source"] = (
                 str(Path(source).resolve()) if Path(source).is_file() else str(source)
             )
-        partial.write_text(json.dumps(numbers_of, indent=2) + "\n", encoding="utf-8")
-        partial.replace(numbers)
+        replace_durably(numbers, (json.dumps(numbers_of, indent=2) + "\n").encode())
         if not page:
             return StoredDiagnosis(diagnosis, numbers)
         # matplotlib
@@ -266,15 +283,6 @@ def _put_aside(folder: Path) -> None:
     folder.rename(folder.with_name(f"{FOLDER}-{number}"))
 
 
-def _finite(value: Any) -> Any:
-    """Return a value with null for every number that JSON has no word for."""
-    if isinstance(value, float):
-        return value if abs(value) < float("inf") else None
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    return [_finite(item) for item in value] if isinstance(value, list) else value
-
-
 def _warning(model: Path, diagnosis: Mapping[str, Any]) -> str:
     if not recalibrated_only(diagnosis):
         return ""
@@ -282,8 +290,3 @@ def _warning(model: Path, diagnosis: Mapping[str, Any]) -> str:
         f"{model} is recalibrated only: the cause is not in the library, and its parameters imitate what is "
         "missing on these data; do not rely on it elsewhere"
     )
-
-
-def _cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

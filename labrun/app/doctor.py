@@ -58,7 +58,7 @@ def doctor(
 def _examine_devices(name: str, workspace: Path, overrides: Sequence[str], emulate: bool) -> Iterator[Remark]:
     loaded = load_named(name, workspace, overrides)
     with behind_the_drivers(
-        loaded.experiment, loaded.path, seed=0, emulate=emulate, progress=SilentProgress()
+        loaded.experiment, seed=0, emulate=emulate, progress=SilentProgress()
     ) as emulated:
         rig = Rig.build(
             loaded.experiment,

@@ -8,7 +8,7 @@ from labrun.errors import RequestError
 from labrun.fit import Dataset, FitPlan, load_dataset
 from labrun.gap import Question
 from labrun.models import Model, load_model
-from labrun.spec import FitTable, GapTable, find_model_file, loads_experiment
+from labrun.spec import FitTable, GapTable, find_model_file, loads_experiment, shipped_experiments
 from labrun.store import all_runs, find_run, imported_channels, is_recording, open_run
 
 
@@ -18,7 +18,8 @@ def find_data(target: str | Path, results: Path) -> Path:
     Parameters
     ----------
     target
-        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder.
+        An experiment's name (its latest run), a run folder, a run.h5, a recording folder, or the name of a recording of
+        this workspace, or of those that ship with labrun (``table-3-2``).
     results
         Where runs are.
 
@@ -28,7 +29,10 @@ def find_data(target: str | Path, results: Path) -> Path:
         There is none; names what is nearest.
     """
     folder = Path(target).expanduser()
-    return folder if is_recording(folder) else find_run(str(target), results)
+    if len(folder.parts) > 1 or is_recording(folder):
+        return folder if is_recording(folder) else find_run(str(target), results)
+    named = (one / "recordings" / folder for one in (Path("experiments"), shipped_experiments()))
+    return next((one for one in named if is_recording(one)), None) or find_run(str(target), results)
 
 
 def find_run_or_latest(target: str | Path | None, results: Path) -> Path:
@@ -115,7 +119,7 @@ def ask(
         There is nothing at `target`, no model is named anywhere, or data do not belong together.
     """
     given = load_model(model) if model is not None else None
-    found, wired = _held_against(target, given, workspace)
+    found, wired = held_against(target, given, workspace)
     wired = {**wired, **(signals or {})}
     dataset = load_dataset(target, found, wired)
     for other in more:
@@ -123,7 +127,14 @@ def ask(
     return Question(dataset, found, wired)
 
 
-def _held_against(target: Path, given: Model | None, workspace: Path) -> tuple[Model, Mapping[str, str]]:
+def held_against(target: Path, given: Model | None, workspace: Path) -> tuple[Model, Mapping[str, str]]:
+    """Return the model that data are held against, and which of their channels are its inputs and outputs.
+
+    Raises
+    ------
+    RequestError
+        None is `given`, and none is named anywhere.
+    """
     table = _gap_table(target)
     if table is not None:
         return given or load_model(
@@ -133,7 +144,8 @@ def _held_against(target: Path, given: Model | None, workspace: Path) -> tuple[M
     found = given or plan.model
     if found is None:
         raise RequestError(
-            f"no model to hold {target} against", hint="name one with --model, or in [gap] of the experiment"
+            f"no model to hold {target} against",
+            hint="name one with --model, in [gap] or [fit] of the experiment, or as model.toml beside a recording",
         )
     return found, plan.signals
 

@@ -1,5 +1,8 @@
 """What a run found, in the terminal or as one HTML file: everything it tells of is read once."""
 
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +16,13 @@ from labrun.report import (
     RecordingFindings,
     ReportSource,
     RunView,
+    StoredFit,
     StoredGap,
     experiment_of,
     findings,
-    stored_fits,
 )
-from labrun.search import Best, read_generations, stored_result, t_interval
-from labrun.store import SPEC, Run, is_recording, open_target
+from labrun.search import Best, read_generations, stored_result
+from labrun.store import SPEC, Run, is_recording, open_target, replace_durably
 
 REPORT = "report.html"
 
@@ -56,7 +59,7 @@ def show(
         Where runs are.
     """
     with open_target(_named(target, results), Path(results)) as run:
-        return findings(run)
+        return findings(read_source(run))
 
 
 def _named(target: str | Path | None, results: str | Path) -> str:
@@ -90,17 +93,22 @@ def write_report(run: Run, output: Path | None = None) -> Path:
     path = output if output is not None else _beside(source)
     from labrun.report.run_page import run_page  # matplotlib
 
-    text = run_page(source)
-    partial = path.with_name(f".{path.name}.partial")
-    try:
+    with _writing(path):  # before anything is computed
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
+    text = run_page(source)
+    with _writing(path):
+        replace_durably(path, text.encode())
+    return path
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         raise StoreError(
             f"{path} cannot be written: {error.strerror}", hint="--output FILE writes elsewhere"
         ) from error
-    return path
 
 
 def read_source(run: Run) -> ReportSource:
@@ -118,17 +126,32 @@ def read_source(run: Run) -> ReportSource:
     ended = any(event["event"] == "finished" for event in run.events)
     # A run is packed when it ends, so a packed file that stands alone, without the journal's last lines, is whole.
     finished = result is not None or ended or run.path.is_file()
-    view = RunView(run, experiment, None)
-    best = result.best if result is not None else confirmed_best(view)
     return ReportSource(
         run=run,
-        view=RunView(run, experiment, best),
+        experiment=experiment,
+        best=result.best if result is not None else confirmed_best(RunView(run, experiment, None)),
         folder=None if alone else folder,
         finished=finished,
+        figure=None if result is None else result.figure,
         fits=[] if alone else stored_fits(folder),
         diagnosis=None if alone else stored_gap(folder),
         generations=[] if alone else read_generations(folder / "search"),
     )
+
+
+def stored_fits(folder: Path) -> list[StoredFit]:
+    """Return every fit in a run's folder, by name."""
+    fits = []
+    for path in sorted((folder / "fit").glob("*.json")):
+        try:
+            numbers = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            fits.append(StoredFit(path, {}, str(error)))
+            continue
+        if isinstance(numbers, dict) and isinstance(numbers.get("parameters"), dict):
+            picture = path.with_suffix(".png")
+            fits.append(StoredFit(path, numbers, picture=picture.read_bytes() if picture.is_file() else None))
+    return fits
 
 
 def stored_gap(folder: Path) -> StoredGap | None:
@@ -159,7 +182,7 @@ def confirmed_best(view: RunView) -> Best | None:
         parameters=winner.condition,
         objective_name=goal[0],
         value=winner.mean,
-        ci95=t_interval(winner.values),
+        ci95=winner.ci95,
         unit=view.unit_of(goal[0]),
         luckiest=float(everything.max() if goal[1] == "maximise" else everything.min()),
         trials=len(winner.values),

@@ -1,11 +1,11 @@
 """Going on with a run that stopped."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from labrun.app.carry_out import carry_out, require_answer
-from labrun.app.run import behind_the_drivers, connected
+from labrun.app.run import behind_the_drivers, connected, who_mounts
 from labrun.blind import concealed, is_sealed, read_seal
 from labrun.errors import LabrunError, RequestError
 from labrun.runner import Progress, RealClock, Rig, SilentProgress, SimulatedClock
@@ -24,6 +24,7 @@ def resume(
     results: str | Path = "results",
     progress: Progress | None = None,
     draw: bool = True,
+    person: Callable[[str], str] | None = None,
 ) -> RunResult:
     """Go on with a run by replay: stored trials are served, missing ones are run, the result is the same.
 
@@ -42,6 +43,8 @@ def resume(
         Who is told how it goes; nobody if None.
     draw
         Whether the finished run gets its picture.
+    person
+        See `labrun.app.run.who_mounts`.
 
     Raises
     ------
@@ -50,11 +53,16 @@ def resume(
     """
     found = find_unfinished(None if run is None else str(run), Path(results))
     with SilentProgress() if progress is None else progress as told:
-        return _go_on(found, told, accept_changed_spec, limit, draw)
+        return _go_on(found, told, accept_changed_spec, limit, draw, person)
 
 
 def _go_on(
-    run: Path, progress: Progress, accept_changed_spec: bool, limit: int | None, draw: bool
+    run: Path,
+    progress: Progress,
+    accept_changed_spec: bool,
+    limit: int | None,
+    draw: bool,
+    person: Callable[[str], str] | None,
 ) -> RunResult:
     folder = RunFolder.open(run)
     result = stored_result(run)
@@ -79,9 +87,10 @@ def _go_on(
     seed, dry_run = int(origin["seed"]), bool(origin["dry_run"])
     clock = SimulatedClock() if dry_run else RealClock()
     emulate = bool(origin.get("emulated", False))
+    mounts = who_mounts(on_bench, simulated=dry_run or emulate, person=person)
     with (
         folder.lock(),
-        behind_the_drivers(on_bench, run, seed=seed, emulate=emulate, progress=progress) as emulated,
+        behind_the_drivers(on_bench, seed=seed, emulate=emulate, progress=progress) as emulated,
     ):
         rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run, emulated=emulated)
         with connected(rig):
@@ -89,7 +98,14 @@ def _go_on(
             if emulated is not None:
                 emulated.keep_logs(run / "emulated")
             return carry_out(
-                loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress, draw=draw
+                loaded.experiment,
+                rig,
+                folder,
+                seed=seed,
+                limit=limit,
+                progress=progress,
+                draw=draw,
+                person=mounts,
             )
 
 

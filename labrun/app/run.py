@@ -1,6 +1,6 @@
 """A new run: planned, connected, carried out."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -8,21 +8,26 @@ from typing import Any
 import numpy as np
 
 from labrun.app.carry_out import carry_out
-from labrun.app.check import require_room, whole_plan
+from labrun.app.check import NO_SCENE, require_room, whole_plan
 from labrun.blind import SEALED, hidden_bench, redacted, write_seal
-from labrun.errors import RequestError, SpecError
+from labrun.devices import NoTerminalError, Terminal
+from labrun.errors import RequestError
 from labrun.runner import (
     EmulatedBench,
+    MotionMaker,
+    Person,
     Progress,
     RealClock,
     Rig,
+    Scripted,
     SilentProgress,
     SimulatedClock,
+    Willing,
     has_emulator,
     ports_of,
 )
 from labrun.search import RunResult
-from labrun.spec import Experiment, LoadedExperiment, load_named
+from labrun.spec import Experiment, LoadedExperiment, load_named, scene_of
 from labrun.store import RunFolder, collect, lock_ports
 
 
@@ -40,6 +45,7 @@ def run(
     results: str | Path = "results",
     workspace: str | Path = ".",
     progress: Progress | None = None,
+    person: Callable[[str], str] | None = None,
 ) -> RunResult:
     """Run an experiment of any kind to its end: trials, honest best, ``run.h5``, picture.
 
@@ -63,6 +69,8 @@ def run(
         Where the experiment is looked for.
     progress
         Who is told how it goes; nobody if None.
+    person
+        Answers what the person at the bench is asked to set by hand, see `who_mounts`.
 
     Raises
     ------
@@ -89,7 +97,39 @@ def run(
             draw=True,
             hide=hide,
             hide_seed=hide_seed,
+            person=person,
         )
+
+
+def who_mounts(experiment: Experiment, *, simulated: bool, person: Callable[[str], str] | None) -> Person:
+    """Return who sets what is set by hand.
+
+    Parameters
+    ----------
+    simulated
+        Whether there is nothing to set: a simulated bench has always done it.
+    person
+        A function that gets each question and returns the answer, "" for yes; the person at the terminal if None.
+
+    Raises
+    ------
+    RequestError
+        Somebody has to be asked, and there is no terminal.
+    """
+    if person is not None:
+        return Scripted(person)
+    if experiment.by_hand is None or simulated:
+        return Willing()
+    terminal = Terminal()
+    try:
+        terminal.require()
+    except NoTerminalError as error:
+        names = ", ".join(experiment.by_hand.names)
+        raise RequestError(
+            f"somebody has to set {names} by hand, and {error}: nobody could be asked",
+            hint="run labrun in a terminal, without redirecting its input, or from Python: labrun.run(..., person=...)",
+        ) from error
+    return terminal
 
 
 def execute(
@@ -104,6 +144,7 @@ def execute(
     draw: bool = False,
     hide: Sequence[str] = (),
     hide_seed: int | None = None,
+    person: Callable[[str], str] | None = None,
 ) -> RunResult:
     """Run an experiment to its end: trials, honest best, run.h5, figure.
 
@@ -126,6 +167,8 @@ def execute(
         run, and told nowhere else. Empty hides nothing and seals nothing.
     hide_seed
         Of what is drawn; drawn itself if None, and stored nowhere.
+    person
+        See `who_mounts`.
 
     Raises
     ------
@@ -141,11 +184,15 @@ def execute(
         seed = bench.seed if seed is None else seed
     if seed is None:
         seed = int(np.random.default_rng().integers(2**32))
+    mounts = who_mounts(on_bench, simulated=dry_run or emulate, person=person)
     clock = SimulatedClock() if dry_run else RealClock()
     progress.phase("checking the plan")
-    with behind_the_drivers(on_bench, loaded.path, seed=seed, emulate=emulate, progress=progress) as emulated:
+    if (dry_run or emulate) and loaded.experiment.rig.scene is None:
+        progress.note(NO_SCENE)
+    with behind_the_drivers(on_bench, seed=seed, emulate=emulate, progress=progress) as emulated:
         rig = Rig.build(on_bench, clock=clock, seed=seed, dry_run=dry_run, emulated=emulated)
-        plan = whole_plan(loaded, seed, rig)
+        motions = MotionMaker(loaded.experiment)
+        plan = whole_plan(loaded, seed, rig, motions)
         plan.require_feasible()
         require_room(plan, results)
         progress.phase("connecting")
@@ -165,7 +212,15 @@ def execute(
                 write_seal(folder.path, seal)
                 progress.note(f"sealed what this run hides: sha256 {seal.sha256[:16]}")
             return carry_out(
-                loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress, draw=draw
+                loaded.experiment,
+                rig,
+                folder,
+                seed=seed,
+                limit=limit,
+                progress=progress,
+                draw=draw,
+                person=mounts,
+                motions=motions,
             )
 
 
@@ -189,7 +244,7 @@ def connected(rig: Rig) -> Iterator[Rig]:
 
 @contextmanager
 def behind_the_drivers(
-    experiment: Experiment, path: Path, *, seed: int, emulate: bool, progress: Progress
+    experiment: Experiment, *, seed: int, emulate: bool, progress: Progress
 ) -> Iterator[EmulatedBench | None]:
     """Run the emulators of an experiment's devices; None where they are not asked for.
 
@@ -197,25 +252,18 @@ def behind_the_drivers(
     ------
     RequestError
         None of the devices has an emulator, so that a dry run would do the same.
-    SpecError
-        The experiment names no bench for them to feel and move.
     """
     if not emulate:
         yield None
         return
     rig = experiment.rig
-    if rig.scene is None:
-        raise SpecError(
-            f"{path} names no scene, so there is no bench for the emulators to move and feel",
-            hint='add scene = "..." to [rig]; labrun plugins lists the scenes',
-        )
     if not any(has_emulator(table.plugin) for table in rig.devices.values()):
         raise RequestError(
             "none of its devices has an emulator",
             hint="--dry-run simulates them; labrun plugins lists the emulators",
         )
     progress.phase("starting the emulators")
-    with EmulatedBench(rig.devices, rig.scene, seed=seed) as bench:
+    with EmulatedBench(rig.devices, scene_of(rig), seed=seed) as bench:
         yield bench
 
 

@@ -1,11 +1,12 @@
 """The application: its commands in the order of a day at the bench."""
 
+import gc
 import os
 from typing import Annotated
 
 import typer
 
-from labrun.cli import bench, data, experiment, fit, gap, report, watch, workspace
+from labrun.cli import bench, compare, data, experiment, fit, gap, report, watch, workspace
 
 app = typer.Typer(
     name="labrun",
@@ -37,7 +38,7 @@ def _options(
     pass
 
 
-for module in (workspace, experiment, watch, fit, gap, report, data, bench):
+for module in (workspace, experiment, watch, fit, compare, gap, report, data, bench):
     module.register(app)
 
 
@@ -45,4 +46,7 @@ def main() -> None:
     """Run the command line."""
     # labrun's matrices are small: BLAS threads would spend ten times the time on waiting for one another
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    gc.set_threshold(
+        100_000, 20, 20
+    )  # what imports make stays: looking for garbage there costs a tenth of a dry run
     app()

@@ -86,18 +86,48 @@ def export(
 
 
 def import_(
-    directory: Annotated[Path, typer.Argument(help="Recording folder: recording.toml beside CSV files.")],
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="Recording folder (recording.toml beside CSV files), to become a run; or a robot's log, to become "
+            "a recording: .mcap, .bag, .db3, .csv, .npz, .h5, .parquet, a rosbag2 or LeRobot folder.",
+        ),
+    ],
+    model: options.RobotModel = None,
+    to: Annotated[
+        Path | None, typer.Option(help="Of a log: the recording to write; recordings/<log> if not given.")
+    ] = None,
+    mapping: options.Mapping = None,
+    unit: options.Unit = None,
+    cut: options.Cut = None,
+    rate: options.Rate = None,
     results: options.Results = options.RESULTS,
     as_json: options.Json = False,
 ) -> None:
-    """Import a recording made elsewhere as a run.
+    """Import a recording made elsewhere as a run, or a robot's log as a recording.
+
+    Columns of a log are matched with the model by name; what is unclear is listed with a proposal, for --map.
 
     Example:  labrun import recordings/ring-down
+
+    Example:  labrun import run.mcap --model arm.xml --to recordings/arm
     """
+    if model is not None:
+        with reported(as_json):
+            from labrun.app.logs import import_log
+
+            made = import_log(
+                source, model, to, mapping=mapping or (), unit=unit, cut_s=options.seconds(cut), rate_hz=rate
+            )
+        if as_json:
+            print_json(made.to_json())
+        else:
+            typer.echo(made.to_text())
+        return
     with reported(as_json):
         from labrun.app.export import import_recording
 
-        run = import_recording(directory, results)
+        run = import_recording(source, results)
     if as_json:
         print_json({"run": run})
     else:

@@ -1,11 +1,13 @@
-"""`labrun gap diagnose`, `save`, `next`, `check`, `reveal`."""
+"""`labrun gap diagnose`, `save`, `export`, `test`, `compare`, `plan` and `next`."""
 
+from collections.abc import Sequence
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from labrun.cli import options
+from labrun.cli import blind, options
 from labrun.cli.output import print_json, reported
 from labrun.cli.status import status
 
@@ -20,6 +22,13 @@ gap = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+
+class Simulator(StrEnum):
+    """What a diagnosis can be exported to."""
+
+    MJCF = "mjcf"
+
+
 Model = Annotated[
     str | None,
     typer.Option(
@@ -31,9 +40,6 @@ More = Annotated[
     list[str] | None,
     typer.Option("--with", metavar="TARGET", help="A further run or recording of the same body; repeatable."),
 ]
-Workers = Annotated[
-    int | None, typer.Option(min=1, help="Processes to compute with; one per core if not given.")
-]
 
 
 def _effect_ids(incomplete: str) -> list[str]:
@@ -42,9 +48,41 @@ def _effect_ids(incomplete: str) -> list[str]:
     return sorted({effect.id for effect in effects() if effect.id.startswith(incomplete)})
 
 
+def _numbers(text: str | None, option: str) -> tuple[float, ...] | None:
+    """Return numbers separated by commas; None where nothing is given."""
+    from labrun.errors import RequestError
+
+    try:
+        return None if text is None else tuple(float(one) for one in text.split(","))
+    except ValueError:
+        raise RequestError(
+            f"{option} {text}: numbers separated by commas were expected", hint=f"{option} 0.1,0.5,2"
+        ) from None
+
+
+def _sizes(given: Sequence[str]) -> dict[str, float]:
+    """Return ``OUTPUT=SIZE`` by output."""
+    from labrun.errors import RequestError
+
+    try:
+        return {name.strip(): float(size) for name, size in (one.split("=") for one in given)}
+    except ValueError:
+        raise RequestError(
+            f"--noise {' '.join(given)}: an output and a number were expected", hint="--noise angle=0.002"
+        ) from None
+
+
 def diagnose(
     target: options.Target,
     model: Model = None,
+    log: Annotated[
+        Path | None,
+        typer.Option(help="A robot's log: TARGET is then its MJCF or URDF file. What `labrun import` reads."),
+    ] = None,
+    mapping: options.Mapping = None,
+    unit: options.Unit = None,
+    cut: options.Cut = None,
+    rate: options.Rate = None,
     more: More = None,
     withhold: Annotated[
         list[str] | None,
@@ -64,12 +102,19 @@ def diagnose(
     save_model: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the corrected model.", dir_okay=False)
     ] = None,
+    explain_rest: Annotated[
+        bool,
+        typer.Option(
+            "--explain-rest",
+            help="Propose a law for what the library lacks, as an effect in TOML; refit with it.",
+        ),
+    ] = False,
     report: Annotated[bool, typer.Option(help="Write the page and its picture.")] = True,
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Of resamples and simulated noise; 0 if not given.")
     ] = None,
-    workers: Workers = None,
+    workers: options.Workers = None,
     results: options.Results = options.RESULTS,
     as_json: options.Json = False,
 ) -> None:
@@ -79,11 +124,22 @@ def diagnose(
 
     Example:  labrun gap diagnose hinge
 
+    Example:  labrun gap diagnose arm.xml --log run.mcap
+
     Example:  labrun gap diagnose recordings/ring-down --model pendulum.toml --save-model corrected.toml
     """
     with reported(as_json, "interrupted; no diagnosis was written"):
         from labrun.app.diagnose import diagnose as diagnose_target
 
+        if log is not None:
+            from labrun.app.logs import import_log
+
+            made = import_log(
+                log, target, mapping=mapping or (), unit=unit, cut_s=options.seconds(cut), rate_hz=rate
+            )
+            target = str(made.folder)
+            if not as_json:
+                typer.echo(made.to_text(), err=True)
         with status() as note:
             stored = diagnose_target(
                 target,
@@ -94,6 +150,7 @@ def diagnose(
                 seed=seed,
                 workers=workers,
                 save_model=save_model,
+                explain_rest=explain_rest,
                 page=report or open_page,
                 results=results,
                 note=note,
@@ -144,6 +201,179 @@ def save(
                 typer.echo(f"labrun: {warning}", err=True)
 
 
+def test(
+    model: Annotated[
+        str, typer.Argument(help="The model, a corrected one for instance (see `labrun gap save`).")
+    ],
+    fresh: Annotated[
+        str,
+        typer.Option(
+            metavar="TARGET",
+            help="The run or recording that it was not fitted to: an experiment's name (its latest run), a run folder "
+            "or run.h5, or a recording folder.",
+            autocompletion=options.complete_experiment,
+        ),
+    ],
+    horizon: Annotated[
+        str | None,
+        typer.Option(
+            metavar="S,S,...",
+            help="How far ahead to predict, s; 0.1,0.5,2 as far as the trials reach if not given.",
+        ),
+    ] = None,
+    beside: Annotated[
+        str | None,
+        typer.Option(metavar="MODEL", help="The model to set beside it; the one it came from if not given."),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of the resamples; 0 if not given.")] = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Say how far a model predicts a recording that nobody fitted, beside the model it came from.
+
+    The error at each horizon and over whole trials, with 95 % intervals by resampling whole trials.
+
+    Example:  labrun gap test corrected.toml --fresh hinge --horizon 0.1,0.5,2
+    """
+    with reported(as_json):
+        from labrun.app.fresh import predict_fresh
+        from labrun.report.fresh import fresh_text
+
+        horizons_s = _numbers(horizon, "--horizon")
+        with status() as note:
+            found = predict_fresh(
+                model, fresh, horizons_s=horizons_s, beside=beside, seed=seed, results=results, note=note
+            )
+        if as_json:
+            print_json(found.to_json())
+        else:
+            typer.echo(fresh_text(found))
+
+
+def compare(
+    first: options.Target,
+    second: Annotated[
+        str,
+        typer.Argument(help="The other one, named likewise.", autocompletion=options.complete_experiment),
+    ],
+    model: Model = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of the starts; 0 if not given.")] = None,
+    workers: options.Workers = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Say which parameter or effect differs between two units, days or gains beyond noise, and which does not.
+
+    Example:  labrun gap compare recordings/arm-3 recordings/arm-7 --model corrected.toml
+    """
+    with reported(as_json):
+        from labrun.app.compare_units import compare_units
+        from labrun.report.units import units_text
+
+        with status() as note:
+            found = compare_units(
+                first, second, model=model, seed=seed, workers=workers, results=results, note=note
+            )
+        if as_json:
+            print_json(found.to_json())
+        else:
+            typer.echo(units_text(found))
+
+
+def plan(
+    model: Annotated[str, typer.Argument(help="The model (TOML file, plugin, package.module:object).")],
+    rig: Annotated[
+        str,
+        typer.Option(
+            metavar="EXPERIMENT",
+            help="Whose rig, gait and limits the trials are to keep: its name, or the path of its TOML file.",
+            autocompletion=options.complete_experiment,
+        ),
+    ],
+    noise: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="OUTPUT=SIZE",
+            help="Standard deviation of one trial's noise, in the output's unit; 1 % of its motion if not given; "
+            "repeatable.",
+        ),
+    ] = None,
+    repeats: Annotated[int, typer.Option(min=1, help="Of each trial.")] = 3,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Experiment file to write; in experiments/ if not given.", dir_okay=False
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Of the conditions looked at; 0 if not given.")
+    ] = None,
+    workers: options.Workers = None,
+    as_json: options.Json = False,
+) -> None:
+    """Propose trials before any data: which effects they would show, from which size on, and which none can.
+
+    Writes an experiment file, inside the rig's limits.
+
+    Example:  labrun gap plan hinge-pendulum --rig hinge --noise angle=0.002
+    """
+    with reported(as_json, "interrupted; no experiment was written"):
+        from labrun.app.plan_trials import plan_trials
+        from labrun.report.trial_plan import plan_text
+
+        with status() as note:
+            found = plan_trials(
+                model,
+                rig,
+                noise=_sizes(noise or ()),
+                repeats=repeats,
+                out=out,
+                seed=seed,
+                workers=workers,
+                note=note,
+            )
+        if as_json:
+            print_json(found.to_json())
+        else:
+            typer.echo(plan_text(found))
+
+
+def export(
+    target: Annotated[
+        str,
+        typer.Argument(
+            metavar="RUN",
+            help="A run or recording that was diagnosed, a diagnosis.json, or a corrected model of MuJoCo.",
+        ),
+    ],
+    _to: Annotated[Simulator, typer.Option("--to", help="Of what kind the file is.")] = Simulator.MJCF,
+    output: Annotated[Path, typer.Option(help="File to write.", dir_okay=False)] = Path("corrected.xml"),
+    ranges: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write intervals for domain randomisation as JSON, with fields of Isaac Lab and mjlab; fits again.",
+            dir_okay=False,
+        ),
+    ] = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Write the corrected robot as a file that a simulator loads, and list what that file cannot express.
+
+    Example:  labrun gap export recordings/arm --to mjcf --output corrected.xml
+    """
+    with reported(as_json, "interrupted; nothing was written"):
+        from labrun.app.simulators import export_robot
+
+        with status() as note:
+            made = export_robot(target, output, ranges=ranges, results=results, note=note)
+        if as_json:
+            print_json(made.to_json())
+        else:
+            typer.echo(made.to_text())
+
+
 def next_(
     target: options.Target,
     model: Model = None,
@@ -183,91 +413,14 @@ def next_(
             typer.echo(proposal.to_text())
 
 
-def check(
-    cases: Annotated[int, typer.Option(min=1, help="How many cases.")] = 60,
-    seed: Annotated[int, typer.Option(min=0, help="Of the cases.")] = 0,
-    only: Annotated[
-        str | None,
-        typer.Option(
-            metavar="KIND",
-            help="Cases of one kind, not the mixture: control, effect, pair, parameter or outside.",
-        ),
-    ] = None,
-    workers: Workers = None,
-    cluster: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Dask scheduler to compute on, e.g. tcp://host:8786."),
-    ] = None,
-    generator: Annotated[
-        Path | None,
-        typer.Option(help="Folder of the code that makes the cases.", file_okay=False, exists=True),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for the cases and their scores.", file_okay=False)
-    ] = None,
-    as_json: options.Json = False,
-) -> None:
-    """Diagnose cases whose hidden effect the diagnosis is not told, then score it.
-
-    The answers are sealed first: their salted hash is printed before anything is diagnosed. Every case is listed.
-
-    Example:  labrun gap check --cases 20 --seed 7
-    """
-    with reported(as_json):
-        from labrun.blind import check as check_cases
-        from labrun.report.diagnosis_check import check_text, write_check_page
-
-        with status() as note:
-            result = check_cases(
-                cases=cases,
-                seed=seed,
-                only=only,
-                workers=workers,
-                cluster=cluster,
-                generator=generator,
-                out=out,
-                note=note,
-            )
-        write_check_page(result)
-        if as_json:
-            print_json(result.to_json())
-        else:
-            typer.echo(check_text(result))
-
-
-def reveal(
-    target: Annotated[
-        str,
-        typer.Argument(
-            metavar="RUN",
-            help="A run that was made with --hide and diagnosed: an experiment's name (its latest run), or the "
-            "run's folder.",
-            autocompletion=options.complete_experiment,
-        ),
-    ],
-    results: options.Results = options.RESULTS,
-    as_json: options.Json = False,
-) -> None:
-    """Open the seal of a dry run that hid an effect, beside what its diagnosis said.
-
-    Example:  labrun gap reveal hinge
-    """
-    with reported(as_json):
-        from labrun.app.reveal import reveal as open_seal
-        from labrun.report.gap_reveal import compared_text
-
-        compared = open_seal(target, results=results)
-        if as_json:
-            print_json(compared.to_json())
-        else:
-            typer.echo(compared_text(compared))
-
-
 def register(app: typer.Typer) -> None:
     """Add this module's commands, under ``labrun gap``."""
     gap.command()(diagnose)
     gap.command()(save)
+    gap.command()(export)
+    gap.command()(test)
+    gap.command()(compare)
+    gap.command()(plan)
     gap.command("next")(next_)
-    gap.command()(check)
-    gap.command()(reveal)
+    blind.register(gap)
     app.add_typer(gap)

@@ -63,6 +63,55 @@ Hide = Annotated[
 HideSeed = Annotated[
     int | None, typer.Option("--hide-seed", min=0, help="Seed of --hide random, for tests.", hidden=True)
 ]
+RobotModel = Annotated[
+    str | None,
+    typer.Option(
+        "--model",
+        help="Of a log: the robot's MJCF or URDF file, or a model that its columns are matched with.",
+    ),
+]
+Mapping = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map",
+        metavar="CHANNEL=COLUMN",
+        help="Of a log: which column a channel or joint is, or none; repeatable.",
+    ),
+]
+Unit = Annotated[
+    str | None,
+    typer.Option("--unit", help="Of a log's angles: rad, deg, ticks or normalised; told from their range."),
+]
+Cut = Annotated[
+    str | None,
+    typer.Option("--cut", metavar="10s", help="Of a log: length of the trials; at rests if not given."),
+]
+Rate = Annotated[
+    float | None, typer.Option("--rate", min=1e-3, help="Of a log without stamps: samples a second.")
+]
+
+
+def seconds(text: str | None) -> float | None:
+    """Return a time such as 10s, 10 s or 10; None for None.
+
+    Raises
+    ------
+    RequestError
+        It is none.
+    """
+    if text is None:
+        return None
+    try:
+        return float(text.strip().removesuffix("s"))
+    except ValueError:
+        from labrun.errors import RequestError
+
+        raise RequestError(f"--cut {text} is no time", hint="--cut 10s") from None
+
+
 Results = Annotated[Path, typer.Option(help="Folder of the runs.", file_okay=False)]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, for scripts.")]
 RESULTS = Path("results")
+Workers = Annotated[
+    int | None, typer.Option(min=1, help="Processes to compute with; one per core if not given.")
+]

@@ -1,7 +1,6 @@
 """What a command prints, and how it ends: 0 done, 1 the experiment failed, 2 the request was wrong, 130 Ctrl-C."""
 
 import json
-import math
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +9,7 @@ from typing import Any
 import typer
 
 from labrun.errors import LabrunError
+from labrun.json_numbers import finite
 
 INTERRUPTED = 130
 """As shells say it: 128 and the number of the signal."""
@@ -44,17 +44,7 @@ def reported(
 
 def print_json(value: Any) -> None:
     """Print one JSON object; a number that does not exist is null, never NaN."""
-    typer.echo(json.dumps(_finite(value), default=str, allow_nan=False))
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return value
+    typer.echo(json.dumps(finite(value), default=str, allow_nan=False))
 
 
 def to_terminal() -> bool:

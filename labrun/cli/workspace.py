@@ -1,5 +1,6 @@
-"""`labrun init`, `labrun list`."""
+"""`labrun init`, `list`, `keys`, `new`."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -7,6 +8,14 @@ import typer
 
 from labrun.cli import options
 from labrun.cli.output import print_json, reported
+
+
+class NewKind(StrEnum):
+    """What a new file can be for."""
+
+    RUN = "run"
+    SWEEP = "sweep"
+    CMAES = "cmaes"
 
 
 def init(
@@ -50,7 +59,59 @@ def list_(results: options.Results = options.RESULTS, as_json: options.Json = Fa
         typer.echo(f"{summary.name:<{width}}  {summary.kind:<6} {runs:>8}  {summary.title}")
 
 
+def keys(
+    path: Annotated[
+        str,
+        typer.Argument(
+            metavar="KEY",
+            help="A key or table such as trial.settle, or a plugin such as dynamixel; without it, the top of the file.",
+        ),
+    ] = "",
+    as_json: options.Json = False,
+) -> None:
+    """Say what a key of an experiment file takes, its default and its unit.
+
+    Example:  labrun keys trial.settle
+    """
+    with reported(as_json):
+        from labrun.spec import keys_at
+
+        found = keys_at(path)
+    if as_json:
+        print_json({"keys": [key.to_json() for key in found]})
+        return
+    from labrun.report import keys_text
+
+    typer.echo(keys_text(found))
+
+
+def new(
+    name: Annotated[str, typer.Argument(help="Of the experiment; the file is experiments/NAME.toml.")],
+    devices: Annotated[
+        str, typer.Option(metavar="PLUGIN,...", help="Drivers of the bench, e.g. dynamixel,ati-netft.")
+    ],
+    kind: Annotated[NewKind, typer.Option(help="What the experiment does.")] = NewKind.SWEEP,
+    as_json: options.Json = False,
+) -> None:
+    """Write a commented experiment file for some devices, which checks and dry-runs at once.
+
+    Example:  labrun new my-arm --devices dynamixel,ati-netft
+    """
+    with reported(as_json):
+        from labrun.spec import new_experiment
+
+        plugins = [plugin.strip() for plugin in devices.split(",") if plugin.strip()]
+        path = new_experiment(name, plugins, kind.value, Path("experiments"))
+    if as_json:
+        print_json({"experiment": path})
+        return
+    typer.echo(f"wrote {path}")
+    typer.echo(f"next:  labrun run {path.stem} --dry-run")
+
+
 def register(app: typer.Typer) -> None:
     """Add this module's commands."""
     app.command()(init)
     app.command("list")(list_)
+    app.command()(keys)
+    app.command()(new)

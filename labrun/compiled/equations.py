@@ -11,6 +11,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from platformdirs import user_cache_dir
+
 from labrun.compiled.native import NativeFunction, Signature
 from labrun.toml import Expression
 
@@ -129,8 +131,6 @@ def cache_directory() -> Path:
 
     Where neither can be written, a temporary directory serves this process alone.
     """
-    from platformdirs import user_cache_dir
-
     chosen = os.environ.get("LABRUN_CACHE_DIR") or user_cache_dir("labrun")
     return _writable(Path(chosen) / "models")
 

@@ -14,15 +14,15 @@ from labrun.report.live import LiveProgress, PlainProgress, render, watch
 from labrun.report.report_source import ReportSource, StoredGap
 from labrun.report.snapshot import BestYet, Snapshot, State, event_text
 from labrun.report.statistics import Drift, drift_of, without_drift
-from labrun.report.stored_fits import StoredFit, stored_fits
-from labrun.report.terminal import plan_text, print_findings, remark_text
+from labrun.report.stored_fits import StoredFit
+from labrun.report.terminal import keys_text, plan_text, print_findings, remark_text
 from labrun.report.text import duration_text, interval_text
 
 __all__ = [
     "BestYet", "Drift", "Findings", "LiveProgress", "PlainProgress", "RecordingFindings", "ReportSource", "RunView",
     "Snapshot", "State", "StoredFit", "StoredGap", "drift_of", "duration_text", "event_text", "experiment_of",
-    "findings", "gap_lines", "interval_text", "plan_text", "print_findings", "remark_text", "render", "stored_fits",
-    "watch", "without_drift",
+    "findings", "gap_lines", "interval_text", "keys_text", "plan_text", "print_findings", "remark_text", "render",
+     "watch", "without_drift",
 ]  # fmt: skip
 
 sys.modules[__name__].__class__ = UseCasePackage

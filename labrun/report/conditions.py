@@ -1,12 +1,11 @@
 """What each condition of a run gave: its trials, and the mean of every objective with its error."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from labrun.arrays import FloatArray
-from labrun.report.data import Point, RunView
+from labrun.report.data import Point, RunView, by_condition
 from labrun.report.page import Table
 from labrun.report.text import (
     counted,
@@ -18,7 +17,7 @@ from labrun.report.text import (
     value_text,
     with_unit,
 )
-from labrun.search import leading_conditions
+from labrun.search import leading_conditions, mean_error
 from labrun.spec import Condition, Experiment, Value, condition_key
 from labrun.store import TrialOutcome
 
@@ -65,6 +64,7 @@ class ConditionResult:
                 "ci95": point.ci95,
                 "standard_error": standard_error(point),
                 "n": len(point.values),
+                **({"at_least": True} if point.at_least else {}),
                 "unit": units.get(name, ""),
             }
             for name, point in self.points.items()
@@ -92,16 +92,17 @@ class _Asked:
     def outcomes(self) -> Sequence[object]:
         return self.point.trials
 
+    @property
+    def mountings(self) -> Sequence[int | None]:
+        return self.point.mountings
+
     def values(self, objective: str) -> FloatArray:  # noqa: ARG002 (a point has one objective)
         return self.point.values
 
 
 def condition_results(view: RunView) -> list[ConditionResult]:
     """Return what every condition gave, in the order of `in_order`."""
-    groups: dict[object, list[TrialOutcome]] = {}
-    for outcome in view.run.outcomes:
-        if outcome.role != "reference":
-            groups.setdefault(condition_key(outcome.condition), []).append(outcome)
+    groups = by_condition(outcome for outcome in view.run.outcomes if outcome.role != "reference")
     means = {
         name: {condition_key(point.condition): point for point in view.points(name)}
         for name in view.experiment.objectives
@@ -138,8 +139,8 @@ def most_promising(view: RunView, results: Sequence[ConditionResult]) -> list[Co
 
 def standard_error(point: Point) -> float | None:
     """Return the standard error of a point's mean from its own trials; None for a single one."""
-    n = len(point.values)
-    return float(point.values.std(ddof=1)) / math.sqrt(n) if n > 1 else None
+    error = None if point.at_least else mean_error(point.values, point.mountings)
+    return None if error is None else error[0]
 
 
 def in_order(experiment: Experiment, conditions: Iterable[Mapping[str, Value]]) -> list[Mapping[str, Value]]:
@@ -293,4 +294,6 @@ def _decimals(results: Iterable[ConditionResult], objective: str) -> int | None:
 
 def _mean(point: Point, decimals: int | None) -> list[str]:
     error = standard_error(point)
+    if point.at_least:
+        return [f"> {decimal_text(point.mean, decimals)}", "", str(len(point.values))]
     return [decimal_text(point.mean, decimals), decimal_text(error, decimals), str(len(point.values))]

@@ -1,6 +1,6 @@
 """A stored run as figures and findings need it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -9,8 +9,10 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import PluginError, SpecError
+from labrun.objectives import make_objective
+from labrun.report.text import condition_text, interval_text, spaced, with_unit
 from labrun.search import Best, t_interval
-from labrun.spec import Experiment, FitTable, Value, condition_key, loads_experiment
+from labrun.spec import CYCLES, Experiment, FitTable, Value, condition_key, loads_experiment
 from labrun.store import Run, TrialOutcome, imported_channels
 
 
@@ -21,6 +23,8 @@ class Point:
     condition: Mapping[str, Value]
     values: FloatArray
     trials: tuple[TrialOutcome, ...]
+    at_least: bool = False
+    """Whether some of the values are bounds from below: trials that went on for as long as they were allowed to."""
 
     @property
     def mean(self) -> float:
@@ -29,8 +33,13 @@ class Point:
 
     @property
     def ci95(self) -> tuple[float, float] | None:
-        """95 % t-interval of the mean; None for a single value."""
-        return t_interval(self.values)
+        """95 % t-interval of the mean; None for a single value, and where some are only bounds."""
+        return None if self.at_least else t_interval(self.values, self.mountings)
+
+    @property
+    def mountings(self) -> tuple[int | None, ...]:
+        """The mounting of each value."""
+        return tuple(trial.mounting for trial in self.trials)
 
 
 @dataclass(frozen=True)
@@ -69,8 +78,6 @@ class RunView:
 
         Empty where the plugin that made the numbers is not installed: they stay readable without their unit.
         """
-        from labrun.objectives import make_objective
-
         table = self.experiment.objectives[objective]
         try:
             return make_objective(objective, table).unit(self.channel_unit(table.channel))
@@ -112,13 +119,24 @@ class RunView:
         return None if scale == length_m == 1.0 else float(scale) / float(length_m)
 
     @property
+    def objective_label(self) -> str:
+        """Axis label of the objective."""
+        return with_unit(str(self.objective), self.unit)
+
+    @property
     def trace_label(self) -> str:
         """Axis label of traces: the objective's quantity over time, or the channel."""
-        channel = self.channel or ""
         if self.trace_factor is not None:
-            return f"{self.objective} ({self.unit})" if self.unit else str(self.objective)
-        name, unit = channel.partition(".")[2].replace("_", " "), self.channel_unit(channel)
-        return f"{name} ({unit})" if unit else name
+            return self.objective_label
+        channel = self.channel or ""
+        return with_unit(spaced(channel.partition(".")[2]), self.channel_unit(channel))
+
+    def with_best(self, text: str, sign: str = "") -> str:
+        """Return a text with the honest best behind it, its interval and where it is; for under a figure's title."""
+        if self.best is None:
+            return text
+        value = interval_text(self.best.value, self.best.ci95, self.best.unit)
+        return f"{text}.  Best{sign}: {self.best.objective_name} {value} at {condition_text(self.best.parameters)}"
 
     def trace(self, outcome: TrialOutcome, channel: str) -> tuple[FloatArray, FloatArray] | None:
         """Return time and values of a channel during a trial's motion; None if it was not recorded.
@@ -136,29 +154,44 @@ class RunView:
         self, objective: str, *, roles: Sequence[str] = ("measure", "fresh", "confirm")
     ) -> list[Point]:
         """Return every distinct condition with its accepted values, in the order of first measurement."""
-        groups: dict[object, list[TrialOutcome]] = {}
-        for outcome in self.run.outcomes:
-            if outcome.status == "done" and outcome.role in roles and objective in outcome.objectives:
-                groups.setdefault(condition_key(outcome.condition), []).append(outcome)
+        counted = (
+            outcome
+            for outcome in self.run.outcomes
+            if outcome.status == "done" and outcome.role in roles and objective in outcome.objectives
+        )
         return [
             Point(
                 trials[0].condition,
                 np.array([trial.objectives[objective] for trial in trials]),
                 tuple(trials),
+                objective == CYCLES and any(trial.censored for trial in trials),
             )
-            for trials in groups.values()
+            for trials in by_condition(counted).values()
         ]
 
-    def trials_at(self, condition: Mapping[str, Value]) -> list[TrialOutcome]:
-        """Return the accepted trials of one condition, all roles but references."""
-        key = condition_key(condition)
-        return [
+    @property
+    def best_trials(self) -> list[TrialOutcome]:
+        """The accepted trials of the honest best, where there is a channel of them to show."""
+        if self.best is None or self.channel is None:
+            return []
+        return self.accepted_trials.get(condition_key(self.best.parameters), [])
+
+    @property
+    def accepted_trials(self) -> dict[object, list[TrialOutcome]]:
+        """The accepted trials of every condition, all roles but references, in the order of first measurement."""
+        return by_condition(
             outcome
             for outcome in self.run.outcomes
-            if outcome.status == "done"
-            and outcome.role != "reference"
-            and condition_key(outcome.condition) == key
-        ]
+            if outcome.status == "done" and outcome.role != "reference"
+        )
+
+
+def by_condition(outcomes: Iterable[TrialOutcome]) -> dict[object, list[TrialOutcome]]:
+    """Return trials by the key of their condition."""
+    groups: dict[object, list[TrialOutcome]] = {}
+    for outcome in outcomes:
+        groups.setdefault(condition_key(outcome.condition), []).append(outcome)
+    return groups
 
 
 def experiment_of(experiment_toml: str, name: str) -> Experiment:

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from labrun.blind import GOOD, STRENGTHS, Checked, Judged, Scores, Share
+from labrun.store import replace_durably
 
 _TO_REACH = {"0.5 to 1": "75 %", "1 to 3": "90 %", "3 and above": "95 %"}
 _LABEL = 25
@@ -25,7 +26,8 @@ def check_text(checked: Checked) -> str:
         f"seal {checked.seal[:16]}... was printed first; every answer is the one that was sealed",
     ]
     wrong = sum(not one.good for one in checked.judged)
-    blocks = [head, list(_naming(scores)), list(_restraint(scores)), list(_numbers(scores, checked.mixed))]
+    blocks = [head, list(_naming(scores)), list(_restraint(scores)), list(_data(scores))]
+    blocks.append(list(_numbers(scores, checked.mixed)))
     if len(checked.programmes) > 1:
         blocks[-1].append(f"different code diagnosed these cases: {', '.join(checked.programmes)}")
     told = f"every case, and the {wrong} that went wrong" if wrong else "every case (none went wrong)"
@@ -53,9 +55,7 @@ def check_page(checked: Checked) -> str:
 def write_check_page(checked: Checked) -> Path:
     """Write the page of a check as ``check.md`` beside its cases; return its path."""
     path = checked.folder / "check.md"
-    partial = path.with_name(path.name + ".part")
-    partial.write_text(check_page(checked), encoding="utf-8")
-    partial.replace(path)
+    replace_durably(path, check_page(checked).encode())
     return path
 
 
@@ -110,6 +110,13 @@ def _restraint(scores: Scores) -> Iterator[str]:
         label = "  claimed wrongly" if outside else "wrongly not in library"
         yield _line(label, _of_diagnosed(scores.wrongly_unknown), "at most 5 %")
         yield _line("more effects than hidden", _of_diagnosed(scores.extra))
+
+
+def _data(scores: Scores) -> Iterator[str]:
+    if scores.by_data:
+        yield "came out as one would wish, by kind of data (the weakest gaps included)"
+    for data, share in scores.by_data.items():
+        yield _line(f"  {data}", _share_text(share))
 
 
 def _of_diagnosed(share: Share) -> str:

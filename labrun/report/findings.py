@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 
 from labrun.report.conditions import ConditionResult, condition_results, most_promising
-from labrun.report.data import RunView, experiment_of
-from labrun.report.statistics import Drift, Repeatability, Settling, as_json, drift, repeatability, settling
-from labrun.report.stored_fits import StoredFit, stored_fits
-from labrun.report.timing import LoopHealth, StreamHealth, loop_health, stream_health
+from labrun.report.data import by_condition
+from labrun.report.report_source import ReportSource
+from labrun.report.statistics import Drift, Repeatability, Settling, as_json, settling
+from labrun.report.stored_fits import StoredFit
+from labrun.report.timing import LoopHealth, StreamHealth
 from labrun.runner import unsettled
-from labrun.search import Best, stored_result
-from labrun.spec import Value, condition_key
-from labrun.store import SPEC, Run, imported_channels
+from labrun.search import Best
+from labrun.spec import Value, condition_text
+from labrun.store import Run, imported_channels, imported_source
 
-_STREAMS_LOOKED_AT = 40
 _MOST_CONDITIONS = 100
 
 
@@ -56,6 +56,8 @@ class Findings:
         What each condition gave; the most promising first where there is a goal, and at most 100 of them.
     conditions_total
         How many conditions there are.
+    damage
+        What trials did to their specimens, a sentence each.
     goal
         Objective and direction, if one has a goal.
     objective_units, condition_units
@@ -80,6 +82,7 @@ class Findings:
     streams: list[StreamHealth]
     streams_of: int
     faults: list[str]
+    damage: tuple[str, ...] = ()
     unsettled: int = 0
     emulated: bool = False
     fits: tuple[StoredFit, ...] = ()
@@ -111,6 +114,7 @@ class Findings:
             "repeatability": as_json(self.repeatability),
             "drift": as_json(self.drift),
             "unsettled": self.unsettled,
+            "damage": list(self.damage),
             "settling": None if self.settling is None else asdict(self.settling),
             "streams": as_json(self.streams),
             "streams_from_trials": self.streams_of,
@@ -125,12 +129,6 @@ def _most(conditions: list[ConditionResult]) -> tuple[ConditionResult, ...]:
     most = conditions[:_MOST_CONDITIONS]
     rest = conditions[_MOST_CONDITIONS:]
     return (*most, *(result for result in rest if result.best))
-
-
-def _evenly(items: list[int], most: int) -> list[int]:
-    if len(items) <= most:
-        return items
-    return [items[k] for k in np.linspace(0, len(items) - 1, most).round().astype(int)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +172,8 @@ class RecordingFindings:
         Of all trials together.
     faults
         What was found damaged on disk.
+    source
+        Where it comes from, as its file says: of a solver its program, version, mesh and load.
     """
 
     run: Path
@@ -185,6 +185,7 @@ class RecordingFindings:
     channels: list[ChannelFindings]
     conditions: list[ConditionFindings]
     faults: list[str]
+    source: Mapping[str, str] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """Return everything, JSON-ready."""
@@ -199,33 +200,19 @@ class RecordingFindings:
             "channels": [asdict(channel) for channel in self.channels],
             "conditions": [asdict(condition) for condition in self.conditions],
             "faults": self.faults,
+            "source": dict(self.source),
         }
 
 
-def is_imported(run: Run) -> bool:
-    """Tell whether a run was recorded elsewhere: it has a ``recording.toml`` in place of an experiment file."""
-    return bool(imported_channels(run.experiment_toml))
-
-
-def recording_findings(run: Run) -> RecordingFindings:
-    """Read what there is in a recording.
-
-    Parameters
-    ----------
-    run
-        For which `is_imported` holds.
-    """
+def _recording_findings(run: Run, channels: Mapping[str, Mapping[str, str]]) -> RecordingFindings:
     rates: dict[str, list[float]] = {"input": [], "output": []}
-    groups: dict[object, list[int]] = {}
-    for number, outcome in enumerate(run.outcomes):
-        groups.setdefault(condition_key(outcome.condition), []).append(number)
+    for outcome in run.outcomes:
         for name, stream in run.signals(outcome.index).items():
             rates.setdefault(name, []).append(stream.rate_hz)
     median_hz = {kind: float(np.median(found)) if found else 0.0 for kind, found in rates.items()}
     origin = Path(run.provenance.get("imported_from", run.path))
     conditions = []
-    for numbers in groups.values():
-        trials = [run.outcomes[number] for number in numbers]
+    for trials in by_condition(run.outcomes).values():
         durations_s = [trial.duration_s for trial in trials]
         done = sum(trial.status == "done" for trial in trials)
         conditions.append(
@@ -240,32 +227,21 @@ def recording_findings(run: Run) -> RecordingFindings:
         duration_s=sum(outcome.duration_s for outcome in run.outcomes),
         channels=[
             ChannelFindings(name, table["kind"], table["unit"], median_hz[table["kind"]])
-            for name, table in imported_channels(run.experiment_toml).items()
+            for name, table in channels.items()
         ],
         conditions=conditions,
         faults=list(run.faults),
+        source=imported_source(run.experiment_toml),
     )
 
 
-def findings(run: Run) -> Findings | RecordingFindings:
-    """Read what a run found, or what a recording holds.
-
-    Parameters
-    ----------
-    run
-        Open for reading; finished or not, measured or imported.
-    """
-    if is_imported(run):
-        return recording_findings(run)
-    experiment = experiment_of(run.experiment_toml, run.name)
-    folder = run.path if run.path.is_dir() else run.path.parent
-    result = stored_result(folder)
-    best = result.best if result is not None else None
-    view = RunView(run, experiment, best)
-    conditions = most_promising(view, condition_results(view))
-    looked_at = _evenly([outcome.index for outcome in run.outcomes], _STREAMS_LOOKED_AT)
+def findings(source: ReportSource) -> Findings | RecordingFindings:
+    """Return what a run found, or what a recording holds."""
+    run, experiment = source.run, source.experiment
+    if channels := imported_channels(run.experiment_toml):  # a recording.toml in place of an experiment file
+        return _recording_findings(run, channels)
+    conditions = most_promising(source, condition_results(source))
     ends = [outcome.started_s + outcome.duration_s for outcome in run.outcomes]
-    reasons = Counter(f"{o.status}: {o.reason}" for o in run.outcomes if o.status != "done")
     trials: dict[str, dict[str, int]] = {}
     for outcome in run.outcomes:
         by_status = trials.setdefault(outcome.role, {})
@@ -277,25 +253,30 @@ def findings(run: Run) -> Findings | RecordingFindings:
         kind=experiment.kind,
         seed=run.provenance.get("seed"),
         dry_run=run.provenance.get("dry_run"),
-        emulated=bool(run.provenance.get("emulated")),
-        finished=result is not None or any(event["event"] == "finished" for event in run.events),
+        emulated=source.emulated,
+        finished=source.finished,
         trials=trials,
-        spoiled=dict(reasons.most_common()),
+        spoiled=dict(Counter(f"{one.status}: {one.reason}" for one in source.spoiled).most_common()),
         bench_time_s=max(ends) - run.outcomes[0].started_s if ends else 0.0,
-        best=best,
-        figure=result.figure if result is not None else None,
-        repeatability=repeatability(view),
-        drift=drift(view),
+        best=source.best if source.finished else None,
+        figure=source.figure,
+        repeatability=source.repeatability,
+        drift=source.drift,
         settling=settling(run.outcomes),
-        streams=stream_health(view, looked_at),
-        streams_of=len(looked_at),
+        streams=source.streams,
+        streams_of=len(source.streams_looked_at),
         faults=list(run.faults),
         unsettled=sum(unsettled(outcome) for outcome in run.outcomes),
-        loop=loop_health(view, looked_at),
-        fits=tuple(stored_fits(folder if (folder / SPEC).is_file() else None)),
+        loop=source.loop,
+        damage=tuple(
+            f"trial {outcome.index}: {outcome.damage} ({condition_text(outcome.condition, experiment.units)})"
+            for outcome in run.outcomes
+            if outcome.damage
+        ),
+        fits=tuple(source.fits),
         conditions=_most(conditions),
         conditions_total=len(conditions),
         goal=experiment.goal,
-        objective_units={name: view.unit_of(name) for name in experiment.objectives},
+        objective_units={name: source.unit_of(name) for name in experiment.objectives},
         condition_units=experiment.units,
     )

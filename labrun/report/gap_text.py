@@ -39,7 +39,7 @@ def gap_lines(diagnosis: Diagnosis, width: int, files: Mapping[str, Path] | None
     width
         Columns of the terminal; no line but a path is longer.
     files
-        What was written, by a word for it; a line each, two at most.
+        What was written, by a word for it; a line each, three at most.
     """
     width = max(width, _NARROWEST)
     room = width - _MARGIN
@@ -48,6 +48,8 @@ def gap_lines(diagnosis: Diagnosis, width: int, files: Mapping[str, Path] | None
         ("gap", _gap(diagnosis, room)),
         ("where", [_cut(line, room) for line in _where(diagnosis)]),
     ]
+    if diagnosis.rest is not None:
+        fixed.append(("rest", _fitted([diagnosis.rest.sentence], room, 3)))
     written = [(label, [str(path)]) for label, path in (files or {}).items()]
     data = [
         _cut(f"{data_words(diagnosis)}; {short_time_text(diagnosis.seconds)}, seed {diagnosis.seed}", room)
@@ -75,6 +77,8 @@ def _gap(diagnosis: Diagnosis, room: int) -> list[str]:
         unseen = "unseen conditions" if diagnosis.conditions > 1 else "the data of the fit"
         ends = f"{percent(share.low)} to {percent(share.high)}"
         lines.append(_cut(f"{percent(share.value)} of it closes on {unseen} (90 % interval {ends})", room))
+    if diagnosis.learnable is not None:
+        lines.append(_cut(diagnosis.learnable.sentence, room))
     return lines
 
 

@@ -18,7 +18,14 @@ from rich.text import Text
 from labrun.arrays import FloatArray
 from labrun.devices import Clock
 from labrun.report.snapshot import Snapshot, State
-from labrun.report.text import condition_text, duration_text, interval_text, quantity_text, value_text
+from labrun.report.text import (
+    condition_text,
+    duration_text,
+    interval_text,
+    quantity_text,
+    value_text,
+    with_unit,
+)
 from labrun.runner import SilentProgress
 from labrun.spec import Condition
 from labrun.store import SeenTrial, Trace, TrialOutcome
@@ -180,7 +187,10 @@ def watch(look: Callable[[], Snapshot], console: Console, clock: Clock, every_s:
 
 def render(snapshot: Snapshot, console: Console) -> RenderableType:
     """Return a snapshot as rich draws it."""
-    lines: list[RenderableType] = [_heading(snapshot), _progress(snapshot), _now(snapshot)]
+    heading = Text.assemble(
+        (snapshot.title or snapshot.experiment, "bold"), (f"\n{snapshot.run}", "dim"), overflow="fold"
+    )
+    lines: list[RenderableType] = [heading, _progress(snapshot), _now(snapshot)]
     if snapshot.reason and snapshot.reason != snapshot.event:
         lines.append(Text(f"  {snapshot.reason}", style=_COLOURS[snapshot.state]))
     if snapshot.resume is not None:
@@ -193,12 +203,6 @@ def render(snapshot: Snapshot, console: Console) -> RenderableType:
     if snapshot.trace is not None:
         lines += _plot(snapshot.trace, console)
     return Group(*lines)
-
-
-def _heading(snapshot: Snapshot) -> Text:
-    return Text.assemble(
-        (snapshot.title or snapshot.experiment, "bold"), (f"\n{snapshot.run}", "dim"), overflow="fold"
-    )
 
 
 def _progress(snapshot: Snapshot) -> RenderableType:
@@ -257,8 +261,7 @@ def _trials(snapshot: Snapshot) -> Table:
     conditions = list(dict.fromkeys(name for trial in newest for name in trial.condition))
     objectives = list(dict.fromkeys(name for trial in newest for name in trial.objectives))
     for name in ("trial", *conditions, *objectives):
-        unit = snapshot.units.get(name, "")
-        table.add_column(f"{name} ({unit})" if unit else name, justify="right")
+        table.add_column(with_unit(name, snapshot.units.get(name, "")), justify="right")
     table.add_column("", overflow="ellipsis", no_wrap=True)
     for trial in newest:
         cells = [value_text(trial.condition[name]) if name in trial.condition else "" for name in conditions]
@@ -276,9 +279,8 @@ def _remark(trial: SeenTrial) -> Text:
 
 
 def _plot(trace: Trace, console: Console) -> list[RenderableType]:
-    unit = f" ({trace.unit})" if trace.unit else ""
     part = "" if trace.whole else ", the end of it"
-    title = Text(f"  {trace.channel}{unit} of trial {trace.index}{part}", style="dim")
+    title = Text(f"  {with_unit(trace.channel, trace.unit)} of trial {trace.index}{part}", style="dim")
     finite = trace.values[np.isfinite(trace.values)]
     if len(finite) == 0:
         return [title]

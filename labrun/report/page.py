@@ -9,7 +9,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from labrun.report import text
@@ -86,7 +85,7 @@ def drawn(draw: Callable[[], Any], name: str, alt: str, *, points: bool = False)
 
 def render(template: str, context: Mapping[str, Any]) -> str:
     """Return a page; the same context gives the same text, byte for byte. Every text in it is escaped."""
-    return _environment().get_template(template).render(context)
+    return str(_environment().get_template(template).render(context))
 
 
 def part(name: str, *values: Any) -> str:
@@ -95,7 +94,9 @@ def part(name: str, *values: Any) -> str:
 
 
 @cache
-def _environment() -> Environment:
+def _environment() -> Any:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # whoever asks for no page does without
+
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES),
         autoescape=True,

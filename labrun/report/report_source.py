@@ -14,9 +14,7 @@ from labrun.report.data import RunView, trial_tare_s
 from labrun.report.statistics import Drift, Repeatability, drift, repeatability
 from labrun.report.stored_fits import StoredFit
 from labrun.report.timing import BenchTime, LoopHealth, StreamHealth, bench_time, loop_health, stream_health
-from labrun.search import Best
-from labrun.spec import Experiment
-from labrun.store import Run, TrialOutcome
+from labrun.store import TrialOutcome
 
 _STREAMS_LOOKED_AT = 40
 
@@ -31,19 +29,17 @@ class StoredGap:
 
 
 @dataclass(frozen=True)
-class ReportSource:
-    """A run with what was computed from it.
+class ReportSource(RunView):
+    """A run with what lies beside it and what was computed from it.
 
     Attributes
     ----------
-    run
-        Open for reading.
-    view
-        The run as figures read it.
     folder
         The run's folder; None for a ``run.h5`` that stands alone.
     finished
         Whether the run came to its end.
+    figure
+        The picture, if the run has made one.
     fits
         What `labrun fit` made of it.
     diagnosis
@@ -52,23 +48,12 @@ class ReportSource:
         Of its search, if it has one.
     """
 
-    run: Run
-    view: RunView
-    folder: Path | None
-    finished: bool
+    folder: Path | None = None
+    finished: bool = False
+    figure: Path | None = None
     fits: Sequence[StoredFit] = ()
     diagnosis: StoredGap | None = None
     generations: Sequence[Mapping[str, Any]] = ()
-
-    @property
-    def experiment(self) -> Experiment:
-        """What the run did."""
-        return self.view.experiment
-
-    @property
-    def best(self) -> Best | None:
-        """The honest best; None without a goal, or before confirming trials."""
-        return self.view.best
 
     @property
     def imported(self) -> bool:
@@ -120,7 +105,7 @@ class ReportSource:
     @cached_property
     def repeatability(self) -> list[Repeatability]:
         """Spread within conditions, by objective."""
-        return repeatability(self.view)
+        return repeatability(self)
 
     def sd_of(self, objective: str) -> float | None:
         """Return the spread of an objective within a condition; None if nothing was repeated."""
@@ -129,7 +114,7 @@ class ReportSource:
     @cached_property
     def drift(self) -> list[Drift]:
         """Drift by reference trials, by objective."""
-        return drift(self.view)
+        return drift(self)
 
     @cached_property
     def streams_looked_at(self) -> list[int]:
@@ -142,12 +127,12 @@ class ReportSource:
     @cached_property
     def streams(self) -> list[StreamHealth]:
         """Rates, jitter and losses, by device."""
-        return stream_health(self.view, self.streams_looked_at)
+        return stream_health(self, self.streams_looked_at)
 
     @cached_property
     def loop(self) -> LoopHealth | None:
         """How a closed loop kept its time; None without one."""
-        return loop_health(self.view, self.streams_looked_at)
+        return loop_health(self, self.streams_looked_at)
 
     @cached_property
     def clock_restarted(self) -> bool:

@@ -9,7 +9,7 @@ from labrun.report.figures import run_figure
 from labrun.report.figures.trust import MOST_PANELS, draw_drift, draw_repeatability, draw_settling
 from labrun.report.page import Drawing, Table, drawn, render
 from labrun.report.report_source import ReportSource
-from labrun.report.statistics import settling
+from labrun.report.statistics import repeatability_columns, settling, standard_deviations
 from labrun.report.stored_fits import as_table, fit_context
 from labrun.report.text import (
     counted,
@@ -67,7 +67,7 @@ def run_context(source: ReportSource) -> dict[str, Any]:
     run = source.run
     sections = {
         "result": _figure(source),
-        "conditions": conditions_context(source.view) if source.accepted else None,
+        "conditions": conditions_context(source) if source.accepted else None,
         "repeatability": _repeatability(source),
         "drift": _drift(source),
         "settling": _settling(source),
@@ -100,7 +100,7 @@ def run_context(source: ReportSource) -> dict[str, Any]:
 
 def _figure(source: ReportSource) -> Drawing | None:
     alt = f"Result of {source.experiment.title}: the numbers it shows stand in the tables below"
-    return drawn(lambda: run_figure(source.view, source.generations), "result", alt)
+    return drawn(lambda: run_figure(source, source.generations), "result", alt)
 
 
 def _best(source: ReportSource) -> Mapping[str, str] | None:
@@ -130,12 +130,11 @@ def _repeatability(source: ReportSource) -> Mapping[str, Any] | None:
     found = source.repeatability
     if not found:
         return {"table": None} if source.experiment.objectives and source.accepted else None
-    main = next((item for item in found if item.objective == source.view.objective), found[0])
+    main = next((item for item in found if item.objective == source.objective), found[0])
     rows = [
         [
             spaced(item.objective),
-            scatter_text(item.sd, item.unit),
-            "" if item.between_sd is None else scatter_text(item.between_sd, item.unit),
+            *("" if sd is None else scatter_text(sd, item.unit) for sd in standard_deviations(item, found)),
             str(item.degrees_of_freedom),
         ]
         for item in found
@@ -143,10 +142,8 @@ def _repeatability(source: ReportSource) -> Mapping[str, Any] | None:
     alt = f"Standard deviation of repeated trials against the mean of {main.objective}, one dot a condition"
     return {
         "told": what_it_resolves(source, main),
-        "figure": drawn(lambda: draw_repeatability(source.view, main), "repeatability", alt),
-        "table": Table(
-            ("objective", "sd within a condition", "sd between conditions", "degrees of freedom"), rows
-        ),
+        "figure": drawn(lambda: draw_repeatability(source, main), "repeatability", alt),
+        "table": Table(("objective", *repeatability_columns(found), "degrees of freedom"), rows),
     }
 
 
@@ -162,7 +159,7 @@ def _drift(source: ReportSource) -> Mapping[str, Any] | None:
     return {
         "too_few": "",
         "told": [drift_sentence(source, item) for item in source.drift],
-        "figure": drawn(lambda: draw_drift(source.view, source.drift), "drift", alt),
+        "figure": drawn(lambda: draw_drift(source, source.drift), "drift", alt),
     }
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from labrun.arrays import FloatArray
 from labrun.errors import RequestError
 from labrun.report.data import Point, RunView, experiment_of
-from labrun.search import pooled_variance
+from labrun.search import scatter
 from labrun.store import Run, TrialOutcome
 
 
@@ -24,9 +24,12 @@ class Repeatability:
     Attributes
     ----------
     sd
-        Standard deviation of single trials of one condition, pooled over all conditions that were repeated.
+        Standard deviation of single trials of one condition (in one mounting), pooled over all that were repeated.
     degrees_of_freedom
         Behind `sd`.
+    mounting_sd, mountings
+        Standard deviation of what a mounting adds of its own, and by how many mountings beyond the first of each
+        condition it is known; None and 0 where nothing was mounted again.
     between_sd
         Standard deviation of the conditions' means; None for a single condition.
     """
@@ -36,6 +39,8 @@ class Repeatability:
     sd: float
     degrees_of_freedom: int
     between_sd: float | None
+    mounting_sd: float | None = None
+    mountings: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,33 +73,54 @@ def repeatability(view: RunView) -> list[Repeatability]:
     found = []
     for name in view.experiment.objectives:
         points = view.points(name)
-        variance = pooled_variance([point.values for point in points])
-        if variance is None:
-            continue
-        freedom = sum(len(point.values) - 1 for point in points)
-        found.append(Repeatability(name, view.unit_of(name), math.sqrt(variance), freedom, _between(points)))
+        found_scatter = scatter((point.values, point.mountings) for point in points)
+        sd, freedom = found_scatter.within, found_scatter.within_freedom
+        between, mountings = found_scatter.between, found_scatter.between_freedom
+        if sd is None and between is not None:  # one trial a mounting: what is of either cannot be told apart
+            sd, freedom, between, mountings = between, mountings, None, 0
+        if sd is not None:
+            unit = view.unit_of(name)
+            found.append(Repeatability(name, unit, sd, freedom, _between(points), between, mountings))
     return found
+
+
+def repeatability_columns(found: Sequence[Repeatability]) -> tuple[str, ...]:
+    """Return the headings of a table of standard deviations: with mountings where any was repeated."""
+    if all(item.mounting_sd is None for item in found):
+        return "sd within a condition", "sd between conditions"
+    return "sd within a mounting", "sd between mountings", "sd between conditions"
+
+
+def standard_deviations(item: Repeatability, found: Sequence[Repeatability]) -> list[float | None]:
+    """Return what stands under `repeatability_columns` for one objective."""
+    if all(other.mounting_sd is None for other in found):
+        return [item.sd, item.between_sd]
+    return [item.sd, item.mounting_sd, item.between_sd]
 
 
 def drift(view: RunView) -> list[Drift]:
     """Return the drift of every objective by least squares over at least three reference trials."""
-    from scipy.stats import t
-
     found = []
-    references = [o for o in view.run.outcomes if o.role == "reference" and o.status == "done"]
     for name in view.experiment.objectives:
-        trials = [outcome for outcome in references if name in outcome.objectives]
-        hours = np.array([outcome.started_s / 3600 for outcome in trials])
-        values = np.array([outcome.objectives[name] for outcome in trials])
-        if len(trials) < 3 or np.ptp(hours) == 0.0:
+        hours, values = reference_values(view, name)
+        if len(hours) < 3 or np.ptp(hours) == 0.0:
             continue
-        centred = hours - hours.mean()
-        slope = float(centred @ values / (centred @ centred))
-        residual = values - values.mean() - slope * centred
-        error = math.sqrt(float(residual @ residual) / (len(trials) - 2) / float(centred @ centred))
-        half = float(t.ppf(0.975, len(trials) - 2)) * error
-        found.append(Drift(name, view.unit_of(name), slope, (slope - half, slope + half), len(trials)))
+        slope, square, half_sd = _line(hours, values)
+        half = half_sd / math.sqrt(square)
+        found.append(Drift(name, view.unit_of(name), slope, (slope - half, slope + half), len(hours)))
     return found
+
+
+def _line(hours: FloatArray, values: FloatArray) -> tuple[float, float, float]:
+    """Return the least-squares slope, the sum of squares of `hours`, and what 95 % of the residuals lie within."""
+    from scipy.stats import t  # slow to import
+
+    centred = hours - hours.mean()
+    square = float(centred @ centred)
+    slope = float(centred @ values) / square
+    residual = values - values.mean() - slope * centred
+    freedom = len(hours) - 2
+    return slope, square, float(t.ppf(0.975, freedom)) * math.sqrt(float(residual @ residual) / freedom)
 
 
 def settling(outcomes: Iterable[TrialOutcome]) -> Settling | None:
@@ -119,7 +145,7 @@ def _between(points: Sequence[Point]) -> float | None:
 
 def reference_values(view: RunView, objective: str) -> tuple[FloatArray, FloatArray]:
     """Return hours since the run's first trial and values of the accepted reference trials, both (n,)."""
-    start_s = view.run.outcomes[0].started_s
+    start_s = view.run.outcomes[0].started_s if view.run.outcomes else 0.0
     trials = [
         outcome
         for outcome in view.run.outcomes
@@ -144,15 +170,9 @@ def line_band(hours: FloatArray, values: FloatArray, at: FloatArray) -> tuple[Fl
     line, half : (m,)
         Working-Hotelling is not used: the band holds at each point, not for the line as a whole.
     """
-    from scipy.stats import t
-
-    centre, n = hours.mean(), len(hours)
-    square = float(((hours - centre) ** 2).sum())
-    slope = float(((hours - centre) * values).sum()) / square
-    residual = values - values.mean() - slope * (hours - centre)
-    sd = math.sqrt(float(residual @ residual) / (n - 2))
-    half = float(t.ppf(0.975, n - 2)) * sd * np.sqrt(1 / n + (at - centre) ** 2 / square)
-    return values.mean() + slope * (at - centre), half
+    slope, square, half_sd = _line(hours, values)
+    away = at - hours.mean()
+    return values.mean() + slope * away, half_sd * np.sqrt(1 / len(hours) + away**2 / square)
 
 
 def spreads(view: RunView, objective: str) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:

@@ -1,6 +1,5 @@
 """Fits that were made of a run, as they stand in its folder ``fit``."""
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,7 +10,6 @@ from labrun.fit import Estimate, rounded
 from labrun.report.page import Drawing, Table
 from labrun.report.text import spaced
 
-FOLDER = "fit"
 _SHOWN_ELSEWHERE = frozenset(
     {
         "parameters", "rmse", "figure", "warnings", "model", "method", "source", "fixed", "findings", "tables",
@@ -34,11 +32,14 @@ class StoredFit:
         As they were written; empty if they cannot be read.
     fault
         Why they cannot be read; empty if they can.
+    picture
+        PNG, if it is still there.
     """
 
     path: Path
     numbers: Mapping[str, Any]
     fault: str = ""
+    picture: bytes | None = None
 
     @property
     def model(self) -> str:
@@ -56,12 +57,6 @@ class StoredFit:
         return self.model + (f", by {self.method}" if self.method not in ("", self.model) else "")
 
     @property
-    def figure(self) -> Path | None:
-        """Its picture, if it is still there."""
-        drawn = self.path.with_suffix(".png")
-        return drawn if drawn.is_file() else None
-
-    @property
     def estimates(self) -> dict[str, Estimate]:
         """Parameters that have a number and an interval."""
         found = {}
@@ -76,22 +71,6 @@ class StoredFit:
     def sentences(self, name: str) -> list[str]:
         """Return its ``findings`` or ``warnings``."""
         return [str(one) for one in as_list(self.numbers.get(name))]
-
-
-def stored_fits(folder: Path | None) -> list[StoredFit]:
-    """Return every fit in a run's folder, by name; none for a ``run.h5`` that stands alone."""
-    if folder is None:
-        return []
-    fits = []
-    for path in sorted((folder / FOLDER).glob("*.json")):
-        try:
-            numbers = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            fits.append(StoredFit(path, {}, str(error)))
-            continue
-        if isinstance(numbers, dict) and isinstance(numbers.get("parameters"), dict):
-            fits.append(StoredFit(path, numbers))
-    return fits
 
 
 def is_number(value: Any) -> bool:
@@ -133,7 +112,7 @@ def fit_context(fit: StoredFit) -> Mapping[str, Any]:
         "parameters": Table(("parameter", "value", "95 % interval", "unit"), rows, words=(0, 3)),
         "tables": [table for entry in as_list(numbers.get("tables")) if (table := _fit_table(entry))],
         "rest": Table(("", ""), rest),
-        "figure": Drawing.of_png(fit.figure.read_bytes(), alt) if fit.figure is not None else None,
+        "figure": None if fit.picture is None else Drawing.of_png(fit.picture, alt),
     }
 
 

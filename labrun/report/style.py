@@ -75,7 +75,7 @@ def new_figure(width_in: float, height_in: float) -> Iterator[Figure]:
     """
     with rc_context(_RC):
         layout = ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.06, wspace=0.03, hspace=0.03)
-        figure = Figure(figsize=(width_in, height_in), layout=layout)
+        figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout=layout)
         FigureCanvasAgg(figure)
         yield figure
 
@@ -104,6 +104,10 @@ def save(figure: Figure, path: Path) -> Path:
 def _written(figure: Figure, kind: str, metadata: dict[str, None]) -> bytes:
     buffer = BytesIO()
     with rc_context(_RC):
+        engine = figure.get_layout_engine()
+        if engine is not None:  # savefig would draw everything once more to lay it out
+            engine.execute(figure)
+            figure.set_layout_engine(None)
         figure.savefig(buffer, dpi=DPI, format=kind, metadata=metadata)
     return buffer.getvalue()
 

@@ -1,5 +1,6 @@
 """Runs, recordings, fits, plans and remarks in a terminal."""
 
+import re
 import shutil
 import textwrap
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ from labrun.devices import Remark
 from labrun.fit import rounded
 from labrun.report.conditions import ConditionResult, standard_error, varying
 from labrun.report.findings import Findings, RecordingFindings
+from labrun.report.statistics import repeatability_columns, standard_deviations
 from labrun.report.stored_fits import StoredFit
 from labrun.report.text import (
     bytes_text,
@@ -32,8 +34,10 @@ from labrun.report.text import (
 from labrun.report.timing import LEAST_JITTER_S, clock_text, loop_words
 from labrun.runner import JointPeak, Plan, percent
 from labrun.search import unsettled_text
+from labrun.spec import Key
 
 _MOST_REASONS = 6
+_LINK = re.compile(r"\[(.*?)\]\(#[^)]*\)")
 _STATUSES = ("done", "rejected", "failed")
 
 
@@ -61,8 +65,11 @@ def _print_run(found: Findings, console: Console) -> None:
     _print_best(found, console)
     print_conditions(found, console)
     console.print(_trials(found))
-    for reason, count in list(found.spoiled.items())[:_MOST_REASONS]:
-        console.print(Text(f"  {count} x {reason}", style="yellow"), highlight=False)
+    spoiled = [f"{count} x {reason}" for reason, count in list(found.spoiled.items())[:_MOST_REASONS]]
+    more = len(found.damage) - _MOST_REASONS
+    damage = [*found.damage[:_MOST_REASONS], *([f"and {more} more; --json has all"] if more > 0 else [])]
+    for text in (*spoiled, *damage):
+        console.print(Text(f"  {text}", style="yellow"), highlight=False)
     if found.repeatability:
         console.print(_repeatability(found))
     if found.drift:
@@ -72,8 +79,8 @@ def _print_run(found: Findings, console: Console) -> None:
         median, longest = (
             short_time_text(one) for one in (found.settling.median_s, found.settling.longest_s)
         )
-        text = f"settling: {reasons}; median {median}, longest {longest}"
-        console.print(Text(text), highlight=False)
+        settled = f"settling: {reasons}; median {median}, longest {longest}"
+        console.print(Text(settled), highlight=False)
     if found.unsettled:
         warning = unsettled_text(found.unsettled, sum(by.get("done", 0) for by in found.trials.values()))
         console.print(Text(f"warning: {warning}", style="bold yellow"), highlight=False)
@@ -96,6 +103,9 @@ def _print_recording(found: RecordingFindings, console: Console) -> None:
     console.print(Text(f"{found.trials} trials, {lasting} of samples"), highlight=False)
     for fault in found.faults:
         console.print(Text(f"damaged: {fault}", style="yellow"))
+    if found.source:
+        told = ", ".join(f"{key} {value}" for key, value in found.source.items() if key != "kind")
+        console.print(Text(f"source: {found.source.get('kind', '')}, {told}"), highlight=False)
     channels = _table("channels", "channel", "kind", "unit", "rate")
     for channel in found.channels:
         channels.add_row(channel.name, channel.kind, channel.unit, f"{channel.rate_hz:.4g} Hz")
@@ -165,12 +175,11 @@ def _trials(found: Findings) -> Table:
 
 
 def _repeatability(found: Findings) -> Table:
-    table = _table("repeatability", "objective", "sd within a condition", "sd between conditions", "freedom")
+    table = _table("repeatability", "objective", *repeatability_columns(found.repeatability), "freedom")
     for item in found.repeatability:
-        between = "" if item.between_sd is None else quantity_text(item.between_sd, item.unit)
-        table.add_row(
-            item.objective, quantity_text(item.sd, item.unit), between, str(item.degrees_of_freedom)
-        )
+        sds = standard_deviations(item, found.repeatability)
+        cells = ["" if sd is None else quantity_text(sd, item.unit) for sd in sds]
+        table.add_row(item.objective, *cells, str(item.degrees_of_freedom))
     return table
 
 
@@ -271,6 +280,8 @@ def _mean(result: ConditionResult, objective: str, decimals: int | None) -> str:
     point = result.points.get(objective)
     if point is None:
         return ""
+    if point.at_least:
+        return f"> {decimal_text(point.mean, decimals)}"
     mean, interval = decimal_text(point.mean, decimals), point.ci95
     return mean if interval is None else f"{mean} ± {decimal_text(interval[1] - point.mean, decimals)}"
 
@@ -373,3 +384,16 @@ def _wrapped(text: str, columns: int, indent: str) -> str:
     return textwrap.fill(
         text, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
+
+
+def keys_text(keys: Sequence[Key], width: int | None = None) -> str:
+    """Return keys of an experiment file, a paragraph each: place, what it takes, default and unit, then its meaning."""
+    columns = shutil.get_terminal_size((120, 24)).columns if width is None else width
+    lines = []
+    for key in keys:
+        default = "" if not key.default else key.default if " " in key.default else f"default {key.default}"
+        facts = [key.takes, default, f"in {key.unit}" if key.unit else ""]
+        lines.append(_wrapped(f"{key.path}: {', '.join(fact for fact in facts if fact)}", columns, "    "))
+        if key.meaning:
+            lines.append(_wrapped(f"    {_LINK.sub(lambda link: link[1], key.meaning)}", columns, "    "))
+    return "\n".join(lines).replace("`", "")

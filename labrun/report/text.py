@@ -19,6 +19,7 @@ VERDICTS: Mapping[CandidateVerdict, str] = {
 }
 HEADLINES = {
     "no-gap": "no gap",
+    "undecided": "gap or noise",
     "parameter": "a parameter",
     "explained": "explained",
     "partly-explained": "explained in part",
@@ -65,6 +66,15 @@ def counted(number: int, word: str) -> str:
 def listed(parts: Sequence[str], last: str = "and") -> str:
     """Return ``a``, ``a and b``, ``a, b and c``."""
     return f"{', '.join(parts[:-1])} {last} {parts[-1]}" if len(parts) > 1 else "".join(parts)
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows of cells as lines whose columns begin under each other."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
 
 
 def capital(text: str) -> str:

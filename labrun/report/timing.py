@@ -1,5 +1,6 @@
 """Where the bench's time went, and how well streams, commands and loops kept theirs."""
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -83,7 +84,7 @@ def bench_time(
     BenchTime or None
         None where the journal does not tell, as of an imported recording.
     """
-    ends = {o.index: float(o.checkpoint["clock_s"]) for o in outcomes if o.checkpoint is not None}
+    ends = {o.index: float(json.loads(o.checkpoint)["clock_s"]) for o in outcomes if o.checkpoint is not None}
     reading = _Reading()
     for event in events:
         _take(event, reading, ends)

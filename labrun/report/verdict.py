@@ -79,26 +79,26 @@ def what_was_run(source: ReportSource) -> str:
 
 def what_came_out(source: ReportSource) -> str:
     """Return what a run without an honest best measured, in a sentence."""
-    view, experiment = source.view, source.experiment
+    experiment = source.experiment
     if not source.accepted:
         return "No trial was accepted, so there is nothing to conclude yet."
     goal = experiment.goal
     if goal is not None:
-        points = view.points(goal[0])
+        points = source.points(goal[0])
         if not points:
             return f"No accepted trial has a value of {goal[0]} yet."
         choose = max if goal[1] == "maximise" else min
         top = choose(points, key=lambda point: point.mean)
         return (
             f"No best can be named yet: the leaders were not measured again. The most promising mean so far is "
-            f"{goal[0]} = {quantity_text(top.mean, view.unit)} ({counted(len(top.values), 'trial')}) at "
+            f"{goal[0]} = {quantity_text(top.mean, source.unit)} ({counted(len(top.values), 'trial')}) at "
             f"{named_condition(top.condition, experiment.units)}; being picked from {len(points)}, it is likely "
             "too good."
         )
     sentences = [text for name in experiment.objectives if (text := _range(source, name))]
     if sentences:
         return " ".join(sentences)
-    channels = sum(len(signals.columns) for signals in view.run.signals(source.accepted[0].index).values())
+    channels = sum(len(signals.columns) for signals in source.run.signals(source.accepted[0].index).values())
     if not channels:
         return "It declares no objective and recorded no channel: there is nothing to draw."
     return f"It declares no objective: what it measured is the signals of {counted(channels, 'channel')}, shown below."
@@ -113,7 +113,7 @@ def checks(source: ReportSource) -> list[Check]:
 
 
 def _noise(source: ReportSource) -> list[Check]:
-    name = source.view.objective
+    name = source.objective
     if name is None:
         return []
     item = next((item for item in source.repeatability if item.objective == name), None)
@@ -138,7 +138,7 @@ def _steadiness(source: ReportSource) -> list[Check]:
     if visible:
         return [Check("drift", "look", f"The reference trials drift in {', '.join(visible)}.")]
     trials = counted(max(item.trials for item in source.drift), "reference trial")
-    item = next((item for item in source.drift if item.objective == source.view.objective), source.drift[0])
+    item = next((item for item in source.drift if item.objective == source.objective), source.drift[0])
     hidden, sd = most_hidden(source, item), source.sd_of(item.objective)
     limit = f"they exclude more than {scatter_text(hidden, item.unit)} over the run"
     if sd and hidden > _HIDDEN * sd:
@@ -201,10 +201,10 @@ def _losses(source: ReportSource) -> list[Check]:
 
 
 def _range(source: ReportSource, objective: str) -> str:
-    points = source.view.points(objective)
+    points = source.points(objective)
     if not points:
         return ""
-    unit, name = source.view.unit_of(objective), spaced(objective)
+    unit, name = source.unit_of(objective), spaced(objective)
     if len(points) == 1:
         value, interval = interval_words(points[0].mean, points[0].ci95, unit)
         certain = (
@@ -284,7 +284,7 @@ def most_hidden(source: ReportSource, item: Drift) -> float:
 
 def what_it_resolves(source: ReportSource, item: Repeatability) -> str:
     """Return how noisy a trial is, and how far apart two conditions must be to differ beyond chance."""
-    means, sds, counts = spreads(source.view, item.objective)
+    means, sds, counts = spreads(source, item.objective)
     repeats = round(float(sorted(counts.tolist())[len(counts) // 2]))
     least = float(t.ppf(0.975, item.degrees_of_freedom)) * item.sd * math.sqrt(2 / repeats)
     text = (

@@ -17,7 +17,7 @@ def _in_an_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize("command", ["diagnose", "next", "check", "reveal"])
+@pytest.mark.parametrize("command", ["diagnose", "test", "compare", "plan", "next", "check", "reveal"])
 def test_every_command_has_json_and_an_example(command):
     shown = typed(command, "--help").stdout
     assert "--json" in shown
@@ -55,6 +55,12 @@ def test_completion_offers_effects():
     from labrun.cli.gap import _effect_ids
 
     assert _effect_ids("coul") == ["coulomb-friction"]
+
+
+def test_a_horizon_that_is_no_number_is_told_with_how_to_write_it():
+    done = typed("test", "hinge-pendulum", "--fresh", "hinge", "--horizon", "0.1;2")
+    assert done.exit_code == 2
+    assert "--horizon 0.1,0.5,2" in done.stderr
 
 
 @pytest.mark.parametrize(

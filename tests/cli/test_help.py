@@ -26,9 +26,9 @@ def _labrun(*arguments: str, cwd=None) -> subprocess.CompletedProcess[str]:
 
 def test_the_commands_are_those_of_the_guide():
     found = " ".join(COMMANDS)
-    assert (
-        found
-        == "check cmaes doctor export fit gap import init list plugins report resume run show sweep track watch"
+    assert found == (
+        "check cmaes compare doctor export fit gap import init keys list new plugins report resume run show sweep "
+        "track watch"
     )
 
 

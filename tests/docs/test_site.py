@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from labrun.spec import Experiment
+from labrun.spec import Experiment, key_reference
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -43,7 +43,7 @@ def test_every_table_of_the_file_is_explained_key_by_key():
     shown = re.findall(r"<!-- keys: ([\w.:]+) -->", page)
     for name in shown:
         table = keys.table(name)
-        model = keys.model_of(name)
+        model = key_reference.model_of(name)
         assert len(table.splitlines()) == 2 + len(model.model_fields), name
     in_prose = {"Range", "Interval", "PluginTable", "SceneTable"}
     tables = {model.__name__ for model in _models_within(Experiment, set())}
@@ -58,14 +58,14 @@ def test_the_page_of_keys_is_what_the_models_make_of_it():
 
 def test_a_key_without_a_word_is_an_error(monkeypatch):
     keys = _keys()
-    monkeypatch.delitem(keys.WORDS["TrialTable"], "cycles")
+    monkeypatch.delitem(key_reference.WORDS["TrialTable"], "cycles")
     with pytest.raises(ValueError, match=r"TrialTable.*cycles"):
         keys.table("TrialTable")
 
 
 def test_a_word_without_its_key_is_an_error(monkeypatch):
     keys = _keys()
-    monkeypatch.setitem(keys.WORDS["TrialTable"], "cycle_count", "gone")
+    monkeypatch.setitem(key_reference.WORDS["TrialTable"], "cycle_count", "gone")
     with pytest.raises(ValueError, match=r"TrialTable.*cycle_count"):
         keys.table("TrialTable")
 

@@ -33,13 +33,12 @@ def command() -> list[str]:
     return [sys.executable, "-m", "labrun"]
 
 
-@pytest.fixture
-def labrun(tmp_path: Path, command: list[str]) -> Labrun:
-    """Run labrun with these arguments in an empty folder."""
+def labrun_in(folder: Path) -> Labrun:
+    """Return what runs labrun with given arguments in a folder."""
 
-    def run(*arguments: str | Path, env: dict[str, str] | None = None, cwd: Path = tmp_path) -> Finished:
+    def run(*arguments: str | Path, env: dict[str, str] | None = None, cwd: Path = folder) -> Finished:
         done = subprocess.run(
-            [*command, *map(str, arguments)],
+            [sys.executable, "-m", "labrun", *map(str, arguments)],
             cwd=cwd,
             env={**os.environ, **(env or {})},
             capture_output=True,
@@ -50,3 +49,16 @@ def labrun(tmp_path: Path, command: list[str]) -> Labrun:
         return Finished(done.returncode, done.stdout, done.stderr)
 
     return run
+
+
+@pytest.fixture
+def labrun(tmp_path: Path) -> Labrun:
+    """Run labrun with these arguments in an empty folder."""
+    return labrun_in(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def labrun_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Labrun, Path]:
+    """Run labrun for all tests of a file, and the folder it does that in."""
+    folder = tmp_path_factory.mktemp("once")
+    return labrun_in(folder), folder

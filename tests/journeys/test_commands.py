@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import time
@@ -38,19 +39,27 @@ def _is_a_promised_result(found: dict, unit: str) -> None:
     assert isinstance(found["best"]["luckiest"], float)
 
 
+@pytest.fixture(scope="module")
+def finished(labrun_once):
+    """A finished run of the hinge: what it told, and the folder it was made in."""
+    labrun, folder = labrun_once
+    done = labrun("run", *HINGE, "--json")
+    assert done.code == 0, done.err
+    return done.json, folder
+
+
 @pytest.fixture
-def hinge(labrun) -> Path:
-    """A finished run of the hinge, in the folder of the test."""
-    done = labrun("run", *HINGE, "--json")
-    assert done.code == 0, done.err
-    return Path(done.json["run"])
+def hinge(finished, tmp_path) -> Path:
+    """A copy of it, in the folder of the test."""
+    told, folder = finished
+    shutil.copytree(folder / "results", tmp_path / "results")
+    return Path(told["run"])
 
 
-def test_a_run_without_a_goal_has_no_best(labrun):
-    done = labrun("run", *HINGE, "--json")
-    assert done.code == 0, done.err
-    assert done.json["trials"] == {"done": 4, "rejected": 0, "failed": 0}
-    assert done.json["best"] is None
+def test_a_run_without_a_goal_has_no_best(finished):
+    told, _ = finished
+    assert told["trials"] == {"done": 4, "rejected": 0, "failed": 0}
+    assert told["best"] is None
 
 
 def test_a_sweep_names_an_honest_best(labrun):

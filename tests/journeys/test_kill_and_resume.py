@@ -10,8 +10,6 @@ import h5py
 import numpy as np
 import pytest
 
-KILLS = 50
-
 SWEEP = (
     "sweep", "fin-params", "--dry-run", "--json",
     "--set", "sweep.axes.b=[0]", "--set", "sweep.axes.a=[30, 45, 60]", "--set", "sweep.axes.f=[0.8, 1.0, 1.2, 1.4]",
@@ -82,8 +80,9 @@ def _kill_again_and_again(
     return kills
 
 
+@pytest.mark.parametrize("most", [10, pytest.param(50, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("arguments", [SWEEP, SEARCH], ids=["sweep", "search"])
-def test_runs_killed_at_fifty_random_instants_end_with_the_same_result(arguments, labrun, command, tmp_path):
+def test_runs_killed_at_random_instants_end_with_the_same_result(arguments, most, labrun, command, tmp_path):
     whole = tmp_path / "whole"
     whole.mkdir()
     expected = labrun(*arguments, "--seed", "7", cwd=whole)
@@ -92,11 +91,11 @@ def test_runs_killed_at_fifty_random_instants_end_with_the_same_result(arguments
 
     rng = np.random.default_rng(11)
     kills = 0
-    while kills < KILLS:
+    while kills < most:
         folder = tmp_path / f"killed-after-{kills}"
         folder.mkdir()
         first, go_on = [*command, *arguments, "--seed", "7"], [*command, "resume"]
-        kills += _kill_again_and_again(first, go_on, folder, KILLS - kills, rng)
+        kills += _kill_again_and_again(first, go_on, folder, most - kills, rng)
         run = _run(folder)
         result = (
             labrun("resume", run, "--json", cwd=folder)

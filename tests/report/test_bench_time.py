@@ -1,5 +1,7 @@
 """Where the bench's time went."""
 
+import json
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,7 +26,7 @@ def told(trials, *, start_s=50.0, between=()):
         outcomes.append(
             TrialOutcome(
                 index, {}, 0, settle=SettleSummary("quiet", settle), tare={"wrench.force_x": 0.0},
-                checkpoint={"clock_s": clock},
+                checkpoint=json.dumps({"clock_s": clock}),
             )
         )  # fmt: skip
         clock += store
@@ -61,7 +63,7 @@ def test_a_trial_that_was_run_again_counts_as_it_was_run_last():
 
 def test_a_trial_that_never_came_to_rest_spent_its_time_settling():
     outcome = TrialOutcome(
-        0, {}, 0, status="rejected", settle=SettleSummary("timeout", 60.0), checkpoint={"clock_s": 63.0}
+        0, {}, 0, status="rejected", settle=SettleSummary("timeout", 60.0), checkpoint='{"clock_s": 63.0}'
     )
     found = bench_time([{"event": "prepare", "index": 0, "clock_s": 0.0}], [outcome], tare_s=1.0)
     assert found is not None

@@ -9,6 +9,7 @@ import pytest
 from memory_run import sweep_view
 from rich.console import Console
 
+from labrun.app.report import read_source
 from labrun.report.conditions import condition_results, in_order, most_promising, varying
 from labrun.report.figures.runs import condition_title
 from labrun.report.findings import findings
@@ -57,7 +58,7 @@ def test_a_value_without_dimension_has_no_unit_over_its_panel():
 
 def test_show_tells_which_controller_has_which_error(tracked):
     with open_run(tracked) as run:
-        found = findings(run)
+        found = findings(read_source(run))
     console = Console(file=io.StringIO(), width=80)
     print_findings(found, console)
     text = console.file.getvalue()
@@ -76,6 +77,6 @@ def test_show_tells_which_controller_has_which_error(tracked):
 
 def test_controllers_stand_in_the_order_of_the_file(tracked):
     with open_run(tracked) as run:
-        shown = [result.condition["controller"] for result in findings(run).conditions]
+        shown = [result.condition["controller"] for result in findings(read_source(run)).conditions]
     listed = ["P-100", "P-109", "P-120", "PI", "FF-P", "FF-PI"]
     assert shown == [name for name in listed if name in shown]

@@ -8,6 +8,7 @@ import tomli_w
 from memory_run import MemoryRun, sweep_view
 from rich.console import Console
 
+from labrun.app.report import read_source
 from labrun.errors import SpecError
 from labrun.report.data import RunView
 from labrun.report.findings import Findings, findings
@@ -103,7 +104,7 @@ def test_a_stored_run_is_read_where_its_plugins_are_not_installed(tmp_path):
         folder.writer(index).finish(
             TrialOutcome(index, {"f": 1.0}, index, objectives={"thrust": 1.0 + index}), None, None
         )
-    found = findings(open_run(folder.path))
+    found = findings(read_source(open_run(folder.path)))
     assert found.repeatability[0].sd == pytest.approx(1.0)
     assert found.repeatability[0].unit == ""
     with pytest.raises(SpecError, match="gone"):

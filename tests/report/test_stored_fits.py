@@ -5,7 +5,8 @@ import json
 import pytest
 from rich.console import Console
 
-from labrun.report.stored_fits import StoredFit, stored_fits
+from labrun.app.report import stored_fits
+from labrun.report.stored_fits import StoredFit
 from labrun.report.terminal import print_fit
 
 
@@ -36,10 +37,6 @@ def test_numbers_without_an_interval_are_not_shown_as_known(tmp_path):
 def test_what_is_not_a_fit_costs_nothing(tmp_path, text):
     write(tmp_path, "odd.json", text)
     assert all(fit.fault for fit in stored_fits(tmp_path))
-
-
-def test_a_run_without_a_folder_has_no_fits():
-    assert stored_fits(None) == []
 
 
 def test_show_prints_estimates_and_what_a_fit_says_of_itself(tmp_path, capsys):

@@ -27,7 +27,7 @@ def test_the_loop_s_time_is_told_from_what_it_recorded(tracked):
 
 def test_show_and_report_tell_the_same_of_it(tracked):
     with open_run(tracked) as stored:
-        found, text = findings(stored), run_page(read_source(stored))
+        found, text = findings(read_source(stored)), run_page(read_source(stored))
     assert found.loop is not None
     assert loop_words(found.loop) in text.replace("\u00a0", " ")
 

@@ -137,7 +137,7 @@ def _draw_panel(axes: Axes, panel: Panel, width_in: float, *, own_legend: bool) 
     if "y" in panel.log:
         axes.set_yscale("log")
         style.plain_numbers(axes.yaxis)
-    if panel.x_range is not None:
+    if panel.x_range is not None and panel.x_range[0] < panel.x_range[1]:
         axes.set_xlim(*panel.x_range)
     if panel.y_range is not None:
         axes.set_ylim(*panel.y_range)

@@ -195,7 +195,8 @@ def draw_how_far(axes: Axes, diagnosis: Diagnosis) -> None:
         ha="left" if _place(axes, gap.floor) < 0.8 else "right",
     )
     axes.set_xlabel(
-        f"gap: rms of measured - simulated beyond the noise (noise of one trial = 1){_scale_note(axes)}",
+        "gap: rms of measured - simulated beyond the noise (noise of one trial = 1)"
+        + (", logarithmic" if axes.get_xscale() == "log" else ""),
         color=INK,
     )
 
@@ -224,10 +225,6 @@ def _place(axes: Axes, value: float) -> float:
 def _clear_of(axes: Axes, width: float, floor: float) -> float:
     """Return where a bar's number begins: at its end, or behind the floor's line where that would cross it."""
     return floor if -0.12 < _place(axes, width) - _place(axes, floor) < 0 else width
-
-
-def _scale_note(axes: Axes) -> str:
-    return ", logarithmic" if axes.get_xscale() == "log" else ""
 
 
 def _with_causes(diagnosis: Diagnosis) -> str:

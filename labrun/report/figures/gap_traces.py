@@ -13,7 +13,7 @@ from labrun.arrays import FloatArray
 from labrun.gap import Diagnosis, MissingForce, Trace
 from labrun.report.figures.gap import AFTER, RECALIBRATED, STATED
 from labrun.report.style import COLOURS, FAINT, INK, new_figure, zero_line
-from labrun.report.text import listed, spaced
+from labrun.report.text import listed, spaced, with_unit
 from labrun.spec import condition_key
 
 _MOST_UNITS = 4
@@ -201,7 +201,7 @@ def _label(name: str, unit: str) -> str:
     shown = spaced(name)
     if len(shown) > _NARROW:
         shown = f"{shown[: _NARROW - 1]}\u2026"
-    return shown if unit in ("1", "") else f"{shown} ({unit})"
+    return with_unit(shown, unit)
 
 
 def _thinned(shown: slice) -> slice:
@@ -258,18 +258,18 @@ def force_figure(missing: MissingForce) -> Figure | None:
         grid = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
         for axes, against in zip(grid, shown, strict=True):
             _scatter(axes, against, missing)
-        grid[0].set_ylabel(_with_unit(f"missing at {missing.site}", missing.unit))
+        grid[0].set_ylabel(with_unit(f"missing at {missing.site}", missing.unit))
     return figure
 
 
 def _drawable(missing: MissingForce) -> list[_Against]:
     coordinate = missing.coordinate_unit
     every = [
-        _Against(_with_unit(f"position of {missing.site}", coordinate), missing.coordinate),
+        _Against(with_unit(f"position of {missing.site}", coordinate), missing.coordinate),
         _Against(
-            _with_unit(f"speed of {missing.site}", f"{coordinate}/s" if coordinate else ""), missing.rate
+            with_unit(f"speed of {missing.site}", f"{coordinate}/s" if coordinate else ""), missing.rate
         ),
-        _Against(_with_unit(f"load on {missing.site}", missing.load_unit), missing.load),
+        _Against(with_unit(f"load on {missing.site}", missing.load_unit), missing.load),
         _Against("time (s)", missing.time_s),
     ]
     return [one for one in every if _matches(one.values, missing.force)]
@@ -312,7 +312,3 @@ def _span(force: FloatArray) -> tuple[float, float]:
     low, high = (float(end) for end in np.percentile(force, _KEPT))
     room = 0.1 * (high - low) or max(0.1 * abs(high), 1e-12)
     return low - room, high + room
-
-
-def _with_unit(text: str, unit: str) -> str:
-    return text if unit in ("1", "") else f"{text} ({unit})"

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from labrun.report.conditions import in_order, varying
 from labrun.report.data import Point, RunView
 from labrun.report.style import COLOURS, SOFT, heading, new_figure, zero_line
-from labrun.report.text import condition_text, interval_text, label, value_text
+from labrun.report.text import label, value_text, with_unit
 from labrun.spec import condition_key
 from labrun.store import TrialOutcome
 
-_TITLE_WIDTH = 48
+_TITLE_WIDTH = 40
 _MOST_CONDITIONS = 12
 _MOST_REPEATS = 8
 _COLUMNS = 3
@@ -62,10 +62,7 @@ def draw_plain_run(view: RunView) -> Figure | None:
 
 def groups_of(view: RunView) -> dict[object, list[TrialOutcome]]:
     """Return the accepted trials of every condition, in the order of `in_order`."""
-    groups: dict[object, list[TrialOutcome]] = {}
-    for outcome in view.run.outcomes:
-        if outcome.status == "done" and outcome.role != "reference":
-            groups.setdefault(condition_key(outcome.condition), []).append(outcome)
+    groups = view.accepted_trials
     ordered = in_order(view.experiment, (trials[0].condition for trials in groups.values()))
     return {key: groups[key] for key in map(condition_key, ordered)}
 
@@ -74,11 +71,7 @@ def _subtitle(view: RunView, groups: dict[object, list[TrialOutcome]], shown: in
     text = f"{len(groups)} conditions, {sum(len(trials) for trials in groups.values())} accepted trials"
     if shown < len(groups):
         text += f" (traces of the first {shown} conditions)"
-    best = view.best
-    if best is None:
-        return text
-    value = interval_text(best.value, best.ci95, best.unit)
-    return f"{text}.  Best: {best.objective_name} {value} at {condition_text(best.parameters)}"
+    return view.with_best(text)
 
 
 def _traces(axes: Axes, view: RunView, trials: Sequence[TrialOutcome], channel: str) -> None:
@@ -88,22 +81,23 @@ def _traces(axes: Axes, view: RunView, trials: Sequence[TrialOutcome], channel: 
         if trace is not None:
             axes.plot(*trace, color=COLOURS[number % len(COLOURS)], linewidth=0.8, alpha=0.75)
     axes.set_title(condition_title(view, trials[0]))
-    count = (
-        f"{len(repeats)} repeats"
-        if len(repeats) == len(trials)
-        else f"{len(repeats)} of {len(trials)} repeats"
-    )
-    axes.text(
-        0.985,
-        0.97,
-        count,
-        transform=axes.transAxes,
-        ha="right",
-        va="top",
-        fontsize=7.5,
-        color="#444444",
-        bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
-    )
+    if len(trials) > 1:
+        count = (
+            f"{len(repeats)} repeats"
+            if len(repeats) == len(trials)
+            else f"{len(repeats)} of {len(trials)} repeats"
+        )
+        axes.text(
+            0.985,
+            0.97,
+            count,
+            transform=axes.transAxes,
+            ha="right",
+            va="top",
+            fontsize=7.5,
+            color="#444444",
+            bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
+        )
     axes.set_xlim(0, max(trial.duration_s for trial in repeats))
     zero_line(axes)
 
@@ -156,6 +150,5 @@ def objective_panel(
         )
         axes.set_xlabel(", ".join(label(name, view.experiment.units) for name in differing))
     axes.set_xlim(-0.6, len(conditions) - 0.4)
-    unit = view.unit_of(objective)
-    axes.set_ylabel(f"{objective} ({unit})" if unit else objective)
+    axes.set_ylabel(with_unit(objective, view.unit_of(objective)))
     zero_line(axes)

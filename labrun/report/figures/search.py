@@ -23,7 +23,6 @@ from labrun.report.style import (
     plain_numbers,
     zero_line,
 )
-from labrun.report.text import condition_text, interval_text
 
 Generation = Mapping[str, Any]
 
@@ -35,10 +34,9 @@ def draw_search(view: RunView, generations: Sequence[Generation]) -> Figure:
     the luckiest trial beside it; the variables, the share of candidates that could run, the step size; the
     recorded traces of the winner.
     """
-    trials = view.trials_at(view.best.parameters) if view.best is not None else []
-    has_traces = bool(trials) and view.channel is not None
-    with new_figure(9.6, 9.0 if has_traces else 6.6) as figure:
-        rows = 3 if has_traces else 2
+    trials = view.best_trials
+    with new_figure(9.6, 9.0 if trials else 6.6) as figure:
+        rows = 3 if trials else 2
         grid = figure.add_gridspec(rows, 6, height_ratios=[1.5, 1.0, 1.0][:rows])
         main = figure.add_subplot(grid[0, :])
         _objective(main, view, generations)
@@ -50,7 +48,7 @@ def draw_search(view: RunView, generations: Sequence[Generation]) -> Figure:
         for axes in lower:
             axes.set_xlabel("generation")
             _restarts(axes, generations)
-        if has_traces and view.channel is not None:
+        if trials and view.channel is not None:
             time_axes = figure.add_subplot(grid[2, :4])
             draw_traces(time_axes, view, trials, view.channel)
             panel_letter(time_axes, "e", f"the winner, {len(trials)} trials over each other")
@@ -66,11 +64,7 @@ def draw_search(view: RunView, generations: Sequence[Generation]) -> Figure:
 def _subtitle(view: RunView, generations: Sequence[Generation]) -> str:
     trials = int(generations[-1]["trials"])
     count = f"{len(generations)} generations, {trials} trials"
-    best = view.best
-    if best is None:
-        return count
-    value = interval_text(best.value, best.ci95, best.unit)
-    return f"{count}.  Best: {best.objective_name} {value} at {condition_text(best.parameters)}"
+    return view.with_best(count)
 
 
 def _objective(axes: Axes, view: RunView, generations: Sequence[Generation]) -> None:
@@ -106,7 +100,7 @@ def _objective(axes: Axes, view: RunView, generations: Sequence[Generation]) -> 
     axes.set_xlim(0.3, last + 0.6 + width)
     axes.set_xticks([tick for tick in axes.get_xticks() if 1 <= tick <= last])
     axes.set_xlabel("generation")
-    axes.set_ylabel(f"{view.objective} ({view.unit})" if view.unit else str(view.objective))
+    axes.set_ylabel(view.objective_label)
     zero_line(axes)
     panel_letter(axes, "a", "objective")
     axes.legend(

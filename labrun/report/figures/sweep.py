@@ -14,7 +14,7 @@ from labrun.arrays import FloatArray
 from labrun.report.data import Point, RunView
 from labrun.report.figures.traces import draw_cycle, draw_traces
 from labrun.report.style import BEST, COLOURS, DIVERGING, SEQUENTIAL, SOFT, heading, new_figure, zero_line
-from labrun.report.text import condition_text, interval_text, label, value_text
+from labrun.report.text import label, value_text
 from labrun.spec import Value
 
 _MOST_GRID_VALUES = 60
@@ -181,11 +181,10 @@ def _draw_maps(view: RunView, points: Sequence[Point], axes: Sequence[Axis], lef
     panels, x, y = _arrange(axes)
     values = panels.values if panels is not None else [None]
     rows, columns = _layout(len(values))
-    trials = view.trials_at(view.best.parameters) if view.best is not None else []
-    has_traces = bool(trials) and view.channel is not None
-    height = 2.35 * rows + (2.5 if has_traces else 0.3) + 0.7
+    trials = view.best_trials
+    height = 2.35 * rows + (2.5 if trials else 0.3) + 0.7
     with new_figure(max(2.55 * columns + 0.9, 8.6), height) as figure:
-        parts: Any = figure.subfigures(2, 1, height_ratios=[2.35 * rows, 2.5]) if has_traces else [figure]
+        parts: Any = figure.subfigures(2, 1, height_ratios=[2.35 * rows, 2.5]) if trials else [figure]
         grid = parts[0].subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
         shared = _Map(view, points, x, y, *map_colours(points))
         mesh = None
@@ -195,11 +194,12 @@ def _draw_maps(view: RunView, points: Sequence[Point], axes: Sequence[Axis], lef
                 continue
             mesh = _panel(panel, shared, panels, number) or mesh
             _edge_labels(panel, shared, number, rows, columns, len(values))
-        objective = f"{view.objective} ({view.unit})" if view.unit else str(view.objective)
         if mesh is not None:
-            bar = parts[0].colorbar(mesh, ax=grid, shrink=0.92, aspect=28, pad=0.015, label=objective)
+            bar = parts[0].colorbar(
+                mesh, ax=grid, shrink=0.92, aspect=28, pad=0.015, label=view.objective_label
+            )
             bar.outline.set_visible(False)
-        if has_traces and view.channel is not None:
+        if trials and view.channel is not None:
             time_axes, cycle_axes = parts[1].subplots(1, 2, width_ratios=[1.7, 1])
             draw_traces(time_axes, view, trials, view.channel)
             time_axes.set_title(f"the best condition, {len(trials)} trials over each other")
@@ -214,11 +214,7 @@ def _draw_maps(view: RunView, points: Sequence[Point], axes: Sequence[Axis], lef
 
 def _subtitle(view: RunView, points: Sequence[Point]) -> str:
     count = f"{len(points)} conditions, {sum(len(point.values) for point in points)} accepted trials"
-    best = view.best
-    if best is None:
-        return count
-    value = interval_text(best.value, best.ci95, best.unit)
-    return f"{count}.  Best (★): {best.objective_name} {value} at {condition_text(best.parameters)}"
+    return view.with_best(count, " (★)")
 
 
 def _arrange(axes: Sequence[Axis]) -> tuple[Axis | None, Axis, Axis]:
@@ -308,13 +304,12 @@ def map_colours(points: Sequence[Point]) -> tuple[str, Normalize]:
 
 
 def _draw_curve(view: RunView, points: Sequence[Point], axes: Sequence[Axis]) -> Figure:
-    trials = view.trials_at(view.best.parameters) if view.best is not None else []
-    has_traces = bool(trials) and view.channel is not None
-    with new_figure(7.6, 5.9 if has_traces else 3.9) as figure:
-        rows: Any = figure.subplots(2 if has_traces else 1, 1, squeeze=False)
+    trials = view.best_trials
+    with new_figure(7.6, 5.9 if trials else 3.9) as figure:
+        rows: Any = figure.subplots(2 if trials else 1, 1, squeeze=False)
         if axes:
             _curve(rows[0][0], view, points, axes[0])
-        if has_traces and view.channel is not None:
+        if trials and view.channel is not None:
             draw_traces(rows[1][0], view, trials, view.channel)
             rows[1][0].set_title(f"the best condition, {len(trials)} trials over each other")
         heading(figure, view.experiment.title, _subtitle(view, points))
@@ -342,7 +337,7 @@ def _curve(axes: Axes, view: RunView, points: Sequence[Point], axis: Axis) -> No
         _mark_best(axes, view, axis.position(view.best.parameters))
     units: Mapping[str, str] = view.experiment.units
     axes.set_xlabel(label(axis.name, units))
-    axes.set_ylabel(f"{view.objective} ({view.unit})" if view.unit else str(view.objective))
+    axes.set_ylabel(view.objective_label)
     axes.set_title("mean and 95 % interval; dots are single trials")
     axis.ticks(axes.xaxis)
     zero_line(axes)

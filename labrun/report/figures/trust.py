@@ -13,7 +13,7 @@ from labrun.arrays import FloatArray
 from labrun.report.data import RunView
 from labrun.report.statistics import Drift, Repeatability, chance_band, line_band, reference_values, spreads
 from labrun.report.style import COLOURS, SOFT, new_figure
-from labrun.report.text import slope_words
+from labrun.report.text import slope_words, with_unit
 from labrun.store import TrialOutcome
 
 MOST_PANELS = 4
@@ -46,7 +46,7 @@ def _panel(axes: Axes, view: RunView, item: Drift) -> None:
     axes.fill_between(at, line - half, line + half, color=colour, alpha=0.15, linewidth=0)
     axes.plot(at, line, color=colour)
     axes.plot(hours, values, "o", color=SOFT, markersize=4, markeredgewidth=0)
-    axes.set_ylabel(f"{item.objective} ({item.unit})" if item.unit else item.objective)
+    axes.set_ylabel(with_unit(item.objective, item.unit))
     axes.set_title(f"slope {slope_words(item.slope_per_h, item.ci95, item.unit)}")
 
 
@@ -96,7 +96,6 @@ def draw_repeatability(view: RunView, item: Repeatability) -> Figure:
     means, sds, counts = spreads(view, item.objective)
     usual = Counter(counts.tolist()).most_common(1)[0][0]
     low, high = chance_band(item.sd, usual)
-    unit = f" ({item.unit})" if item.unit else ""
     with new_figure(7.4, 3.1) as figure:
         axes: Any = figure.subplots(1, 1)
         axes.axhspan(low, high, color=COLOURS[0], alpha=0.10, linewidth=0)
@@ -106,7 +105,7 @@ def draw_repeatability(view: RunView, item: Repeatability) -> Figure:
             means, sds, "o", color=SOFT, markersize=3.4, alpha=0.65, markeredgewidth=0, label="a condition"
         )
         axes.set_ylim(0, 1.08 * max(float(sds.max()), high))
-        axes.set_xlabel(f"mean of {item.objective}{unit}")
-        axes.set_ylabel(f"sd of single trials{unit}")
+        axes.set_xlabel(with_unit(f"mean of {item.objective}", item.unit))
+        axes.set_ylabel(with_unit("sd of single trials", item.unit))
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
     return figure

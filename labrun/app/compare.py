@@ -1,0 +1,194 @@
+"""A prediction as stated, or another run, held against data; nothing is fitted."""
+
+import json
+import math
+import secrets
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from labrun.app.question import find_data, held_against
+from labrun.errors import RequestError
+from labrun.fit import (
+    Comparison,
+    Note,
+    Pair,
+    compared,
+    load_dataset,
+    paired,
+    predicted_numbers,
+    predictions,
+    silent,
+    told_apart,
+)
+from labrun.models import Model, load_model
+from labrun.notebook import as_html
+from labrun.report.comparison import comparison_figure, comparison_json, comparison_text
+from labrun.report.figures.fits import drawn
+from labrun.report.style import save
+from labrun.store import all_runs, is_recording, open_run, require_writable
+
+_NOTEBOOK_WIDTH = 100
+
+
+@dataclass(frozen=True, slots=True)
+class StoredComparison:
+    """A comparison and its files."""
+
+    comparison: Comparison
+    numbers: Path
+    figure: Path
+
+    @property
+    def within(self) -> bool:
+        """Tell whether no point is beyond the tolerance."""
+        return self.comparison.within
+
+    def _repr_html_(self) -> str:
+        return as_html(self.to_text(_NOTEBOOK_WIDTH), self.figure)
+
+    def to_text(self, width: int | None = None) -> str:
+        """Return what ``labrun compare`` prints; the terminal's width if none is given."""
+        width = shutil.get_terminal_size((100, 24)).columns if width is None else width
+        return f"{comparison_text(self.comparison, width)}\n\n  figure: {self.figure}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``labrun compare --json`` prints."""
+        files = {"stored": str(self.numbers), "figure": str(self.figure)}
+        return {**comparison_json(self.comparison), **files}
+
+
+def compare(
+    target: str | Path,
+    other: str | Path | None = None,
+    *,
+    model: str | Path | None = None,
+    tolerance: str | float | None = None,
+    signals: Mapping[str, str] | None = None,
+    results: str | Path = "results",
+    workspace: str | Path = ".",
+    note: Note = silent,
+) -> StoredComparison:
+    """Hold a model as it is stated, or another run or recording, against data; keep the answer.
+
+    Parameters
+    ----------
+    target
+        The data: an experiment's name (its latest run), a run folder, a run.h5, or a recording folder.
+    other
+        What is held against them, named likewise; else a model is. The same experiment's name again is the run before
+        its latest.
+    model
+        A model file, plugin or shipped name. Else what the experiment's ``[gap]`` or ``[fit]`` names; else the
+        model.toml beside the recording.
+    tolerance
+        Greatest relative error that is accepted, as 0.15 or "15%".
+    signals
+        Which recorded channel is which input or output of the model; adds to the experiment's own.
+    results
+        Where runs are. The comparison of a run is kept in its folder, under ``compare/``; that of a recording in
+        ``<results>/<recording>/compare-<time>/``.
+
+    Raises
+    ------
+    RequestError
+        No such data or model; nothing that both have; a tolerance that is none.
+    FitError
+        The model leaves the finite numbers.
+    """
+    results, workspace = Path(results), Path(workspace)
+    accepted = _share(tolerance)
+    if other is not None and model is not None:
+        raise RequestError(
+            f"{other} and the model {model} cannot both be held against {target}",
+            hint="leave one of them out",
+        )
+    folder = find_data(target, results)
+    against = None if other is None else find_data(other, results)
+    if against is not None and against.resolve() == folder.resolve():
+        against = _run_before(folder, target, other)
+    kept = _output_folder(folder, results)
+    require_writable(kept, "the comparison")
+    note(f"reading {folder}")
+    if against is None:
+        given = None if model is None else load_model(model)
+        found, wired = held_against(folder, given, workspace)
+        comparison = _beside_model(folder, found, {**wired, **(signals or {})})
+    else:
+        with open_run(folder) as data, open_run(against) as held:
+            pairs, notes = paired(data, held)
+            comparison = _made(*told_apart(data, held), pairs, notes)
+    comparison = replace(comparison, tolerance=accepted)
+    note("drawing")
+    kept.mkdir(parents=True, exist_ok=True)
+    stem = "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in comparison.prediction)
+    figure = save(drawn(comparison_figure(comparison)), kept / f"{stem}.png")
+    numbers = kept / f"{stem}.json"
+    sources = {"source": str(folder), "against": str(model or against or found.source)}
+    record = json.dumps({**comparison_json(comparison), **sources}, indent=2)
+    numbers.write_text(record + "\n", encoding="utf-8")
+    return StoredComparison(comparison, numbers, figure)
+
+
+def _beside_model(folder: Path, model: Model, signals: Mapping[str, str]) -> Comparison:
+    if not is_recording(folder):
+        with open_run(folder) as data:
+            numbers = predicted_numbers(data, model)
+            if numbers is not None:
+                return _made(data.name, _other_than(data.name, model.name), numbers, ())
+    dataset = load_dataset(folder, model, signals)
+    pairs, notes = predictions(model, dataset)
+    return _made(dataset.name, _other_than(dataset.name, model.name), pairs, (*dataset.notes, *notes))
+
+
+def _run_before(folder: Path, target: str | Path, other: str | Path | None) -> Path:
+    """Return the run before that which an experiment's name, given twice, stands for."""
+    named = str(target) == str(other) == folder.parent.name and not is_recording(folder)
+    runs = [run for run in all_runs(folder.parent.parent) if run.parent == folder.parent] if named else []
+    earlier = runs[: runs.index(folder)] if folder in runs else []
+    if not earlier:
+        raise RequestError(
+            f"{target} and {other} are the same data, {folder}",
+            hint="an experiment's name, given twice, compares its latest run with the one before",
+        )
+    return earlier[-1]
+
+
+def _other_than(data: str, model: str) -> str:
+    """Return the name of a model, told apart from data of the same name."""
+    return f"the model {model}" if model == data else model
+
+
+def _made(data: str, prediction: str, pairs: Sequence[Pair], notes: tuple[str, ...]) -> Comparison:
+    channel = pairs[0].channel
+    trials = sum(pair.trials for pair in pairs if pair.channel == channel)
+    return Comparison(data, prediction, tuple(pairs), compared(pairs), trials, notes=notes)
+
+
+def _share(tolerance: str | float | None) -> float | None:
+    """Return a tolerance as a share of one."""
+    if tolerance is None:
+        return None
+    text = str(tolerance).strip()
+    try:
+        share = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
+    except ValueError:
+        share = math.nan
+    if not 0.0 < share < math.inf:
+        raise RequestError(f"{text!r} is no tolerance", hint="write a share of what is measured, such as 15%")
+    if share > 1.0 and not text.endswith("%"):
+        raise RequestError(
+            f"a tolerance of {text} is {100 * share:g} %",
+            hint=f"write {text}% if you mean per cent, {100 * share:g}% if you mean that",
+        )
+    return share
+
+
+def _output_folder(target: Path, results: Path) -> Path:
+    if not is_recording(target):
+        return (target.parent if target.is_file() else target) / "compare"
+    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+    return results / target.resolve().name / f"compare-{stamp}-{secrets.token_hex(2)}"

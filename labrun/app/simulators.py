@@ -1,0 +1,160 @@
+"""A diagnosis for other simulators: the corrected MJCF, and ranges for domain randomisation."""
+
+import json
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from labrun.app.diagnose import NUMBERS, read_stored
+from labrun.app.fit import fit
+from labrun.errors import RequestError
+from labrun.fit import Note, silent
+from labrun.gap import require_new
+from labrun.gap import save_model as write_model
+from labrun.models import Exported, MjcfRange, load_model, mjcf_of, mjcf_ranges
+from labrun.store import find_run, is_recording, replace_durably
+
+_ISAAC = {
+    "dof_damping": ("randomize_actuator_gains", "damping_distribution_params", "joint_names"),
+    "actuator_gainprm": ("randomize_actuator_gains", "stiffness_distribution_params", "joint_names"),
+    "dof_frictionloss": ("randomize_joint_parameters", "friction_distribution_params", "joint_names"),
+    "dof_armature": ("randomize_joint_parameters", "armature_distribution_params", "joint_names"),
+    "body_mass": ("randomize_rigid_body_mass", "mass_distribution_params", "body_names"),
+}
+"""Isaac Lab's events (isaaclab.envs.mdp), the parameter that takes the range, and what says of whom."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedRobot:
+    """What was written for other simulators.
+
+    Attributes
+    ----------
+    file
+    exported
+        What of the correction is in it, and what is not.
+    ranges
+        The file of ranges; None if it was not asked for.
+    """
+
+    file: Path
+    exported: Exported
+    ranges: Path | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields by name."""
+        return {
+            "mjcf": str(self.file), "written": list(self.exported.written), "left_out": list(self.exported.left),
+            "ranges": None if self.ranges is None else str(self.ranges),
+        }  # fmt: skip
+
+    def to_text(self) -> str:
+        """Return what a person wants to know of it."""
+        lines = [f"wrote {self.file}", *(f"  {one}" for one in self.exported.written)]
+        if self.exported.left:
+            lines += ["not in it:", *(f"  {one}" for one in self.exported.left)]
+        return "\n".join([*lines, *([f"wrote {self.ranges}"] if self.ranges is not None else [])])
+
+
+def export_robot(
+    target: str | Path,
+    file: Path,
+    *,
+    ranges: Path | None = None,
+    results: str | Path = "results",
+    note: Note = silent,
+) -> ExportedRobot:
+    """Write the corrected robot of a diagnosis as MJCF, and intervals of its parameters.
+
+    Parameters
+    ----------
+    target
+        A run or recording that was diagnosed, a ``diagnosis.json``, or a corrected model.
+    file
+        The MJCF file to write.
+    ranges
+        A JSON file with 95 % intervals, from resampled trials, of what the diagnosis fitted: as numbers of MJCF, and as
+        the fields of Isaac Lab and mjlab. Fits the corrected model to the data once more.
+
+    Raises
+    ------
+    RequestError
+        There is no diagnosis, or a file is there already.
+    ModelError
+        The model is none of MuJoCo.
+    """
+    require_new(file)
+    if ranges is not None:
+        require_new(ranges)
+    path = Path(target).expanduser()
+    if path.suffix == ".toml" and path.is_file():
+        if ranges is not None:
+            raise RequestError("a model alone has no intervals", hint="name the recording that was diagnosed")
+        exported = mjcf_of(load_model(path))
+        replace_durably(file, exported.xml.encode())
+        return ExportedRobot(file, exported)
+    stored = _diagnosis(path, str(target), Path(results))
+    source = stored.get("model_source")
+    if not isinstance(source, str):
+        raise RequestError("the diagnosis does not say where its model is", hint="diagnose it again")
+    with tempfile.TemporaryDirectory() as folder:
+        corrected = Path(folder) / "corrected.toml"
+        write_model(stored, source, corrected)
+        model = load_model(corrected)
+        exported = mjcf_of(model)
+        found: list[MjcfRange] = []
+        if ranges is not None:
+            note("fitting the corrected model to every trial")
+            fitted = fit(stored["source"], model=str(corrected), results=Path(folder), note=note)
+            intervals = {name: (one.value, *one.ci95) for name, one in fitted.parameters.items()}
+            found = mjcf_ranges(model, intervals)
+    replace_durably(file, exported.xml.encode())
+    if ranges is not None:
+        replace_durably(ranges, (json.dumps(_ranges(found, stored), indent=2) + "\n").encode())
+    return ExportedRobot(file, exported, ranges)
+
+
+def _diagnosis(path: Path, target: str, results: Path) -> Mapping[str, Any]:
+    if path.name == NUMBERS and path.is_file():
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    if not is_recording(path):
+        return read_stored(find_run(target, results))
+    found = sorted(
+        (results / path.resolve().name).glob(f"gap-*/{NUMBERS}"), key=lambda one: one.stat().st_mtime
+    )
+    if not found:
+        raise RequestError(f"{path} has no diagnosis yet", hint=f"labrun gap diagnose {path} makes one")
+    return dict(json.loads(found[-1].read_text(encoding="utf-8")))
+
+
+def _ranges(found: list[MjcfRange], stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the intervals as MJCF numbers, as events of Isaac Lab and as those of mjlab."""
+    isaac, mjlab = [], []
+    for one in found:
+        if one.array in _ISAAC:
+            event, parameter, whose = _ISAAC[one.array]
+            name = one.joint if whose == "joint_names" and one.joint else one.element
+            isaac.append({
+                "func": event, "mode": "startup",
+                "params": {whose: [name], parameter: [one.low, one.high], "operation": "abs"},
+            })  # fmt: skip
+        mjlab.append({
+            "func": "randomize_field", "mode": "startup",
+            "params": {
+                "field": one.array, "names": [one.element], "ranges": [one.low, one.high], "operation": "abs",
+            },
+        })  # fmt: skip
+    effects = [
+        {"effect": cause["effect"], "site": cause["site"], "values": cause["values"]}
+        for cause in stored.get("causes", [])
+        if cause.get("effect")
+    ]
+    return {
+        "interval": "95 %, from resampled trials",
+        "parameters": [one.to_json() for one in found],
+        "effects": effects,
+        "isaac_lab": isaac,
+        "mjlab": mjlab,
+    }

@@ -1,0 +1,105 @@
+"""`labrun gap check` and `labrun gap reveal`: what was sealed, and how often the diagnosis finds it."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from labrun.cli import options
+from labrun.cli.output import print_json, reported
+from labrun.cli.status import status
+
+
+def check(
+    cases: Annotated[int, typer.Option(min=1, help="How many cases.")] = 60,
+    seed: Annotated[int, typer.Option(min=0, help="Of the cases.")] = 0,
+    only: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND",
+            help="Cases of one kind, not the mixture: control, effect, pair, parameter or outside.",
+        ),
+    ] = None,
+    data: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE",
+            help="What all recordings are like, not drawn: repeats=N, noise=white (ar1, counts, pink), zeros, "
+            "no-zeros; repeatable.",
+        ),
+    ] = None,
+    workers: options.Workers = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler to compute on, e.g. tcp://host:8786."),
+    ] = None,
+    generator: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the code that makes the cases.", file_okay=False, exists=True),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the cases and their scores.", file_okay=False)
+    ] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Diagnose cases whose hidden effect the diagnosis is not told, then score it.
+
+    The answers are sealed first: their salted hash is printed before anything is diagnosed. Every case is listed.
+
+    Example:  labrun gap check --cases 20 --seed 7
+    """
+    with reported(as_json):
+        from labrun.blind import check as check_cases
+        from labrun.report.diagnosis_check import check_text, write_check_page
+
+        with status() as note:
+            result = check_cases(
+                cases=cases,
+                seed=seed,
+                only=only,
+                data=data or (),
+                workers=workers,
+                cluster=cluster,
+                generator=generator,
+                out=out,
+                note=note,
+            )
+        write_check_page(result)
+        if as_json:
+            print_json(result.to_json())
+        else:
+            typer.echo(check_text(result))
+
+
+def reveal(
+    target: Annotated[
+        str,
+        typer.Argument(
+            metavar="RUN",
+            help="A run that was made with --hide and diagnosed: an experiment's name (its latest run), or the "
+            "run's folder.",
+            autocompletion=options.complete_experiment,
+        ),
+    ],
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Open the seal of a dry run that hid an effect, beside what its diagnosis said.
+
+    Example:  labrun gap reveal hinge
+    """
+    with reported(as_json):
+        from labrun.app.reveal import reveal as open_seal
+        from labrun.report.gap_reveal import compared_text
+
+        compared = open_seal(target, results=results)
+        if as_json:
+            print_json(compared.to_json())
+        else:
+            typer.echo(compared_text(compared))
+
+
+def register(gap: typer.Typer) -> None:
+    """Add this module's commands to those of ``labrun gap``."""
+    gap.command()(check)
+    gap.command()(reveal)

@@ -1,0 +1,206 @@
+"""A comparison as people read it: lines with the worst point first, a figure, numbers."""
+
+import math
+import textwrap
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from labrun.fit import Comparison, Curve, FigureData, Pair, Panel, Point, Stack
+from labrun.report.text import condition_text, counted, percent, quantity_text, spaced, value_text, with_unit
+
+_SHOWN = 12
+_OVERLAYS, _ACROSS = 6, 3
+_MOST_TICKS = 24
+
+
+def comparison_text(comparison: Comparison, width: int) -> str:
+    """Return what ``labrun compare`` prints: the worst points, the error of each channel, the verdict."""
+    lines = [
+        f"{comparison.prediction} held against {comparison.data}: {counted(comparison.trials, 'trial')} "
+        f"at {counted(comparison.conditions, 'condition')}, nothing fitted",
+        "",
+    ]
+    shown = comparison.points[:_SHOWN]
+    several = len(comparison.units()) > 1
+    rows = [("worst first", *(["channel"] if several else []), "measured", "predicted", "RMSE", "relative")]
+    rows += [(_where(point), *([point.channel] if several else []), *_numbers(point)) for point in shown]
+    lines += _aligned(rows, left=2 if several else 1)
+    if len(comparison.points) > len(shown):
+        lines.append(f"  and {len(comparison.points) - len(shown)} more")
+    lines += ["", "  root mean square of measured - predicted"]
+    units = comparison.units()
+    for channel, value in comparison.rmse().items():
+        lines.append(
+            f"    {channel}: {quantity_text(value, units[channel])}, {_at_worst(comparison, channel)}"
+        )
+    sentences = [_verdict(comparison), *comparison.notes]
+    lines.append("")
+    for sentence in sentences:
+        lines += textwrap.wrap(
+            sentence, width, initial_indent="  - ", subsequent_indent="    ", break_on_hyphens=False
+        )
+    return "\n".join(lines)
+
+
+def comparison_json(comparison: Comparison) -> dict[str, Any]:
+    """Return all numbers of a comparison, the worst point first; what is not finite is None."""
+    units = comparison.units()
+    return {
+        "data": comparison.data,
+        "prediction": comparison.prediction,
+        "trials": comparison.trials,
+        "tolerance": comparison.tolerance,
+        "within": comparison.within,
+        "worst": _point_json(comparison.worst),
+        "channels": {name: {"rmse": value, "unit": units[name]} for name, value in comparison.rmse().items()},
+        "points": [_point_json(point) for point in comparison.points],
+        "notes": list(comparison.notes),
+    }
+
+
+def comparison_figure(comparison: Comparison) -> FigureData:
+    """Return the figure: numbers over conditions, or the signals that are off the most."""
+    worst = comparison.worst
+    title = (
+        f"{comparison.prediction} held against {comparison.data}\n"
+        f"Nothing is fitted. Worst: {_relative(worst)}, {worst.channel} at {_where(worst)}"
+    )
+    single = all(len(pair.time_s) == 1 for pair in comparison.pairs)
+    stacks = _over_conditions(comparison) if single else _overlays(comparison)
+    rows = tuple(tuple(stacks[start : start + _ACROSS]) for start in range(0, len(stacks), _ACROSS))
+    return FigureData(title, rows, legend="top", row_height_in=3.0)
+
+
+def _where(point: Point) -> str:
+    condition = condition_text(point.condition) or "the only condition"
+    return condition if point.at_s is None else f"{condition}, at {point.at_s:.3g} s"
+
+
+def _numbers(point: Point) -> tuple[str, ...]:
+    sizes = (point.measured, point.predicted, point.rmse)
+    return (*(f"{value:.4g}" for value in sizes), _relative(point))
+
+
+def _relative(point: Point) -> str:
+    return percent(point.relative) if math.isfinite(point.relative) else "nothing but 0 measured"
+
+
+def _at_worst(comparison: Comparison, channel: str) -> str:
+    own = next(point for point in comparison.points if point.channel == channel)
+    return f"at worst {_relative(own)} ({_where(own)})"
+
+
+def _verdict(comparison: Comparison) -> str:
+    worst = comparison.worst
+    told = f"worst: {worst.channel} at {_where(worst)} is off by {_relative(worst)}"
+    if comparison.tolerance is None:
+        return told
+    beyond = sum(point.relative > comparison.tolerance for point in comparison.points)
+    limit = f"the tolerance of {100 * comparison.tolerance:g} %"
+    if comparison.within:
+        return f"{told}, within {limit}"
+    return f"{told}, beyond {limit}, as are {beyond} of {len(comparison.points)} points in all"
+
+
+def _point_json(point: Point) -> dict[str, Any]:
+    return {
+        "condition": dict(point.condition),
+        "channel": point.channel,
+        "unit": point.unit,
+        "trials": point.trials,
+        "measured": point.measured,
+        "predicted": point.predicted,
+        "rmse": point.rmse,
+        "relative": point.relative if math.isfinite(point.relative) else None,
+        "at_s": point.at_s,
+    }
+
+
+def _aligned(rows: Sequence[Sequence[str]], left: int) -> list[str]:
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return [
+        "  "
+        + "  ".join(
+            f"{cell:<{width}}" if column < left else f"{cell:>{width}}"
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
+def _over_conditions(comparison: Comparison) -> list[Stack]:
+    """Return a panel for each channel: over the only number that changes, else over the conditions by name."""
+    return [
+        Stack((_condition_panel([pair for pair in comparison.pairs if pair.channel == channel]),), width=1.5)
+        for channel in comparison.units()
+    ]
+
+
+def _condition_panel(pairs: Sequence[Pair]) -> Panel:
+    first = pairs[0]
+    names = [name for name in first.condition if len({pair.condition.get(name) for pair in pairs}) > 1]
+    apart = [name for name in names if len({pair.condition[name] for pair in pairs}) == len(pairs)]
+    along = next((name for name in apart if not isinstance(first.condition[name], str)), None)
+    if along is not None:
+        pairs = sorted(pairs, key=lambda pair: float(pair.condition[along]))
+        places = np.array([float(pair.condition[along]) for pair in pairs])
+        ticks: tuple[str, ...] = ()
+    else:
+        places = np.arange(len(pairs), dtype=float)
+        shown = apart[:1] or names
+        told = (", ".join(value_text(pair.condition[name]) for name in shown) for pair in pairs)
+        ticks = tuple(told) if len(pairs) <= _MOST_TICKS else ()
+    measured = np.array([float(pair.measured[0]) for pair in pairs])
+    predicted = np.array([float(pair.predicted[0]) for pair in pairs])
+    line = along is not None and all(after > before for before, after in pairwise(places))
+    return Panel(
+        (
+            Curve(places, measured, "measured", "measured", kind="points"),
+            Curve(places, predicted, "fitted", "predicted", kind="line" if line else "points"),
+        ),
+        title=first.channel,
+        x_label=spaced(along or ""),
+        y_label=with_unit(first.channel, first.unit),
+        zero=True,
+        ticks=ticks,
+    )
+
+
+def _overlays(comparison: Comparison) -> list[Stack]:
+    """Return measured and predicted signals of the worst points, the difference below."""
+    stacks = []
+    for point in comparison.points[:_OVERLAYS]:
+        own = [
+            pair
+            for pair in comparison.pairs
+            if pair.channel == point.channel and dict(pair.condition) == dict(point.condition)
+        ]
+        pair = max(own, key=lambda one: float(np.mean(np.square(one.measured - one.predicted))))
+        upper = Panel(
+            (
+                Curve(pair.time_s, pair.measured, "measured", "measured", bold=True),
+                Curve(pair.time_s, pair.predicted, "fitted", "predicted"),
+            ),
+            title=pair.label,
+            y_label=with_unit(point.channel, point.unit),
+            height=2.0,
+        )
+        lower = Panel(
+            (
+                Curve(
+                    pair.time_s,
+                    pair.measured - pair.predicted,
+                    "residual",
+                    "measured \N{MINUS SIGN} predicted",
+                ),
+            ),
+            note=_relative(point),
+            x_label="time, s",
+            y_label="difference",
+            zero=True,
+        )
+        stacks.append(Stack((upper, lower)))
+    return stacks

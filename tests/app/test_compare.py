@@ -1,0 +1,178 @@
+"""`labrun compare`: theory or another run beside data."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import labrun
+from labrun.cli.app import app
+from labrun.errors import RequestError
+
+DRAG = {0.1: (0.05, 0.052), 0.2: (0.2,), 0.4: (0.8,)}
+THEORY = """
+name = "square-law"
+conditions = ["speed"]
+[parameters]
+drag = { value = 5.0, tolerance = "free", unit = "N s^2/m^2" }
+[outputs.drag]
+equation = "drag*speed^2"
+unit = "N"
+"""
+
+
+def recording(folder, table, *, channel="drag", unit="N", name="towed", condition="speed", water=None):
+    folder.mkdir()
+    toml = [f'experiment = "{name}"', f"[channels.{channel}]", 'kind = "output"', f'unit = "{unit}"']
+    for value, repeats in table.items():
+        for number, measured in enumerate(repeats):
+            (folder / f"{value}-{number}.csv").write_text(f"time_s,{channel}\n0,{measured}\n")
+            more = f', water = "{water}"' if water else ""
+            toml += [
+                "[[trials]]",
+                f'file = "{value}-{number}.csv"',
+                f"condition = {{ {condition} = {value}{more} }}",
+            ]
+    (folder / "recording.toml").write_text("\n".join(toml) + "\n")
+    return folder
+
+
+@pytest.fixture
+def towed(tmp_path):
+    folder = recording(tmp_path / "towed", DRAG)
+    (folder / "model.toml").write_text(THEORY)
+    return folder
+
+
+def command(*arguments, results):
+    return CliRunner().invoke(app, ["compare", *map(str, arguments), "--results", str(results)])
+
+
+def test_the_model_beside_a_recording_is_held_against_it_as_stated(towed, tmp_path):
+    found = labrun.compare(towed, results=tmp_path / "results")
+    worst = found.comparison.worst
+    assert (worst.condition, worst.trials) == ({"speed": 0.1}, 2)
+    assert worst.relative == pytest.approx(np.sqrt(0.5 * 0.002**2) / np.sqrt(0.5 * (0.05**2 + 0.052**2)))
+    assert found.comparison.conditions == 3
+    assert found.figure.is_file()
+    assert json.loads(found.numbers.read_text())["worst"]["condition"] == {"speed": 0.1}
+    assert not list(towed.glob("compare*"))
+
+
+@pytest.mark.parametrize(("tolerance", "code"), [("5%", 0), ("0.05", 0), ("1 %", 1)])
+def test_the_exit_code_is_1_beyond_the_tolerance(towed, tmp_path, tolerance, code):
+    done = command(towed, "--tolerance", tolerance, results=tmp_path / "results")
+    assert done.exit_code == code
+    assert ("beyond the tolerance of 1 %" if code else "within the tolerance of 5 %") in " ".join(
+        done.stdout.split()
+    )
+    assert done.stdout.index("speed = 0.1") < done.stdout.index("speed = 0.4")
+
+
+def test_as_json_everything_is_a_number_and_the_code_is_the_same(towed, tmp_path):
+    done = command(towed, "--tolerance", "1%", "--json", results=tmp_path / "results")
+    told = json.loads(done.stdout)
+    assert done.exit_code == 1
+    assert told["within"] is False
+    assert told["points"][0]["condition"] == {"speed": 0.1}
+    assert set(told["channels"]) == {"drag"}
+
+
+@pytest.mark.parametrize("tolerance", ["much", "-5%", "0", "15", "nan"])
+def test_what_is_no_tolerance_is_refused_before_anything_is_computed(towed, tmp_path, tolerance):
+    done = command(towed, "--tolerance", tolerance, results=tmp_path / "results")
+    assert done.exit_code == 2
+    assert "%" in done.stderr
+    assert not (tmp_path / "results").exists()
+
+
+def test_two_recordings_are_compared_where_their_conditions_agree(towed, tmp_path):
+    other = recording(tmp_path / "again", {0.2: (0.25,), 0.4: (0.8,), 0.8: (3.0,)}, name="again", water="tap")
+    found = labrun.compare(towed, other, results=tmp_path / "results").comparison
+    assert [point.relative for point in found.points] == pytest.approx([0.25, 0.0])
+    assert "one condition is in towed only" in found.notes
+    assert "one condition is in again only" in found.notes
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"channel": "lift"}, "neither a number nor a signal of the same name"),
+        ({"unit": "N m"}, "is in N, drag of other in N m"),
+        ({"condition": "pace"}, "conditions of towed differ in speed"),
+        ({"table": {0.3: (1.0,)}}, "no condition in common"),
+    ],
+)
+def test_what_cannot_be_compared_is_said(towed, tmp_path, changed, said):
+    other = recording(tmp_path / "other", **{"table": DRAG, "name": "other", **changed})
+    with pytest.raises(RequestError, match=said):
+        labrun.compare(towed, other, results=tmp_path / "results")
+
+
+def test_a_model_and_a_run_at_once_are_refused(towed, tmp_path):
+    with pytest.raises(RequestError, match="cannot both"):
+        labrun.compare(towed, towed, model=towed / "model.toml", results=tmp_path)
+
+
+@pytest.fixture(scope="module")
+def swings(tmp_path_factory):
+    results = tmp_path_factory.mktemp("results")
+    small = ["run.conditions=[{release=30}]", "trial.repeats=2", "trial.duration_s=2.5"]
+    return [
+        labrun.run("hinge", dry_run=True, seed=seed, overrides=small, results=results).run for seed in (1, 2)
+    ]
+
+
+def test_a_run_is_held_against_the_model_that_its_experiment_names(swings):
+    found = labrun.compare(swings[0])
+    assert found.numbers.parent == swings[0] / "compare"
+    assert found.comparison.worst.channel == "angle"
+    assert 0 < found.comparison.worst.relative < 1
+    assert "read from the first samples" in found.to_text(100).replace("\n    ", " ")
+
+
+def test_two_runs_of_an_experiment_are_compared_by_their_objectives_and_told_apart_by_their_start(swings):
+    found = labrun.compare(*swings).comparison
+    assert found.worst.channel == "swing"
+    assert found.data == f"hinge {swings[0].name}"
+    assert found.prediction == f"hinge {swings[1].name}"
+
+
+def test_an_experiment_named_twice_is_its_latest_run_beside_the_one_before(swings):
+    first, second = swings
+    found = labrun.compare("hinge", "hinge", results=first.parent.parent).comparison
+    assert (found.data, found.prediction) == (f"hinge {second.name}", f"hinge {first.name}")
+
+
+def test_a_run_beside_itself_is_refused(swings, towed):
+    for data in (swings[0], towed):
+        with pytest.raises(RequestError, match="are the same data"):
+            labrun.compare(data, data)
+
+
+def test_a_formula_named_like_an_objective_is_held_against_it(swings, tmp_path):
+    formula = tmp_path / "let-go.toml"
+    formula.write_text(
+        'name = "let-go"\nconditions = ["release"]\n[outputs.swing]\n'
+        'equation = "release*3.14159265/180"\nunit = "rad"\n'
+    )
+    point = labrun.compare(swings[0], model=formula).comparison.worst
+    assert point.trials == 2
+    assert point.predicted == pytest.approx(np.pi / 6)
+    assert point.relative < 0.05
+
+
+def test_a_run_and_a_recording_of_the_same_signal_are_compared_over_time(swings, tmp_path):
+    folder = tmp_path / "seen"
+    folder.mkdir()
+    signal = labrun.open(swings[0]).signals("cameras", trial=0)["angle"]
+    rows = np.column_stack([signal["time_s"], signal.values])
+    np.savetxt(folder / "0.csv", rows, delimiter=",", header="time_s,angle", comments="")
+    (folder / "recording.toml").write_text(
+        'experiment = "seen"\n[channels.angle]\nkind = "output"\nunit = "rad"\n[[trials]]\nfile = "0.csv"\n'
+        "condition = { release = 30 }\n"
+    )
+    found = labrun.compare(folder, swings[0], results=tmp_path / "results").comparison
+    assert found.worst.at_s is not None
+    assert found.worst.relative < 0.2  # the repeats differ, and their mean is held against the first
