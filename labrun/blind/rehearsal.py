@@ -191,7 +191,9 @@ class Rehearsal:
         before = scene.observe(self._signals, start_s + np.arange(-1.0, 0.0, 1 / _RATE_HZ))
         _follow(rig, trajectory)
         if motion.travel is not None:
-            scene.tow(motion.travel.from_m, motion.travel.to_m, motion.travel.speed_m_s, start_s)
+            travel = motion.travel
+            ramps = () if travel.acceleration_m_s2 is None else (travel.acceleration_m_s2,)
+            scene.tow(travel.from_m, travel.to_m, travel.speed_m_s, start_s, *ramps)
         signals = scene.observe(self._signals, start_s + np.arange(0.0, motion.duration_s, 1 / _RATE_HZ))
         rig.clock.sleep(motion.duration_s)
         tared: FloatArray = signals - np.where(self._forces, before.mean(axis=0), 0.0)

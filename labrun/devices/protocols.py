@@ -133,6 +133,10 @@ class Carriage(Device, Protocol):
         """Where the carriage is."""
         ...
 
-    def travel(self, to_m: float, speed_m_s: float) -> None:
-        """Start a straight move at constant speed; returns at once."""
+    def travel(self, to_m: float, speed_m_s: float, acceleration_m_s2: float = ...) -> None:
+        """Start a straight move at constant speed; returns at once.
+
+        A carriage that can change its ramps takes `acceleration_m_s2`; what it does without is its own. One that
+        cannot has no such parameter, and `trial.carriage.acceleration_m_s2` is refused for it.
+        """
         ...

@@ -28,8 +28,13 @@ class Scene(Protocol):
         """Command one joint (a trajectory of that joint alone) from the clock's `start_s` on."""
         ...
 
-    def tow(self, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:
-        """Move the carriage along its line at constant speed from `start_s` on."""
+    def tow(
+        self, from_m: float, to_m: float, speed_m_s: float, start_s: float, acceleration_m_s2: float = ...
+    ) -> None:
+        """Move the carriage along its line at constant speed from `start_s` on.
+
+        A scene with ramps takes `acceleration_m_s2`, and has a value of its own for moves that do not say.
+        """
         ...
 
     def observe(self, signals: Sequence[str], time_s: FloatArray) -> FloatArray:

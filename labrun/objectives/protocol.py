@@ -1,5 +1,6 @@
 """What an objective sees of a trial, what it is, and how one is made from its table in the experiment file."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, cast, runtime_checkable
@@ -49,6 +50,7 @@ class TrialSignals:
     end_s: float
     period_s: float | None = None
     discard_cycles: int = 0
+    counts_from_s: float = 0.0
     condition: Mapping[str, Value] = field(default_factory=dict)
 
     def signal(self, channel: str) -> Signal:
@@ -74,8 +76,11 @@ class TrialSignals:
             The recording ends before the first cycle that counts does.
         """
         if self.period_s is None:
-            return self.start_s, self.end_s
+            return max(self.start_s, self.counts_from_s), self.end_s
         start = self.start_s + self.discard_cycles * self.period_s
+        # A carriage that is not at its speed yet costs whole cycles, too.
+        late = math.ceil((self.counts_from_s - start) / self.period_s - 1e-6)
+        start += max(0, late) * self.period_s
         # The tolerance keeps the last cycle when the window ends exactly with it, whatever the last bits say.
         whole = int((self.end_s - start) / self.period_s + 1e-6)
         if whole < 1:

@@ -150,19 +150,27 @@ class Bench:
             with blaming(name):
                 self.rig.actuators[name].follow(part, start_s)
 
-    def travel(self, device: str, to_m: float, speed_m_s: float) -> None:
-        """Start a move of the carriage, after a last check against its limits."""
+    def travel(
+        self, device: str, to_m: float, speed_m_s: float, acceleration_m_s2: float | None = None
+    ) -> None:
+        """Start a move of the carriage, after a last check against its limits; with its own acceleration if None."""
         for excess in self.rig.limits[device].travel_excess(to_m, speed_m_s):
             raise limit_error(device, excess, time_s=self.clock.now())
         with blaming(device):
-            self.rig.carriages[device].travel(to_m, speed_m_s)
+            carriage = self.rig.carriages[device]
+            if acceleration_m_s2 is None:
+                carriage.travel(to_m, speed_m_s)
+            else:
+                carriage.travel(to_m, speed_m_s, acceleration_m_s2)
 
-    def travel_and_wait(self, device: str, to_m: float, speed_m_s: float) -> None:
+    def travel_and_wait(
+        self, device: str, to_m: float, speed_m_s: float, acceleration_m_s2: float | None = None
+    ) -> None:
         """Move the carriage and wait until it has arrived."""
         distance_m = abs(self._position_m(device) - to_m)
         if distance_m <= _ARRIVED_M:
             return
-        self.travel(device, to_m, speed_m_s)
+        self.travel(device, to_m, speed_m_s, acceleration_m_s2)
         deadline_s = self.clock.now() + 2.0 * distance_m / speed_m_s + 5.0
         self.watch(self.clock.now() + distance_m / speed_m_s)
         while abs(self._position_m(device) - to_m) > _ARRIVED_M:

@@ -93,6 +93,7 @@ def trial_signals(
         end_s=motion.duration_s,
         period_s=motion.period_s,
         discard_cycles=discard,
+        counts_from_s=motion.counts_from_s,
         condition=condition,
     )
 

@@ -51,26 +51,57 @@ def smooth_move(
     return Trajectory(joints, share * duration_s, start + course[:, None] * (goal - start))
 
 
+USUAL_ACCELERATION_M_S2 = 0.5
+"""Of a carriage whose file does not say: a common value for a linear move of a robot arm, and the UR5's own."""
 _WHOLE = 1e-9
 """Relative slack when whole cycles are counted: 1 m at 0.1 m/s is ten cycles of 1 s, not nine."""
+_LEAST_AT_SPEED_S = 0.1
+"""Below that nothing is averaged out."""
 _MOST_NUMBERS = 4_000_000
 """Angles kept of motions made before (32 MB): a sweep of hundreds of conditions fits, one of hours a trial does not."""
 
 
 @dataclass(frozen=True, slots=True)
 class Travel:
-    """The carriage's part: from `from_m` to `to_m` at `speed_m_s` while samples are taken."""
+    """The carriage's part: from `from_m` to `to_m` at `speed_m_s` while samples are taken.
+
+    It gets up to its speed and down from it at `acceleration_m_s2`; None where the file leaves that to the carriage.
+    """
 
     device: str
     from_m: float
     to_m: float
     speed_m_s: float
     return_speed_m_s: float
+    acceleration_m_s2: float | None = None
+    margin_s: float = 0.0
 
     @property
     def duration_s(self) -> float:
-        """How long the travel takes; infinite for a carriage that stands still."""
+        """When the carriage begins to slow down; infinite for one that stands still."""
         return abs(self.to_m - self.from_m) / self.speed_m_s if self.speed_m_s > 0 else math.inf
+
+    @property
+    def steady_from_s(self) -> float:
+        """From when on it travels at its speed; 0 for one that stands still."""
+        if self.speed_m_s <= 0:
+            return 0.0
+        return self.speed_m_s / (self.acceleration_m_s2 or USUAL_ACCELERATION_M_S2) + self.margin_s
+
+    @property
+    def excess(self) -> tuple[Excess, ...]:
+        """Why it cannot get to its speed; empty if it can."""
+        if self.speed_m_s <= 0:
+            return ()
+        acceleration = self.acceleration_m_s2 or USUAL_ACCELERATION_M_S2
+        needed_m, way_m = self.speed_m_s**2 / acceleration, abs(self.to_m - self.from_m)
+        if needed_m <= way_m * (1 + _WHOLE):
+            return ()
+        what = (
+            f"way of both ramps to {self.speed_m_s:.4g} m/s at {acceleration:.4g} m/s^2 "
+            "(trial.carriage.acceleration_m_s2), against the carriage's travel,"
+        )
+        return (Excess(what, needed_m, way_m, "m", 0.0),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +122,8 @@ class TrialMotion:
         None without a carriage.
     excess
         What cannot be done whatever the limits: a travel too short for the recording.
+    counts_from_s
+        Nothing before counts: the carriage is not at its speed yet.
     most_cycles
         Of a trial that goes on until its numbers say so, which is sent in stretches of this motion; else None.
     """
@@ -102,6 +135,7 @@ class TrialMotion:
     travel: Travel | None
     excess: tuple[Excess, ...] = ()
     most_cycles: int | None = None
+    counts_from_s: float = 0.0
 
     @property
     def longest_s(self) -> float:
@@ -170,7 +204,9 @@ class MotionMaker:
         except (ValueError, ArithmeticError) as error:
             raise self._no_motion(str(error)) from error
         most = None if self._trial.until is None else self._trial.until.max_cycles
-        return TrialMotion(trajectory, duration_s, period_s, cycles, travel, excess, most)
+        steady_s = 0.0 if travel is None else travel.steady_from_s
+        excess = (*excess, *(() if travel is None else travel.excess))
+        return TrialMotion(trajectory, duration_s, period_s, cycles, travel, excess, most, steady_s)
 
     def envelope(self, condition: Condition) -> Envelope | None:
         """Return the worst that closed loops may make of a condition's motion; None without loops."""
@@ -192,7 +228,26 @@ class MotionMaker:
         if move is None:
             return None
         speed = float(evaluate(move.speed_m_s, _names(condition)))
-        return Travel(move.device, float(move.from_m), float(move.to_m), abs(speed), move.return_speed_m_s)
+        return Travel(
+            move.device,
+            float(move.from_m),
+            float(move.to_m),
+            abs(speed),
+            move.return_speed_m_s,
+            move.acceleration_m_s2,
+            move.margin_s,
+        )
+
+    def _at_speed(self, condition: Condition, travel: Travel) -> tuple[int | None, float, tuple[Excess, ...]]:
+        """Return the length of a recording that ends with the carriage's constant speed."""
+        if math.isinf(travel.duration_s):
+            raise _still("duration_s", condition)
+        ramp_s = travel.steady_from_s
+        if travel.excess or travel.duration_s - ramp_s >= _LEAST_AT_SPEED_S:
+            return None, travel.duration_s, ()
+        needed_s = ramp_s + _LEAST_AT_SPEED_S
+        what = "ramp and a moment at constant speed, against the carriage's travel,"
+        return None, needed_s, (Excess(what, needed_s, travel.duration_s, "s", travel.duration_s),)
 
     def _length(
         self, condition: Condition, period_s: float | None, travel: Travel | None
@@ -200,6 +255,8 @@ class MotionMaker:
         available_s = math.inf if travel is None else travel.duration_s
         until = self._trial.until
         wanted = self._trial.cycles if until is None else min(until.keep_every, until.max_cycles)
+        if wanted is None and self._trial.duration_s == "fit" and travel is not None:
+            return self._at_speed(condition, travel)
         if wanted is None:
             duration_s = float(self._trial.duration_s or 0.0)
             return None, duration_s, _too_long(duration_s, available_s)
@@ -212,15 +269,20 @@ class MotionMaker:
             duration_s = wanted * period_s
             return wanted, duration_s, _too_long(duration_s, available_s)
         if math.isinf(available_s):
-            raise PlanError(
-                f'cycles = "fit" with a carriage that stands still at {condition_text(condition)}',
-                hint="give a number of cycles, or the carriage a speed above zero",
-            )
+            raise _still("cycles", condition)
         cycles = math.floor(available_s / period_s * (1 + _WHOLE))
-        least = self._trial.discard_cycles + 1
+        ramp_s = 0.0 if travel is None else travel.steady_from_s
+        least = max(self._trial.discard_cycles, math.ceil(ramp_s / period_s - _WHOLE)) + 1
         if cycles < least:
             return least, least * period_s, _too_long(least * period_s, available_s)
         return cycles, cycles * period_s, ()
+
+
+def _still(key: str, condition: Condition) -> PlanError:
+    return PlanError(
+        f'{key} = "fit" with a carriage that stands still at {condition_text(condition)}',
+        hint=f"give {key} a number, or the carriage a speed above zero",
+    )
 
 
 def _names(condition: Condition) -> Mapping[str, float | str]:

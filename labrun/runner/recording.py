@@ -118,7 +118,7 @@ class Recording:
         """Start the carriage, if it has a part in the trial."""
         travel = self.motion.travel
         if travel is not None and travel.speed_m_s > 0:
-            self.bench.travel(travel.device, travel.to_m, travel.speed_m_s)
+            self.bench.travel(travel.device, travel.to_m, travel.speed_m_s, travel.acceleration_m_s2)
 
 
 Recorder = Callable[[Recording], None]

@@ -179,7 +179,10 @@ class TrialRunner:
         self._bench.move(first, self._speed_rad_s)
         if motion.travel is not None:
             self._bench.travel_and_wait(
-                motion.travel.device, motion.travel.from_m, motion.travel.return_speed_m_s
+                motion.travel.device,
+                motion.travel.from_m,
+                motion.travel.return_speed_m_s,
+                motion.travel.acceleration_m_s2,
             )
 
     def _record(self, request: TrialRequest, motion: TrialMotion, draft: _Draft) -> None:

@@ -1,12 +1,16 @@
 """Does the file name only what the rig has? Checked before anything moves."""
 
+import inspect
 from collections.abc import Iterable
 
 from labrun.errors import SpecError, StoreError
 from labrun.runner.rig import Rig
 from labrun.runner.settle import tared_devices, watched_channels
-from labrun.spec import LOOP_DEVICE, Experiment, loop_channels
+from labrun.spec import LOOP_DEVICE, CarriageMove, Experiment, loop_channels
 from labrun.store import check_columns, check_names
+
+_ORDER_WITHOUT_RAMPS = 2
+"""Parameters of a carriage's `travel` that takes goal and speed alone."""
 
 
 def check_wiring(experiment: Experiment, rig: Rig, gait_joints: Iterable[str]) -> None:
@@ -29,6 +33,7 @@ def check_wiring(experiment: Experiment, rig: Rig, gait_joints: Iterable[str]) -
     if experiment.trial.carriage is not None:
         device = experiment.trial.carriage.device
         problems += _unknown("trial.carriage.device", device, rig.carriages, "carriages")
+        problems += _ramps(experiment.trial.carriage, rig)
     for name, objective in experiment.objectives.items():
         if objective.channel is not None:
             problems += _unknown(f"objectives.{name}.channel", objective.channel, channels, "channels")
@@ -45,6 +50,17 @@ def check_wiring(experiment: Experiment, rig: Rig, gait_joints: Iterable[str]) -
         problems.append(str(error))
     if problems:
         raise SpecError("\n".join(problems))
+
+
+def _ramps(move: CarriageMove, rig: Rig) -> list[str]:
+    carriage = rig.carriages.get(move.device)
+    if move.acceleration_m_s2 is None or carriage is None:
+        return []
+    if len(inspect.signature(carriage.travel).parameters) > _ORDER_WITHOUT_RAMPS:
+        return []
+    return [
+        f"trial.carriage.acceleration_m_s2: {move.device!r} has ramps of its own that cannot be set; leave the key out"
+    ]
 
 
 def _unstorable(rig: Rig) -> list[str]:

@@ -83,24 +83,31 @@ class Reference(Table):
 
 
 class CarriageMove(Table):
-    """The carriage's part in a trial: it goes to `from_m`, and travels at `speed_m_s` while samples are taken."""
+    """The carriage's part in a trial: it goes to `from_m`, and travels at `speed_m_s` while samples are taken.
+
+    What counts is the travel at that speed: the ramps at `acceleration_m_s2`, and `margin_s` after the first of them,
+    are left out. Without `acceleration_m_s2` the carriage takes its own.
+    """
 
     device: str
     speed_m_s: Expression
     from_m: Number = 0.0
     to_m: Number
     return_speed_m_s: PositiveFloat = 0.1
+    acceleration_m_s2: Annotated[float, Field(gt=0, le=3)] | None = None
+    margin_s: Annotated[float, Field(ge=0)] = 0.1
+    """The order takes a moment to become motion, so that the ramp ends later than its length says."""
 
 
 class TrialTable(Table):
     """One trial.
 
-    Length: `cycles` of the gait (or "fit": as many as the carriage's travel allows), `duration_s`, or `until` its
-    numbers say so.
+    Length: `cycles` of the gait (or "fit": as many as the carriage's travel allows), `duration_s` (or "fit": as long as
+    the carriage is at its speed), or `until` its numbers say so.
     """
 
     cycles: PositiveInt | Literal["fit"] | None = None
-    duration_s: PositiveFloat | None = None
+    duration_s: PositiveFloat | Literal["fit"] | None = None
     until: Until | None = None
     discard_cycles: Annotated[int, Field(ge=0)] = 0
     repeats: RepeatRule = RepeatRule(min=1, max=1)
@@ -144,10 +151,9 @@ class TrialTable(Table):
                     f"{self.discard_cycles} leaves nothing of {self.cycles} cycles",
                     of=("cycles", "discard_cycles"),
                 )
-            if self.cycles == "fit" and self.carriage is None:
-                faults.add(
-                    "cycles",
-                    '"fit" needs a carriage, whose travel sets the length',
-                    of=("cycles", "carriage"),
-                )
+            for name in ("cycles", "duration_s"):
+                if getattr(self, name) == "fit" and self.carriage is None:
+                    faults.add(
+                        name, '"fit" needs a carriage, whose travel sets the length', of=(name, "carriage")
+                    )
         return self

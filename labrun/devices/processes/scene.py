@@ -54,10 +54,10 @@ class SharedScene:
         with self._lock:
             self._scene.drive(joint, trajectory, start_s)
 
-    def tow(self, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:
+    def tow(self, from_m: float, to_m: float, speed_m_s: float, start_s: float, *ramps: float) -> None:
         """See `Scene.tow`."""
         with self._lock:
-            self._scene.tow(from_m, to_m, speed_m_s, start_s)
+            self._scene.tow(from_m, to_m, speed_m_s, start_s, *ramps)
 
     def observe(self, signals: Sequence[str], time_s: FloatArray) -> FloatArray:
         """See `Scene.observe`."""
@@ -103,9 +103,9 @@ class RemoteScene:
         """See `Scene.drive`."""
         self._shared.drive(joint, trajectory, start_s)
 
-    def tow(self, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:
+    def tow(self, from_m: float, to_m: float, speed_m_s: float, start_s: float, *ramps: float) -> None:
         """See `Scene.tow`."""
-        self._shared.tow(from_m, to_m, speed_m_s, start_s)
+        self._shared.tow(from_m, to_m, speed_m_s, start_s, *ramps)
 
     def observe(self, signals: Sequence[str], time_s: FloatArray) -> FloatArray:
         """See `Scene.observe`."""

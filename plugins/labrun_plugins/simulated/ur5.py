@@ -10,7 +10,7 @@ from labrun_plugins.simulated.sensor import SimulatedSensor
 from labrun_plugins.simulated.settings import SimulatedSettings
 from labrun_plugins.simulated.stream import Timing
 from labrun_plugins.ur5.line import Line
-from labrun_plugins.ur5.settings import REACH_M, SPEED_SHARE, Ur5Settings, channels_of
+from labrun_plugins.ur5.settings import ACCELERATION_M_S2, REACH_M, SPEED_SHARE, Ur5Settings, channels_of
 
 POSITION_SD_M = 2e-5
 LOST_SHARE = 2e-4
@@ -69,7 +69,7 @@ class SimulatedUr5(SimulatedSensor):
         self._require_answer()
         return float(self.scene.observe(("position",), np.array([self._clock.now()]))[0, 0])
 
-    def travel(self, to_m: float, speed_m_s: float) -> None:
+    def travel(self, to_m: float, speed_m_s: float, acceleration_m_s2: float = ACCELERATION_M_S2) -> None:
         """Start a straight move at constant speed.
 
         Raises
@@ -96,7 +96,10 @@ class SimulatedUr5(SimulatedSensor):
                 self.name, f"travel to {to_m:g} m leaves {low:g} ... {high:g} m; the move was not sent"
             )
         self._speed_m_s = speed_m_s
-        self.scene.tow(self.position_m(), to_m, speed_m_s, self._clock.now())
+        ramps = (
+            () if acceleration_m_s2 == ACCELERATION_M_S2 else (acceleration_m_s2,)
+        )  # what scenes have by themselves
+        self.scene.tow(self.position_m(), to_m, speed_m_s, self._clock.now(), *ramps)
 
     def safe_stop(self) -> None:
         """Stop where it is."""

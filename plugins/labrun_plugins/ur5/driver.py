@@ -20,7 +20,7 @@ from labrun_plugins.ur5.link import Link, stop_from_scratch
 from labrun_plugins.ur5.motion import Move
 from labrun_plugins.ur5.permits import check_order, check_place, check_speed, failure_of
 from labrun_plugins.ur5.script import STOP, move_program
-from labrun_plugins.ur5.settings import REACH_M, Ur5Settings, channels_of
+from labrun_plugins.ur5.settings import ACCELERATION_M_S2, REACH_M, Ur5Settings, channels_of
 from labrun_plugins.ur5.state import ROBOT_MODES, RUNNING, SAFETY_MODES, ArmState, trouble_of
 
 _LOOK_S = 1.0
@@ -124,7 +124,7 @@ class Ur5:
         state = self._sound_state()
         return float(self._line(state).position_m(state.pose))
 
-    def travel(self, to_m: float, speed_m_s: float) -> None:
+    def travel(self, to_m: float, speed_m_s: float, acceleration_m_s2: float = ACCELERATION_M_S2) -> None:
         """Start a straight move at constant speed; returns once the program is sent.
 
         Raises
@@ -145,7 +145,7 @@ class Ur5:
         program = move_program(
             line.pose(to_m),
             speed_m_s=speed_m_s,
-            acceleration_m_s2=self._settings.acceleration_m_s2,
+            acceleration_m_s2=acceleration_m_s2,
             register=self._link.rtde.register,
             watchdog_s=self._settings.watchdog_ms / 1000.0,
         )

@@ -9,6 +9,7 @@ from labrun.devices.emulation import EmulatorContext
 from labrun_plugins.simulated.ur5 import HOME, POSITION_SD_M
 from labrun_plugins.ur5.emulated_motion import StraightMove, braking, half_way_s
 from labrun_plugins.ur5.emulated_script import MoveL, Program, SetWatchdog, StopL
+from labrun_plugins.ur5.settings import ACCELERATION_M_S2
 
 _REACH_M = 1.0
 _SPEED_SD_M_S = 2e-4
@@ -184,7 +185,7 @@ class EmulatedArm:
             self._motion, self._motion_s = motion, 0.0
             self._factor = self.scaling
             here_m = self.position_m()
-            self._tow(goal, statement.speed_m_s * self._factor, now_s)
+            self._tow(goal, statement.speed_m_s * self._factor, now_s, statement.acceleration_m_s2)
             self._log.note(
                 "command",
                 what="movel",
@@ -208,13 +209,14 @@ class EmulatedArm:
         self._factor = 1.0
         self._tow(motion.to_pose, speed, now_s)
 
-    def _tow(self, goal: FloatArray, speed_m_s: float, now_s: float) -> None:
-        """Have the scene's carriage go along; its ramps are its own, which are those of the default acceleration."""
+    def _tow(self, goal: FloatArray, speed_m_s: float, now_s: float, *ramps: float) -> None:
+        """Have the scene's carriage go along, with the ramps of the move or its own."""
         if self._scene is None:
             return
         here_m = self.position_m()
         there_m = float((goal[:3] - self._origin[:3]) @ self._along)
-        self._scene.tow(here_m, there_m, speed_m_s, now_s)
+        ramps = tuple(one for one in ramps if one != ACCELERATION_M_S2)  # what scenes have by themselves
+        self._scene.tow(here_m, there_m, speed_m_s, now_s, *ramps)
 
     def _look_at_faults(self, now_s: float) -> None:
         if self._faults.active("protective-stop") and self._protective_s is None:

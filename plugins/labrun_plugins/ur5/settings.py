@@ -35,8 +35,6 @@ class Ur5Settings(DeviceSettings):
         Of rising position, in the base frame; its length does not matter.
     orientation_rad
         Rotation vector that the tool keeps; without it, the one it has at the first open.
-    acceleration_m_s2
-        Of the ramps at either end of a move: ramp length is v^2 / 2a.
     off_line_m
         How far beside the line the tool may stand when a move begins.
     watchdog_ms
@@ -65,7 +63,6 @@ limits = { travel_m = [0.0, 0.5], speed_m_s = 0.1 }      # along its line, from 
     origin_m: Vector | None = None
     direction: Vector = (1.0, 0.0, 0.0)
     orientation_rad: Vector | None = None
-    acceleration_m_s2: Annotated[float, Field(gt=0, le=3)] = 0.5
     off_line_m: Annotated[float, Field(gt=0, le=0.05)] = 0.003
     watchdog_ms: Annotated[float, Field(ge=20, le=5000)] = 100.0
     watchdog_register: Annotated[int, Field(ge=0, le=47)] = 24
@@ -96,5 +93,7 @@ def channels_of(settings: Ur5Settings) -> tuple[Channel, ...]:
     return position + TOOL_CHANNELS if settings.tool_channels else position
 
 
+ACCELERATION_M_S2 = 0.5
+"""Of the ramps at either end of a move that does not say; a ramp is v^2 / 2a long."""
 SPEED_SHARE = 0.005
 """A sample counts as one at constant speed while the target speed is this close to the speed asked for."""

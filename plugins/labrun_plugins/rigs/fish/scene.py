@@ -14,6 +14,7 @@ from labrun.models import Stepper
 from labrun_plugins.rigs.fish.fins import JOINTS, fin_loads, motion_at
 from labrun_plugins.rigs.fish.model import OUTPUTS, fire_model
 from labrun_plugins.simulated.bench import (
+    ACCELERATION_M_S2,
     Bench,
     BenchSettings,
     Carriage,
@@ -75,9 +76,16 @@ class FireTank(Bench):
         self._joints_before = np.zeros((1, len(JOINTS)))
         self._inputs_before = np.zeros((1, len(self._model.inputs)))
 
-    def tow(self, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:
-        """Move the carriage from `start_s` on, with ramps of 0.5 m/s^2."""
-        self._carriage.move(from_m, to_m, speed_m_s, start_s)
+    def tow(
+        self,
+        from_m: float,
+        to_m: float,
+        speed_m_s: float,
+        start_s: float,
+        acceleration_m_s2: float = ACCELERATION_M_S2,
+    ) -> None:
+        """Move the carriage from `start_s` on."""
+        self._carriage.move(from_m, to_m, speed_m_s, start_s, acceleration_m_s2)
 
     def observe(self, signals: Sequence[str], time_s: FloatArray) -> FloatArray:
         """Return the true signals at ascending times, shape (n, signals)."""

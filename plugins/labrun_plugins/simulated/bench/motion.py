@@ -97,6 +97,7 @@ class Carriage:
     _to_m: float = 0.0
     _speed_m_s: float = 0.0
     _start_s: float = 0.0
+    _acceleration_m_s2: float = ACCELERATION_M_S2
     _later: list[list[float]] = field(default_factory=list)
 
     @property
@@ -109,10 +110,17 @@ class Carriage:
         """Where the last move ends."""
         return self._to_m
 
-    def move(self, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:
+    def move(
+        self,
+        from_m: float,
+        to_m: float,
+        speed_m_s: float,
+        start_s: float,
+        acceleration_m_s2: float = ACCELERATION_M_S2,
+    ) -> None:
         """Take a move from `start_s` on; it supersedes those that would start later."""
         self._later = [move for move in self._later if move[3] < start_s]
-        self._later.append([from_m, to_m, speed_m_s, start_s])
+        self._later.append([from_m, to_m, speed_m_s, start_s, acceleration_m_s2])
 
     def motion(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position (m), speed (m/s), acceleration (m/s^2) at ascending times; forgets moves that are over."""
@@ -126,11 +134,14 @@ class Carriage:
             if last >= len(time_s):
                 break
             parts.append(self._current(time_s[first:last]))
-            self._from_m, self._to_m, self._speed_m_s, self._start_s = self._later.pop(0)
+            self._begin(self._later.pop(0))
             first = last
         parts.append(self._current(time_s[first:]))
         position, speed, acceleration = np.concatenate(parts, axis=1)
         return position, speed, acceleration
+
+    def _begin(self, move: list[float]) -> None:
+        self._from_m, self._to_m, self._speed_m_s, self._start_s, self._acceleration_m_s2 = move
 
     def _current(self, time_s: FloatArray) -> FloatArray:
         """Return position, speed, acceleration of the current move, shape (3, n): a trapezoid of speed."""
@@ -139,15 +150,16 @@ class Carriage:
             still = np.zeros((3, len(time_s)))
             still[0] = self._to_m
             return still
-        top = min(self._speed_m_s, math.sqrt(ACCELERATION_M_S2 * way))
-        ramp_s = top / ACCELERATION_M_S2
+        ramp = self._acceleration_m_s2
+        top = min(self._speed_m_s, math.sqrt(ramp * way))
+        ramp_s = top / ramp
         end_s = way / top + ramp_s
         t = np.clip(time_s - self._start_s, 0.0, end_s)
         up, down = np.minimum(t, ramp_s), np.maximum(0.0, t - (end_s - ramp_s))
-        speed = ACCELERATION_M_S2 * (up - down)
-        position = ACCELERATION_M_S2 * (0.5 * up**2 + ramp_s * (t - up) - 0.5 * down**2)
+        speed = ramp * (up - down)
+        position = ramp * (0.5 * up**2 + ramp_s * (t - up) - 0.5 * down**2)
         moving = (time_s > self._start_s) & (time_s < self._start_s + end_s)
-        acceleration = ACCELERATION_M_S2 * moving * ((t < ramp_s) * 1.0 - (t > end_s - ramp_s))
+        acceleration = ramp * moving * ((t < ramp_s) * 1.0 - (t > end_s - ramp_s))
         sign = math.copysign(1.0, self._to_m - self._from_m)
         return np.stack([self._from_m + sign * position, sign * speed, sign * acceleration])
 
@@ -158,11 +170,12 @@ class Carriage:
             self._to_m,
             self._speed_m_s,
             self._start_s,
+            self._acceleration_m_s2,
             [list(move) for move in self._later],
         ]
 
     def restore(self, stored: list[object]) -> None:
         """Take back what `snapshot` gave."""
-        self._from_m, self._to_m, self._speed_m_s, self._start_s = (float(str(one)) for one in stored[:4])
-        later = stored[4]
+        self._begin([float(str(one)) for one in stored[:5]])
+        later = stored[5]
         self._later = [[float(one) for one in move] for move in later] if isinstance(later, list) else []
