@@ -32,14 +32,19 @@ from labrun.search import (
     RESULT_FILE,
     Best,
     Measured,
+    Measures,
+    OverSettings,
     RunResult,
+    at_settings,
     conditions,
+    excess_at_settings,
     expected_trials,
     honest_best,
     read_generations,
     reason_lines,
     resume_line,
     search_by_cmaes,
+    settings_of,
 )
 from labrun.spec import LOOP_DEVICE, Experiment, Value, condition_key
 from labrun.store import RunFolder, TrialOutcome, open_run, replace_durably, saving
@@ -73,7 +78,7 @@ def carry_out(
     """
     goal = experiment.goal
     unit = objective_unit(experiment, rig, goal[0]) if goal is not None else ""
-    if goal is not None:
+    if goal is not None and not experiment.over:  # of a part of the settings nothing can be said
         progress = _BestSoFar(progress, *goal, unit, experiment.trial.repeats.min)
     with folder.lock(), _resumable(folder), _terminate_like_interrupt():
         session = Session(
@@ -133,13 +138,17 @@ def _measure(
     progress: Progress,
 ) -> Best | None:
     found: Sequence[Measured]
+    measures: Measures = session
+    settings = settings_of(experiment)
+    if experiment.over and experiment.goal is not None:
+        measures = OverSettings(session, settings, experiment.combine, experiment.goal[1])
     if experiment.kind == "cmaes":
         _expect(session, folder, expected_trials(experiment, ()))
         found = search_by_cmaes(
             experiment,
-            session,
+            measures,
             folder.path / "search",
-            limit_excesses=Planner(experiment, rig, session.motions).excess_of,
+            limit_excesses=excess_at_settings(Planner(experiment, rig, session.motions).excess_of, settings),
             seed=seed,
             progress=progress,
         )
@@ -147,12 +156,16 @@ def _measure(
         planned = conditions(experiment, seed)
         table = {"run": experiment.run, "track": experiment.track}.get(experiment.kind, experiment.sweep)
         _expect(session, folder, expected_trials(experiment, planned))
-        found = session.measure(planned, order="shuffled" if table is None else table.order)
+        order: Literal["shuffled", "as-listed"] = "shuffled" if table is None else table.order
+        if experiment.goal is None:
+            session.measure(at_settings(planned, settings), order=order)
+            return None
+        found = measures.measure(planned, order=order)
     if experiment.goal is None:
         return None
     progress.phase("fresh repeats of the leaders")
     name, direction = experiment.goal
-    return honest_best(session, found, objective=name, goal=direction, unit=unit, leaders=experiment.leaders)
+    return honest_best(measures, found, objective=name, goal=direction, unit=unit, leaders=experiment.leaders)
 
 
 def _recorder(experiment: Experiment, rig: Rig, folder: RunFolder, seed: int, progress: Progress) -> Recorder:

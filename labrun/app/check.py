@@ -11,8 +11,11 @@ from labrun.search import (
     ConstraintError,
     allowed_points,
     at_points,
+    at_settings,
     conditions,
+    excess_at_settings,
     most_trials,
+    settings_of,
     survey_space,
 )
 from labrun.spec import Condition, Experiment, LoadedExperiment, condition_key, condition_text, load_named
@@ -82,12 +85,13 @@ def whole_plan(
     planner = Planner(experiment, rig, motions)
     try:
         found = _search_plan(experiment, planner) if experiment.kind == "cmaes" else None
-        chosen = [] if found is not None else conditions(experiment, seed)
+        asked = [] if found is not None else conditions(experiment, seed)
+        chosen = at_settings(asked, settings_of(experiment))
     except ConstraintError as error:
         raise SpecError(f"{loaded.place(error.key)}: {error}") from error
     if experiment.kind == "track":
         ClosedLoopRecorder(experiment, planner.rig).require_makeable(chosen)
-    found = _counted(planner.plan(chosen) if found is None else found, experiment, chosen)
+    found = _counted(planner.plan(chosen) if found is None else found, experiment, chosen, len(asked))
     reference = experiment.trial.reference
     if reference is not None:
         excess = planner.excess_of(reference.condition)
@@ -101,24 +105,45 @@ def whole_plan(
 def _search_plan(experiment: Experiment, planner: Planner) -> Plan:
     """Return the plan of the points that a search's constraints allow: those outside a limit never run."""
     assert experiment.cmaes is not None  # noqa: S101  (the file would not have loaded)
-    allowed = allowed_points(experiment.cmaes)
-    found = planner.plan(allowed.conditions or conditions(experiment))
-    space = survey_space(experiment, allowed, found, planner.excess_of)
+    allowed, settings = allowed_points(experiment.cmaes), settings_of(experiment)
+    found = planner.plan(at_settings(allowed.conditions or conditions(experiment), settings))
+    found = replace(found, excess=_of_candidates(found.excess, allowed.conditions, settings))
+    space = survey_space(experiment, allowed, found, excess_at_settings(planner.excess_of, settings))
     outside = {id(item) for item in at_points(found.excess, allowed.conditions)}
     return replace(found, space=space, excess=tuple(item for item in found.excess if id(item) not in outside))
 
 
-def _counted(found: Plan, experiment: Experiment, chosen: Sequence[Condition]) -> Plan:
-    """Count every trial of the run: references and the honest best as well, and all that a search may take."""
+def _of_candidates(
+    excess: Sequence[ConditionExcess], candidates: Sequence[Condition], settings: Sequence[Condition]
+) -> tuple[ConditionExcess, ...]:
+    """Return what breaks a limit with the settings left out of each condition: one for each candidate."""
+    names = {name for setting in settings for name in setting}
+    if not names:
+        return tuple(excess)
+    known = {condition_key(candidate) for candidate in candidates}
+    found: dict[object, ConditionExcess] = {}
+    for item in excess:
+        own = {name: value for name, value in item.condition.items() if name not in names}
+        key = condition_key(own)
+        found.setdefault(key, ConditionExcess(own, item.excess) if key in known else item)
+    return tuple(found.values())
+
+
+def _counted(found: Plan, experiment: Experiment, chosen: Sequence[Condition], count: int) -> Plan:
+    """Count every trial of the run: references and the honest best as well, and all that a search may take.
+
+    `chosen` are its conditions, at each setting; without the settings there are `count` of them.
+    """
     repeats, leaders = experiment.trial.repeats, experiment.leaders.count
-    least = most_trials(experiment, chosen)
-    most = most_trials(experiment, chosen, repeats=repeats.max)
+    own = chosen[:count]  # as many as there are without settings: they are counted alone
+    least = most_trials(experiment, own)
+    most = most_trials(experiment, own, repeats=repeats.max)
     notes = found.notes
     written = "count" in experiment.leaders.model_fields_set
-    if experiment.goal is not None and chosen and len(chosen) < leaders and written:
+    if experiment.goal is not None and chosen and count < leaders and written:
         notes = (
             *notes,
-            f"leaders.count = {leaders} is more than the {len(chosen)} conditions: all of them are measured again",
+            f"leaders.count = {leaders} is more than the {count} conditions: all of them are measured again",
         )
     if experiment.damage is not None:
         notes = (*notes, *_damage_notes(experiment, chosen))

@@ -13,7 +13,7 @@ from labrun.gap.next import RunBench, TrialPlan
 from labrun.gap.next import plan_trials as plan
 from labrun.gap.next.proposal import free_place, require_free
 from labrun.models import Model, load_model
-from labrun.search import conditions
+from labrun.search import at_settings, conditions, settings_of
 from labrun.spec import LoadedExperiment, load_named
 
 _RATE_HZ = 100.0
@@ -68,7 +68,13 @@ def plan_trials(
     signals = {} if table is None else table.signals
     step_s, told = _step(loaded, chosen, signals)
     bench = RunBench.planned(
-        loaded.name, experiment, conditions(experiment, seed or 0), chosen, signals, repeats, step_s
+        loaded.name,
+        experiment,
+        at_settings(conditions(experiment, seed or 0), settings_of(experiment)),
+        chosen,
+        signals,
+        repeats,
+        step_s,
     )
     file = out or free_place(workspace / "experiments", f"{loaded.name}-plan")
     with pool(workers or cores()) as each:

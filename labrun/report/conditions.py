@@ -107,13 +107,14 @@ def condition_results(view: RunView) -> list[ConditionResult]:
         name: {condition_key(point.condition): point for point in view.points(name)}
         for name in view.experiment.objectives
     }
-    winner = condition_key(view.best.parameters) if view.best is not None else None
+    winner = None if view.best is None else view.best.parameters.items()
     results = {
         key: ConditionResult(
             trials[0].condition,
             tuple(trials),
             {name: points[key] for name, points in means.items() if key in points},
-            best=key == winner,
+            best=winner is not None
+            and winner <= dict(trials[0].condition).items(),  # it may be at several settings
         )
         for key, trials in groups.items()
     }

@@ -12,6 +12,7 @@ from labrun.search.leaders import (
     pooled_variance,
 )
 from labrun.search.mountings import Scatter, mean_error, scatter, t_interval
+from labrun.search.over import Combined, OverSettings, at_settings, excess_at_settings, settings_of
 from labrun.search.result import (
     RESULT_FILE,
     Best,
@@ -26,16 +27,20 @@ from labrun.search.survey import allowed_points, at_points, expected_trials, mos
 __all__ = [
     "RESULT_FILE",
     "Best",
+    "Combined",
     "Constraint",
     "ConstraintError",
     "Measured",
     "Measures",
+    "OverSettings",
     "RunResult",
     "Scatter",
     "allowed_points",
     "at_points",
+    "at_settings",
     "axis_values",
     "conditions",
+    "excess_at_settings",
     "expected_trials",
     "honest_best",
     "keep_generation",
@@ -48,6 +53,7 @@ __all__ = [
     "resume_line",
     "scatter",
     "search_by_cmaes",
+    "settings_of",
     "start_of_search",
     "stored_result",
     "survey_space",

@@ -15,6 +15,7 @@ from labrun.search.constraints import Feasibility, LimitExcesses, Violations, pe
 from labrun.search.design import start_of_search
 from labrun.search.generation import keep_generation
 from labrun.search.leaders import Measured, Measures, pooled_variance
+from labrun.search.over import settings_of
 from labrun.search.strategy import Strategy
 from labrun.spec import CmaEs, Condition, Experiment, StopRules, condition_key
 
@@ -308,7 +309,7 @@ class _Search:
         return math.sqrt(variance / float(np.mean([len(values) for values in samples])))
 
     def _trials_of(self, population: int) -> int:
-        return population * self._experiment.trial.repeats.min
+        return population * self._experiment.trial.repeats.min * len(settings_of(self._experiment))
 
     def _best(self) -> Candidate | None:
         measured = [item for item in self._known.values() if item.values]

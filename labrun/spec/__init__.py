@@ -12,6 +12,7 @@ from labrun.spec.search_tables import (
     LOOP_CHANNELS,
     LOOP_DEVICE,
     CmaEs,
+    Combine,
     Interval,
     Leaders,
     LoopTable,
@@ -38,7 +39,8 @@ from labrun.spec.workspace import (
 )
 
 __all__ = [
-    "BROKEN", "CYCLES", "LOOP_CHANNELS", "LOOP_DEVICE", "PAST", "ByHand", "CarriageMove", "CmaEs", "Condition",
+    "BROKEN", "CYCLES", "LOOP_CHANNELS", "LOOP_DEVICE", "PAST", "ByHand", "CarriageMove", "CmaEs", "Combine",
+    "Condition",
     "Criterion", "DamageTable", "Experiment", "FitTable",
     "GaitTable", "GapTable", "Interval", "Key", "Kind", "Leaders", "LoadedExperiment", "LoopTable", "Number",
     "ObjectiveTable", "Outliers", "Penalty", "Range", "Reference", "RepeatRule", "Rig", "RunTable", "SceneTable",

@@ -166,8 +166,11 @@ def _check_device_names(trial: Mapping[str, Any], devices: Mapping[str, DeviceIn
 
 def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Fault]:
     for kind in ("run", "track"):
+        over = table(data, kind, "over")
+        own = [name for name in names if name not in over]
         for number, condition in enumerate(listed_conditions(data, kind)):
-            yield from _same_names(condition, (kind, "conditions", number), names)
+            yield from _same_names(condition, (kind, "conditions", number), own)
+    yield from _check_over(data)
     reference = table(data, "trial", "reference").get("condition")
     if isinstance(reference, dict):
         yield from _same_names(reference, ("trial", "reference", "condition"), names)
@@ -179,6 +182,21 @@ def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Fau
     for name in names:
         if name in taken:
             yield Fault((*place, name), f"this name is taken: it is also {taken[name]}")
+
+
+def _check_over(data: Mapping[str, Any]) -> Iterator[Fault]:
+    """Yield settings that have a value of their own in every condition already."""
+    kind = str(data.get("kind"))
+    own = {
+        "sweep": table(data, "sweep", "axes"),
+        "cmaes": table(data, "cmaes", "variables"),
+        "run": next(iter(listed_conditions(data, "run")), {}),
+    }.get(kind, {})
+    for name in table(data, kind, "over"):
+        if name in own:
+            yield Fault(
+                (kind, "over", name), f'"{name}" is varied already; it cannot be a setting of each, too'
+            )
 
 
 def _same_names(condition: Mapping[str, Any], path: KeyPath, names: list[str]) -> Iterator[Fault]:

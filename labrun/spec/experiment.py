@@ -6,8 +6,9 @@ from typing import Any, Literal
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, model_validator
 
 from labrun.spec.by_hand import ByHand
+from labrun.spec.condition import Value
 from labrun.spec.damage import DamageTable
-from labrun.spec.search_tables import CmaEs, Leaders, RunTable, Sweep, Track
+from labrun.spec.search_tables import CmaEs, Combine, Leaders, RunTable, Sweep, Track
 from labrun.spec.trial_tables import TrialTable
 from labrun.spec.until import CYCLES
 from labrun.toml import Expression, Faults, PluginTable, Table
@@ -145,6 +146,18 @@ class Experiment(Table):
                     f"only one objective can say what is best; {goals[0]} does already",
                 )
         return self
+
+    @property
+    def over(self) -> Mapping[str, list[Value]]:
+        """Settings that each of its conditions is measured at; empty if there is one measurement of each."""
+        table = {"run": self.run, "sweep": self.sweep, "cmaes": self.cmaes}.get(self.kind)
+        return {} if table is None else table.over
+
+    @property
+    def combine(self) -> Combine:
+        """What becomes of the values at the settings of `over`."""
+        table = {"run": self.run, "sweep": self.sweep, "cmaes": self.cmaes}.get(self.kind)
+        return "mean" if table is None else table.combine
 
     @property
     def goal(self) -> tuple[str, Literal["maximise", "minimise"]] | None:

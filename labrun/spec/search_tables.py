@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, PositiveFloat, PositiveInt, Tag, model_validator
 
@@ -39,7 +39,32 @@ class Interval(Table):
         return self
 
 
-class RunTable(Table):
+Combine = Literal["sum", "mean", "worst"]
+"""What becomes of the values of one candidate at several settings; the worst is the one farthest from the goal."""
+
+
+class Over(Table):
+    """Settings that every condition is measured at, all combinations of them, and how one value comes of theirs."""
+
+    over: dict[str, Annotated[list[Value], Field(min_length=1)]] = Field(default_factory=dict)
+    combine: Combine = "mean"
+
+    @model_validator(mode="after")
+    def _something_to_combine(self) -> Self:
+        with Faults() as faults:
+            if self.combine != "mean" and not self.over:
+                faults.add(
+                    "combine", "there is nothing to combine: name the settings, over = { v = [0.1, 0.3] }"
+                )
+            for name, values in self.over.items():
+                if len(set(values)) < len(values):
+                    faults.add(
+                        ("over", name), "names a value twice; trial.repeats says how often each is measured"
+                    )
+        return self
+
+
+class RunTable(Over):
     """Conditions one by one."""
 
     conditions: list[dict[str, Value]] = Field(min_length=1)
@@ -63,7 +88,7 @@ Axis = Annotated[
 ]
 
 
-class Sweep(Table):
+class Sweep(Over):
     """Conditions from axes. Grid and list axes cross; random and Sobol designs take `samples` points of intervals."""
 
     design: Literal["grid", "random", "sobol"] = "grid"
@@ -130,7 +155,7 @@ class Leaders(Table):
     repeats: Annotated[int, Field(ge=2)] = 5
 
 
-class CmaEs(Table):
+class CmaEs(Over):
     """Covariance matrix adaptation. `step_size` is a share of each variable's range."""
 
     variables: dict[str, Variable] = Field(min_length=1)
