@@ -4,12 +4,14 @@ import json
 import signal
 import threading
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
+from labrun.app.answer import Answer, measure_all, search_folder
 from labrun.control import ClosedLoopRecorder
 from labrun.errors import ExperimentError, LabrunError, PlanError
 from labrun.objectives import make_objective
@@ -19,7 +21,6 @@ from labrun.runner import (
     LimitReached,
     MotionMaker,
     Person,
-    Planner,
     Progress,
     Recorder,
     Rig,
@@ -31,20 +32,10 @@ from labrun.runner import (
 from labrun.search import (
     RESULT_FILE,
     Best,
-    Measured,
-    Measures,
-    OverSettings,
     RunResult,
-    at_settings,
-    conditions,
-    excess_at_settings,
-    expected_trials,
-    honest_best,
     read_generations,
     reason_lines,
     resume_line,
-    search_by_cmaes,
-    settings_of,
 )
 from labrun.spec import LOOP_DEVICE, Experiment, Value, condition_key
 from labrun.store import RunFolder, TrialOutcome, open_run, replace_durably, saving
@@ -94,12 +85,12 @@ def carry_out(
             motions,
         )
         try:
-            best = _measure(experiment, rig, session, folder, seed, unit, progress)
+            answer = measure_all(experiment, rig, session, folder, seed, unit, progress)
         except LimitReached:
             folder.journal.append("limit-reached", limit=limit)
             progress.note(f"stopped after {limit} new trials; to go on: {resume_line(folder.path)}")
             return _result(folder, best=None, figure=None, finished=False)
-        result = _finish(folder, best, progress, draw)
+        result = _finish(folder, answer, progress, draw)
     return require_answer(result, experiment)
 
 
@@ -128,46 +119,6 @@ def require_answer(result: RunResult, experiment: Experiment) -> RunResult:
     raise error
 
 
-def _measure(
-    experiment: Experiment,
-    rig: Rig,
-    session: Session,
-    folder: RunFolder,
-    seed: int,
-    unit: str,
-    progress: Progress,
-) -> Best | None:
-    found: Sequence[Measured]
-    measures: Measures = session
-    settings = settings_of(experiment)
-    if experiment.over and experiment.goal is not None:
-        measures = OverSettings(session, settings, experiment.combine, experiment.goal[1])
-    if experiment.kind == "cmaes":
-        _expect(session, folder, expected_trials(experiment, ()))
-        found = search_by_cmaes(
-            experiment,
-            measures,
-            folder.path / "search",
-            limit_excesses=excess_at_settings(Planner(experiment, rig, session.motions).excess_of, settings),
-            seed=seed,
-            progress=progress,
-        )
-    else:
-        planned = conditions(experiment, seed)
-        table = {"run": experiment.run, "track": experiment.track}.get(experiment.kind, experiment.sweep)
-        _expect(session, folder, expected_trials(experiment, planned))
-        order: Literal["shuffled", "as-listed"] = "shuffled" if table is None else table.order
-        if experiment.goal is None:
-            session.measure(at_settings(planned, settings), order=order)
-            return None
-        found = measures.measure(planned, order=order)
-    if experiment.goal is None:
-        return None
-    progress.phase("fresh repeats of the leaders")
-    name, direction = experiment.goal
-    return honest_best(measures, found, objective=name, goal=direction, unit=unit, leaders=experiment.leaders)
-
-
 def _recorder(experiment: Experiment, rig: Rig, folder: RunFolder, seed: int, progress: Progress) -> Recorder:
     """Return how trials are recorded: with the loops closed, or cycle by cycle until an end, where asked for."""
     if experiment.kind == "track":
@@ -175,12 +126,6 @@ def _recorder(experiment: Experiment, rig: Rig, folder: RunFolder, seed: int, pr
     if experiment.trial.until is not None:
         return UntilRecorder(experiment, rig, folder, seed=seed, phase=progress.phase)
     return record_planned
-
-
-def _expect(session: Session, folder: RunFolder, trials: int | None) -> None:
-    """Say how many trials there will be, here and to whoever watches the run from elsewhere."""
-    folder.journal.append("expected", sync=False, trials=trials)
-    session.expect(trials)
 
 
 def objective_unit(experiment: Experiment, rig: Rig, name: str) -> str:
@@ -194,15 +139,22 @@ def objective_unit(experiment: Experiment, rig: Rig, name: str) -> str:
     return make_objective(name, table).unit(units.get(channel, ""))
 
 
-def _finish(folder: RunFolder, best: Best | None, progress: Progress, draw: bool) -> RunResult:
+def _finish(folder: RunFolder, answer: Answer, progress: Progress, draw: bool) -> RunResult:
     progress.phase("packing run.h5")
-    result = _result(folder, best=best, figure=None, finished=True)
+    best = answer.best
+
+    def told(figure: Path | None) -> RunResult:
+        result = _result(folder, best=best, figure=figure, finished=True)
+        return replace(result, verdicts=answer.verdicts, winners=answer.winners)
+
+    result = told(None)
     folder.pack()
-    figure = _drawn(folder.path, best, progress) if draw else None
+    figure = _drawn(folder.path, best, progress, answer.search) if draw else None
     record = {
         **result.to_json(),
         "run": folder.path.name,
         "best": None if best is None else best.to_record(),
+        **({"winners": [one.to_record() for one in answer.winners]} if answer.winners else {}),
         "figure": None if figure is None else figure.name,
         "reasons": dict(result.reasons),
         "unsettled": result.unsettled,
@@ -213,25 +165,25 @@ def _finish(folder: RunFolder, best: Best | None, progress: Progress, draw: bool
         folder.journal.append("unsettled", trials=result.unsettled, of=result.done)
         progress.note(result.unsettled_text())
     folder.journal.append("finished", trials=record["trials"])
-    return _result(folder, best=best, figure=figure, finished=True)
+    return told(figure)
 
 
-def draw(folder: Path, best: Best | None) -> Path | None:
+def draw(folder: Path, best: Best | None, search: int = 0) -> Path | None:
     """Draw a run as its kind asks for, into its folder; None where there is nothing to draw."""
     from labrun.report.figures import run_figure  # matplotlib
     from labrun.report.style import save
 
     with open_run(folder) as run:
         view = RunView(run, experiment_of(run.experiment_toml, run.name), best)
-        figure = run_figure(view, read_generations(folder / "search"))
+        figure = run_figure(view, read_generations(search_folder(folder, search)))
     return None if figure is None else save(figure, folder / FIGURE)
 
 
-def _drawn(run: Path, best: Best | None, progress: Progress) -> Path | None:
+def _drawn(run: Path, best: Best | None, progress: Progress, search: int = 0) -> Path | None:
     """Draw the run. Whatever goes wrong with a picture, the data are safe and the run counts as done."""
     progress.phase("drawing")
     try:
-        return draw(run, best)
+        return draw(run, best, search)
     except Exception as error:
         progress.note(f"the figure could not be drawn: {type(error).__name__}: {error}")
         return None

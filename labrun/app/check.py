@@ -14,6 +14,7 @@ from labrun.search import (
     at_settings,
     conditions,
     excess_at_settings,
+    levels_of,
     most_trials,
     settings_of,
     survey_space,
@@ -105,7 +106,8 @@ def whole_plan(
 def _search_plan(experiment: Experiment, planner: Planner) -> Plan:
     """Return the plan of the points that a search's constraints allow: those outside a limit never run."""
     assert experiment.cmaes is not None  # noqa: S101  (the file would not have loaded)
-    allowed, settings = allowed_points(experiment.cmaes), settings_of(experiment)
+    allowed = allowed_points(experiment.cmaes)
+    settings = at_settings(levels_of(experiment), settings_of(experiment))
     found = planner.plan(at_settings(allowed.conditions or conditions(experiment), settings))
     found = replace(found, excess=_of_candidates(found.excess, allowed.conditions, settings))
     space = survey_space(experiment, allowed, found, excess_at_settings(planner.excess_of, settings))

@@ -107,6 +107,9 @@ class Mountings:
         Takes back the trials of a mounting by its number.
     wanted
         Tells whether anything is left to measure in a block; others are not asked for.
+    keeps
+        What is mounted stays for whatever is measured next with the same values, as by a search: nobody is asked
+        between its generations, and none of them can be taken back.
     """
 
     def __init__(
@@ -118,7 +121,10 @@ class Mountings:
         wait: Callable[[], object],
         set_aside: Callable[[int], object],
         wanted: Callable[[Mounting], bool] = lambda _: True,
+        keeps: bool = False,
     ) -> None:
+        self._keeps = keeps
+        self._kept: Mounting | None = None
         self._table = table
         self._units = units
         self._person = person
@@ -158,6 +164,9 @@ class Mountings:
             last = tuple(position for position in positions if damages(conditions[position]))
             kept = tuple(position for position in positions if position not in last)
             blocks.append(Mounting(None, values, kept, last))
+        if self._keeps and self._kept is not None and [b.values for b in blocks] == [self._kept.values]:
+            self._coming.append(replace(blocks[0], number=self._kept.number))
+            return
         rounds = 1 if self._table is None else self._table.mountings
         for turn in range(rounds):
             index = turn * _ROUND + trial_index
@@ -174,6 +183,8 @@ class Mountings:
             while self._coming and not self._wanted(self._coming[0]):
                 self._coming.popleft()
             coming = self._coming[0] if self._coming else None
+            if self._keeps and (coming is None or coming.number is not None):
+                return self._coming.popleft() if coming is not None else None
             event = self._recorded(index)
             if event is None:
                 wrong = self._asked(self._question(coming), _END if coming is None else _CHANGE, self._meant)
@@ -188,7 +199,7 @@ class Mountings:
             else:
                 self._coming.popleft()
                 self._count += 1
-                made = replace(coming, number=self._count)
+                made = self._kept = replace(coming, number=self._count)
                 self._mounted.append(made)
                 if event is None:
                     self._keep(index, "mounted", made)
@@ -208,7 +219,7 @@ class Mountings:
         if not known:
             text = f"{self._name(mounting)} was in place when the run stopped. Is it still?"
             self._seen = mounting.number
-            if not self._asked(text, _STILL, _again):
+            if not self._asked(text, _STILL, _again) or self._keeps:
                 return True
         else:
             self._given.popleft()

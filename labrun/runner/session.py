@@ -116,6 +116,7 @@ class Session:
             self._wait,
             self._set_aside,
             lambda mounting: self._damage.is_whole(mounting.values),
+            experiment.kind == "cmaes",
         )
         self._damage = Damage(experiment.damage, experiment.by_hand)
         self._mounting: int | None = None

@@ -1,7 +1,7 @@
 """Which trials come next: the points of a sweep, a search by CMA-ES, and the honest best of what was measured."""
 
-from labrun.search.cmaes import search_by_cmaes
-from labrun.search.constraints import Constraint, ConstraintError
+from labrun.search.cmaes import NoCandidateError, Searched, search_by_cmaes
+from labrun.search.constraints import Constraint, ConstraintError, LimitExcesses
 from labrun.search.design import axis_values, conditions, start_of_search, sweep_conditions
 from labrun.search.generation import keep_generation, read_generations
 from labrun.search.leaders import (
@@ -12,7 +12,14 @@ from labrun.search.leaders import (
     pooled_variance,
 )
 from labrun.search.mountings import Scatter, mean_error, scatter, t_interval
-from labrun.search.over import Combined, OverSettings, at_settings, excess_at_settings, settings_of
+from labrun.search.over import (
+    Combined,
+    OverSettings,
+    at_settings,
+    excess_at_settings,
+    levels_of,
+    settings_of,
+)
 from labrun.search.result import (
     RESULT_FILE,
     Best,
@@ -21,8 +28,10 @@ from labrun.search.result import (
     resume_line,
     stored_result,
     unsettled_text,
+    winner_lines,
 )
 from labrun.search.survey import allowed_points, at_points, expected_trials, most_trials, survey_space
+from labrun.search.verdict import Verdict
 
 __all__ = [
     "RESULT_FILE",
@@ -30,11 +39,15 @@ __all__ = [
     "Combined",
     "Constraint",
     "ConstraintError",
+    "LimitExcesses",
     "Measured",
     "Measures",
+    "NoCandidateError",
     "OverSettings",
     "RunResult",
     "Scatter",
+    "Searched",
+    "Verdict",
     "allowed_points",
     "at_points",
     "at_settings",
@@ -45,6 +58,7 @@ __all__ = [
     "honest_best",
     "keep_generation",
     "leading_conditions",
+    "levels_of",
     "mean_error",
     "most_trials",
     "pooled_variance",
@@ -60,4 +74,5 @@ __all__ = [
     "sweep_conditions",
     "t_interval",
     "unsettled_text",
+    "winner_lines",
 ]

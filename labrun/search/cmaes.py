@@ -17,7 +17,8 @@ from labrun.search.generation import keep_generation
 from labrun.search.leaders import Measured, Measures, pooled_variance
 from labrun.search.over import settings_of
 from labrun.search.strategy import Strategy
-from labrun.spec import CmaEs, Condition, Experiment, StopRules, condition_key
+from labrun.search.verdict import Verdict, judge
+from labrun.spec import CmaEs, Condition, Experiment, StopRules, condition_key, condition_text
 
 _BEYOND_NOISE = 2.0
 
@@ -105,6 +106,7 @@ class StopWatch:
             self._since += 1
 
 
+_LEVEL_STREAM = 1
 _SEARCH_STREAM = 2
 """Tells the search's random numbers from those of other parts of a run with the same seed."""
 
@@ -135,6 +137,18 @@ class Candidate:
         }
 
 
+class NoCandidateError(PlanError):
+    """A whole search found nothing that may run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """All that a search measured, and what it came to."""
+
+    found: list[Measured]
+    verdict: Verdict
+
+
 def search_by_cmaes(
     experiment: Experiment,
     session: Measures,
@@ -143,8 +157,10 @@ def search_by_cmaes(
     limit_excesses: LimitExcesses,
     seed: int,
     progress: "Progress",
-) -> list[Measured]:
-    """Search until a stop rule ends it, and return all measurements.
+    level: Condition | None = None,
+    number: int = 0,
+) -> Searched:
+    """Search until a stop rule ends it, and return all measurements, and what they came to.
 
     A resumed search is replayed: the session serves stored trials, every generation is computed again from the
     same random numbers, and compared with its stored state.
@@ -157,17 +173,18 @@ def search_by_cmaes(
         Returns which limits of the rig a condition's motion would leave.
     seed
         The run's seed.
+    level, number
+        Of one of several searches: what stays the same in all its conditions, and its place among them.
 
     Raises
     ------
-    PlanError
+    NoCandidateError
         No candidate of the whole search was feasible.
     StoreError
         A replayed generation differs from the stored one.
     """
-    search = _Search(experiment, session, folder, limit_excesses, seed, progress)
-    search.run()
-    return search.found
+    search = _Search(experiment, session, folder, limit_excesses, seed, progress, level or {}, number)
+    return Searched(search.found, search.run())
 
 
 class _Search:
@@ -179,6 +196,8 @@ class _Search:
         limit_excesses: LimitExcesses,
         seed: int,
         progress: "Progress",
+        level: Condition,
+        number: int,
     ) -> None:
         goal = experiment.goal
         if experiment.cmaes is None or goal is None:
@@ -189,34 +208,54 @@ class _Search:
         self._experiment = experiment
         self._session = session
         self._folder = folder
-        self._seed = seed
+        # The stream of a first search is that of one alone, whatever others come after it.
+        self._stream = (
+            (seed, _SEARCH_STREAM) if number == 0 else (seed, _SEARCH_STREAM, _LEVEL_STREAM, number)
+        )
+        self._level = level
         self._progress = progress
         self._feasibility = Feasibility(experiment.cmaes, limit_excesses)
         self._known: dict[object, Candidate] = {}
         self._watch = StopWatch(self._table.stop)
+        self._spreads: list[float] = []
+        self._population = experiment.cmaes.population_size
         self.found: list[Measured] = []
 
-    def run(self) -> None:
+    def run(self) -> Verdict:
         """Run the search and its restarts."""
+        reason = ""
         for restart in range(self._table.restarts + 1):
             reason = self._descend(restart)
             if self._watch.over or restart == self._table.restarts:
-                self._progress.note(f"search ends: {reason}")
                 break
             self._progress.note(f"restart {restart + 1} with twice the population: {reason}")
         if not any(candidate.violations.feasible for candidate in self._known.values()):
             worst = min(self._known.values(), key=lambda item: (item.violations.number, item.violations.size))
-            raise PlanError(
-                f"no candidate of {self._watch.generation} generations may run; the nearest breaks: "
+            at = f" at {condition_text(self._level)}" if self._level else ""
+            raise NoCandidateError(
+                f"no candidate of {self._watch.generation} generations may run{at}; the nearest breaks: "
                 + "; ".join(worst.violations.texts),
                 hint="widen the limits or `where`, or give the variables an initial point that holds",
             )
+        verdict = judge(
+            reason,
+            self._spreads,
+            budget_spent=self._watch.over,
+            goal=self._table.stop.step_size_below,
+            trials=self._watch.trials,
+            trials_each=self._trials_of(self._population),
+            generations=self._watch.generation,
+            level=self._level or None,
+        )
+        self._progress.note(f"search {verdict.text}")
+        return verdict
 
     def _descend(self, restart: int) -> str:
         """Run one strategy until it, or the whole search, is to stop; return why."""
         # A restart's numbers follow from seed and number alone, whatever the strategies before it consumed.
-        rng = np.random.default_rng(np.random.SeedSequence((self._seed, _SEARCH_STREAM, restart)))
+        rng = np.random.default_rng(np.random.SeedSequence((*self._stream, restart)))
         strategy = self._strategy(restart, rng)
+        self._population, self._spreads = strategy.population, []
         leaders: list[Candidate] = []
         self._watch.restart()
         while True:
@@ -227,6 +266,7 @@ class _Search:
             leaders = self._leading(candidates)
             noise = self._standard_error(candidates)
             costs = [self._sign * mean for item in candidates if (mean := item.mean()) is not None]
+            self._spreads.append(strategy.largest_spread)
             reason = self._watch.after_generation(costs, noise, strategy.largest_spread)
             self._keep(strategy, restart, candidates, known)
             self._tell_progress(candidates)
@@ -288,7 +328,7 @@ class _Search:
         self._watch.trials += sum(len(measurement.outcomes) for measurement in measurements)
 
     def _condition(self, point: FloatArray) -> Condition:
-        condition = {}
+        condition = dict(self._level)
         for (name, variable), share in zip(self._table.variables.items(), point.tolist(), strict=True):
             value = variable.start + share * (variable.stop - variable.start)
             condition[name] = float(min(max(value, variable.start), variable.stop))

@@ -22,6 +22,12 @@ def settings_of(experiment: Experiment) -> list[Condition]:
     return [dict(zip(over, values, strict=True)) for values in itertools.product(*over.values())]
 
 
+def levels_of(experiment: Experiment) -> list[Condition]:
+    """Return the levels that get a search of their own, all combinations of `each`; one without any if none."""
+    each = experiment.each
+    return [dict(zip(each, values, strict=True)) for values in itertools.product(*each.values())]
+
+
 def at_settings(conditions: Sequence[Condition], settings: Sequence[Condition]) -> list[Condition]:
     """Return each condition at each of the settings, those of one condition next to each other."""
     return [{**condition, **setting} for condition in conditions for setting in settings]

@@ -1,12 +1,13 @@
 """What a run comes to."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from labrun.notebook import as_html
+from labrun.search.verdict import Verdict
 from labrun.spec import Value, condition_text
 
 RESULT_FILE = "result.json"
@@ -86,6 +87,10 @@ class RunResult:
         Why trials were rejected or failed, with their number, most frequent first.
     unsettled
         Trials that count although the bench had not come to rest before them.
+    verdicts
+        How each search ended; empty without one.
+    winners
+        Of a search for each level of a factor: the honest best of each level, best first.
     """
 
     run: Path
@@ -97,6 +102,8 @@ class RunResult:
     finished: bool
     reasons: Mapping[str, int] = field(default_factory=dict)
     unsettled: int = 0
+    verdicts: tuple[Verdict, ...] = ()
+    winners: tuple[Best, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return what `--json` prints for run, sweep, cmaes and resume."""
@@ -104,6 +111,8 @@ class RunResult:
             "run": str(self.run),
             "trials": {"done": self.done, "rejected": self.rejected, "failed": self.failed},
             "best": None if self.best is None else self.best.to_json(),
+            **({"search": [one.to_record() for one in self.verdicts]} if self.verdicts else {}),
+            **({"winners": [one.to_json() for one in self.winners]} if self.winners else {}),
         }
 
     def _repr_html_(self) -> str:
@@ -117,6 +126,10 @@ class RunResult:
             lines.append(f"warning   {self.unsettled_text()}")
         if self.best is not None:
             lines += _best_lines(self.best)
+        for verdict in self.verdicts:
+            where = f"{condition_text(verdict.level)}: " if verdict.level else ""
+            lines.append(f"search    {where}{verdict.text}")
+        lines += winner_lines(self.winners, [verdict.level or {} for verdict in self.verdicts])
         lines.append(f"run       {self.run}")
         if self.figure is not None:
             lines.append(f"figure    {self.figure}")
@@ -148,7 +161,38 @@ def stored_result(run: Path) -> RunResult | None:
         finished=True,
         reasons=record.get("reasons", {}),
         unsettled=record.get("unsettled", 0),
+        verdicts=tuple(Verdict.from_record(one) for one in record.get("search", ())),
+        winners=tuple(Best.from_record(one) for one in record.get("winners", ())),
     )
+
+
+def winner_lines(winners: Sequence[Best], levels: Sequence[Mapping[str, Value]]) -> list[str]:
+    """Return the winners of the levels of a factor, one a line, and whether the best one stands apart."""
+    if not winners:
+        return []
+    names = list(dict.fromkeys(name for level in levels for name in level))
+    lines = []
+    for best in winners:
+        at = condition_text({name: best.parameters[name] for name in names})
+        interval = "no interval" if best.ci95 is None else f"{best.ci95[0]:.4g} to {best.ci95[1]:.4g}"
+        lines.append(f"winner    {at}: {best.objective_name} = {best.value:.4g} {best.unit} ({interval})")
+    first, *others = winners
+    near = [other for other in others if not _apart(first, other)]
+    if not others:
+        return lines
+    at = condition_text({name: first.parameters[name] for name in names})
+    if near:
+        rest = " and ".join(condition_text({name: one.parameters[name] for name in names}) for one in near)
+        lines.append(f"          {at} is not told apart from {rest}: their 95 % intervals overlap")
+    else:
+        lines.append(f"          {at} stands apart: its 95 % interval overlaps no other")
+    return lines
+
+
+def _apart(one: Best, other: Best) -> bool:
+    if one.ci95 is None or other.ci95 is None:
+        return False
+    return one.ci95[0] > other.ci95[1] or one.ci95[1] < other.ci95[0]
 
 
 def reason_lines(reasons: Mapping[str, int]) -> list[str]:

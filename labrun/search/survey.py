@@ -11,7 +11,7 @@ from labrun.errors import PlanError
 from labrun.runner import ConditionExcess, Plan, SearchSpace, SpaceBreak, percent
 from labrun.search.constraints import Feasibility, LimitExcesses, constraints, probes
 from labrun.search.design import start_of_search
-from labrun.search.over import settings_of
+from labrun.search.over import levels_of, settings_of
 from labrun.spec import CmaEs, Condition, Experiment, condition_key
 
 _POINTS = 8192
@@ -156,18 +156,20 @@ def most_trials(
     settings = len(settings_of(experiment))
     least = experiment.trial.repeats.min
     repeats = least if repeats is None else repeats
-    candidates = len(conditions)
+    candidates, levels = len(conditions), 1
     mountings = 1 if experiment.by_hand is None else experiment.by_hand.mountings
     measured = candidates * repeats * mountings * settings
     if experiment.kind == "cmaes" and experiment.cmaes is not None:
+        levels = len(levels_of(experiment))
         candidates, measured = _most_of_search(experiment.cmaes, least * settings, repeats * settings)
     reference = experiment.trial.reference
     references = 0 if reference is None else math.ceil(measured / reference.every)
+    measured *= levels
     leaders = experiment.leaders
     honest = (
         0
         if experiment.goal is None
-        else (min(leaders.count, candidates) + 1) * leaders.repeats * mountings * settings
+        else (min(leaders.count, candidates) + 1) * leaders.repeats * mountings * settings * levels
     )
     return measured + references + honest
 

@@ -55,10 +55,12 @@ def check_by_hand(data: Mapping[str, Any], conditions: list[str]) -> Iterator[Fa
                 f"{{{place}}} stands for nothing that is set by hand; {suggest(place, names, kind='names')}"
             )
             yield Fault(("by_hand", "ask"), text, at_value=True)
-    if data.get("kind") == "cmaes":
+    each = table(data, "cmaes", "each")
+    if data.get("kind") == "cmaes" and not all(name in each for name in names):
         yield Fault(
             ("by_hand",),
-            "a search changes its variables with every candidate; by_hand goes with run and sweep",
+            "a search changes its variables with every candidate; by_hand goes with run and sweep, "
+            "and in a search with what stands in cmaes.each",
         )
     if "reference" in table(data, "trial"):
         text = "a reference every so many trials would change what is mounted; leave it out, or by_hand"

@@ -192,11 +192,15 @@ def _check_over(data: Mapping[str, Any]) -> Iterator[Fault]:
         "cmaes": table(data, "cmaes", "variables"),
         "run": next(iter(listed_conditions(data, "run")), {}),
     }.get(kind, {})
+    each = table(data, kind, "each")
     for name in table(data, kind, "over"):
+        if name in own or name in each:
+            text = f'"{name}" is varied already; it cannot be a setting of each, too'
+            yield Fault((kind, "over", name), text)
+    for name in each:
         if name in own:
-            yield Fault(
-                (kind, "over", name), f'"{name}" is varied already; it cannot be a setting of each, too'
-            )
+            text = f'"{name}" is a variable already; each gives a level to a whole search'
+            yield Fault((kind, "each", name), text)
 
 
 def _same_names(condition: Mapping[str, Any], path: KeyPath, names: list[str]) -> Iterator[Fault]:

@@ -154,6 +154,11 @@ class Experiment(Table):
         return {} if table is None else table.over
 
     @property
+    def each(self) -> Mapping[str, list[Value]]:
+        """Factors of which each combination of levels gets a search of its own; empty if there is one search."""
+        return {} if self.cmaes is None or self.kind != "cmaes" else self.cmaes.each
+
+    @property
     def combine(self) -> Combine:
         """What becomes of the values at the settings of `over`."""
         table = {"run": self.run, "sweep": self.sweep, "cmaes": self.cmaes}.get(self.kind)

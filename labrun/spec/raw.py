@@ -48,7 +48,10 @@ def condition_names(data: Mapping[str, Any]) -> list[str]:
         "cmaes": list(table(data, "cmaes", "variables")),
         **{kind: next(map(list, listed_conditions(data, kind)), []) for kind in ("run", "track")},
     }
-    sources = {kind: [*names, *table(data, kind, "over")] for kind, names in sources.items()}
+    sources = {
+        kind: [*table(data, kind, "each"), *names, *table(data, kind, "over")]
+        for kind, names in sources.items()
+    }
     kind = data.get("kind")
     if isinstance(kind, str) and kind in sources:
         return sources[kind]

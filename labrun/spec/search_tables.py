@@ -164,6 +164,8 @@ class CmaEs(Over):
     step_size: PositiveFloat = 0.3
     where: list[str] = Field(default_factory=list)
     penalty: Penalty = Penalty()
+    each: dict[str, Annotated[list[Value], Field(min_length=1)]] = Field(default_factory=dict)
+    """A search of its own for every combination of these."""
     restarts: Annotated[int, Field(ge=0)] = 0
     reevaluate: Annotated[int, Field(ge=0)] = 0
     """Leaders of a generation that are measured again in the next one."""

@@ -1,0 +1,142 @@
+"""How a search ended: converged, stagnated, or with its budget spent; and what it would still take."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+Ending = Literal["converged", "stagnated", "budget spent"]
+
+CONVERGED_BELOW = 0.02
+"""Candidates that spread over less of every range count as one point, where the file does not say."""
+_LEAST_GENERATIONS = 5
+"""Fewer do not show whether the step size shrinks."""
+_SURE = 2.0
+"""A slope this many standard errors below zero is one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a search came to.
+
+    Attributes
+    ----------
+    ending
+        "converged": candidates no longer differ; "stagnated": no progress beyond the noise while they still do; "budget
+        spent": generations or trials ran out before either.
+    reason
+        The rule that ended it.
+    spread, goal
+        Largest standard deviation of the candidates at the end, as a share of a variable's range, and where it counts
+        as converged.
+    generations, trials
+        That it took.
+    further_generations, further_trials
+        What it would still take to `goal` at the pace so far; None if it has converged, or does not approach it.
+    level
+        Of a search for each level of a factor: which one.
+    """
+
+    ending: Ending
+    reason: str
+    spread: float
+    goal: float
+    generations: int
+    trials: int
+    further_generations: int | None = None
+    further_trials: int | None = None
+    level: Mapping[str, float | str] | None = None
+
+    @property
+    def text(self) -> str:
+        """What a person reads."""
+        size = f"{100 * self.spread:.2g} % of a range"
+        if self.ending == "converged":
+            return f"converged: {self.reason}; candidates spread over {size}"
+        if self.ending == "stagnated":
+            rest = f"candidates still spread over {size}: what is left to gain is hidden by the noise"
+            return f"stagnated: {self.reason}; {rest}; more repeats would show it, or a larger population"
+        rest = (
+            f"not converged: candidates still spread over {size}, {100 * self.goal:.2g} % counts as converged"
+        )
+        if self.further_generations is None:
+            open_end = "they do not draw together yet, so nobody can say how much more it takes"
+            return f"budget spent: {self.reason}; {rest}; {open_end}"
+        some = f"about {self.further_generations} more generations ({self.further_trials} trials)"
+        return f"budget spent: {self.reason}; {rest}; at the pace so far that takes {some}"
+
+    def to_record(self) -> dict[str, Any]:
+        """Return everything, JSON-ready."""
+        return {**asdict(self), "text": self.text}
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any]) -> "Verdict":
+        """Take back what `to_record` gave."""
+        return cls(**{name: record[name] for name in cls.__slots__})
+
+
+def judge(
+    reason: str,
+    spreads: Sequence[float],
+    *,
+    budget_spent: bool,
+    goal: float | None,
+    trials: int,
+    trials_each: int,
+    generations: int,
+    level: Mapping[str, float | str] | None = None,
+) -> Verdict:
+    """Return the verdict of a search.
+
+    Parameters
+    ----------
+    reason
+        Why its last descent ended.
+    spreads
+        Largest standard deviation of the candidates after each generation of that descent, as a share of the range.
+    budget_spent
+        Whether generations or trials ran out.
+    goal
+        Spread below which the file wants it to end; `CONVERGED_BELOW` if None.
+    trials, trials_each, generations
+        Trials so far, of one more generation, and generations so far.
+
+    Notes
+    -----
+    What it would still take follows from a straight line through the logarithm of the later half of `spreads`: near an
+    optimum CMA-ES converges log-linearly (Hansen 2016, arXiv:1604.00772). It is given only where the slope is negative
+    by more than twice its standard error.
+    """
+    limit = CONVERGED_BELOW if goal is None else goal
+    spread = spreads[-1] if spreads else math.inf
+    if spread < limit:
+        return Verdict("converged", reason, spread, limit, generations, trials, level=level)
+    if not budget_spent:
+        return Verdict("stagnated", reason, spread, limit, generations, trials, level=level)
+    further = _further(spreads, limit)
+    return Verdict(
+        "budget spent",
+        reason,
+        spread,
+        limit,
+        generations,
+        trials,
+        further,
+        None if further is None else further * trials_each,
+        level,
+    )
+
+
+def _further(spreads: Sequence[float], goal: float) -> int | None:
+    later = np.log(np.asarray(spreads[len(spreads) // 2 :], dtype=float))
+    if len(later) < _LEAST_GENERATIONS:
+        return None
+    number = np.arange(len(later)) - (len(later) - 1) / 2
+    slope = float(number @ later) / float(number @ number)
+    rest = later - later.mean() - slope * number
+    error = math.sqrt(float(rest @ rest) / (len(later) - 2) / float(number @ number))
+    if slope + _SURE * error >= 0.0:
+        return None
+    return max(1, math.ceil((math.log(goal) - float(later[-1])) / slope))

@@ -1,0 +1,54 @@
+"""A search says whether it is done."""
+
+import numpy as np
+import pytest
+
+from labrun.search import Verdict
+from labrun.search.verdict import judge
+
+SHRINKING = [0.3 * 0.9**n for n in range(12)]
+
+
+def verdict(spreads, *, budget_spent=True, goal=None):
+    return judge(
+        "12 generations",
+        spreads,
+        budget_spent=budget_spent,
+        goal=goal,
+        trials=240,
+        trials_each=20,
+        generations=12,
+    )
+
+
+def test_a_spent_budget_tells_what_it_would_still_take_at_the_pace_so_far():
+    found = verdict(SHRINKING)
+    expected = np.log(0.02 / SHRINKING[-1]) / np.log(0.9)
+    assert found.ending == "budget spent"
+    assert found.further_generations == int(np.ceil(expected))
+    assert found.further_trials == 20 * found.further_generations
+    assert "not converged" in found.text
+
+
+@pytest.mark.parametrize("spreads", [[0.3] * 12, [0.3, 0.2, 0.1], [0.3 * 1.05**n for n in range(12)], []])
+def test_candidates_that_do_not_draw_together_give_no_number(spreads):
+    found = verdict(spreads)
+    assert found.further_generations is None
+    assert "nobody can say" in found.text
+
+
+def test_a_narrow_spread_is_converged_whatever_ended_the_search():
+    assert verdict([0.3, 0.019]).ending == "converged"
+    assert verdict([0.3, 0.019], goal=0.01).ending == "budget spent"
+    assert verdict([0.3, 0.009], goal=0.01, budget_spent=False).ending == "converged"
+
+
+def test_no_progress_at_a_wide_spread_is_stagnation():
+    found = verdict(SHRINKING, budget_spent=False)
+    assert found.ending == "stagnated"
+    assert "noise" in found.text
+
+
+def test_a_verdict_comes_back_from_its_record():
+    found = verdict(SHRINKING)
+    assert Verdict.from_record(found.to_record()) == found
