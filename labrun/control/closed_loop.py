@@ -6,15 +6,15 @@ from dataclasses import dataclass, field, replace
 
 from labrun.control.history import History
 from labrun.control.loop import Loop
-from labrun.control.making import make_feedback
+from labrun.control.making import make_feedback, watched_by
 from labrun.control.pieces import Pieces
-from labrun.control.protocol import Condition, Feedback
-from labrun.control.stream import channels_of, samples_of
+from labrun.control.protocol import Condition, Feedback, LoopContext
+from labrun.control.stream import channels_of, samples_of, variable_unit
 from labrun.devices import Channel, Samples
 from labrun.errors import SpecError
 from labrun.gaits import make_gait, steering_of
-from labrun.runner import LEAD_S, TAIL_S, Handle, Recording, Rig
-from labrun.spec import LOOP_DEVICE, Experiment, Track, condition_text
+from labrun.runner import LEAD_S, TAIL_S, Handle, Recording, Rig, SimulatedClock
+from labrun.spec import LOOP_DEVICE, Experiment, LoopTable, Track, condition_text
 
 _ON_TIME = 1e-9
 """Share of a period by which rounding may make a step look late."""
@@ -108,14 +108,16 @@ class ClosedLoopRecorder:
             for column, channel in enumerate(sensor.channels)
         }
         units = {f"{name}.{c.name}": c.unit for name, sensor in rig.sensors.items() for c in sensor.channels}
-        self._feedbacks: dict[str, Feedback] = {
-            name: make_feedback(name, table.feedback, units) for name, table in self._track.loops.items()
+        self._feedbacks: dict[str, list[Feedback]] = {
+            name: [make_feedback(name, one, units) for one in table.feedbacks]
+            for name, table in self._track.loops.items()
         }
-        for name, feedback in self._feedbacks.items():
-            missing = [channel for channel in feedback.channels if channel not in self._columns]
+        self._simulated = isinstance(rig.clock, SimulatedClock)
+        for name, feedbacks in self._feedbacks.items():
+            missing = [c for one in feedbacks for c in one.channels if c not in self._columns]
             if missing:
                 raise SpecError(f"feedback of loop {name}: the rig measures no {', '.join(missing)}")
-        self.channels: tuple[Channel, ...] = channels_of(experiment, self._feedbacks)
+        self.channels: tuple[Channel, ...] = channels_of(experiment, self._track.loops, self._feedbacks)
         """What the loops record, under the device name "loop"."""
         self._gait = make_gait(experiment.gait)
 
@@ -129,7 +131,7 @@ class ClosedLoopRecorder:
 
     def __call__(self, recording: Recording) -> None:
         """Record one trial."""
-        bench, motion, clock = recording.bench, recording.motion, recording.bench.clock
+        motion = recording.motion
         period_s = 1.0 / self._track.rate_hz
         loops = self._loops(recording.condition, period_s, motion.period_s)
         pieces = Pieces(
@@ -137,13 +139,13 @@ class ClosedLoopRecorder:
                 self._gait,
                 self._experiment.gait.plugin,
                 recording.condition,
-                [loop.variable for loop in loops],
+                list(self._track.steered),
             ),
             motion.trajectory.joints,
-            {loop.variable: loop.start for loop in loops},
+            {name: table.start for name, table in self._track.steered.items()},
             slew_per_s={
-                table.drives: table.slew_per_s
-                for table in self._track.loops.values()
+                name: table.slew_per_s
+                for name, table in self._track.steered.items()
                 if table.slew_per_s is not None
             },
             period_s=period_s,
@@ -151,6 +153,19 @@ class ClosedLoopRecorder:
             duration_s=motion.duration_s,
             cycle_s=motion.period_s,
         )
+        try:
+            for loop in loops:
+                loop.begin()
+            self._closed(recording, loops, pieces, period_s)
+        finally:
+            for loop in loops:
+                loop.end()
+        for loop in loops:
+            for remark in loop.remarks():
+                recording.remark(remark)
+
+    def _closed(self, recording: Recording, loops: list[Loop], pieces: Pieces, period_s: float) -> None:
+        bench, motion, clock = recording.bench, recording.motion, recording.bench.clock
         start_s = clock.now() + LEAD_S
         history = self._history(recording.tare, start_s, motion.period_s)
         bench.follow(pieces.first(), start_s)
@@ -191,15 +206,19 @@ class ClosedLoopRecorder:
                 break
             time_s = now_s - start_s
             drives = pieces.drives(time_s)
-            records = [loop.step(time_s, time_s - before_s, drives[loop.variable], history) for loop in loops]
+            records = [loop.step(time_s, time_s - before_s, drives, history) for loop in loops]
             before_s = time_s
             begin_s = clock.now()
-            goals = {loop.variable: item.drive for loop, item in zip(loops, records, strict=True)}
+            goals = {
+                variable: value
+                for loop, item in zip(loops, records, strict=True)
+                for variable, value in zip(loop.variables, item.drive, strict=True)
+            }
             bench.follow(pieces.next(begin_s - start_s, goals), begin_s)
             pieces.sent()
             sent_s = clock.now()
             records = [
-                replace(item, drive=pieces.goals[loop.variable])
+                replace(item, drive=tuple([pieces.goals[variable] for variable in loop.variables]))
                 for loop, item in zip(loops, records, strict=True)
             ]
             newest_s = start_s + min(history.newest_s(loop.channels) for loop in loops)
@@ -213,12 +232,37 @@ class ClosedLoopRecorder:
 
     def _loops(self, condition: Condition, period_s: float, cycle_s: float | None) -> list[Loop]:
         return [
-            Loop(name, table, self._feedbacks[name], condition, period_s, cycle_s)
+            Loop(name, table, self._feedbacks[name], condition, self._context(name, table, period_s), cycle_s)
             for name, table in self._track.loops.items()
         ]
 
+    def _context(self, name: str, table: LoopTable, period_s: float) -> LoopContext:
+        low, high = (float(bound) for bound in table.range)
+        scene = self._experiment.rig.scene
+        return LoopContext(
+            period_s,
+            low,
+            high,
+            table.start,
+            components=table.shape.components,
+            unit=self._feedbacks[name][0].unit,
+            drives={variable: variable_unit(self._experiment, variable) for variable in table.drives},
+            rig="" if scene is None else scene.plugin,
+            simulated=self._simulated,
+        )
+
     def _history(self, tare: Mapping[str, float], start_s: float, cycle_s: float | None) -> History:
-        needed = dict.fromkeys(channel for item in self._feedbacks.values() for channel in item.channels)
-        keep_s = max(feedback.memory_s(cycle_s) for feedback in self._feedbacks.values())
+        feedbacks = [one for items in self._feedbacks.values() for one in items]
+        needed = dict.fromkeys([*(c for one in feedbacks for c in one.channels), *self._watched()])
+        keep_s = max(feedback.memory_s(cycle_s) for feedback in feedbacks)
         columns = {channel: self._columns[channel] for channel in needed}
         return History(columns, tare, start_s, keep_s)
+
+    def _watched(self) -> list[str]:
+        """Return the channels that controllers want to see with every step."""
+        return [
+            channel
+            for table in self._track.loops.values()
+            for controller in table.controllers.values()
+            for channel in watched_by(controller)
+        ]

@@ -55,6 +55,9 @@ class _Track:
     def recent(self, row: int) -> tuple[FloatArray, FloatArray]:
         return self._time_s[self._first : self._end], self._values[row, self._first : self._end]
 
+    def newest(self, row: int) -> tuple[float, float]:
+        return self.last_s, float(self._values[row, self._end - 1])
+
     def _made_at(self, block: Samples) -> FloatArray:
         """Return when samples were made, by the run's clock: received no sooner than made, as in the stored times."""
         behind = block.host_time_s - block.device_time_s
@@ -127,6 +130,11 @@ class History:
     def newest_s(self, channels: Sequence[str]) -> float:
         """Return when the newest sample was made that all of these channels had to wait for."""
         return min(self._places[channel][0].last_s for channel in channels)
+
+    def newest(self, channel: str) -> tuple[float, float]:
+        """Return when the newest sample of a channel was made, and its value."""
+        track, row = self._places[channel]
+        return track.newest(row)
 
     def recent(self, channel: str) -> tuple[FloatArray, FloatArray]:
         """Return times and values of a channel, oldest first, both of shape (n,); at least what is kept."""

@@ -1,24 +1,31 @@
 """One loop during one trial: what it reads, what it wants, what it gets."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from labrun.control.history import History
-from labrun.control.making import controller_of, make_controller, make_reference
-from labrun.control.protocol import Condition, Feedback, LoopContext, Step
+from labrun.control.making import controller_of, make_controllers, make_references
+from labrun.control.protocol import Condition, Feedback, LoopContext, Numbers, VectorStep
 from labrun.errors import ExperimentError
 from labrun.spec import LoopTable
 
 
 @dataclass(frozen=True, slots=True)
 class LoopRecord:
-    """One step of a loop, as it is stored: in the order of `labrun.spec.LOOP_CHANNELS`."""
+    """One step of a loop, as it is stored: in the order of `labrun.spec.LOOP_CHANNELS`, a number for each part."""
 
-    reference: float
-    feedback: float
-    error: float
-    drive: float
-    requested: float
+    reference: Numbers
+    feedback: Numbers
+    error: Numbers
+    drive: Numbers
+    requested: Numbers
+    more: Numbers = ()
+
+    @property
+    def row(self) -> Numbers:
+        """All numbers in one row."""
+        return (*self.reference, *self.feedback, *self.error, *self.drive, *self.requested, *self.more)
 
 
 class Loop:
@@ -28,12 +35,12 @@ class Loop:
     ----------
     name, table
         As in the file.
-    feedback
+    feedbacks
         What it reads.
     condition
         Of the trial: which controller is in charge, and values of its gains.
-    period_s
-        Time from step to step.
+    context
+        Of the loop.
     cycle_s
         Of the gait; None if it does not repeat.
     """
@@ -42,47 +49,58 @@ class Loop:
         self,
         name: str,
         table: LoopTable,
-        feedback: Feedback,
+        feedbacks: Sequence[Feedback],
         condition: Condition,
-        period_s: float,
+        context: LoopContext,
         cycle_s: float | None,
     ) -> None:
         self.name = name
-        self.variable = table.drives
-        self.start = table.start
-        self._feedback = feedback
+        self.variables = tuple(table.drives)
+        self._feedbacks = tuple(feedbacks)
         self._cycle_s = cycle_s
-        self._low, self._high = (float(bound) for bound in table.range)
-        self._most = None if table.slew_per_s is None else table.slew_per_s * period_s
-        self._reference = make_reference(name, table.reference, condition)
+        self._low, self._high = context.low, context.high
+        self._most = math.inf if table.slew_per_s is None else table.slew_per_s * context.period_s
+        self._reference: Callable[[float], Numbers] = make_references(
+            name, table.references, condition, len(context.components)
+        )
         controller = controller_of(name, table, condition)
-        context = LoopContext(period_s, self._low, self._high, self.start)
-        self._controller = make_controller(
+        self._controller = make_controllers(
             name, controller, table.controllers[controller], condition, context
         )
+        self._more = tuple(table.shape.more)
+        self.channels = tuple(channel for one in self._feedbacks for channel in one.channels)
+        """The channels that its feedback is made of."""
+        self._seen = tuple(getattr(self._controller, "channels", ()))
 
-    @property
-    def channels(self) -> Sequence[str]:
-        """The channels it reads."""
-        return self._feedback.channels
+    def begin(self) -> None:
+        """Start what the controller keeps running beside the loop."""
+        getattr(self._controller, "begin", lambda: None)()
 
-    def step(self, time_s: float, dt_s: float, drive: float, history: History) -> LoopRecord:
+    def end(self) -> None:
+        """End it."""
+        getattr(self._controller, "end", lambda: None)()
+
+    def remarks(self) -> list[str]:
+        """Return what to tell the person of this trial."""
+        return [f"loop {self.name}: {text}" for text in getattr(self._controller, "remarks", list)()]
+
+    def step(self, time_s: float, dt_s: float, drives: Mapping[str, float], history: History) -> LoopRecord:
         """Take one step.
 
         Parameters
         ----------
         time_s, dt_s
             Time of the trial, and since the step before.
-        drive
-            Where the variable stands now.
+        drives
+            Where the variables stand now.
         history
             The samples so far.
 
         Returns
         -------
         LoopRecord
-            With the value that the variable is to reach one period from now: within range, and within the slew rate of
-            where it stands.
+            With the values that the variables are to reach one period from now: within range, and within the slew rate
+            of where they stand.
 
         Raises
         ------
@@ -90,16 +108,46 @@ class Loop:
             The controller asks for something that is no finite number.
         """
         reference = self._reference(time_s)
-        feedback = self._feedback(history, self._cycle_s)
-        step = Step(time_s, dt_s, reference, feedback, drive, self._reference)
-        requested = float(self._controller.update(step))
-        if not -float("inf") < requested < float("inf"):
-            raise ExperimentError(
-                f"loop {self.name}: its controller asks for {self.variable} = {requested} at {time_s:.3f} s",
-                hint="look at its gains, and at the feedback recorded so far",
-            )
-        applied = min(max(requested, self._low), self._high)
-        if self._most is not None:
-            applied = min(max(applied, drive - self._most), drive + self._most)
+        feedback = _flat([one(history, self._cycle_s) for one in self._feedbacks])
+        here = tuple([drives[name] for name in self.variables])
+        seen = {channel: history.newest(channel) for channel in self._seen}
+        step = VectorStep(
+            time_s,
+            dt_s,
+            reference,
+            feedback,
+            here,
+            self._reference,
+            {channel: value for channel, (_, value) in seen.items()},
+            {channel: at_s for channel, (at_s, _) in seen.items()},
+        )
+        requested = self._controller.update(step)
+        for variable, value in zip(self.variables, requested, strict=True):
+            if not math.isfinite(value):
+                raise ExperimentError(
+                    f"loop {self.name}: its controller asks for {variable} = {value} at {time_s:.3f} s",
+                    hint="look at its gains or weights, and at the feedback recorded so far",
+                )
+        low, high, most = self._low, self._high, self._most
+        applied = tuple(
+            [
+                min(max(min(max(wanted, low), high), now - most), now + most)
+                for wanted, now in zip(requested, here, strict=True)
+            ]
+        )
         self._controller.applied(applied)
-        return LoopRecord(reference, feedback, step.error, applied, requested)
+        error = tuple([a - b for a, b in zip(reference, feedback, strict=True)])
+        return LoopRecord(reference, feedback, error, applied, requested, self._recorded())
+
+    def _recorded(self) -> Numbers:
+        if not self._more:
+            return ()
+        values: Mapping[str, float] = getattr(self._controller, "recorded", dict)()
+        return tuple([values.get(name, math.nan) for name in self._more])
+
+
+def _flat(values: Sequence[float | Numbers]) -> Numbers:
+    """Return the numbers of all feedbacks in one row."""
+    if len(values) == 1 and isinstance(values[0], tuple):
+        return values[0]
+    return tuple([float(value) for value in values if not isinstance(value, tuple)])

@@ -1,6 +1,7 @@
 """From the tables of an experiment file to references, feedbacks and controllers."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, cast
 
 from labrun import registry
@@ -11,8 +12,12 @@ from labrun.control.protocol import (
     Feedback,
     FeedbackPlugin,
     LoopContext,
+    Numbers,
     Reference,
     ReferencePlugin,
+    Step,
+    VectorController,
+    VectorStep,
 )
 from labrun.errors import SpecError
 from labrun.spec import LoopTable, resolved_settings
@@ -30,21 +35,96 @@ def make_reference(loop: str, table: PluginTable, condition: Condition) -> Refer
     return cast("Reference", _made(f"reference of loop {loop}", table, lambda: plugin(settings, condition)))
 
 
+def make_references(
+    loop: str, tables: Sequence[PluginTable], condition: Condition, count: int
+) -> Callable[[float], Numbers]:
+    """Return the reference of a loop under a condition, a number for each of its `count` components.
+
+    Raises
+    ------
+    SpecError
+        Keys that do not hold, or another number of components than the feedback has.
+    """
+    made = [make_reference(loop, table, condition) for table in tables]
+    if len(tables) == 1 and getattr(registry.load(REFERENCES, tables[0].plugin), "several", False):
+        several = cast("Callable[[float], Numbers]", made[0])
+        found = len(several(0.0))
+    else:
+        found = len(made)
+
+        def several(time_s: float) -> Numbers:
+            return tuple([float(one(time_s)) for one in made])
+
+    if found != count:
+        raise SpecError(
+            f"loop {loop} compares {count} numbers with a reference of {found}",
+            hint="give as many references as the feedback has numbers, in the same order",
+        )
+    return several
+
+
 def make_feedback(loop: str, table: PluginTable, units: Mapping[str, str]) -> Feedback:
     """Return the feedback of a loop; SpecError on keys that do not hold."""
     plugin: FeedbackPlugin = registry.load(FEEDBACKS, table.plugin)
     return cast("Feedback", _made(f"feedback of loop {loop}", table, lambda: plugin(table.settings, units)))
 
 
-def make_controller(
+def make_controllers(
     loop: str, name: str, table: PluginTable, condition: Condition, context: LoopContext
-) -> Controller:
-    """Return a controller of a loop under a condition, new; SpecError on keys that do not hold."""
+) -> VectorController:
+    """Return a controller of a loop under a condition, new.
+
+    A controller of one number is made once for each component of the feedback, which then sets the drive of the same
+    place.
+
+    Raises
+    ------
+    SpecError
+        Keys that do not hold, or a controller of one number with another number of drives than components.
+    """
     plugin: ControllerPlugin = registry.load(CONTROLLERS, table.plugin)
     settings = _resolved(plugin, table, condition)
-    return cast(
-        "Controller", _made(f"controller {name} of loop {loop}", table, lambda: plugin(settings, context))
-    )
+    what = f"controller {name} of loop {loop}"
+    if getattr(plugin, "several", False):
+        return cast("VectorController", _made(what, table, lambda: plugin(settings, context)))
+    if len(context.components) != len(context.drives):
+        raise SpecError(
+            f'{what}: "{table.plugin}" answers for one number each, and {len(context.components)} numbers of '
+            f"feedback are to set {len(context.drives)} variables",
+            hint="give a feedback for each of the drives, or a controller of the whole loop",
+        )
+    return OneForEach([_made(what, table, lambda: plugin(settings, context)) for _ in context.drives])
+
+
+def _part(reference_at: Callable[[float], Numbers], number: int, time_s: float) -> float:
+    return reference_at(time_s)[number]
+
+
+class OneForEach:
+    """A controller of one number for each component of a loop."""
+
+    def __init__(self, controllers: Sequence[Controller]) -> None:
+        self._controllers = controllers
+
+    def update(self, step: VectorStep) -> Numbers:
+        """Ask each of them."""
+        found = []
+        for number, one in enumerate(self._controllers):
+            single = Step(
+                step.time_s,
+                step.dt_s,
+                step.reference[number],
+                step.feedback[number],
+                step.drives[number],
+                partial(_part, step.reference_at, number),
+            )
+            found.append(float(one.update(single)))
+        return tuple(found)
+
+    def applied(self, drives: Numbers) -> None:
+        """Tell each of them."""
+        for one, drive in zip(self._controllers, drives, strict=True):
+            one.applied(drive)
 
 
 def controller_of(loop: str, table: LoopTable, condition: Condition) -> str:
@@ -84,3 +164,20 @@ def _made(what: str, table: PluginTable, make: Any) -> Any:
         raise SpecError(f"{what}: {error}") from error
     except (TypeError, ValueError) as error:  # a third party's own way of refusing its keys
         raise SpecError(f'{what}: "{table.plugin}" refuses its keys: {error}') from error
+
+
+def watched_by(table: PluginTable) -> list[str]:
+    """Return the channels that a controller's keys name."""
+    plugin = registry.load(CONTROLLERS, table.plugin)
+    found: list[str] = []
+    for key in getattr(plugin, "channel_settings", ()):
+        value = table.settings.get(key)
+        named = (
+            list(value.values())
+            if isinstance(value, Mapping)
+            else value
+            if isinstance(value, list)
+            else [value]
+        )
+        found += [name for name in named if isinstance(name, str)]
+    return found

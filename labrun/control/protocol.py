@@ -1,7 +1,10 @@
-"""What a reference, a feedback and a controller are; nothing to inherit."""
+"""What a reference, a feedback and a controller are; nothing to inherit.
+
+Each is of one number, or of several: then its class says ``several = True``, and numbers come as tuples.
+"""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -25,8 +28,9 @@ class ReferencePlugin(Protocol):
     """The class an entry point of group ``labrun.references`` names.
 
     It may have `Settings` (a pydantic model of its keys), `expression_settings` (keys that hold an expression as such,
-    checked when the file is read), `names` (names it gives to those), and the static method ``embed(settings, find)``,
-    which returns the settings with the content of the files they name, so that a stored experiment needs no other.
+    checked when the file is read), `several` (its value is a tuple of numbers), `names` (names it gives to those), and
+    the static method ``embed(settings, find)``, which returns the settings with the content of the files they name, so
+    that a stored experiment needs no other.
     """
 
     def __call__(self, settings: Mapping[str, Any], condition: Condition) -> Reference:
@@ -61,7 +65,8 @@ class FeedbackPlugin(Protocol):
     """The class an entry point of group ``labrun.feedbacks`` names.
 
     It may have `Settings`, `channel_settings` (its keys that name channels), and `needs_cycle(settings)`, which tells
-    whether only a gait that repeats will do.
+    whether only a gait that repeats will do. One whose value is a tuple of numbers has ``components(settings)``: their
+    names.
     """
 
     def __call__(self, settings: Mapping[str, Any], units: Mapping[str, str]) -> Feedback:
@@ -100,6 +105,31 @@ class Step:
         return self.reference - self.feedback
 
 
+Numbers = tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class VectorStep:
+    """What a controller of a whole loop sees at one step; as `Step`, with a number for each component or drive.
+
+    Attributes
+    ----------
+    channels
+        Newest sample of each channel that the controller asked for.
+    channels_s
+        When each of them was made, time of the trial.
+    """
+
+    time_s: float
+    dt_s: float
+    reference: Numbers
+    feedback: Numbers
+    drives: Numbers
+    reference_at: Callable[[float], Numbers]
+    channels: Mapping[str, float]
+    channels_s: Mapping[str, float]
+
+
 @dataclass(frozen=True, slots=True)
 class LoopContext:
     """What a controller may know of its loop before it begins.
@@ -109,15 +139,28 @@ class LoopContext:
     period_s
         Time from step to step.
     low, high
-        Bounds of the variable it sets.
+        Bounds of each variable it sets.
     start
-        Its value before the first step.
+        Their value before the first step.
+    components, unit
+        Names of the feedback's numbers (one without a name, if it is a single number), and their unit.
+    drives
+        Variables it sets -> unit.
+    rig
+        What the bench is called: the scene of the experiment file; empty if it names none.
+    simulated
+        Whether time is simulated: then nothing may depend on how long it takes to compute.
     """
 
     period_s: float
     low: float
     high: float
     start: float
+    components: tuple[str, ...] = ("",)
+    unit: str = ""
+    drives: Mapping[str, str] = field(default_factory=dict)
+    rig: str = ""
+    simulated: bool = True
 
 
 class Controller(Protocol):
@@ -132,9 +175,30 @@ class Controller(Protocol):
         ...
 
 
-class ControllerPlugin(Protocol):
-    """The class an entry point of group ``labrun.controllers`` names; it may have `Settings` and `embed`."""
+class VectorController(Protocol):
+    """Sets all variables of its loop, step by step. Its class says ``several = True``.
 
-    def __call__(self, settings: Mapping[str, Any], context: LoopContext) -> Controller:
+    Besides, it may have `channels`, the channels whose newest samples it wants with every step; ``begin()``, called as
+    the recording starts, and ``end()``, called after it whatever happened; ``recorded()``, its values of the channels
+    that its class announces with ``records(settings)``; and ``remarks()``, what to tell the person of this trial.
+    """
+
+    def update(self, step: VectorStep) -> Numbers:
+        """Return the values it wants the variables to have."""
+        ...
+
+    def applied(self, drives: Numbers) -> None:
+        """Be told the values that they are given, after range and slew."""
+        ...
+
+
+class ControllerPlugin(Protocol):
+    """The class an entry point of group ``labrun.controllers`` names.
+
+    It may have `Settings`, `embed`, `channel_settings` (its keys that name channels), `several`, and
+    ``records(settings)``: channels that it adds to those of its loop, name -> unit.
+    """
+
+    def __call__(self, settings: Mapping[str, Any], context: LoopContext) -> Controller | VectorController:
         """Make the controller of one trial; raises SpecError on keys that do not hold."""
         ...

@@ -1,28 +1,34 @@
 """What the loops themselves record: a stream beside those of the sensors."""
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 
 import numpy as np
 
 from labrun.control.loop import LoopRecord
 from labrun.control.protocol import Feedback
 from labrun.devices import Channel, Samples
-from labrun.spec import LOOP_CHANNELS, Experiment, loop_channel
+from labrun.spec import Experiment, LoopTable
 from labrun.toml import unit_of
 
-_OF_FEEDBACK = ("reference", "feedback", "error")
 
-
-def channels_of(experiment: Experiment, feedbacks: Mapping[str, Feedback]) -> tuple[Channel, ...]:
-    """Return the channels of the loops' stream: five of each loop, and the timing of the steps."""
+def channels_of(
+    experiment: Experiment, loops: Mapping[str, LoopTable], feedbacks: Mapping[str, Sequence[Feedback]]
+) -> tuple[Channel, ...]:
+    """Return the channels of the loops' stream: those of each loop, and the timing of the steps."""
     found = []
-    for name, feedback in feedbacks.items():
-        table = experiment.track.loops[name] if experiment.track is not None else None
-        variable = "" if table is None else variable_unit(experiment, table.drives)
-        for quantity in LOOP_CHANNELS:
-            unit = feedback.unit if quantity in _OF_FEEDBACK else variable
-            found.append(Channel(loop_channel(name, quantity), unit or "1"))
+    for name, table in loops.items():
+        shape = table.shape
+        of_feedback = units_of(feedbacks[name], len(shape.components))
+        of_drives = [variable_unit(experiment, variable) for variable in table.drives]
+        units = [*3 * of_feedback, *2 * of_drives, *shape.more.values()]
+        found += [Channel(c, unit or "1") for c, unit in zip(shape.channels(name), units, strict=True)]
     return (*found, Channel("latency_s", "s"), Channel("late_s", "s"), Channel("missed", "1"))
+
+
+def units_of(feedbacks: Sequence[Feedback], count: int) -> list[str]:
+    """Return the unit of each component of a loop's feedback."""
+    return [feedbacks[0].unit] * count if len(feedbacks) == 1 else [one.unit for one in feedbacks]
 
 
 def variable_unit(experiment: Experiment, variable: str) -> str:
@@ -46,10 +52,6 @@ def samples_of(
     skipped: int,
 ) -> Samples:
     """Return one step as a sample; steps that were skipped before it count as lost."""
-    row = [
-        value
-        for item in records
-        for value in (item.reference, item.feedback, item.error, item.drive, item.requested)
-    ]
+    row = chain.from_iterable(item.row for item in records)
     at = np.array([time_s])
     return Samples(at, at, np.array([[*row, latency_s, late_s, float(missed)]]), lost=skipped)

@@ -11,7 +11,8 @@ class Scene(Protocol):
     """A simulated bench. Its time is the clock's; it moves on when it is observed.
 
     A scene on which mountings differ also has ``mount(number)``: called after each `arrange` with the number of the
-    mounting, where something is set by hand. The same number is the same mounting.
+    mounting, where something is set by hand. The same number is the same mounting. One on which something happens by
+    itself during a trial has ``begin(start_s)``: called with the clock's time at which the recording begins.
     """
 
     signals: Mapping[str, str]

@@ -86,14 +86,15 @@ def envelope(
     SpecError
         The gait cannot be steered.
     """
-    drives = [table.drives for table in track.loops.values()]
-    ranges = {table.drives: (float(table.range[0]), float(table.range[1])) for table in track.loops.values()}
+    steered = track.steered
+    drives = list(steered)
+    ranges = {name: (float(table.range[0]), float(table.range[1])) for name, table in steered.items()}
     rates = {
-        table.drives: table.slew_per_s or (ranges[table.drives][1] - ranges[table.drives][0]) * track.rate_hz
-        for table in track.loops.values()
+        name: table.slew_per_s or (ranges[name][1] - ranges[name][0]) * track.rate_hz
+        for name, table in steered.items()
     }
     steering = steering_of(gait, plugin, condition, drives)
-    start = {table.drives: table.start for table in track.loops.values()}
+    start = {name: table.start for name, table in steered.items()}
     time_s = _moments(gait, {**condition, **start}, duration_s, rate_hz)
     low, high, speed = (np.full(len(gait.joints), value) for value in (np.inf, -np.inf, 0.0))
     axes = [np.linspace(bounds[0], bounds[1], _VALUES) for bounds in ranges.values()]
@@ -120,8 +121,8 @@ def loop_notes(track: Track | None) -> Iterator[str]:
         low, high = loop.range
         slew = "anywhere in a step" if loop.slew_per_s is None else f"by at most {loop.slew_per_s:g}/s"
         yield (
-            f"loop {name} sets {loop.drives} to {low:g} ... {high:g} {track.rate_hz:g} times a second, {slew}; "
-            "joints are shown at the worst that the loops may ask for"
+            f"loop {name} sets {' and '.join(loop.drives)} to {low:g} ... {high:g} {track.rate_hz:g} times a second, "
+            f"{slew}; joints are shown at the worst that the loops may ask for"
         )
 
 

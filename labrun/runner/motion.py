@@ -163,8 +163,8 @@ class MotionMaker:
         self._name = experiment.gait.plugin
         self._gait = make_gait(experiment.gait)
         self._track = experiment.track
-        loops = {} if experiment.track is None else experiment.track.loops
-        self._start: Condition = {table.drives: table.start for table in loops.values()}
+        steered = {} if experiment.track is None else experiment.track.steered
+        self._start: Condition = {name: table.start for name, table in steered.items()}
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -87,6 +87,8 @@ class Recording:
         What a recorder knows that reduces as it goes; None where the recorded signals tell.
     stored
         Called once the trial is stored.
+    remark
+        Takes what the person should know of this trial.
     """
 
     bench: Bench
@@ -102,6 +104,7 @@ class Recording:
     duration_s: float | None = None
     censored: bool = False
     stored: Callable[[], object] = lambda: None
+    remark: Callable[[str], object] = lambda _: None
 
     @property
     def condition(self) -> Condition:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from labrun.errors import SpecError, StoreError
 from labrun.runner.rig import Rig
 from labrun.runner.settle import tared_devices, watched_channels
-from labrun.spec import LOOP_DEVICE, CarriageMove, Experiment, loop_channels
+from labrun.spec import LOOP_DEVICE, CarriageMove, Experiment
 from labrun.store import check_columns, check_names
 
 _ORDER_WITHOUT_RAMPS = 2
@@ -24,7 +24,7 @@ def check_wiring(experiment: Experiment, rig: Rig, gait_joints: Iterable[str]) -
     problems: list[str] = []
     channels = {f"{name}.{c.name}" for name, sensor in rig.sensors.items() for c in sensor.channels}
     if experiment.track is not None:
-        channels |= {f"{LOOP_DEVICE}.{name}" for name in loop_channels(list(experiment.track.loops))}
+        channels |= {f"{LOOP_DEVICE}.{name}" for name in experiment.track.channels}
     problems += _unstorable(rig)
     for joint in gait_joints:
         problems += _unknown(f"gait.joints.{joint}", joint, rig.joints, "joints")

@@ -8,7 +8,8 @@ from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, mode
 from labrun.spec.by_hand import ByHand
 from labrun.spec.condition import Value
 from labrun.spec.damage import DamageTable
-from labrun.spec.search_tables import CmaEs, Combine, Leaders, RunTable, Sweep, Track
+from labrun.spec.loop_tables import Track
+from labrun.spec.search_tables import CmaEs, Combine, Leaders, RunTable, Sweep
 from labrun.spec.trial_tables import TrialTable
 from labrun.spec.until import CYCLES
 from labrun.toml import Expression, Faults, PluginTable, Table

@@ -14,7 +14,7 @@ from labrun.spec.checks import cross_check
 from labrun.spec.experiment import ROBOT_FILES, ROBOT_SCENE, Experiment, written_out
 from labrun.spec.overrides import apply_overrides
 from labrun.spec.plugins import load_plugin
-from labrun.spec.raw import table, tables
+from labrun.spec.raw import one_or_several, table, tables
 from labrun.spec.workspace import find_experiment, find_model_file
 from labrun.toml import Fault, KeyPath, Places, locate, parsed, refusal, suggest, text_of, validate
 
@@ -185,7 +185,7 @@ def _embed_files(data: dict[str, Any], experiment: Path | None) -> list[Fault]:
     if isinstance(scene, str) and scene.lower().endswith(ROBOT_FILES):
         data["rig"]["scene"] = written_out(scene)
     for group, holder, key, path in _that_name_files(data) if experiment is not None else ():
-        keys = table(holder, key)
+        keys = holder[key] if isinstance(holder[key], dict) else {}
         embed = getattr(load_plugin(group, keys.get("plugin"), ())[0], "embed", None)
         if embed is None or experiment is None:
             continue
@@ -197,14 +197,15 @@ def _embed_files(data: dict[str, Any], experiment: Path | None) -> list[Fault]:
     return faults
 
 
-def _that_name_files(data: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any], str, KeyPath]]:
+def _that_name_files(data: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any, KeyPath]]:
     """Yield a robot's scene and each plugin of a loop: group, the table that holds it, its key there, its path."""
     if table(data, "rig", "scene").get("plugin") == ROBOT_SCENE:
         yield "labrun.scenes", table(data, "rig"), "scene", ("rig", "scene")
     for name, loop in tables(data, "track", "loops").items():
         path: KeyPath = ("track", "loops", name)
-        yield "labrun.references", loop, "reference", (*path, "reference")
-        yield "labrun.feedbacks", loop, "feedback", (*path, "feedback")
+        for key in ("reference", "feedback"):
+            for inner, _ in one_or_several(loop, key):
+                yield f"labrun.{key}s", loop[key] if inner[1:] else loop, inner[-1], (*path, *inner)
         controllers = table(loop, "controllers")
         for controller in list(controllers):
             yield "labrun.controllers", controllers, controller, (*path, "controllers", controller)

@@ -12,8 +12,8 @@ from labrun import registry
 from labrun.devices import DeviceContext, Limits
 from labrun.errors import PluginError
 from labrun.spec.experiment import STILL, GaitTable, ObjectiveTable, Rig, SceneTable
-from labrun.spec.raw import DeviceInfo, check_channel, table, tables
-from labrun.spec.search_tables import LOOP_DEVICE, loop_channels
+from labrun.spec.loop_tables import LOOP_DEVICE, TIMING_CHANNELS, shape_of
+from labrun.spec.raw import DeviceInfo, check_channel, drives_of, one_or_several, table, tables
 from labrun.toml import Fault, KeyPath, Operand, evaluate, mend, suggest, validate
 
 _DEVICES = "labrun.devices"
@@ -168,12 +168,21 @@ def check_plugins(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) ->
     """Yield what is wrong with scene, gait and objectives, apart from what other tables have to do with."""
     yield from _check_scene(data)
     yield from _check_gait(data)
-    loops = table(data, "track", "loops")
+    loops = tables(data, "track", "loops")
     if data.get("kind") == "track" and loops:  # an objective may look at the loops as if they were a device
-        channels = loop_channels(list(loops))
+        channels = _loop_channels(loops)
         devices = {**devices, LOOP_DEVICE: DeviceInfo(joints=(), channels=channels, carriage=False)}
     for name, objective in tables(data, "objectives").items():
         yield from _check_objective(objective, ("objectives", name), devices)
+
+
+def _loop_channels(loops: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
+    found: list[str] = []
+    for name, loop in loops.items():
+        feedbacks = [(one.get("plugin"), one) for _, one in one_or_several(loop, "feedback")]
+        controllers = [(one.get("plugin"), one) for one in tables(loop, "controllers").values()]
+        found += shape_of(drives_of(loop), feedbacks, controllers).channels(name)
+    return (*found, *TIMING_CHANNELS)
 
 
 def _check_scene(data: Mapping[str, Any]) -> Iterator[Fault]:
@@ -231,4 +240,6 @@ def _check_objective(
     if getattr(loaded, "needs_channel", False) and objective.get("channel") is None:
         yield Fault(path, 'the key "channel" is missing: which channel this number is made of')
     for key in getattr(loaded, "channel_settings", ()):
-        yield from check_channel(objective.get(key), (*path, key), devices)
+        value = objective.get(key)
+        for channel in value if isinstance(value, list) else [value]:
+            yield from check_channel(channel, (*path, key), devices)

@@ -60,8 +60,24 @@ def condition_names(data: Mapping[str, Any]) -> list[str]:
 
 def driven_names(data: Mapping[str, Any]) -> list[str]:
     """Return the names that the loops of a file drive."""
-    found = [loop.get("drives") for loop in tables(data, "track", "loops").values()]
-    return [name for name in found if isinstance(name, str)]
+    return [name for loop in tables(data, "track", "loops").values() for name in drives_of(loop)]
+
+
+def drives_of(loop: Mapping[str, Any]) -> list[str]:
+    """Return the names that a loop's table drives: one, or a list of them."""
+    drives = loop.get("drives")
+    return [name for name in (drives if isinstance(drives, list) else [drives]) if isinstance(name, str)]
+
+
+def one_or_several(loop: Mapping[str, Any], key: str) -> list[tuple[KeyPath, dict[str, Any]]]:
+    """Return the tables of a loop's reference or feedback, each with its path inside the loop."""
+    value = loop.get(key)
+    found = (
+        [((key, number), one) for number, one in enumerate(value)]
+        if isinstance(value, list)
+        else [((key,), value)]
+    )
+    return [(path, one) for path, one in found if isinstance(one, dict)]
 
 
 def listed_conditions(data: Mapping[str, Any], kind: str) -> list[dict[str, Any]]:

@@ -7,17 +7,19 @@ from pydantic import BaseModel
 
 from labrun import registry
 from labrun.errors import PluginError
+from labrun.spec.loop_tables import LOOP_DEVICE
 from labrun.spec.plugins import is_expression, load_plugin
 from labrun.spec.raw import (
     DeviceInfo,
     check_channel,
     check_expression,
+    drives_of,
     gait_expressions,
     listed_conditions,
+    one_or_several,
     table,
     tables,
 )
-from labrun.spec.search_tables import LOOP_DEVICE
 from labrun.toml import ExpressionError, Fault, KeyPath, names_in, suggest, validate
 
 _GAITS = "labrun.gaits"
@@ -52,12 +54,18 @@ def check_track(
             yield Fault(
                 path, "a loop's name is made of letters, digits, - and _: its channels are named after it"
             )
-        yield from _check_drive(data, name, loop, drivers, conditions)
-        yield from _check_part("labrun.references", loop.get("reference"), (*path, "reference"), conditions)
-        yield from _check_part("labrun.feedbacks", loop.get("feedback"), (*path, "feedback"), None)
-        yield from _check_feedback(data, table(loop, "feedback"), (*path, "feedback"), devices)
+        for drives in drives_of(loop):
+            yield from _check_drive(data, name, drives, drivers, conditions)
+        for inner, keys in one_or_several(loop, "reference"):
+            yield from _check_part("labrun.references", keys, (*path, *inner), conditions)
+        for inner, keys in one_or_several(loop, "feedback"):
+            yield from _check_part("labrun.feedbacks", keys, (*path, *inner), None)
+            yield from _check_feedback(data, keys, (*path, *inner), devices)
         for controller, keys in table(loop, "controllers").items():
-            yield from _check_part("labrun.controllers", keys, (*path, "controllers", controller), conditions)
+            here: KeyPath = (*path, "controllers", controller)
+            yield from _check_part("labrun.controllers", keys, here, conditions)
+            if isinstance(keys, dict):
+                yield from _check_channels("labrun.controllers", keys, here, devices)
     yield from _check_named_controllers(data, loops)
 
 
@@ -83,14 +91,11 @@ def _steerable() -> Iterator[str]:
 def _check_drive(
     data: Mapping[str, Any],
     name: str,
-    loop: Mapping[str, Any],
+    drives: str,
     drivers: dict[str, str],
     conditions: list[str],
 ) -> Iterator[Fault]:
-    drives = loop.get("drives")
     path: KeyPath = ("track", "loops", name, "drives")
-    if not isinstance(drives, str):
-        return
     if drives in drivers:
         yield Fault(path, f"the loop {drivers[drives]} drives this already; two loops cannot", at_value=True)
     drivers.setdefault(drives, name)
@@ -163,9 +168,8 @@ def _check_part(group: str, keys: object, path: KeyPath, conditions: list[str] |
 def _check_feedback(
     data: Mapping[str, Any], keys: Mapping[str, Any], path: KeyPath, devices: Mapping[str, DeviceInfo]
 ) -> Iterator[Fault]:
+    yield from _check_channels("labrun.feedbacks", keys, path, devices)
     plugin, _ = load_plugin("labrun.feedbacks", keys.get("plugin"), ())
-    for key in getattr(plugin, "channel_settings", ()):
-        yield from check_channel(keys.get(key), (*path, key), devices)
     gait, _ = load_plugin(_GAITS, table(data, "gait").get("plugin"), ())
     needs_cycle, has_cycle = getattr(plugin, "needs_cycle", None), getattr(gait, "has_cycle", None)
     if needs_cycle is None or has_cycle is None or not needs_cycle(keys):
@@ -176,6 +180,20 @@ def _check_feedback(
             "the gait has no cycle to average over; give period_s, or use moving-average",
             True,
         )
+
+
+def _check_channels(
+    group: str, keys: Mapping[str, Any], path: KeyPath, devices: Mapping[str, DeviceInfo]
+) -> Iterator[Fault]:
+    """Yield what is wrong with the channels that a plugin's keys name: one, a list, or a table of them."""
+    plugin, _ = load_plugin(group, keys.get("plugin"), ())
+    for key in getattr(plugin, "channel_settings", ()):
+        value = keys.get(key)
+        named = (
+            value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else [value]
+        )
+        for channel in named:
+            yield from check_channel(channel, (*path, key), devices)
 
 
 def _check_named_controllers(

@@ -25,7 +25,7 @@ READY = "ready"
 LINGER_S = 3.0
 """How long emulators outlive the runner: hardware does, and the watchdog has yet to stop it."""
 
-_EXPOSED = ("arrange", "mount", "drive", "tow", "observe", "truth", "facts")
+_EXPOSED = ("arrange", "mount", "begin", "drive", "tow", "observe", "truth", "facts")
 
 
 class SharedScene:
@@ -48,6 +48,11 @@ class SharedScene:
         """See `Scene`; a scene may know nothing of mountings."""
         with self._lock:
             getattr(self._scene, "mount", lambda _: None)(number)
+
+    def begin(self, start_s: float) -> None:
+        """See `Scene`; on most scenes nothing happens by itself."""
+        with self._lock:
+            getattr(self._scene, "begin", lambda _: None)(start_s)
 
     def drive(self, joint: str, trajectory: Trajectory, start_s: float) -> None:
         """See `Scene.drive`."""
@@ -98,6 +103,10 @@ class RemoteScene:
     def mount(self, number: int) -> None:
         """See `Scene`."""
         self._shared.mount(number)
+
+    def begin(self, start_s: float) -> None:
+        """See `Scene`."""
+        self._shared.begin(start_s)
 
     def drive(self, joint: str, trajectory: Trajectory, start_s: float) -> None:
         """See `Scene.drive`."""

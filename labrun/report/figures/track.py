@@ -90,37 +90,51 @@ def _panel(view: RunView, loop: str, trials: Sequence[TrialOutcome]) -> _Panel:
 
 def _draw(view: RunView, panel: _Panel, above: Axes, below: Axes, *, first: bool) -> None:
     name = panel.loop
-    for number, stream in enumerate(panel.streams):
-        colour = COLOURS[number % len(COLOURS)]
-        above.plot(stream.time_s, _column(stream, name, "feedback"), color=colour, linewidth=0.9, alpha=0.75)
-        below.plot(stream.time_s, _column(stream, name, "drive"), color=colour, linewidth=0.9, alpha=0.75)
-    if panel.streams:
-        whole = panel.streams[0]
-        above.plot(
-            whole.time_s,
-            _column(whole, name, "reference"),
-            color=INK,
-            linewidth=1.3,
-            ls=(0, (4, 2)),
-        )
-        above.set_xlim(0, float(whole.time_s[-1]))
     track = view.experiment.track
-    loop = track.loops[name] if track is not None else None
-    several = track is not None and len(track.loops) > 1
+    assert track is not None  # noqa: S101  (only runs of kind track are drawn this way)
+    loop = track.loops[name]
+    shape, streams = loop.shape, panel.streams
+    for axes, quantity, parts in ((above, "feedback", shape.components), (below, "drive", shape.drives)):
+        # colours tell repeats apart; where there are several numbers, these, of the first repeat
+        curves = [
+            (stream, part) for part in parts for stream in streams[: len(streams) if len(parts) == 1 else 1]
+        ]
+        for number, (stream, part) in enumerate(curves):
+            axes.plot(
+                stream.time_s,
+                _column(stream, name, quantity, part),
+                color=COLOURS[number % len(COLOURS)],
+                linewidth=0.9,
+                alpha=0.75,
+                label=part,
+            )
+        if len(parts) > 1 and first:
+            axes.legend(loc="upper right", fontsize=6, ncols=len(parts), frameon=False)
+    if streams:
+        whole = streams[0]
+        for part in shape.components:
+            above.plot(
+                whole.time_s,
+                _column(whole, name, "reference", part),
+                color=INK,
+                linewidth=1.3,
+                ls=(0, (4, 2)),
+            )
+        above.set_xlim(0, float(whole.time_s[-1]))
+    several = len(track.loops) > 1
     above.set_title(condition_title(view, panel.trials[0]) + (f"\nloop {name}" if several else ""))
     if not first:
         return
-    above.set_ylabel(f"{name} ({_unit(panel, name, 'feedback')})")
-    drive = loop.drives if loop is not None else "drive"
-    below.set_ylabel(f"{drive} ({_unit(panel, name, 'drive')})")
+    above.set_ylabel(f"{name} ({_unit(panel, name, 'feedback', shape.components[0])})")
+    below.set_ylabel(f"{', '.join(loop.drives)} ({_unit(panel, name, 'drive', shape.drives[0])})")
 
 
-def _column(stream: Signals, loop: str, quantity: str) -> FloatArray:
-    return np.asarray(stream.column(loop_channel(loop, quantity)))
+def _column(stream: Signals, loop: str, quantity: str, part: str) -> FloatArray:
+    return np.asarray(stream.column(loop_channel(loop, quantity, part)))
 
 
-def _unit(panel: _Panel, loop: str, quantity: str) -> str:
-    wanted = loop_channel(loop, quantity)
+def _unit(panel: _Panel, loop: str, quantity: str, part: str) -> str:
+    wanted = loop_channel(loop, quantity, part)
     first = panel.streams[0] if panel.streams else None
     return (first.unit(wanted) if first is not None and wanted in first.columns else "") or "1"
 
