@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain
 from typing import Any, ClassVar
 
@@ -96,6 +96,26 @@ def time_mean(pieces: Iterable[Signal], of: Callable[[FloatArray], FloatArray] =
         parts.append(float(np.trapezoid(of(piece.values), piece.time_s)))
         end_s = piece.time_s[-1]
     return math.fsum(parts) / float(end_s - start_s)
+
+
+class Following:
+    """A second channel at the times of the first, both taken piece by piece."""
+
+    def __init__(self, pieces: Iterator[Signal]) -> None:
+        self._pieces = pieces
+        self._time_s, self._values = np.empty(0), np.empty(0)
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """Return its values at ascending times, each call's not before the last one's; straight between samples."""
+        while not len(self._time_s) or self._time_s[-1] < time_s[-1]:
+            piece = next(self._pieces, None)
+            if piece is None:
+                break
+            kept = self._time_s >= time_s[0] - 1.0
+            self._time_s = np.concatenate([self._time_s[kept], piece.time_s])
+            self._values = np.concatenate([self._values[kept], piece.values])
+        found: FloatArray = np.interp(time_s, self._time_s, self._values)
+        return found
 
 
 class Mean(ChannelObjective):

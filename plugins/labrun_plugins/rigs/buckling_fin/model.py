@@ -101,8 +101,3 @@ def fin_model(name: str, *, fins: int, free: Sequence[Free] = ()) -> Model:
         constants=np.array([*ways, float(fins)]),
         source="fins on buckling hinges",
     )
-
-
-def buckling_wing() -> Model:
-    """Return one wing in water on a mount that holds it."""
-    return fin_model("buckling-wing", fins=1)
