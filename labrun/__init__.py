@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from labrun.app.check import check as check
     from labrun.app.compare import compare as compare
     from labrun.app.compare_units import compare_units as compare_units
+    from labrun.app.design import design as design
     from labrun.app.diagnose import diagnose as diagnose
     from labrun.app.doctor import doctor as doctor
     from labrun.app.export import export as export
@@ -28,6 +29,7 @@ _USE_CASES = {
     "check": "check",
     "compare": "compare",
     "compare_units": "compare_units",
+    "design": "design",
     "diagnose": "diagnose",
     "doctor": "doctor",
     "export": "export",
@@ -42,7 +44,7 @@ _USE_CASES = {
 }
 """The Python API: each function, and the module of labrun.app that holds it."""
 
-_PACKAGES = ("fit", "report")
+_PACKAGES = ("design", "fit", "report")
 """Use cases whose name a package has, too: the package itself is callable."""
 
 __all__ = ["__version__"]  # a star import would replace Python's own `open`

@@ -8,7 +8,8 @@ from typing import Literal
 from labrun.runner import Planner, Progress, Rig, Session
 from labrun.search import (
     Best,
-    LimitExcesses,
+    Feasibility,
+    Judge,
     Measured,
     Measures,
     NoCandidateError,
@@ -35,6 +36,8 @@ class Answer:
     verdicts: tuple[Verdict, ...] = ()
     winners: tuple[Best, ...] = ()
     search: int = 0
+    more: tuple[str, ...] = ()
+    """Lines that tell more of it."""
 
 
 def measure_all(
@@ -51,10 +54,11 @@ def measure_all(
     settings = settings_of(experiment)
     if experiment.over and experiment.goal is not None:
         measures = OverSettings(session, settings, experiment.combine, experiment.goal[1])
-    if experiment.kind == "cmaes":
+    if experiment.cmaes is not None and experiment.kind == "cmaes":
         _expect(session, folder, expected_trials(experiment, ()))
         excess_of = excess_at_settings(Planner(experiment, rig, session.motions).excess_of, settings)
-        return _searched(experiment, measures, excess_of, folder, seed, unit, progress)
+        feasibility = Feasibility(experiment.cmaes, excess_of)
+        return _searched(experiment, measures, feasibility, folder, seed, unit, progress)
     planned = conditions(experiment, seed)
     table = {"run": experiment.run, "track": experiment.track}.get(experiment.kind, experiment.sweep)
     _expect(session, folder, expected_trials(experiment, planned))
@@ -79,7 +83,7 @@ def _best(
 def _searched(
     experiment: Experiment,
     measures: Measures,
-    excess_of: LimitExcesses,
+    feasibility: Judge,
     folder: RunFolder,
     seed: int,
     unit: str,
@@ -97,7 +101,7 @@ def _searched(
                 experiment,
                 measures,
                 search_folder(folder.path, number),
-                limit_excesses=excess_of,
+                feasibility=feasibility,
                 seed=seed,
                 progress=progress,
                 level=level,

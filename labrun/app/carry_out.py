@@ -71,7 +71,7 @@ def carry_out(
     unit = objective_unit(experiment, rig, goal[0]) if goal is not None else ""
     if goal is not None and not experiment.over:  # of a part of the settings nothing can be said
         progress = _BestSoFar(progress, *goal, unit, experiment.trial.repeats.min)
-    with folder.lock(), _resumable(folder), _terminate_like_interrupt():
+    with folder.lock(), resumable(folder), terminate_like_interrupt():
         session = Session(
             experiment,
             rig,
@@ -90,7 +90,7 @@ def carry_out(
             folder.journal.append("limit-reached", limit=limit)
             progress.note(f"stopped after {limit} new trials; to go on: {resume_line(folder.path)}")
             return _result(folder, best=None, figure=None, finished=False)
-        result = _finish(folder, answer, progress, draw)
+        result = finish(folder, answer, progress, draw)
     return require_answer(result, experiment)
 
 
@@ -139,13 +139,14 @@ def objective_unit(experiment: Experiment, rig: Rig, name: str) -> str:
     return make_objective(name, table).unit(units.get(channel, ""))
 
 
-def _finish(folder: RunFolder, answer: Answer, progress: Progress, draw: bool) -> RunResult:
+def finish(folder: RunFolder, answer: Answer, progress: Progress, draw: bool) -> RunResult:
+    """Pack a run, draw it, and keep its result."""
     progress.phase("packing run.h5")
     best = answer.best
 
     def told(figure: Path | None) -> RunResult:
         result = _result(folder, best=best, figure=figure, finished=True)
-        return replace(result, verdicts=answer.verdicts, winners=answer.winners)
+        return replace(result, verdicts=answer.verdicts, winners=answer.winners, more=answer.more)
 
     result = told(None)
     folder.pack()
@@ -158,6 +159,7 @@ def _finish(folder: RunFolder, answer: Answer, progress: Progress, draw: bool) -
         "figure": None if figure is None else figure.name,
         "reasons": dict(result.reasons),
         "unsettled": result.unsettled,
+        "more": list(answer.more),
     }
     with saving(RESULT_FILE, folder.path):
         replace_durably(folder.path / RESULT_FILE, json.dumps(record, indent=2).encode())
@@ -203,16 +205,16 @@ def _result(folder: RunFolder, *, best: Best | None, figure: Path | None, finish
 
 
 @contextmanager
-def _resumable(folder: RunFolder) -> Iterator[None]:
+def resumable(folder: RunFolder, *, stopped: str = "actuators are stopped, ") -> Iterator[None]:
     """Journal why a run ended early, and tell the person how to go on."""
     try:
         yield
     except KeyboardInterrupt as interrupt:  # between two measurements; during one the session sees to it
         _journal_end(folder, "interrupted", "Ctrl-C")
-        message = f"interrupted by Ctrl-C: actuators are stopped, {_saved(folder)}"
-        stopped = Interrupted(message, hint=_go_on(folder))
-        stopped.details.update(_so_far(folder))
-        raise stopped from interrupt
+        message = f"interrupted by Ctrl-C: {stopped}{_saved(folder)}"
+        told = Interrupted(message, hint=_go_on(folder))
+        told.details.update(_so_far(folder))
+        raise told from interrupt
     except LabrunError as error:
         _journal_end(folder, "interrupted" if isinstance(error, Interrupted) else "failed", str(error))
         saved = _saved(folder) if isinstance(error, PlanError) else f"{_saved(folder)}; {_go_on(folder)}"
@@ -241,6 +243,8 @@ def _saved(folder: RunFolder) -> str:
         count = len(folder.outcomes())
     except (OSError, LabrunError):
         return f"what was measured is kept in {folder.path}"
+    if not count and (generations := len(read_generations(folder.path / "search"))):
+        return f"{generations} generations are kept in {folder.path}"
     kept = "1 trial is" if count == 1 else f"{count} trials are"
     return f"{kept} kept in {folder.path}"
 
@@ -256,7 +260,7 @@ def _so_far(folder: RunFolder) -> dict[str, Any]:
 
 
 @contextmanager
-def _terminate_like_interrupt() -> Iterator[None]:
+def terminate_like_interrupt() -> Iterator[None]:
     """Let SIGTERM (a shutdown, a batch system) end a run as Ctrl-C does: actuators first, then the data."""
     if threading.current_thread() is not threading.main_thread():
         yield

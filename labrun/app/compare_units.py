@@ -7,10 +7,11 @@ import numpy as np
 
 from labrun.app.question import ask, find_data
 from labrun.errors import RequestError
-from labrun.fit import Note, cores, silent
+from labrun.fit import Note, silent
 from labrun.fit import workers as pool
 from labrun.gap import Question, UnitComparison
 from labrun.gap import compare_units as compare_datasets
+from labrun.workers import cores
 
 
 def compare_units(

@@ -14,13 +14,14 @@ from rich.text import Text
 
 from labrun.app.question import ask, find_data
 from labrun.errors import RequestError, StoreError
-from labrun.fit import Note, cores, silent
+from labrun.fit import Note, silent
 from labrun.gap import Diagnosis, Options, diagnose_dataset, recalibrated_only, require_new, save_with_law
 from labrun.gap import save_model as write_model
 from labrun.json_numbers import finite
 from labrun.notebook import as_html
 from labrun.report import gap_lines
 from labrun.store import find_run, is_recording, replace_durably, require_writable
+from labrun.workers import cores
 
 FOLDER = "gap"
 NUMBERS = "diagnosis.json"

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from labrun.errors import RequestError
-from labrun.fit import Note, cores, silent
+from labrun.fit import Note, silent
 from labrun.fit import workers as pool
 from labrun.gap.next import RunBench, TrialPlan
 from labrun.gap.next import plan_trials as plan
@@ -15,6 +15,7 @@ from labrun.gap.next.proposal import free_place, require_free
 from labrun.models import Model, load_model
 from labrun.search import at_settings, conditions, settings_of
 from labrun.spec import LoadedExperiment, load_named
+from labrun.workers import cores
 
 _RATE_HZ = 100.0
 

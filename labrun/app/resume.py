@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from labrun.app.carry_out import carry_out, require_answer
+from labrun.app.design import go_on as design_on
+from labrun.app.design import simulator_of
 from labrun.app.run import behind_the_drivers, connected, who_mounts
 from labrun.blind import concealed, is_sealed, read_seal
 from labrun.errors import LabrunError, RequestError
@@ -81,6 +83,13 @@ def _go_on(
     if changes:
         _refuse_or_note(run, origin, changes, accept_changed_spec, progress)
     loaded = loads_experiment(folder.spec_toml, run.parent.name)
+    if loaded.experiment.kind == "design":
+        folder.journal.append("resumed", changed=changes)
+        simulator = simulator_of(loaded.experiment, Path(str(origin.get("experiment_file", ""))))
+        return design_on(
+            simulator, folder, seed=int(origin["seed"]), workers=None, cluster=None, limit=limit,
+            workspace=Path(), progress=progress, draw=draw,
+        )  # fmt: skip
     on_bench = loaded.experiment
     if is_sealed(origin):
         on_bench = concealed(on_bench, read_seal(run, origin).hidden())

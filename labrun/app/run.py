@@ -3,12 +3,13 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from labrun.app.carry_out import carry_out
 from labrun.app.check import NO_SCENE, require_room, whole_plan
+from labrun.app.design import design
+from labrun.app.origin import source_of
 from labrun.blind import SEALED, hidden_bench, redacted, write_seal
 from labrun.devices import NoTerminalError, Terminal
 from labrun.errors import RequestError
@@ -85,6 +86,11 @@ def run(
             hint="--dry-run: simulated devices in simulated time; --emulate: real drivers in real time",
         )
     loaded = load_named(str(experiment), Path(workspace), overrides, kind=kind)
+    if loaded.experiment.kind == "design":
+        return design(
+            experiment, dry_run=dry_run and not hide, overrides=overrides, seed=seed, limit=limit,
+            results=results, workspace=workspace, progress=progress,
+        )  # fmt: skip
     with SilentProgress() if progress is None else progress as told:
         return execute(
             loaded,
@@ -265,9 +271,3 @@ def behind_the_drivers(
     progress.phase("starting the emulators")
     with EmulatedBench(rig.devices, scene_of(rig), seed=seed) as bench:
         yield bench
-
-
-def source_of(experiment_file: Path) -> dict[str, Any]:
-    """Return what provenance keeps of the experiment file, for `changed_keys`: where it is, and its text."""
-    text = experiment_file.read_text(encoding="utf-8") if experiment_file.is_file() else None
-    return {"experiment_file": str(experiment_file.resolve()), "experiment_text": text}

@@ -12,10 +12,10 @@ from labrun.blind.check_folder import SHIPPED_GENERATOR, CheckFolder, make_cases
 from labrun.blind.jobs import diagnose_case, shrink_case
 from labrun.blind.judging import ANNOUNCING, KINDS, Judged, Said, Shown, Truth, judge
 from labrun.blind.scoring import Scores, score
-from labrun.blind.workers import Pool, pool, spread
 from labrun.errors import LabrunError, RequestError
-from labrun.fit import Note, cores, silent
+from labrun.fit import Note, silent
 from labrun.toml import suggest
+from labrun.workers import Pool, cores, pool, spread
 
 FIRST_REPORTED_SEED = 1000
 """Seeds below are for development; those from here on are for figures that are reported."""

@@ -29,10 +29,7 @@ def check(
         ),
     ] = None,
     workers: options.Workers = None,
-    cluster: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Dask scheduler to compute on, e.g. tcp://host:8786."),
-    ] = None,
+    cluster: options.Cluster = None,
     generator: Annotated[
         Path | None,
         typer.Option(help="Folder of the code that makes the cases.", file_okay=False, exists=True),

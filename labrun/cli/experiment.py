@@ -1,4 +1,4 @@
-"""`labrun check`, `run`, `sweep`, `track`, `cmaes`, `resume`."""
+"""`labrun check`, `run`, `sweep`, `track`, `cmaes`, `design`, `resume`."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated
@@ -97,6 +97,41 @@ RUNS = {
 """The commands that run an experiment: the kind they are for, and their help."""
 
 
+def design(
+    name: options.Name,
+    dry_run: options.DryRun = False,
+    overrides: options.Overrides = None,
+    seed: options.Seed = None,
+    limit: Annotated[
+        int | None,
+        typer.Option(min=1, help="Stop once so many candidates are simulated; `labrun resume` goes on."),
+    ] = None,
+    workers: options.Workers = None,
+    cluster: options.Cluster = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Search geometry and gait in one, on a simulation: dimensions, drawing, and an experiment on the rig of it.
+
+    Example:  labrun design swimmer --dry-run
+    """
+    with reported(as_json):
+        from labrun.app.design import design as find_design
+
+        result = find_design(
+            name,
+            dry_run=dry_run,
+            overrides=overrides or (),
+            seed=seed,
+            limit=limit,
+            workers=workers,
+            cluster=cluster,
+            results=results,
+            progress=progress_display(),
+        )
+        _print_result(result, as_json)
+
+
 def resume(
     run: Annotated[
         str | None, typer.Argument(help="Run folder; the latest unfinished run if not given.")
@@ -150,4 +185,5 @@ def register(app: typer.Typer) -> None:
     app.command()(check)
     for name, (kind, text) in RUNS.items():
         app.command(name)(_command(kind, text))
+    app.command()(design)
     app.command()(resume)

@@ -10,7 +10,7 @@ def complete_experiment(ctx: typer.Context, incomplete: str) -> list[str]:
     """Offer the experiments of this workspace and those that ship with labrun; of its kind to `labrun sweep`, say."""
     from labrun.spec import summarise_workspace
 
-    kind = ctx.info_name if ctx.info_name in ("sweep", "track", "cmaes") else None
+    kind = ctx.info_name if ctx.info_name in ("sweep", "track", "cmaes", "design") else None
     found = summarise_workspace(Path.cwd(), RESULTS)
     return sorted({one.name for one in found if one.name.startswith(incomplete) and kind in (None, one.kind)})
 
@@ -114,4 +114,8 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, for s
 RESULTS = Path("results")
 Workers = Annotated[
     int | None, typer.Option(min=1, help="Processes to compute with; one per core if not given.")
+]
+Cluster = Annotated[
+    str | None,
+    typer.Option("--cluster", metavar="ADDRESS", help="Dask scheduler to compute on, e.g. tcp://host:8786."),
 ]

@@ -15,7 +15,7 @@ from labrun.fit.levenberg_marquardt import NormalEquations, minimise
 from labrun.fit.method import GROUP, FitJob, FitMethod, FitPlan, FitPlugin, NoSettings, is_method, make_method
 from labrun.fit.notes import Note, silent
 from labrun.fit.output_error import FEW_TRIALS, fit_model
-from labrun.fit.parallel import Each, cores, one_by_one, workers
+from labrun.fit.parallel import Each, one_by_one, workers
 from labrun.fit.problem import FEWEST_SAMPLES, OutputNoise, Problem
 from labrun.fit.resampling import LEVEL, by_mounting, resample_trials, student
 from labrun.fit.result import FitResult, FitSummary, FittedData, TextTable
@@ -58,7 +58,6 @@ __all__ = [
     "TextTable",
     "by_mounting",
     "compared",
-    "cores",
     "correlation_length",
     "fit_model",
     "is_method",

@@ -1,6 +1,5 @@
 """Doing many independent things at once, in their order: the same results whatever the number of workers."""
 
-import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
@@ -20,11 +19,6 @@ class Each(Protocol):
     def __call__(self, work: Callable[[Argument], Result], items: Iterable[Argument], /) -> list[Result]:
         """Return what `work` gives for every item, in their order."""
         ...
-
-
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def one_by_one(work: Callable[[Argument], Result], items: Iterable[Argument]) -> list[Result]:

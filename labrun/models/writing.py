@@ -17,7 +17,7 @@ from labrun.effects import AttachedEffect, Effect, effects
 from labrun.errors import ModelError
 from labrun.models.loading import model_file
 from labrun.models.model import Model
-from labrun.toml import KeyPath, locate, suggest
+from labrun.toml import KeyPath, locate, replaced, suggest
 
 
 def corrected_model_text(
@@ -70,7 +70,7 @@ def corrected_model_text(
         body = _with_values(text, changed)
         if path is not None and str(table["base"]).endswith(".toml"):
             base = _from_folder(path.parent / table["base"], folder)
-            body = _replaced(body, {("base",): _quoted(base)})
+            body = replaced(body, {("base",): _quoted(base)})
     elif "mujoco" in table or not text:
         named = path is None or (path.suffix == ".toml" and Path(given).suffix != ".toml")
         base = given if named or path is None else _from_folder(path, folder)
@@ -86,7 +86,7 @@ def corrected_model_text(
     source = given if path is None or Path(given) != path else _from_folder(path, folder)
     entry = f"{{ from = {_quoted(source)}, by = {_quoted(data and _from_folder(Path(data), folder))} }}"
     if "corrected" in table:
-        return top + _replaced(body, {("corrected",): entry})
+        return top + replaced(body, {("corrected",): entry})
     return f"{top}corrected = {entry}\n{body}"
 
 
@@ -137,16 +137,6 @@ def _quoted(text: str) -> str:
     return tomli_w.dumps({"a": text}).removeprefix("a = ").strip()
 
 
-def _replaced(text: str, values: Mapping[KeyPath, str]) -> str:
-    """Put other values where those of the text stand."""
-    found = locate(text).spans
-    encoded = text.encode()
-    places = {found[path]: value for path, value in values.items()}
-    for (begin, end), value in sorted(places.items(), reverse=True):
-        encoded = encoded[:begin] + value.encode() + encoded[end:]
-    return encoded.decode()
-
-
 def _with_parameters(text: str, values: Mapping[str, float]) -> str:
     """Replace parameter values of a model with equations, however it writes them."""
     found = locate(text).spans
@@ -154,13 +144,13 @@ def _with_parameters(text: str, values: Mapping[str, float]) -> str:
     for name, value in values.items():
         path = ("parameters", name)
         paths[(*path, "value") if (*path, "value") in found else path] = repr(value)
-    return _replaced(text, paths)
+    return replaced(text, paths)
 
 
 def _with_values(text: str, values: Mapping[str, float]) -> str:
     """Replace the values of a model with a base, and add those that are not there yet."""
     there = {("values", name) for name in values} & locate(text).spans.keys()
-    text = _replaced(text, {path: repr(values[str(path[-1])]) for path in there})
+    text = replaced(text, {path: repr(values[str(path[-1])]) for path in there})
     new = {name: repr(value) for name, value in values.items() if ("values", name) not in there}
     if not new:
         return text
@@ -172,7 +162,7 @@ def _with_values(text: str, values: Mapping[str, float]) -> str:
         inner = [f"{name} = {value}" for name, value in new.items()]
         names = [path for path in found.spans if path[:1] == ("values",) and len(path) == 2]
         if not names:
-            return _replaced(text, {("values",): f"{{ {', '.join(inner)} }}"})
+            return replaced(text, {("values",): f"{{ {', '.join(inner)} }}"})
         last = max(names, key=lambda path: found.spans[path])
         return _behind(text, found.spans[last][1], f", {', '.join(inner)}")
     if place is None:  # before the first table, behind the keys that stand alone
@@ -195,7 +185,7 @@ def _with_effects(text: str, effects: Sequence[AttachedEffect]) -> str:
     inline = ", ".join("{ " + ", ".join(_rows(one).splitlines()) + " }" for one in effects)
     last = [span for path, span in found.items() if path[:1] == ("effects",) and len(path) == 2]
     if not last:
-        return _replaced(text, {("effects",): f"[{inline}]"})
+        return replaced(text, {("effects",): f"[{inline}]"})
     return _behind(text, max(last)[1], f", {inline}")
 
 

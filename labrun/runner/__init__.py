@@ -5,6 +5,7 @@ from labrun.runner.by_hand import Person, Scripted, Willing
 from labrun.runner.clock import RealClock, SimulatedClock
 from labrun.runner.doctor import examine_machine, examine_rig, find_devices
 from labrun.runner.emulated_bench import EmulatedBench, has_emulator
+from labrun.runner.evaluation import ObjectiveError, ObjectiveEvaluation
 from labrun.runner.faults import Interrupted, LimitReached
 from labrun.runner.measurement import Measurement
 from labrun.runner.motion import MotionMaker, TrialMotion, smooth_move
@@ -29,6 +30,8 @@ __all__ = [
     "LimitReached",
     "Measurement",
     "MotionMaker",
+    "ObjectiveError",
+    "ObjectiveEvaluation",
     "Person",
     "Plan",
     "Planner",

@@ -1,8 +1,14 @@
 """Which trials come next: the points of a sweep, a search by CMA-ES, and the honest best of what was measured."""
 
-from labrun.search.cmaes import NoCandidateError, Searched, search_by_cmaes
-from labrun.search.constraints import Constraint, ConstraintError, LimitExcesses
-from labrun.search.design import axis_values, conditions, start_of_search, sweep_conditions
+from labrun.search.cmaes import Judge, NoCandidateError, Searched, search_by_cmaes
+from labrun.search.constraints import (
+    Constraint,
+    ConstraintError,
+    Feasibility,
+    LimitExcesses,
+    Violations,
+    probes,
+)
 from labrun.search.generation import keep_generation, read_generations
 from labrun.search.leaders import (
     Measured,
@@ -20,6 +26,7 @@ from labrun.search.over import (
     levels_of,
     settings_of,
 )
+from labrun.search.planned import axis_values, conditions, start_of_search, sweep_conditions
 from labrun.search.result import (
     RESULT_FILE,
     Best,
@@ -39,6 +46,8 @@ __all__ = [
     "Combined",
     "Constraint",
     "ConstraintError",
+    "Feasibility",
+    "Judge",
     "LimitExcesses",
     "Measured",
     "Measures",
@@ -48,6 +57,7 @@ __all__ = [
     "Scatter",
     "Searched",
     "Verdict",
+    "Violations",
     "allowed_points",
     "at_points",
     "at_settings",
@@ -62,6 +72,7 @@ __all__ = [
     "mean_error",
     "most_trials",
     "pooled_variance",
+    "probes",
     "read_generations",
     "reason_lines",
     "resume_line",

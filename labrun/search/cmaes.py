@@ -4,18 +4,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import PlanError
 from labrun.runner import Progress
-from labrun.search.constraints import Feasibility, LimitExcesses, Violations, penalised
-from labrun.search.design import start_of_search
+from labrun.search.constraints import Violations, penalised
 from labrun.search.generation import keep_generation
 from labrun.search.leaders import Measured, Measures, pooled_variance
 from labrun.search.over import settings_of
+from labrun.search.planned import start_of_search
 from labrun.search.strategy import Strategy
 from labrun.search.verdict import Verdict, judge
 from labrun.spec import CmaEs, Condition, Experiment, StopRules, condition_key, condition_text
@@ -106,6 +106,14 @@ class StopWatch:
             self._since += 1
 
 
+class Judge(Protocol):
+    """Tells which candidates may run (`labrun.search.Feasibility`, or a simulation of them)."""
+
+    def of(self, conditions: Sequence[Condition]) -> Sequence[Violations]:
+        """Return what each condition violates; nothing on a bench moves to find out."""
+        ...
+
+
 _LEVEL_STREAM = 1
 _SEARCH_STREAM = 2
 """Tells the search's random numbers from those of other parts of a run with the same seed."""
@@ -133,6 +141,7 @@ class Candidate:
             "values": list(self.values),
             "feasible": self.violations.feasible,
             "violations": list(self.violations.texts),
+            "violated_by": self.violations.size,
             "cost": self.penalised_cost,
         }
 
@@ -154,7 +163,7 @@ def search_by_cmaes(
     session: Measures,
     folder: Path,
     *,
-    limit_excesses: LimitExcesses,
+    feasibility: Judge,
     seed: int,
     progress: "Progress",
     level: Condition | None = None,
@@ -169,8 +178,8 @@ def search_by_cmaes(
     ----------
     folder
         Where each generation's state is kept.
-    limit_excesses
-        Returns which limits of the rig a condition's motion would leave.
+    feasibility
+        Tells which candidates may run.
     seed
         The run's seed.
     level, number
@@ -183,7 +192,7 @@ def search_by_cmaes(
     StoreError
         A replayed generation differs from the stored one.
     """
-    search = _Search(experiment, session, folder, limit_excesses, seed, progress, level or {}, number)
+    search = _Search(experiment, session, folder, feasibility, seed, progress, level or {}, number)
     return Searched(search.found, search.run())
 
 
@@ -193,16 +202,16 @@ class _Search:
         experiment: Experiment,
         session: Measures,
         folder: Path,
-        limit_excesses: LimitExcesses,
+        feasibility: Judge,
         seed: int,
         progress: "Progress",
         level: Condition,
         number: int,
     ) -> None:
-        goal = experiment.goal
-        if experiment.cmaes is None or goal is None:
-            raise PlanError("a search needs a table [cmaes] and an objective with a goal")
-        self._table: CmaEs = experiment.cmaes
+        goal, table = experiment.goal, experiment.search
+        if table is None or goal is None:
+            raise PlanError("a search needs a table [cmaes] or [design], and an objective with a goal")
+        self._table: CmaEs = table
         self._objective, direction = goal
         self._sign = -1.0 if direction == "maximise" else 1.0
         self._experiment = experiment
@@ -214,11 +223,11 @@ class _Search:
         )
         self._level = level
         self._progress = progress
-        self._feasibility = Feasibility(experiment.cmaes, limit_excesses)
+        self._feasibility = feasibility
         self._known: dict[object, Candidate] = {}
         self._watch = StopWatch(self._table.stop)
         self._spreads: list[float] = []
-        self._population = experiment.cmaes.population_size
+        self._population = table.population_size
         self.found: list[Measured] = []
 
     def run(self) -> Verdict:

@@ -91,6 +91,8 @@ class RunResult:
         How each search ended; empty without one.
     winners
         Of a search for each level of a factor: the honest best of each level, best first.
+    more
+        What more there is to say of it, a line each.
     """
 
     run: Path
@@ -104,6 +106,7 @@ class RunResult:
     unsettled: int = 0
     verdicts: tuple[Verdict, ...] = ()
     winners: tuple[Best, ...] = ()
+    more: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return what `--json` prints for run, sweep, cmaes and resume."""
@@ -130,6 +133,7 @@ class RunResult:
             where = f"{condition_text(verdict.level)}: " if verdict.level else ""
             lines.append(f"search    {where}{verdict.text}")
         lines += winner_lines(self.winners, [verdict.level or {} for verdict in self.verdicts])
+        lines += self.more
         lines.append(f"run       {self.run}")
         if self.figure is not None:
             lines.append(f"figure    {self.figure}")
@@ -163,6 +167,7 @@ def stored_result(run: Path) -> RunResult | None:
         unsettled=record.get("unsettled", 0),
         verdicts=tuple(Verdict.from_record(one) for one in record.get("search", ())),
         winners=tuple(Best.from_record(one) for one in record.get("winners", ())),
+        more=tuple(record.get("more", ())),
     )
 
 

@@ -3,6 +3,7 @@
 from labrun.spec.by_hand import ByHand
 from labrun.spec.condition import Condition, Number, Value, condition_key, condition_text, value_text
 from labrun.spec.damage import BROKEN, PAST, DamageTable
+from labrun.spec.design_tables import SIMULATION, SUMMARIES, Design, DesignVariable, Part, WrittenExperiment
 from labrun.spec.experiment import Experiment, FitTable, GaitTable, GapTable, ObjectiveTable, Rig, SceneTable
 from labrun.spec.key_reference import Key, keys_at
 from labrun.spec.loading import LoadedExperiment, load_experiment, load_named, loads_experiment, resolved
@@ -47,6 +48,8 @@ __all__ = [
     "LOOP_CHANNELS",
     "LOOP_DEVICE",
     "PAST",
+    "SIMULATION",
+    "SUMMARIES",
     "TIMING_CHANNELS",
     "ByHand",
     "CarriageMove",
@@ -55,6 +58,8 @@ __all__ = [
     "Condition",
     "Criterion",
     "DamageTable",
+    "Design",
+    "DesignVariable",
     "Experiment",
     "FitTable",
     "GaitTable",
@@ -69,6 +74,7 @@ __all__ = [
     "Number",
     "ObjectiveTable",
     "Outliers",
+    "Part",
     "Penalty",
     "Range",
     "Reference",
@@ -85,6 +91,7 @@ __all__ = [
     "Until",
     "Value",
     "Variable",
+    "WrittenExperiment",
     "apply_overrides",
     "condition_key",
     "condition_text",

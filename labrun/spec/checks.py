@@ -12,6 +12,7 @@ from labrun import registry
 from labrun.errors import SpecError
 from labrun.spec.by_hand import check_by_hand
 from labrun.spec.damage import check_damage
+from labrun.spec.design_tables import check_design, is_summary
 from labrun.spec.plugins import check_plugins, check_settings, examine, load_plugin
 from labrun.spec.raw import (
     DeviceInfo,
@@ -33,10 +34,12 @@ from labrun.toml import (
     FUNCTIONS,
     KNOWN_UNITS,
     Expression,
+    ExpressionError,
     Fault,
     KeyPath,
     dotted,
     in_order,
+    names_in,
     nearest,
     suggest,
     unit_of,
@@ -61,13 +64,15 @@ def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Fault
     conditions = condition_names(data)
     faults += check_plugins(data, devices)
     faults += _check_fit(data, path)
-    faults += _check_joints(data, devices)
+    if data.get("kind") != "design":
+        faults += _check_joints(data, devices)
     faults += _check_references(data, devices)
     faults += _check_conditions(data, conditions)
     faults += check_by_hand(data, conditions)
     faults += check_damage(data, conditions)
     faults += check_until(data)
     faults += check_track(data, devices, conditions)
+    faults += check_design(data)
     faults += _check_units(data, [*conditions, *driven_names(data)])
     faults += _check_expressions(data, conditions)
     return faults
@@ -89,7 +94,7 @@ def _check_fit(data: Mapping[str, Any], experiment: Path | None) -> Iterator[Fau
         if plugin is not None:
             taken = {key: value for key, value in shared.items() if key in plugin.Settings.model_fields}
             yield from check_settings(plugin, {**taken, **own}, path, [])
-    for owner in ("fit", "gap"):
+    for owner in ("fit", "gap", "design"):
         yield from _check_model(table(data, owner).get("model"), (owner, "model"), experiment)
 
 
@@ -176,7 +181,11 @@ def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Fau
         yield from _same_names(reference, ("trial", "reference", "condition"), names)
     kind = str(data.get("kind"))
     listed: KeyPath = ("track" if kind == "track" else "run", "conditions", 0)
-    place: KeyPath = {"sweep": ("sweep", "axes"), "cmaes": ("cmaes", "variables")}.get(kind, listed)
+    place: KeyPath = {
+        "sweep": ("sweep", "axes"),
+        "cmaes": ("cmaes", "variables"),
+        "design": ("design", "variables"),
+    }.get(kind, listed)
     taken = {**dict.fromkeys(CONSTANTS, "a constant"), **dict.fromkeys(FUNCTIONS, "a function")}
     taken |= dict.fromkeys(table(data, "gait", "let"), "a part of let")
     for name in names:
@@ -251,13 +260,24 @@ def _check_expressions(data: Mapping[str, Any], conditions: list[str]) -> Iterat
         yield from check_expression(expression, path, in_gait)
     speed = table(data, "trial", "carriage").get("speed_m_s")
     yield from check_expression(speed, ("trial", "carriage", "speed_m_s"), conditions)
-    for kind, known in (("sweep", "axes"), ("cmaes", "variables")):
+    for kind, known in (("sweep", "axes"), ("cmaes", "variables"), ("design", "variables")):
         where = table(data, kind).get("where")
         for number, expression in enumerate(where if isinstance(where, list) else []):
             path = (kind, "where", number)
-            found = list(check_expression(expression, path, list(table(data, kind, known))))
+            names = [*table(data, kind, known), *(_summaries_in(expression) if kind == "design" else ())]
+            found = list(check_expression(expression, path, names))
             if not found and isinstance(expression, str) and not Expression.of(expression).is_comparison:
                 found.append(
                     Fault(path, 'compares nothing; a constraint reads "a + abs(b) <= 60"', at_value=True)
                 )
             yield from found
+
+
+def _summaries_in(expression: object) -> list[str]:
+    """Return the names of a constraint that stand for summaries of channels, which only the model can tell."""
+    if not isinstance(expression, str):
+        return []
+    try:
+        return [name for name in names_in(expression) if is_summary(name)]
+    except ExpressionError:  # told where the expression is checked
+        return []

@@ -8,15 +8,12 @@ from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, mode
 from labrun.spec.by_hand import ByHand
 from labrun.spec.condition import Value
 from labrun.spec.damage import DamageTable
+from labrun.spec.design_tables import Design
 from labrun.spec.loop_tables import Track
 from labrun.spec.search_tables import CmaEs, Combine, Leaders, RunTable, Sweep
 from labrun.spec.trial_tables import TrialTable
 from labrun.spec.until import CYCLES
 from labrun.toml import Expression, Faults, PluginTable, Table
-
-_PLANNED_KINDS = ("design",)
-"""Kinds that a later version has: worth a word of their own when a file asks for one."""
-
 
 ROBOT_FILES = (".xml", ".mjcf", ".urdf")
 ROBOT_SCENE = "robot"
@@ -38,7 +35,7 @@ class Rig(Table):
     """The bench: what is connected, and the scene that stands in for it in a dry run."""
 
     scene: SceneTable | None = None
-    devices: dict[str, PluginTable] = Field(min_length=1)
+    devices: dict[str, PluginTable]
     watchdog_s: PositiveFloat = 2.0
 
     @model_validator(mode="before")
@@ -98,7 +95,7 @@ class Experiment(Table):
     """A whole experiment file."""
 
     title: str
-    kind: Literal["run", "sweep", "cmaes", "track"]
+    kind: Literal["run", "sweep", "cmaes", "track", "design"]
     rig: Rig
     gait: GaitTable = GaitTable(plugin=STILL)
     """Without one nothing moves but, perhaps, the carriage."""
@@ -109,6 +106,7 @@ class Experiment(Table):
     sweep: Sweep | None = None
     cmaes: CmaEs | None = None
     track: Track | None = None
+    design: Design | None = None
     leaders: Leaders = Leaders()
     objectives: dict[str, ObjectiveTable] = Field(default_factory=dict)
     fit: FitTable | None = None
@@ -126,12 +124,12 @@ class Experiment(Table):
             return objectives
         return {**objectives, CYCLES: ObjectiveTable(plugin=CYCLES)}
 
-    @field_validator("kind", mode="before")
+    @model_validator(mode="before")
     @classmethod
-    def _kind_is_there(cls, kind: Any) -> Any:
-        if kind in _PLANNED_KINDS:
-            raise ValueError(f'"run" or "sweep" or "cmaes" or "track"; kind {kind} is not in this version')
-        return kind
+    def _simulated_without_rig(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("kind") == "design" and "rig" not in data:
+            return {**data, "rig": {"devices": {}}}
+        return data
 
     @model_validator(mode="after")
     def _kind_has_its_table(self) -> "Experiment":
@@ -139,7 +137,11 @@ class Experiment(Table):
             if getattr(self, self.kind) is None:
                 faults.add("kind", f'"{self.kind}" needs a table [{self.kind}]')
             goals = [name for name, objective in self.objectives.items() if objective.goal is not None]
-            if self.kind == "cmaes" and not goals:
+            if self.kind != "design" and not self.rig.devices:
+                faults.add(("rig", "devices"), "a bench has at least one device")
+            if self.kind == "design" and self.rig.devices:
+                faults.add(("rig", "devices"), "a design is simulated, and has no devices: leave [rig] out")
+            if self.kind in ("cmaes", "design") and not goals:
                 faults.add("kind", 'a search needs an objective with goal = "maximise" or "minimise"')
             for name in goals[1:]:
                 faults.add(
@@ -164,6 +166,11 @@ class Experiment(Table):
         """What becomes of the values at the settings of `over`."""
         table = {"run": self.run, "sweep": self.sweep, "cmaes": self.cmaes}.get(self.kind)
         return "mean" if table is None else table.combine
+
+    @property
+    def search(self) -> CmaEs | None:
+        """The table of a search, on the bench or of a design; None if this experiment is no search."""
+        return {"cmaes": self.cmaes, "design": self.design}.get(self.kind)
 
     @property
     def goal(self) -> tuple[str, Literal["maximise", "minimise"]] | None:

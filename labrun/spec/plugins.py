@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from labrun import registry
 from labrun.devices import DeviceContext, Limits
 from labrun.errors import PluginError
+from labrun.spec.design_tables import SIMULATION
 from labrun.spec.experiment import STILL, GaitTable, ObjectiveTable, Rig, SceneTable
 from labrun.spec.loop_tables import LOOP_DEVICE, TIMING_CHANNELS, shape_of
 from labrun.spec.raw import DeviceInfo, check_channel, drives_of, one_or_several, table, tables
@@ -172,6 +173,8 @@ def check_plugins(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) ->
     if data.get("kind") == "track" and loops:  # an objective may look at the loops as if they were a device
         channels = _loop_channels(loops)
         devices = {**devices, LOOP_DEVICE: DeviceInfo(joints=(), channels=channels, carriage=False)}
+    if data.get("kind") == "design":  # what there is to look at, the model says
+        devices = {SIMULATION: DeviceInfo(joints=(), channels=None, carriage=False)}
     for name, objective in tables(data, "objectives").items():
         yield from _check_objective(objective, ("objectives", name), devices)
 

@@ -46,6 +46,7 @@ def condition_names(data: Mapping[str, Any]) -> list[str]:
     sources = {
         "sweep": list(table(data, "sweep", "axes")),
         "cmaes": list(table(data, "cmaes", "variables")),
+        "design": list(table(data, "design", "variables")),
         **{kind: next(map(list, listed_conditions(data, kind)), []) for kind in ("run", "track")},
     }
     sources = {

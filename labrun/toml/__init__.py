@@ -4,7 +4,7 @@ from labrun.toml.expressions import Expression, Operand, evaluate, fault_of, in_
 from labrun.toml.faults import Fault, Faults, LocatedFault, dotted, refusal, shown
 from labrun.toml.grammar import CONSTANTS, FUNCTIONS, RESERVED, ExpressionError
 from labrun.toml.names import KNOWN_UNITS, UNITS, nearest, split_unit, suggest, unit_of
-from labrun.toml.positions import KeyPath, Position, Positions, locate
+from labrun.toml.positions import KeyPath, Position, Positions, locate, replaced
 from labrun.toml.reading import Places, parsed, read, text_of
 from labrun.toml.validation import PluginTable, Table, checked, mend, validate
 
@@ -37,6 +37,7 @@ __all__ = [
     "parsed",
     "read",
     "refusal",
+    "replaced",
     "resolve",
     "shown",
     "split_unit",

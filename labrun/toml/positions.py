@@ -5,6 +5,7 @@
 
 import tomllib
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import tree_sitter_toml
@@ -59,6 +60,22 @@ def locate(text: str) -> Positions:
     """Return the positions of every key and value of a TOML text, inline tables and arrays of tables included."""
     tree = Parser(Language(tree_sitter_toml.language())).parse(text.encode())
     return _Walk(text).document(tree.root_node)
+
+
+def replaced(text: str, values: Mapping[KeyPath, str]) -> str:
+    """Return a text with other values, as TOML writes them, where those of these paths stand; all else as it was.
+
+    Raises
+    ------
+    KeyError
+        A path that the text does not have.
+    """
+    found = locate(text).spans
+    encoded = text.encode()
+    places = {found[path]: value for path, value in values.items()}
+    for (begin, end), value in sorted(places.items(), reverse=True):
+        encoded = encoded[:begin] + value.encode() + encoded[end:]
+    return encoded.decode()
 
 
 class _Walk:

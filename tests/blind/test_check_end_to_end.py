@@ -17,9 +17,9 @@ from labrun.blind import Checked, check
 from labrun.blind.check_folder import CheckFolder
 from labrun.blind.diagnosis_check import case_seed
 from labrun.blind.jobs import fingerprint
-from labrun.blind.workers import pool, spread
 from labrun.errors import LabrunError, RequestError
 from labrun.report.diagnosis_check import check_text, write_check_page
+from labrun.workers import pool, spread
 
 TWO_CASES: dict[str, Any] = {"cases": 2, "seed": 5, "first": 33}
 """Hysteresis of a static fin, far above the noise, and a control: made and diagnosed within seconds."""

@@ -17,9 +17,9 @@ from labrun.blind.diagnosis_check import _diagnosed, kind_named
 from labrun.blind.jobs import fingerprint
 from labrun.blind.judging import KINDS, Cause, Named, Said, Shown, Shrunk, Truth, judge
 from labrun.blind.scoring import score
-from labrun.blind.workers import Pool
 from labrun.errors import LabrunError, RequestError
 from labrun.report.diagnosis_check import check_page, check_text
+from labrun.workers import Pool
 
 TWO_CONTROLS: dict[str, Any] = {"cases": 2, "seed": 42, "first": 4, "only": "control"}
 """A static fin and a payload arm: made within seconds."""

@@ -6,7 +6,7 @@ from analytic_bench import AnalyticBench, InterruptedBenchError, box, search_exp
 from labrun.devices import Excess
 from labrun.errors import PlanError, StoreError
 from labrun.runner import SilentProgress
-from labrun.search import Constraint, read_generations, search_by_cmaes
+from labrun.search import Constraint, Feasibility, read_generations, search_by_cmaes
 from labrun.spec import RepeatRule
 
 
@@ -19,7 +19,7 @@ def search(experiment, bench, folder, seed=1, limit_excesses=no_excess):
         experiment,
         bench,
         folder,
-        limit_excesses=limit_excesses,
+        feasibility=Feasibility(experiment.cmaes, limit_excesses),
         seed=seed,
         progress=SilentProgress(),
     )

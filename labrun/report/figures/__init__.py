@@ -27,7 +27,7 @@ def run_figure(view: RunView, generations: Sequence[Mapping[str, Any]] = ()) -> 
     """
     if not any(outcome.status == "done" for outcome in view.run.outcomes):
         return None
-    if view.experiment.kind == "cmaes" and generations:
+    if view.experiment.search is not None and generations:
         return draw_search(view, generations)
     if view.experiment.kind == "sweep" and view.objective is not None:
         return draw_sweep(view)

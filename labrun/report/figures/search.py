@@ -140,7 +140,7 @@ def _honest(axes: Axes, view: RunView, last: int, width: float) -> None:
 
 
 def _variables(axes: Axes, view: RunView, generations: Sequence[Generation], number: Sequence[int]) -> None:
-    table = view.experiment.cmaes
+    table = view.experiment.search
     if table is None:
         return
     ends: list[tuple[float, str, str]] = []

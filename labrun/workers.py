@@ -1,4 +1,4 @@
-"""Where the cases are computed: processes of this machine, or a Dask cluster."""
+"""Where many independent things are computed: processes of this machine, or a Dask cluster."""
 
 import multiprocessing
 import os
@@ -37,6 +37,11 @@ class Pool:
 
     executor: Executor
     ahead: int
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager
@@ -81,7 +86,7 @@ def spread(
     except BrokenExecutor as error:
         raise LabrunError(
             "a worker process ended without a word; the machine may have run out of memory",
-            hint="the same command goes on where it was; fewer --workers take less memory",
+            hint="what is finished is kept, and is not computed again; fewer --workers take less memory",
         ) from error
     finally:
         for future in pending:
@@ -92,7 +97,7 @@ def spread(
 def _processes(workers: int) -> Iterator[Pool]:
     others = {child.pid for child in multiprocessing.active_children()}
     # a process that is stopped leaves its files behind: they lie in a folder of this one, which takes it away
-    with _one_thread(), TemporaryDirectory(prefix="labrun-check-", ignore_cleanup_errors=True) as scratch:
+    with _one_thread(), TemporaryDirectory(prefix="labrun-", ignore_cleanup_errors=True) as scratch:
         # started anew: threads and locks of this process are not copied, and linear algebra starts with one thread
         context = multiprocessing.get_context("spawn")
         executor = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(scratch,))
@@ -132,7 +137,7 @@ def _dask(address: str) -> Iterator[Pool]:
                 f"the Dask scheduler at {address} has no workers",
                 hint=f"start some with: dask worker {address}",
             )
-        # the same case twice is computed twice: no result of an earlier check is taken for it
+        # the same twice is computed twice: no result of an earlier run is taken for it
         executor = client.get_executor(pure=False, retries=0)
         try:
             yield Pool(executor, 2 * threads)
@@ -140,14 +145,14 @@ def _dask(address: str) -> Iterator[Pool]:
             # a scheduler that goes away cancels everything, without a word
             raise LabrunError(
                 f"the cluster at {address} gave up: {str(error).strip() or 'its scheduler is gone'}",
-                hint="the same command goes on where it was; workers that die may have run out of memory",
+                hint="what is finished is kept, and is not computed again; workers that die may have run out of memory",
             ) from error
         finally:
             executor.shutdown(wait=False)
 
 
 def _begin(scratch: str) -> None:
-    """Leave Ctrl-C to the process that asked, and warnings to the diagnosis's own words; files go into `scratch`."""
+    """Leave Ctrl-C and warnings to the process that asked; files go into `scratch`."""
     tempfile.tempdir = scratch
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("ignore")

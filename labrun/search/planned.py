@@ -25,7 +25,7 @@ def conditions(experiment: Experiment, seed: int = 0) -> list[Condition]:
     Parameters
     ----------
     experiment
-        For a `cmaes` experiment the list has one item: the point its search starts from.
+        For a search the list has one item: the point its search starts from.
     seed
         The run's seed: random and scrambled Sobol designs follow from it.
 
@@ -34,7 +34,7 @@ def conditions(experiment: Experiment, seed: int = 0) -> list[Condition]:
     PlanError
         The constraints leave nothing (names the one that removed most), or the grid is absurdly large.
     """
-    if experiment.kind == "cmaes" and experiment.cmaes is not None:
+    if experiment.search is not None:
         return [start_of_search(experiment)]
     if experiment.sweep is not None and experiment.kind not in ("run", "track"):
         return sweep_conditions(experiment.sweep, seed)
@@ -50,13 +50,13 @@ def conditions(experiment: Experiment, seed: int = 0) -> list[Condition]:
 
 def start_of_search(experiment: Experiment) -> Condition:
     """Return where a search starts: each variable's `initial`, or the middle of its range."""
-    if experiment.cmaes is None:
-        raise PlanError("the experiment has no search", hint="a search needs a table [cmaes]")
+    if experiment.search is None:
+        raise PlanError("the experiment has no search", hint="a search needs a table [cmaes] or [design]")
     return {
         name: float(
             variable.initial if variable.initial is not None else (variable.start + variable.stop) / 2
         )
-        for name, variable in experiment.cmaes.variables.items()
+        for name, variable in experiment.search.variables.items()
     }
 
 

@@ -1,0 +1,213 @@
+"""What a search asks about candidates, answered by simulations that run beside each other; and copies as built."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from labrun.design.simulator import Simulated, Simulator
+from labrun.devices import Channel, Samples
+from labrun.errors import LabrunError
+from labrun.runner import Measurement, Progress
+from labrun.search import Violations
+from labrun.spec import SIMULATION, Condition, RepeatRule, condition_key
+from labrun.store import Role, RunFolder, TrialOutcome
+from labrun.workers import Pool, spread
+
+_COPY_STREAM = 0xC0B
+"""Tells the random numbers of copies from those of other parts of a run with the same seed."""
+
+
+class SimulationLimitError(LabrunError):
+    """As many candidates are simulated as were asked for; the run goes on later."""
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What is kept of a candidate: the number that the search is for, and what it violates."""
+
+    value: float | None
+    violations: Violations
+
+
+class Candidates:
+    """Judges and measures the candidates of a search on simulations.
+
+    Each distinct candidate is simulated once, whatever the number of workers; what a stored generation tells of is not
+    simulated again. Of leaders, copies within the tolerance of every dimension are simulated and stored as trials.
+
+    Parameters
+    ----------
+    simulator
+        Simulates one.
+    folder
+        Where copies are stored as trials.
+    pool
+        Processes, or a cluster; None simulates in this process.
+    seed
+        The run's seed: copies follow from it.
+    progress
+        Told how it goes.
+    generations
+        Stored by the run so far.
+    limit
+        Stop, resumably, once so many candidates are simulated.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        folder: RunFolder,
+        pool: Pool | None,
+        *,
+        seed: int,
+        progress: Progress,
+        generations: Iterable[Mapping[str, Any]] = (),
+        limit: int | None = None,
+    ) -> None:
+        self._simulator = simulator
+        self._folder = folder
+        self._pool = pool
+        self._seed = seed
+        self._progress = progress
+        self._limit = limit
+        goal = simulator.experiment.goal
+        self._goal = "" if goal is None else goal[0]
+        self._maximise = goal is not None and goal[1] == "maximise"
+        self._best = -math.inf
+        self._known: dict[object, Known] = {
+            condition_key(one["condition"]): _read(one)
+            for state in generations
+            for one in state["candidates"]
+        }
+        self._stored = folder.outcomes()
+        self._index = 0
+        self.simulated = 0
+        """Candidates that were simulated now, not taken from stored generations."""
+        self.broken: dict[str, list[str]] = {}
+        """Of copies, by their role: each broken constraint once for every copy that breaks it."""
+
+    def of(self, conditions: Sequence[Condition]) -> list[Violations]:
+        """Simulate candidates, and return what each violates.
+
+        Raises
+        ------
+        SimulationLimitError
+            Before a generation that would exceed the limit has begun.
+        """
+        new = {condition_key(one): one for one in conditions if condition_key(one) not in self._known}
+        if new and self._limit is not None and self.simulated >= self._limit:
+            raise SimulationLimitError(f"{self.simulated} candidates are simulated")
+        for key, one in zip(new, self._all(list(new.values())), strict=True):
+            self._known[key] = Known(one.objectives.get(self._goal), one.violations)
+        self.simulated += len(new)
+        return [self._known[condition_key(one)].violations for one in conditions]
+
+    def measure(
+        self,
+        conditions: Sequence[Condition],
+        *,
+        role: Role = "measure",
+        repeats: RepeatRule | None = None,
+        order: Literal["shuffled", "as-listed"] = "shuffled",  # noqa: ARG002  (simulations do not drift)
+    ) -> list[Measurement]:
+        """Return the value of each candidate; of a leader that of every copy (roles "fresh" and "confirm")."""
+        if role != "measure":
+            return self._copies(conditions, role, 1 if repeats is None else repeats.max)
+        return [self._measured(condition) for condition in conditions]
+
+    def _measured(self, condition: Condition) -> Measurement:
+        value = self._known[condition_key(condition)].value
+        if value is None:
+            return Measurement(condition, "measure", ())
+        signed = value if self._maximise else -value
+        if signed > self._best:
+            self._best = signed
+            self._progress.best(condition, value, "")
+        outcome = TrialOutcome(-1, dict(condition), 0, objectives={self._goal: value})
+        return Measurement(condition, "measure", (outcome,))
+
+    def _copies(self, conditions: Sequence[Condition], role: Role, count: int) -> list[Measurement]:
+        first = self._index
+        wanted = [(condition, repeat) for condition in conditions for repeat in range(count)]
+        built = [self._built(condition, first + place) for place, (condition, _) in enumerate(wanted)]
+        self._index += len(wanted)
+        found: dict[int, list[TrialOutcome]] = {}
+        for place, one in enumerate(self._all(built, keep=True)):
+            condition, repeat = wanted[place]
+            self.broken.setdefault(role, []).extend(one.violations.texts)
+            outcome = self._store(first + place, condition, repeat, role, built[place], one)
+            found.setdefault(place // count, []).append(outcome)
+        return [
+            Measurement(condition, role, tuple(found.get(place, ())))
+            for place, condition in enumerate(conditions)
+        ]
+
+    def _built(self, condition: Condition, index: int) -> Condition:
+        """Return a candidate as it may be built: every dimension evenly within its tolerance."""
+        rng = np.random.default_rng(np.random.SeedSequence((self._seed, _COPY_STREAM, index)))
+        off = {
+            name: tolerance * rng.uniform(-1, 1)
+            for name, tolerance in self._simulator.design.dimensions.items()
+        }
+        return {
+            name: value + off.get(name, 0.0) if isinstance(value, float) else value
+            for name, value in condition.items()
+        }
+
+    def _store(
+        self, index: int, condition: Condition, repeat: int, role: Role, built: Condition, one: Simulated
+    ) -> TrialOutcome:
+        stored = self._stored.get(index)
+        if stored is not None:
+            return stored
+        failed = not one.objectives
+        outcome = TrialOutcome(
+            index,
+            dict(condition),
+            repeat,
+            role=role,
+            status="failed" if failed else "done",
+            reason="; ".join(one.violations.texts) if failed else "",
+            duration_s=one.duration_s,
+            objectives=dict(one.objectives),
+            period_s=one.period_s,
+            discard_cycles=self._simulator.experiment.trial.discard_cycles,
+        )
+        writer = self._folder.writer(index)
+        if one.signals is not None:
+            channels = tuple(
+                Channel(name, unit) for name, unit in zip(one.signals.columns, one.signals.units, strict=True)
+            )
+            samples = Samples(one.signals.time_s, one.signals.time_s, one.signals.values)
+            writer.append(SIMULATION, channels, one.signals.rate_hz, samples)
+        self._folder.journal.append(
+            "copy", sync=False, index=index, built=dict(built), violations=list(one.violations.texts)
+        )
+        writer.finish(outcome, None, None)
+        return outcome
+
+    def _all(self, candidates: Sequence[Condition], *, keep: bool = False) -> list[Simulated]:
+        """Simulate candidates, in their order, on all workers."""
+        if self._pool is None or len(candidates) < 2:
+            return self._simulator(candidates, keep=keep)
+        size = max(1, math.ceil(len(candidates) / self._pool.ahead))
+        jobs = (
+            (first, _job, (self._simulator, list(candidates[first : first + size]), keep))
+            for first in range(0, len(candidates), size)
+        )
+        parts = dict(spread(self._pool, jobs))
+        return [one for first in sorted(parts) for one in parts[first]]
+
+
+def _job(simulator: Simulator, candidates: list[Condition], keep: bool) -> list[Simulated]:
+    """Simulate some candidates in a worker."""
+    return simulator(candidates, keep=keep)
+
+
+def _read(record: Mapping[str, Any]) -> Known:
+    """Take back what a generation keeps of a candidate."""
+    texts = tuple(record["violations"])
+    return Known(record["value"], Violations(len(texts), float(record["violated_by"]), texts))

@@ -1,0 +1,99 @@
+"""How far a channel has gone: from the beginning of the recording to its end, and how fast, over whole cycles."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import NonNegativeFloat
+
+from labrun.errors import ExperimentError
+from labrun.objectives.channel import ChannelObjective, ChannelSettings
+from labrun.objectives.protocol import TrialSignals
+from labrun.signals import Signal
+from labrun.toml import checked
+
+
+class Change(ChannelObjective):
+    """The channel at the end of the recording less the channel at its beginning: a distance, from a position.
+
+    Discarded cycles count here: what a swimmer does not cover while it gets going is part of how far it comes.
+    """
+
+    def __call__(self, signals: TrialSignals) -> float:
+        """Return the change, in the unit of `unit`."""
+        ends = _at(signals, self.channel, (signals.start_s, signals.end_s))
+        return self._settings.scale / (self._settings.divide_by_m or 1.0) * (ends[1] - ends[0])
+
+    def _number(self, pieces: Iterable[Signal]) -> float:
+        raise NotImplementedError
+
+
+class RateOfChangeSettings(ChannelSettings):
+    """Keys of `rate-of-change`: what lies before `from_s` does not count."""
+
+    from_s: NonNegativeFloat = 0.0
+
+
+class RateOfChange(ChannelObjective):
+    """Change of a channel per second: a mean speed, from a position.
+
+    Over the last whole cycles of the gait after `from_s` and after the discarded ones, so that to and fro within a
+    cycle cancels; without a cycle over all that lies behind `from_s`.
+    """
+
+    Settings: ClassVar[type[ChannelSettings]] = RateOfChangeSettings
+
+    def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
+        super().__init__(channel, settings)
+        self._from_s = checked(RateOfChangeSettings, settings).from_s
+
+    def unit(self, channel_unit: str) -> str:
+        """Return the channel's unit per second."""
+        return f"{super().unit(channel_unit)}/s"
+
+    def __call__(self, signals: TrialSignals) -> float:
+        """Return the rate, in the unit of `unit`.
+
+        Raises
+        ------
+        ExperimentError
+            No whole cycle is left.
+        """
+        start_s, end_s, period_s = signals.start_s, signals.end_s, signals.period_s
+        if period_s is not None:
+            start_s += signals.discard_cycles * period_s
+        start_s = max(start_s, self._from_s)
+        if period_s is not None:
+            start_s = end_s - int((end_s - start_s) / period_s + 1e-6) * period_s
+        if not start_s < end_s:
+            raise ExperimentError(
+                f"the recording of {signals.end_s - signals.start_s:.4g} s holds no whole cycle after "
+                f"{self._from_s:g} s and {signals.discard_cycles} discarded cycles",
+                hint="make it longer, or count from an earlier time",
+            )
+        ends = _at(signals, self.channel, (start_s, end_s))
+        return (
+            self._settings.scale
+            / (self._settings.divide_by_m or 1.0)
+            * (ends[1] - ends[0])
+            / (end_s - start_s)
+        )
+
+    def _number(self, pieces: Iterable[Signal]) -> float:
+        raise NotImplementedError
+
+
+def _at(signals: TrialSignals, channel: str, times_s: tuple[float, float]) -> tuple[float, float]:
+    """Return a channel at two times, between the samples beside each."""
+    found: dict[float, float] = {}
+    for piece in signals.pieces(channel):
+        known = np.isfinite(piece.values)
+        if not known.any():
+            continue
+        time_s, values = piece.time_s[known], piece.values[known]
+        for at_s in times_s:
+            if at_s >= time_s[0] or at_s not in found:
+                found[at_s] = float(np.interp(at_s, time_s, values))
+    if not found:
+        raise ExperimentError(f"{channel} holds no number")
+    return found[times_s[0]], found[times_s[1]]

@@ -1,0 +1,173 @@
+import csv
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import labrun
+from labrun.app.design import design
+from labrun.errors import PlanError, RequestError, SpecError
+from labrun.models import load_model
+from labrun.search import read_generations
+from labrun.store import open_run
+
+
+def found(path: Path, **keys):
+    return design(
+        path, dry_run=True, seed=keys.pop("seed", 3), workers=keys.pop("workers", 1), draw=False, **keys
+    )
+
+
+def generations(result) -> list[dict]:
+    return read_generations(result.run / "search")
+
+
+def test_a_design_finds_the_length_that_the_constraints_leave_best(paddle):
+    result = found(paddle())
+    # 30 L s (0.3 - L) with L s <= 0.08 (s in rad): the load is the bound, and the smaller L at it the better, until the
+    # stroke is at its end of 60 deg, where L = 0.08 / 1.047
+    best = result.best
+    assert best.parameters["stroke"] == pytest.approx(60, abs=1.5)
+    assert best.parameters["length"] == pytest.approx(76.4, abs=2)
+    assert any(line.startswith("active") and "peak_load < 0.08" in line for line in result.more)
+    assert any(line.startswith("active") and "stroke at its upper bound" in line for line in result.more)
+
+
+def test_the_same_seed_gives_the_same_design_whatever_the_number_of_workers(paddle):
+    path = paddle(("iterations = 25", "iterations = 3"))
+    alone, beside = found(path), found(path, workers=2)
+    assert generations(alone) == generations(beside)
+    assert alone.best == beside.best
+
+
+def test_a_stopped_design_goes_on_to_the_same_result_without_simulating_anything_again(paddle, monkeypatch):
+    path = paddle(("iterations = 25", "iterations = 6"))
+    whole = found(path)
+    stopped = found(path, limit=30)
+    assert not stopped.finished
+    assert len(generations(stopped)) == 3  # 12 candidates each; the next would begin with 36 simulated
+    from labrun.design.simulator import Simulator
+
+    monkeypatch.setattr("labrun.app.design.cores", lambda: 1)
+    counted = []
+    call = Simulator.__call__
+    monkeypatch.setattr(
+        Simulator, "__call__", lambda self, some, **keys: counted.extend(some) or call(self, some, **keys)
+    )
+    resumed = labrun.resume(stopped.run, draw=False)
+    assert resumed.best == whole.best
+    assert generations(resumed) == generations(whole)
+    in_search = len({json.dumps(c["condition"]) for g in generations(whole)[3:] for c in g["candidates"]})
+    copies, nominal = 2 * 5 + 5, 1
+    assert len(counted) == in_search + copies + nominal
+
+
+def test_candidates_are_ranked_by_how_many_constraints_they_break_and_then_by_how_far(paddle):
+    path = paddle(("iterations = 25", "iterations = 8"), ("peak_load < 0.08", "peak_load < 0.03"))
+    infeasible, feasible = [], []
+    for state in generations(found(path)):
+        for one in state["candidates"]:
+            (feasible if one["feasible"] else infeasible).append((state["generation"], one))
+    assert infeasible
+    assert feasible
+    for number, one in infeasible:
+        same = [two for at, two in feasible if at == number]
+        assert all(one["cost"] > two["cost"] for two in same)
+        for at, two in infeasible:
+            if at != number:
+                continue
+            if len(one["violations"]) == len(two["violations"]) and one["violated_by"] < two["violated_by"]:
+                assert one["cost"] < two["cost"]
+
+
+def test_the_best_is_what_copies_within_the_tolerance_do(paddle):
+    path = paddle(("tolerance = 0.5", "tolerance = 20"))
+    result = found(path)
+    with open_run(result.run) as run:
+        confirming = [one for one in run.outcomes if one.role == "confirm"]
+        assert {tuple(one.condition.items()) for one in confirming} == {tuple(result.best.parameters.items())}
+        values = np.array([one.objectives["distance"] for one in confirming])
+    assert len(values) == 5
+    assert values.std() > 0
+    assert result.best.value == pytest.approx(values.mean())
+    journal = [json.loads(line) for line in (result.run / "journal.jsonl").read_text().splitlines()]
+    built = [line["built"]["length"] for line in journal if line["event"] == "copy"]
+    assert np.ptp(built) > 5
+    assert any(re.match(r"copies +\d of 5 within the tolerances break", line) for line in result.more)
+
+
+def test_a_design_is_handed_on_as_model_sheet_and_drawing(paddle):
+    result = found(paddle(("iterations = 25", "iterations = 3")))
+    length = result.best.parameters["length"]
+    model = load_model(result.run / "model.toml")
+    assert model.values[0] == pytest.approx(length / 1000)
+    with (result.run / "dimensions.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["name"] for row in rows] == ["length", "stroke", "f"]
+    assert float(rows[0]["value"]) == pytest.approx(length, rel=1e-5)
+    assert (rows[0]["tolerance"], rows[0]["unit"]) == ("0.5", "mm")
+    svg = (result.run / "drawing.svg").read_text()
+    # to scale: the rectangle of the paddle is its length long on paper, 72 points to 25.4 mm
+    width_pt = float(re.search(r'width="([\d.]+)pt"', svg)[1])
+    assert width_pt > length / 25.4 * 72
+    widths = []
+    for outline in re.findall(r'd="M ([^"]*?)z', svg):
+        along = [float(x) for x in re.findall(r"(-?[\d.]+) -?[\d.]+", outline)]
+        widths.append(max(along) - min(along))
+    assert any(width == pytest.approx(length / 25.4 * 72, rel=1e-3) for width in widths)
+
+
+def test_a_design_is_refused_on_a_bench(paddle):
+    with pytest.raises(RequestError, match="nothing of it runs on a bench") as told:
+        design(paddle(), seed=1)
+    assert "--dry-run" in told.value.hint
+    assert not Path("results").exists()
+
+
+def test_bounds_that_exclude_each_other_are_told_before_anything_is_written(paddle):
+    path = paddle(("length + 0.5 * stroke < 220", "length + 0.5 * stroke < 15"))
+    with pytest.raises(PlanError, match="nothing of the design space can be built") as told:
+        found(path)
+    assert "100 % break: length + 0.5 * stroke < 15" in str(told.value)
+    assert not Path("results").exists()
+
+
+def test_a_design_that_cannot_be_simulated_is_told_with_its_reason(paddle):
+    path = paddle(("length / 1000", "-length / 1000"))
+    with pytest.raises(PlanError, match=r"the design cannot be simulated: .*length = .* is outside 0.01"):
+        found(path)
+
+
+def test_a_candidate_that_cannot_be_simulated_costs_a_violation_and_ends_nothing(paddle):
+    # below 70 mm the parameter is out of the model's bounds
+    path = paddle(("length / 1000", "(length - 60) / 1000"), ("iterations = 25", "iterations = 3"))
+    result = found(path)
+    texts = [text for g in generations(result) for c in g["candidates"] for text in c["violations"]]
+    assert any(text.startswith("cannot be simulated: length =") for text in texts)
+    assert result.finished
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("parameters.length", "parameters.lenght", "design.parameters.lenght: model paddle has no such name"),
+        ("peak_load", "peak_laod", 'peak_laod is of no channel'),
+        ("joints.angle", "joints.angel", "the model's input angle is no joint of the gait"),
+    ],
+)  # fmt: skip
+def test_names_that_the_model_does_not_have_are_told_with_the_nearest(paddle, old, new, told):
+    with pytest.raises(SpecError, match=told):
+        found(paddle((old, new)))
+
+
+def test_a_constraint_in_unknown_names_is_told_with_its_place(paddle):
+    with pytest.raises(SpecError, match=r'paddle.toml:\d+:\d+: .*unknown name "lenght"'):
+        found(paddle(("length + 0.5", "lenght + 0.5")))
+
+
+def test_devices_and_carriages_have_no_place_in_a_design(paddle):
+    path = paddle(("[trial]", '[rig.devices.a]\nplugin = "arduino-servo"\nport = "x"\n[trial]'))
+    with pytest.raises(SpecError, match="a design is simulated, and has no devices"):
+        found(path)
