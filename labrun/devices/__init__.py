@@ -9,6 +9,7 @@ from labrun.devices.pacing import CommandStream, Pacing
 from labrun.devices.plugin import DeviceContext, DevicePlugin, DeviceSettings, EmergencyStop, Port
 from labrun.devices.protocols import (
     Actuator,
+    Arranging,
     Attended,
     Carriage,
     Device,
@@ -28,6 +29,7 @@ from labrun.errors import DeviceError
 
 __all__ = [
     "Actuator",
+    "Arranging",
     "Attended",
     "Carriage",
     "Channel",

@@ -84,16 +84,27 @@ class Paced(Actuator, Protocol):
 
 
 @runtime_checkable
-class Attended(Actuator, Protocol):
-    """An actuator that is a person: wants to be told what to put in place, and says when it is there."""
+class Arranging(Device, Protocol):
+    """A device that puts something of a trial's condition in place before anything moves: a slider of two states."""
 
     def arrange(self, condition: Mapping[str, float | str]) -> None:
         """Say what the next trial's condition is; returns at once."""
         ...
 
     def arrived(self) -> bool:
-        """Tell whether the last move has been carried out; asked again and again while the bench is watched."""
+        """Tell whether it is in place; asked again and again while the bench is watched.
+
+        Raises
+        ------
+        DeviceError
+            It does not get there.
+        """
         ...
+
+
+@runtime_checkable
+class Attended(Arranging, Actuator, Protocol):
+    """An actuator that is a person: wants to be told what to put in place, and says when it is there."""
 
 
 @runtime_checkable

@@ -131,7 +131,7 @@ class Bench:
 
     def wait_for_arrangements(self) -> None:
         """Wait until whoever puts the next trial's condition in place has done so."""
-        while not all(self._arrived(name) for name in self.rig.attended):
+        while not all(self._arrived(name) for name in self.rig.arranging):
             self.watch(self.clock.now() + self.clock.poll_s)
 
     def follow(self, trajectory: Trajectory, start_s: float) -> None:
@@ -200,12 +200,12 @@ class Bench:
                 )
 
     def _arrived(self, name: str) -> bool:
-        """Tell whether a move has ended: when its time is over, unless the actuator (a person) says it itself."""
-        person = self.rig.attended.get(name)
-        if person is None:
+        """Tell whether a move has ended: when its time is over, unless the device (person, slider) says it itself."""
+        device = self.rig.arranging.get(name)
+        if device is None:
             return True
         with blaming(name):
-            return person.arrived()
+            return device.arrived()
 
     def _pose(self, name: str) -> Mapping[str, float]:
         """Return where an actuator's joints are, rad; DeviceError if it cannot say."""

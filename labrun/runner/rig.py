@@ -8,7 +8,7 @@ import numpy as np
 
 from labrun.devices import (
     Actuator,
-    Attended,
+    Arranging,
     Carriage,
     Clock,
     Device,
@@ -37,8 +37,8 @@ class Rig:
     Attributes
     ----------
     devices
-        All of them by name, in the file's order; `actuators`, `attended`, `paced`, `sensors` and `carriages` are those
-        with that capability.
+        All of them by name, in the file's order; `actuators`, `arranging`, `paced`, `sensors` and `carriages` are
+        those with that capability.
     joints
         Which actuator moves a joint: joint -> device name.
     limits
@@ -86,7 +86,7 @@ class Rig:
         self.actuators = {name: d for name, d in self.devices.items() if isinstance(d, Actuator)}
         self.sensors = {name: d for name, d in self.devices.items() if isinstance(d, Sensor)}
         self.carriages = {name: d for name, d in self.devices.items() if isinstance(d, Carriage)}
-        self.attended = {name: d for name, d in self.devices.items() if isinstance(d, Attended)}
+        self.arranging = {name: d for name, d in self.devices.items() if isinstance(d, Arranging)}
         self.paced = {name: d for name, d in self.devices.items() if isinstance(d, Paced)}
         self.joints = _joints(self.actuators)
 

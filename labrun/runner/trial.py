@@ -170,9 +170,9 @@ class TrialRunner:
             self._rig.scene.arrange(request.condition)
             if request.mounting is not None and hasattr(self._rig.scene, "mount"):
                 self._rig.scene.mount(request.mounting)
-        for name, person in self._rig.attended.items():
+        for name, device in self._rig.arranging.items():
             with blaming(name):
-                person.arrange(request.condition)
+                device.arrange(request.condition)
         self._bench.wait_for_arrangements()
         self._bench.start_sensors()
         first = dict(zip(motion.trajectory.joints, motion.trajectory.angle_rad[0], strict=True))

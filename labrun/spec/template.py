@@ -134,7 +134,8 @@ def _bench(devices: Sequence[str]) -> _Bench:
             )
         bench.tables[device], bench.infos[device] = f'{plugin}"\n{keys}', info
         bench.limits[device] = table.get("limits", {})
-        bench.attended |= hasattr(registry.load("labrun.devices", plugin), "arrange")
+        loaded = registry.load("labrun.devices", plugin)
+        bench.attended |= hasattr(loaded, "arrange") and hasattr(loaded, "follow")
     return bench
 
 

@@ -1,7 +1,7 @@
 """The firmware `labservo` as seen from the wire: channels with pulses, slew limit and limits; no servos yet."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from labrun.devices.emulation import EmulatorContext
 from labrun_plugins.arduino_servo.settings import PULSE_US
@@ -37,9 +37,19 @@ class ServoBoardEmulator(EmulatedBoard):
         Of the firmware's HELLO.
     channels
         How many it drives.
+    switches
+        Returns which of its switches are closed; without, it has none.
     """
 
-    def __init__(self, name: str, context: EmulatorContext, *, kind: str, channels: int) -> None:
+    def __init__(
+        self,
+        name: str,
+        context: EmulatorContext,
+        *,
+        kind: str,
+        channels: int,
+        switches: Callable[[], Sequence[bool]] = tuple,
+    ) -> None:
         super().__init__(name, context)
         self._channels = [Channel() for _ in range(channels)]
         self._updated_ms = 0
@@ -50,6 +60,7 @@ class ServoBoardEmulator(EmulatedBoard):
                 "SV": Word(self._set, (channels, channels), moves=True),
                 "DET": Word(self._detach, (1, 1)),
                 "ST": Word(self._status),
+                "SW": Word(lambda _args, _now_s: [str(int(closed)) for closed in switches()]),
             },
             moving=self._moving, make_safe=self._make_safe, note=self.note,
         )  # fmt: skip

@@ -40,6 +40,10 @@ class NativeSketch:
         """Set what the analogue input reads."""
         self._order(f"A {reading}")
 
+    def close_switches(self, *pins: int) -> None:
+        """Connect these pins to ground, and no others."""
+        self._order(f"S {sum(1 << pin for pin in pins)}")
+
     def pins(self) -> list[tuple[int, int]]:
         """Return pin (-1 if there are no pulses) and pulse width of each channel."""
         pairs = (pair.split(":") for pair in self._order("P").split())

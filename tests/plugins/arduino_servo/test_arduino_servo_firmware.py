@@ -51,6 +51,7 @@ def test_the_firmware_compiles_without_a_warning_in_every_variant(tmp_path):
     for number, defines in enumerate(
         (
             ('KIND="labreset"', "PINS=9"),
+            ('KIND="labslider"', "PINS=9", "SWITCH_PINS=7,8"),
             ("CURRENT_PIN=0", "SAFE_STATE=DETACH"),
             ("SAFE_STATE=NEUTRAL", "PINS=2,3,4,5,6,7,8,9,10,11,12,13"),
         )
@@ -68,6 +69,16 @@ def test_the_firmware_answers_the_golden_status_at_its_time(board):
     board.wait(123_456)
     request, reply = SERVO_TALK[-1]
     assert board.receive(request + b"\n") == reply + b"\n"
+
+
+def test_switches_are_told_where_there_are_any(board, tmp_path):
+    assert ask(board, 1, "SW") == ("OK", "SW")
+    program = compile_sketch(_sketch(), tmp_path, 'KIND="labslider"', "PINS=9", "SWITCH_PINS=7,8")
+    with running(program) as slider:
+        assert ask(slider, 1, "HELLO")[2] == "labslider"
+        assert ask(slider, 2, "SW") == ("OK", "SW", "0", "0")
+        slider.close_switches(8)
+        assert ask(slider, 3, "SW") == ("OK", "SW", "0", "1")
 
 
 def test_the_firmware_greets_with_its_banner_and_feeds_the_chips_watchdog(board):

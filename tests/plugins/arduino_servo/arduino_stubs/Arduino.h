@@ -15,6 +15,10 @@ extern uint32_t stub_millis;
 extern int stub_analog;
 inline uint32_t millis() { return stub_millis; }
 inline int analogRead(int) { return stub_analog; }
+enum { LOW, HIGH, INPUT_PULLUP };
+extern uint32_t stub_closed;  // a bit for each pin: 1 where it is connected to ground
+inline void pinMode(int, int) {}
+inline int digitalRead(int pin) { return (stub_closed >> pin) & 1 ? LOW : HIGH; }
 
 struct StubSerial {
   std::deque<uint8_t> in;

@@ -1,11 +1,12 @@
 // Runs a sketch by orders from standard input, one a line: "B <hex>" bytes arrive, "T <ms>" time passes (a loop each
-// millisecond), "A <n>" the analogue input reads n, "P" tells each channel's pin and pulse, "W" the chip's watchdog.
+// millisecond), "A <n>" the analogue input reads n,
+// "S <bits>" these pins are connected to ground, "P" tells each channel's pin and pulse, "W" the chip's watchdog.
 // Answers each order with one line: what the sketch has sent since, in hexadecimal, or what was asked.
 #include <Arduino.h>
 #include <iostream>
 
 uint8_t MCUSR;
-uint32_t stub_millis;
+uint32_t stub_millis, stub_closed;
 int stub_analog, stub_wdt = -1, stub_wdt_resets;
 StubSerial Serial;
 
@@ -45,6 +46,9 @@ int main() {
         run();
       }
       std::cout << sent() << std::endl;
+    } else if (order == "S") {
+      std::cin >> stub_closed;
+      std::cout << std::endl;
     } else if (order == "A") {
       std::cin >> stub_analog;
       std::cout << std::endl;

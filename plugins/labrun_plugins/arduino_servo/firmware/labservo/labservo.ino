@@ -11,6 +11,7 @@
 //   DET,<ch>                 OK,DET          pulses end
 //   STOP                     OK,STOP         the safe state
 //   ST                       OK,ST,<state>,<us0>,...,<millis>   0 at rest, 1 moving, 2 watchdog expired, 3 hardware
+//   SW                       OK,SW,<s0>,...  switches: 1 closed (to ground), 0 open; none without SWITCH_PINS
 //   PING                     OK,PING
 //
 // ERR,WORD  ERR,ARGC  ERR,RANGE,<channel or argument>  ERR,STATE  ERR,WDOG  ERR,HW,<what>
@@ -27,11 +28,14 @@
 // ---- what you may change -------------------------------------------------------------------------------------------
 
 #ifndef KIND
-#define KIND "labservo"  // "labreset" on the board of a carriage-reset
+#define KIND "labservo"  // "labreset" on the board of a carriage-reset, "labslider" on that of a tendon-slider
 #endif
 #ifndef PINS
 #define PINS 3, 5, 6, 9  // channel 0, 1, ...: `pins` in the experiment file names the same
 #endif
+
+// Switches between these pins and ground, for a mechanism that has to say where it is: "labslider" has two, 7 and 8.
+// #define SWITCH_PINS 7, 8
 
 enum Safe : uint8_t { HOLD, NEUTRAL, DETACH };
 #ifndef SAFE_STATE
@@ -54,6 +58,9 @@ static const char FIRMWARE[] = "1.0";
 static const char MAX_RATE[] = "0500";
 static const uint8_t PIN_OF[] = {PINS};
 static const uint8_t CHANNELS = sizeof(PIN_OF);
+#ifdef SWITCH_PINS
+static const uint8_t SWITCH_OF[] = {SWITCH_PINS};
+#endif
 
 static const int16_t PULSE_LEAST_US = 500;
 static const int16_t PULSE_MOST_US = 2500;
@@ -328,6 +335,13 @@ static void do_status(uint32_t now_ms) {
   add_field(now_ms);
 }
 
+static void do_switches() {
+  accept("SW");
+#ifdef SWITCH_PINS
+  for (uint8_t i = 0; i < sizeof(SWITCH_OF); i++) add_field((uint32_t)(digitalRead(SWITCH_OF[i]) == LOW));
+#endif
+}
+
 // Whether a word that moves something may be carried out; says why not.
 static bool may_move() {
   if (hardware_fault) {
@@ -349,10 +363,11 @@ static void carry_out(const char *word, char **args, uint8_t count, uint32_t now
     bool moves;
   };
   static const Word WORDS[] = {{"HELLO", 0, false}, {"WD", 1, false}, {"ATT", 3, true}, {"SV", CHANNELS, true},
-                               {"DET", 1, false},   {"STOP", 0, false}, {"ST", 0, false}, {"PING", 0, false}};
+                               {"DET", 1, false},   {"STOP", 0, false}, {"ST", 0, false}, {"SW", 0, false},
+                               {"PING", 0, false}};
   uint8_t which = 0;
-  while (which < 8 && strcmp(word, WORDS[which].word) != 0) which++;
-  if (which == 8) return refuse("WORD");
+  while (which < 9 && strcmp(word, WORDS[which].word) != 0) which++;
+  if (which == 9) return refuse("WORD");
   if (count != WORDS[which].arguments) return refuse("ARGC");
   if (WORDS[which].moves && !may_move()) return;
   switch (which) {
@@ -363,6 +378,7 @@ static void carry_out(const char *word, char **args, uint8_t count, uint32_t now
     case 4: return do_detach(args[0]);
     case 5: take_safe_state(); return accept("STOP");
     case 6: return do_status(now_ms);
+    case 7: return do_switches();
     default: return accept("PING");
   }
 }
@@ -459,6 +475,9 @@ void setup() {
   MCUSR = 0;  // or a reset by the chip's watchdog would leave it at its shortest time
   wdt_disable();
   for (uint8_t i = 0; i < CHANNELS; i++) channels[i].pulse_us = channels[i].target_us = NEUTRAL_US;
+#ifdef SWITCH_PINS
+  for (uint8_t i = 0; i < sizeof(SWITCH_OF); i++) pinMode(SWITCH_OF[i], INPUT_PULLUP);
+#endif
   wdt_enable(WDTO_250MS);
   Serial.begin(115200);
   send_event("BOOT", FIRMWARE);

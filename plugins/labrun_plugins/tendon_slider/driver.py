@@ -1,0 +1,142 @@
+"""A servo that pulls a slider by a tendon, and two switches that say where it stands."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+from labrun.devices import DeviceContext, DeviceError, DeviceSettings, FloatArray, Health, Identity, Remark
+from labrun_plugins.arduino_servo.examination import examine
+from labrun_plugins.arduino_servo.servo_board import ServoBoard
+from labrun_plugins.labline.handshake import probe, stop_from_scratch
+from labrun_plugins.tendon_slider.changeover import Changeover
+from labrun_plugins.tendon_slider.settings import KIND, SWITCHES, TendonSliderSettings
+
+
+class TendonSlider:
+    """A mechanism of two states that puts itself into that which the trial's condition names.
+
+    The servo only pulls: a spring brings the slider back. A trial begins when the switch of the wanted state has closed
+    and that of the other one is open; until then, and if it stays so, nothing else moves.
+
+    Parameters
+    ----------
+    name, settings, context
+        As for every device.
+    """
+
+    Settings: ClassVar[type[DeviceSettings]] = TendonSliderSettings
+
+    def __init__(self, name: str, settings: TendonSliderSettings, context: DeviceContext) -> None:
+        self.name = name
+        self._settings = settings
+        self._clock = context.clock
+        self._board = ServoBoard(
+            name,
+            settings,
+            context.clock,
+            kind=KIND,
+            windows_us={settings.channel: settings.pulse_window_us()},
+            rest_us={settings.channel: settings.released_us},
+            pulses_of=self._pulses,
+        )
+        self._change = Changeover(name, settings, context.clock, self._switches, self._board.safe_stop)
+
+    def open(self) -> None:
+        """Connect; the servo gets no pulse yet.
+
+        Raises
+        ------
+        DeviceError
+            No port, no answer, other firmware, or a firmware without its two switches.
+        """
+        self._change.withdraw()
+        self._board.open()
+        self._switches()
+
+    def identify(self) -> Identity:
+        """Say what answered, and what stands between state and pulse."""
+        hello, keys = self._board.hello, self._settings
+        return Identity(
+            "slider on a tendon, Arduino",
+            firmware=f"{hello.kind} {hello.firmware}",
+            details={
+                "kind": hello.kind,
+                "watchdog_ms": str(keys.watchdog_ms),
+                keys.states[0]: f"tendon slack, {keys.released_us} us, switch 0",
+                keys.states[1]: f"tendon tight, {keys.pulled_us} us, switch 1",
+            },
+        )
+
+    def health(self) -> Health:
+        """Ask the board for its state, and look whether the slider is still where it was verified to be."""
+        health = self._board.health()
+        complaint = self._change.complaint() if health.ok else None
+        return health if complaint is None else Health(ok=False, notes=(*health.notes, complaint))
+
+    def arrange(self, condition: Mapping[str, float | str]) -> None:
+        """Begin to move into the state that the coming trial's condition names; returns at once.
+
+        Raises
+        ------
+        DeviceError
+            No such state, no answer, or the watchdog expired.
+        """
+        token = self._board.motion_token()
+        from_pulled = self._settings.pulled(self._board.sent_us()[self._settings.channel])
+        if self._change.want(condition):
+            self._board.follow(self._change.path(from_pulled), self._clock.now(), token)
+
+    def arrived(self) -> bool:
+        """Tell whether the switches say that the wanted state is reached; DeviceError if it takes too long."""
+        self._board.check()
+        return self._change.arrived()
+
+    def safe_stop(self) -> None:
+        """Have the board stop the servo where it is; what was asked for is no longer under way."""
+        self._board.safe_stop()
+        self._change.withdraw()
+
+    def close(self) -> None:
+        """Stop, turn the watchdog off so that it has nothing to tell, and disconnect. The servo goes on holding."""
+        self._board.close()
+        self._change.withdraw()
+
+    def examine(self) -> list[Remark]:
+        """Look at firmware, channels, rate, watchdog and switches, for `labrun doctor --hardware`."""
+        closed = self._switches()
+        said = ", ".join(
+            f"{name} {'closed' if one else 'open'}"
+            for name, one in zip(self._settings.states, closed, strict=True)
+        )
+        if sum(closed) == 1:
+            switches = Remark("ok", self.name, f"switches: {said}")
+        else:
+            advice = "exactly one is closed at rest: look at wiring and springs"
+            switches = Remark("problem", self.name, f"switches: {said}", advice)
+        return [*examine(self.name, self._board, self._settings), switches]
+
+    @classmethod
+    def emergency_stop(cls, name: str, settings: Any) -> None:
+        """Connect from scratch and stop; raises DeviceError if the board does not answer."""
+        stop_from_scratch(name, settings.port)
+
+    @classmethod
+    def probe(cls, port: str) -> Identity | None:
+        """Tell whether a board with this firmware is at a port; takes up to 3.5 s, as boards restart when opened."""
+        return probe(port, KIND)
+
+    def _switches(self) -> Sequence[bool]:
+        """Return which switches are closed."""
+        said = self._board.session.request("SW")
+        if len(said) != SWITCHES or not set(said) <= {"0", "1"}:
+            raise DeviceError(
+                self.name,
+                f"its switches answer {','.join(said) or 'nothing'!r}; two of 0 or 1 were expected",
+                hint="flash labservo.ino with SWITCH_PINS: see the README of tendon-slider",
+            )
+        return [one == "1" for one in said]
+
+    def _pulses(self, pulled: FloatArray) -> Mapping[int, int]:
+        """Return the pulse width of one set-point: never beyond either end."""
+        low_us, high_us = self._settings.pulse_window_us()
+        exact_us = self._settings.pulse_us(float(pulled[0]))
+        return {self._settings.channel: min(max(round(exact_us), low_us), high_us)}

@@ -1,0 +1,57 @@
+"""A slider on an emulated board: its servo pulls, its spring pushes, its switches close at both ends."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from labrun.devices import Trajectory
+from labrun.devices.emulation import EmulatorContext
+from labrun_plugins.arduino_servo.emulated_board import ServoBoardEmulator
+from labrun_plugins.tendon_slider.changeover import SLIDER
+from labrun_plugins.tendon_slider.settings import KIND, TendonSliderSettings
+
+_END = 0.02
+"""Of its way: so near to an end its switch closes."""
+
+
+class TendonSliderEmulator(ServoBoardEmulator):
+    """A board with `labslider`, and a slider that follows its tendon.
+
+    Faults: ``stuck`` (the slider gets no farther than this share of its way; 0.5 if it is just there), those of
+    `ServoBoardEmulator` (``overcurrent``), of `EmulatedBoard` (``watchdog``, ``restart``, ``error``, ``wrong-id``,
+    ``stale``) and of the wire.
+    """
+
+    def __init__(self, name: str, settings: TendonSliderSettings, context: EmulatorContext) -> None:
+        super().__init__(name, context, kind=KIND, channels=settings.channel + 1, switches=self._closed)
+        self._settings = settings
+        self._pulled = 0.0
+
+    def pulsed(self, channel: int, pulse_us: int, now_s: float) -> None:
+        """Let the slider follow its tendon."""
+        if channel == self._settings.channel:
+            self._pulled = self._settings.pulled(pulse_us)
+            self._slide(now_s)
+
+    def released(self, channel: int, now_s: float) -> None:
+        """Let the spring win: a servo without pulses does not hold the tendon."""
+        if channel == self._settings.channel:
+            self._pulled = 0.0
+            self._slide(now_s)
+
+    def _place(self) -> float:
+        stuck = self.context.faults.value("stuck")
+        most = math.inf if not stuck else 0.5 if stuck is True else float(stuck)
+        return min(self._pulled, most)
+
+    def _closed(self) -> Sequence[bool]:
+        place = self._place()
+        return (place <= _END, place >= 1.0 - _END)
+
+    def _slide(self, now_s: float) -> None:
+        place, scene = self._place(), self.context.scene
+        self.note("slider", place=place)
+        if scene is not None and SLIDER in scene.joints:
+            motion = Trajectory((SLIDER,), np.zeros(1), np.array([[place]]))
+            self.bench.do(lambda: scene.drive(SLIDER, motion, now_s))
