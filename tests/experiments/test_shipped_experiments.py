@@ -43,6 +43,8 @@ NAMES = (
     "castellated-hinge-fea",
     "driven-joint",
     "driven-joint-bushing",
+    "flapping",
+    "undulation",
     "wing-air",
     "wing-water",
 )
