@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from labrun.app.leaders import with_leaders
 from labrun.control import ClosedLoopRecorder
 from labrun.errors import PlanError, SpecError
 from labrun.runner import ConditionExcess, MotionMaker, Plan, Planner, Rig
@@ -33,6 +34,7 @@ def check(
     dry_run: bool = False,
     overrides: Sequence[str] = (),
     seed: int = 0,
+    results: str | Path = "results",
     workspace: str | Path = ".",
 ) -> Plan:
     """Return the whole plan, checked against every limit; nothing is connected, moved or written.
@@ -50,6 +52,8 @@ def check(
         Keys of the file to replace, such as ``trial.repeats=5``.
     seed
         Of random designs.
+    results
+        Where runs are whose leaders become conditions; where there is none yet, the start of its search stands in.
     workspace
         Where the experiment is looked for.
 
@@ -65,6 +69,7 @@ def check(
         loaded = experiment
     else:
         loaded = load_named(str(experiment), Path(workspace), overrides)
+    loaded = with_leaders(loaded, Path(results), planned=True)
     plan = whole_plan(loaded, seed, None)
     if dry_run and loaded.experiment.rig.scene is None:
         return replace(plan, notes=(*plan.notes, NO_SCENE))

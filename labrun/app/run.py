@@ -9,10 +9,12 @@ import numpy as np
 from labrun.app.carry_out import carry_out
 from labrun.app.check import NO_SCENE, require_room, whole_plan
 from labrun.app.design import design
+from labrun.app.leaders import with_leaders
 from labrun.app.origin import source_of
 from labrun.blind import SEALED, hidden_bench, redacted, write_seal
 from labrun.devices import NoTerminalError, Terminal
 from labrun.errors import RequestError
+from labrun.objectives import ASKED
 from labrun.runner import (
     EmulatedBench,
     MotionMaker,
@@ -91,6 +93,7 @@ def run(
             experiment, dry_run=dry_run and not hide, overrides=overrides, seed=seed, limit=limit,
             results=results, workspace=workspace, progress=progress,
         )  # fmt: skip
+    loaded = with_leaders(loaded, Path(results))
     with SilentProgress() if progress is None else progress as told:
         return execute(
             loaded,
@@ -124,15 +127,18 @@ def who_mounts(experiment: Experiment, *, simulated: bool, person: Callable[[str
     """
     if person is not None:
         return Scripted(person)
-    if experiment.by_hand is None or simulated:
+    asked = [name for name, one in experiment.objectives.items() if one.plugin == ASKED]
+    if (experiment.by_hand is None and not asked) or simulated:
         return Willing()
     terminal = Terminal()
     try:
         terminal.require()
     except NoTerminalError as error:
-        names = ", ".join(experiment.by_hand.names)
+        set_by_hand = () if experiment.by_hand is None else experiment.by_hand.names
+        parts = ["set " + ", ".join(set_by_hand) + " by hand"] if set_by_hand else []
+        parts += ["type " + ", ".join(asked)] if asked else []
         raise RequestError(
-            f"somebody has to set {names} by hand, and {error}: nobody could be asked",
+            f"somebody has to {' and '.join(parts)}, and {error}: nobody could be asked",
             hint="run labrun in a terminal, without redirecting its input, or from Python: labrun.run(..., person=...)",
         ) from error
     return terminal

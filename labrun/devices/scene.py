@@ -13,6 +13,9 @@ class Scene(Protocol):
     A scene on which mountings differ also has ``mount(number)``: called after each `arrange` with the number of the
     mounting, where something is set by hand. The same number is the same mounting. One on which something happens by
     itself during a trial has ``begin(start_s)``: called with the clock's time at which the recording begins.
+
+    One in front of which a person would read something off has ``answer(what)``: called after a trial, it returns the
+    number or the word that the person would type.
     """
 
     signals: Mapping[str, str]

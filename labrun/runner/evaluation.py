@@ -5,7 +5,7 @@ import traceback
 from collections.abc import Iterator, Mapping
 
 from labrun.errors import LabrunError
-from labrun.objectives import Objective, TrialSignals, make_objective
+from labrun.objectives import Asked, Objective, TrialSignals, make_objective
 from labrun.runner.motion import TrialMotion
 from labrun.signals import LongSignals, Signal, Signals
 from labrun.spec import Condition, Experiment
@@ -35,13 +35,19 @@ class ObjectiveEvaluation:
             name: make_objective(name, table) for name, table in experiment.objectives.items()
         }
 
+    @property
+    def questions(self) -> dict[str, Asked]:
+        """The objectives that a person answers."""
+        return {name: one for name, one in self._objectives.items() if isinstance(one, Asked)}
+
     def evaluate(
         self,
         measured: Mapping[str, Signals | LongSignals],
         motion: TrialMotion,
         condition: Condition,
+        answers: Mapping[str, float] | None = None,
     ) -> dict[str, float]:
-        """Return the value of every objective.
+        """Return the value of every objective; `answers` are those that a person typed.
 
         Raises
         ------
@@ -51,6 +57,9 @@ class ObjectiveEvaluation:
         signals = trial_signals(measured, motion, condition, self._discard)
         values: dict[str, float] = {}
         for name, objective in self._objectives.items():
+            if answers is not None and name in answers:
+                values[name] = answers[name]
+                continue
             channel = self._tables[name].channel or "its channels"
             try:
                 value = float(objective(signals))

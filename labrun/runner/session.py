@@ -106,6 +106,8 @@ class Session:
             seed=seed,
             phase=self._progress.phase,
             recorder=recorder,
+            person=person,
+            wait=self._wait,
         )
         self._stored = folder.outcomes()
         self._hands = Mountings(

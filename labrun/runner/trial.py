@@ -6,8 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from labrun.errors import DeviceError, LabrunError
+from labrun.errors import DeviceError, ExperimentError, LabrunError
+from labrun.runner.asking import Asking, scene_answers
 from labrun.runner.bench import Bench
+from labrun.runner.by_hand import Person, Willing
 from labrun.runner.damage import Damage
 from labrun.runner.evaluation import ObjectiveError, ObjectiveEvaluation
 from labrun.runner.faults import blaming
@@ -15,7 +17,7 @@ from labrun.runner.motion import MotionMaker, TrialMotion
 from labrun.runner.recording import Recorder, Recording, SampleCollector, TrialRequest, record_planned
 from labrun.runner.settle import Settled, measure_baseline, settle, tare
 from labrun.runner.settle_detector import Bounds
-from labrun.spec import Experiment, Settle
+from labrun.spec import Experiment, Settle, condition_text
 from labrun.store import RunFolder, TrialOutcome, TrialWriter, json_ready
 
 BASELINE_INDEX = 2**31 - 1
@@ -40,6 +42,7 @@ class _Draft:
         self.settled = Settled(None, None)
         self.recorded = False
         self.fault = ""
+        self.answers: Mapping[str, float] = {}
         self.reduced: Mapping[str, float] | None = None
         self.stored: Callable[[], object] = lambda: None
         self.outcome = TrialOutcome(
@@ -72,6 +75,13 @@ class TrialRunner:
         Told what is happening now.
     recorder
         How a trial is recorded: its whole motion sent at once, unless something else is asked for.
+    person, wait
+        Who types results, where the file asks for some; and what waits a moment for them.
+
+    Raises
+    ------
+    ExperimentError
+        Results are asked for, and neither a person nor the scene could tell any.
     """
 
     def __init__(
@@ -84,6 +94,8 @@ class TrialRunner:
         seed: int,
         phase: Callable[[str], object],
         recorder: Recorder = record_planned,
+        person: Person | None = None,
+        wait: Callable[[], object] = lambda: None,
     ) -> None:
         self._experiment = experiment
         self._table = experiment.trial
@@ -95,10 +107,21 @@ class TrialRunner:
         self._recorder = recorder
         self._motions = motions
         self._evaluation = ObjectiveEvaluation(experiment)
+        self._asking = self._made_asking(person or Willing(), wait)
         self._damage = Damage(experiment.damage, experiment.by_hand)
         self._speed_rad_s = math.radians(self._table.move_speed_deg_s)
         self._safe_pose = {joint: math.radians(deg) for joint, deg in self._table.safe_pose_deg.items()}
         self.baseline: Bounds | None = None
+
+    def _made_asking(self, person: Person, wait: Callable[[], object]) -> Asking:
+        questions = self._evaluation.questions
+        simulated = scene_answers(self._rig.scene) if isinstance(person, Willing) else None
+        if questions and isinstance(person, Willing) and simulated is None:
+            raise ExperimentError(
+                f"{', '.join(questions)} would be typed by a person, and the scene has no answer in their place",
+                hint="give the scene a method answer(), run it on the bench, or from Python with person=...",
+            )
+        return Asking(questions, person, simulated, self._journal, wait)
 
     def run(self, request: TrialRequest) -> TrialResult:
         """Run and store one trial.
@@ -130,6 +153,9 @@ class TrialRunner:
             self._keep_unfinished(draft, writer, error)
             raise
         try:
+            if draft.recorded:
+                about = condition_text(request.condition, self._experiment.units, digits=4)
+                draft.answers = self._asking.ask(request.index, f"trial {request.index + 1}, {about}")
             raised = self._evaluate(draft, writer)
         except BaseException as error:
             self._keep_unfinished(draft, writer, error)
@@ -234,7 +260,7 @@ class TrialRunner:
             found = draft.reduced
             if found is None:
                 signals = writer.signals(outcome.started_s, outcome.tare)
-                found = self._evaluation.evaluate(signals, motion, outcome.condition)
+                found = self._evaluation.evaluate(signals, motion, outcome.condition, draft.answers)
             draft.know(objectives=dict(found))
         except ObjectiveError as error:
             draft.know(status="failed", reason=str(error).splitlines()[0])

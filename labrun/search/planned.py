@@ -41,7 +41,13 @@ def conditions(experiment: Experiment, seed: int = 0) -> list[Condition]:
     if experiment.kind == "track" and experiment.track is not None:
         return [dict(condition) for condition in experiment.track.conditions]
     if experiment.run is not None:
-        return [dict(condition) for condition in experiment.run.conditions]
+        listed = experiment.run.conditions
+        if isinstance(listed, list):
+            return [dict(condition) for condition in listed]
+        raise PlanError(
+            f"the leaders of {', '.join(listed.experiments)} are not known yet",
+            hint="labrun run takes them from the latest run",
+        )
     raise PlanError(
         f'an experiment of kind "{experiment.kind}" has no list of conditions',
         hint="give it a table [run] or [sweep]",

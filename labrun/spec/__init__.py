@@ -6,7 +6,14 @@ from labrun.spec.damage import BROKEN, PAST, DamageTable
 from labrun.spec.design_tables import SIMULATION, SUMMARIES, Design, DesignVariable, Part, WrittenExperiment
 from labrun.spec.experiment import Experiment, FitTable, GaitTable, GapTable, ObjectiveTable, Rig, SceneTable
 from labrun.spec.key_reference import Key, keys_at
-from labrun.spec.loading import LoadedExperiment, load_experiment, load_named, loads_experiment, resolved
+from labrun.spec.loading import (
+    LoadedExperiment,
+    find_beside,
+    load_experiment,
+    load_named,
+    loads_experiment,
+    resolved,
+)
 from labrun.spec.loop_tables import (
     LOOP_CHANNELS,
     LOOP_DEVICE,
@@ -23,6 +30,7 @@ from labrun.spec.search_tables import (
     Combine,
     Interval,
     Leaders,
+    LeadersOf,
     Penalty,
     Range,
     RunTable,
@@ -68,6 +76,7 @@ __all__ = [
     "Key",
     "Kind",
     "Leaders",
+    "LeadersOf",
     "LoadedExperiment",
     "LoopShape",
     "LoopTable",
@@ -96,6 +105,7 @@ __all__ = [
     "condition_key",
     "condition_text",
     "create_workspace",
+    "find_beside",
     "find_experiment",
     "find_model_file",
     "keys_at",

@@ -14,7 +14,7 @@ from labrun.spec.checks import cross_check
 from labrun.spec.experiment import ROBOT_FILES, ROBOT_SCENE, Experiment, written_out
 from labrun.spec.overrides import apply_overrides
 from labrun.spec.plugins import load_plugin
-from labrun.spec.raw import one_or_several, table, tables
+from labrun.spec.raw import condition_names, one_or_several, table, tables
 from labrun.spec.workspace import find_experiment, find_model_file
 from labrun.toml import Fault, KeyPath, Places, locate, parsed, refusal, suggest, text_of, validate
 
@@ -115,7 +115,7 @@ def _load(
     data = parsed(text, str(path), kind=SpecError)
     _expand_short_forms(data, overrides)
     origins = apply_overrides(data, overrides)
-    unreadable = _embed_files(data, beside)
+    unreadable = [*_embed_files(data, beside), *_names_of_leaders(data, beside)]
     experiment, faults = validate(Experiment, data)
     faults += unreadable
     if plugins:
@@ -195,6 +195,44 @@ def _embed_files(data: dict[str, Any], experiment: Path | None) -> list[Fault]:
             texts = [key for key, value in keys.items() if isinstance(value, str) and value in str(error)]
             faults.append(Fault((*path, *texts[:1]), str(error).replace("\n  ", "; "), at_value=bool(texts)))
     return faults
+
+
+def _names_of_leaders(data: dict[str, Any], experiment: Path | None) -> list[Fault]:
+    """Say what the conditions will be called that are leaders of other runs; return what is wrong with their names."""
+    wanted = table(data, "run").get("conditions")
+    if not isinstance(wanted, dict) or experiment is None:
+        return []
+    given = wanted.get("leaders_of")
+    path: KeyPath = ("run", "conditions", "leaders_of")
+    found: dict[str, list[str]] = {}
+    for name in [given] if isinstance(given, str) else given if isinstance(given, list) else []:
+        if not isinstance(name, str):
+            continue
+        try:
+            file = find_beside(name, experiment)
+        except RequestError as error:
+            return [Fault(path, str(error), at_value=True)]
+        theirs = parsed(text_of(file, what="experiment file"), str(file), kind=SpecError)
+        over = table(theirs, str(theirs.get("kind")), "over")
+        found[name] = [one for one in condition_names(theirs) if one not in over]
+    if len({tuple(sorted(names)) for names in found.values()}) > 1:
+        listed = "; ".join(f"{name}: {', '.join(names)}" for name, names in found.items())
+        return [Fault(path, f"their conditions have different names ({listed})", at_value=True)]
+    if found:
+        wanted["names"] = ["gait", *next(iter(found.values()))]
+    return []
+
+
+def find_beside(name: str, experiment: Path) -> Path:
+    """Return the experiment of a name: the file beside another one, or the one that ships.
+
+    Raises
+    ------
+    RequestError
+        There is none.
+    """
+    beside = experiment.parent / f"{name}.toml"
+    return beside if beside.is_file() else find_experiment(name, experiment.parent.parent)
 
 
 def _that_name_files(data: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any, KeyPath]]:

@@ -84,6 +84,9 @@ def one_or_several(loop: Mapping[str, Any], key: str) -> list[tuple[KeyPath, dic
 def listed_conditions(data: Mapping[str, Any], kind: str) -> list[dict[str, Any]]:
     """Return the conditions that the table of a kind lists one by one."""
     conditions = table(data, kind).get("conditions")
+    if isinstance(conditions, dict):  # leaders of another run: what they will be called is known, and no more
+        names = conditions.get("names")
+        return [dict.fromkeys(names, 0.0)] if isinstance(names, list) and names else []
     return [item for item in conditions if isinstance(item, dict)] if isinstance(conditions, list) else []
 
 

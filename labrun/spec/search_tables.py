@@ -64,11 +64,41 @@ class Over(Table):
         return self
 
 
-class RunTable(Over):
-    """Conditions one by one."""
+class LeadersOf(Table):
+    """The best conditions of the latest run of another experiment, or of several."""
 
-    conditions: list[dict[str, Value]] = Field(min_length=1)
+    leaders_of: str | Annotated[list[str], Field(min_length=1)]
+    count: PositiveInt = 8
+    names: list[str] = Field(default_factory=list)
+    """Of the values of such a condition; found out when the file is loaded."""
+
+    @property
+    def experiments(self) -> list[str]:
+        """The experiments whose leaders are taken."""
+        return [self.leaders_of] if isinstance(self.leaders_of, str) else self.leaders_of
+
+
+class TakenFrom(Table):
+    """A run whose leaders became conditions."""
+
+    experiment: str
+    run: str
+
+
+def _conditions_kind(conditions: object) -> str:
+    return "leaders" if isinstance(conditions, Mapping | LeadersOf) else "list"
+
+
+class RunTable(Over):
+    """Conditions one by one, or the leaders of another run."""
+
+    conditions: Annotated[
+        Annotated[LeadersOf, Tag("leaders")]
+        | Annotated[list[dict[str, Value]], Field(min_length=1), Tag("list")],
+        Discriminator(_conditions_kind),
+    ]
     order: Literal["shuffled", "as-listed"] = "shuffled"
+    taken_from: list[TakenFrom] = Field(default_factory=list)
 
 
 def _axis_kind(axis: object) -> str:

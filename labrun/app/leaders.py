@@ -1,0 +1,154 @@
+"""The leaders of a run as conditions of another: gaits that were found on one bench, tried on the next."""
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from labrun.errors import RequestError
+from labrun.report import experiment_of
+from labrun.search import conditions, leading_conditions, levels_of
+from labrun.spec import (
+    Condition,
+    Experiment,
+    LeadersOf,
+    LoadedExperiment,
+    condition_key,
+    find_beside,
+    load_experiment,
+    loads_experiment,
+)
+from labrun.store import TrialOutcome, find_run, is_finished, open_run
+
+NUMBER = "gait"
+"""The name under which conditions that were taken over are numbered, from 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Values:
+    """The trials of one condition, as `leading_conditions` takes them."""
+
+    condition: Condition
+    outcomes: Sequence[TrialOutcome]
+
+    def values(self, objective: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+        return np.array([one.objectives[objective] for one in self.outcomes], dtype=float)
+
+    @property
+    def mountings(self) -> Sequence[int | None]:
+        return [one.mounting for one in self.outcomes]
+
+
+def with_leaders(loaded: LoadedExperiment, results: Path, *, planned: bool = False) -> LoadedExperiment:
+    """Return an experiment with the leaders that it asks for in the place of ``leaders_of``.
+
+    Parameters
+    ----------
+    loaded
+        Any experiment; one that asks for no leaders is returned as it is.
+    results
+        Where runs are.
+    planned
+        Where a run is not there yet, take the point that its search starts from: enough to check a plan.
+
+    Raises
+    ------
+    RequestError
+        A run that is not there, did not finish, has no leaders, or is of another rig.
+    """
+    table = loaded.experiment.run
+    if table is None or not isinstance(table.conditions, LeadersOf) or loaded.experiment.kind != "run":
+        return loaded
+    asked = table.conditions
+    found: list[dict[str, Any]] = []
+    sources = []
+    for name in asked.experiments:
+        try:
+            run = find_run(name, results)
+        except RequestError as error:
+            if planned:
+                theirs = load_experiment(find_beside(name, loaded.path)).experiment
+                points = [{**levels_of(theirs)[0], **one} for one in conditions(theirs)]
+                found += [dict(points[place % len(points)]) for place in range(asked.count)]
+                continue
+            raise RequestError(
+                f"{loaded.name} takes over the leaders of {name}, and there is no run of it in {results}",
+                hint=f"labrun cmaes {name}, and then this one",
+            ) from error
+        leaders = leaders_of(run, asked.count, loaded.experiment)
+        found += [dict(one) for one in leaders]
+        sources.append({"experiment": name, "run": run.parent.name if run.is_file() else run.name})
+    tree = tomllib.loads(loaded.resolved_toml)
+    tree["run"]["conditions"] = [{NUMBER: float(number), **one} for number, one in enumerate(found, 1)]
+    tree["run"]["taken_from"] = sources
+    made = loads_experiment(tomli_w.dumps(tree), loaded.name)
+    return replace(made, path=loaded.path, origins=loaded.origins)
+
+
+def leaders_of(run: Path, count: int, wanted: Experiment | None = None) -> list[Condition]:
+    """Return the leaders of a finished run, best first, as its fresh repeats order them, the others after them.
+
+    Parameters
+    ----------
+    run
+        Its folder.
+    count
+        How many.
+    wanted
+        The experiment that is to use them: its gait has to move the same joints.
+
+    Raises
+    ------
+    RequestError
+        The run did not finish, has no goal, too few leaders, or is of another rig.
+    """
+    folder = run.parent if run.is_file() else run
+    if not is_finished(folder):
+        raise RequestError(
+            f"{run} did not come to its end: its leaders were not measured again",
+            hint=f"labrun resume {run}, or name another run",
+        )
+    with open_run(folder) as opened:
+        experiment, outcomes = experiment_of(opened.experiment_toml, opened.name), opened.outcomes
+    if wanted is not None:
+        _require_same_rig(experiment, wanted, run)
+    if experiment.goal is None:
+        raise RequestError(f"{run} has no goal, so that it has no leaders", hint="give an objective a goal")
+    name, direction = experiment.goal
+    led: list[Condition] = []
+    for roles in (("fresh",), ("measure", "fresh", "confirm")):
+        grouped: dict[object, list[TrialOutcome]] = {}
+        for one in outcomes:
+            if one.role in roles and one.status == "done" and name in one.objectives:
+                own = _own(one.condition, experiment)
+                grouped.setdefault(condition_key(own), []).append(replace(one, condition=own))
+        measured = [_Values(group[0].condition, group) for group in grouped.values()]
+        known = {condition_key(one) for one in led}
+        ranked = leading_conditions(measured, name, direction, len(measured))
+        led += [one for one in ranked if condition_key(one) not in known]
+    if len(led) < count:
+        raise RequestError(
+            f"{run} has {len(led)} conditions with an accepted trial, and {count} leaders are wanted",
+            hint="a smaller count, or a run that measured more",
+        )
+    return led[:count]
+
+
+def _own(condition: dict[str, float | str], experiment: Experiment) -> dict[str, float | str]:
+    """Return a condition without the settings that all candidates share."""
+    return {name: value for name, value in condition.items() if name not in experiment.over}
+
+
+def _require_same_rig(theirs: Experiment, ours: Experiment, run: Path) -> None:
+    one, other = set(theirs.gait.joints), set(ours.gait.joints)
+    if one != other or theirs.gait.plugin != ours.gait.plugin:
+        joints, own = (", ".join(sorted(names)) or "nothing" for names in (one, other))
+        raise RequestError(
+            f'{run} is of another rig: its gait "{theirs.gait.plugin}" moves {joints}, '
+            f'and "{ours.gait.plugin}" here moves {own}',
+            hint="name a run whose gait moves the same joints",
+        )

@@ -1,0 +1,136 @@
+"""The leaders of one experiment's run are the conditions of another."""
+
+from pathlib import Path
+
+import pytest
+
+import labrun
+from labrun.app.leaders import leaders_of
+from labrun.errors import RequestError, SpecError
+from labrun.spec import condition_key, load_experiment
+from labrun.store import open_run
+
+LAB = """
+title = "Thrust in the laboratory"
+kind = "sweep"
+[rig]
+scene = "caudal-tank"
+[rig.devices.tail]
+plugin = "arduino-servo"
+port = "/dev/ttyACM0"
+limits = { angle_deg = [-60, 60], speed_deg_s = 528 }
+[rig.devices.wrench]
+plugin = "robotiq-ft300"
+port = "/dev/ttyUSB0"
+limits = { force_n = 300, torque_n_m = 30 }
+[gait]
+plugin = "sine"
+joints.tail = { amplitude_deg = "a", frequency_hz = "f" }
+[trial]
+cycles = 2
+repeats = 2
+[objectives.thrust]
+plugin = "cycle-mean"
+channel = "wrench.force_x"
+goal = "maximise"
+[leaders]
+count = 3
+repeats = 2
+"""
+SWEEP = "[sweep]\naxes = { a = [20, 30, 40, 50], f = [1.2] }\n"
+FIELD = LAB.replace('kind = "sweep"', 'kind = "run"').replace('goal = "maximise"\n', "") + (
+    '[run]\nconditions = { leaders_of = "lab", count = 4 }\n[run.over]\nfin = ["large", "small"]\n'
+)
+
+
+@pytest.fixture
+def bench(tmp_path):
+    folder = tmp_path / "experiments"
+    folder.mkdir()
+    (folder / "lab.toml").write_text(LAB + SWEEP)
+    (folder / "field.toml").write_text(FIELD)
+
+    def run(name, **keys):
+        return labrun.run(
+            folder / f"{name}.toml",
+            dry_run=True,
+            seed=1,
+            results=tmp_path / "results",
+            workspace=tmp_path,
+            **keys,
+        )
+
+    return run
+
+
+def check(tmp_path, name="field"):
+    return labrun.check(
+        tmp_path / "experiments" / f"{name}.toml", results=tmp_path / "results", workspace=tmp_path
+    )
+
+
+def test_leaders_are_numbered_best_first_and_the_run_is_named_in_the_stored_file(bench, tmp_path):
+    lab = bench("lab")
+    field = bench("field")
+    stored = load_experiment(field.run / "spec.toml").experiment
+    assert [one.model_dump() for one in stored.run.taken_from] == [{"experiment": "lab", "run": lab.run.name}]
+    assert [condition["gait"] for condition in stored.run.conditions] == [1, 2, 3, 4]
+    with open_run(lab.run) as opened:
+        fresh = {}
+        for one in opened.outcomes:
+            if one.role == "fresh":
+                fresh.setdefault(one.condition["a"], []).append(one.objectives["thrust"])
+    by_fresh = sorted(fresh, key=lambda a: -sum(fresh[a]))
+    assert [condition["a"] for condition in stored.run.conditions][:3] == by_fresh
+    with open_run(field.run) as opened:
+        measured = {condition_key(one.condition) for one in opened.outcomes}
+    assert len(measured) == 4 * 2
+
+
+def test_a_plan_is_checked_before_there_is_a_run(bench, tmp_path):
+    with pytest.raises(RequestError, match="there is no run of it"):
+        bench("field")
+    assert check(tmp_path).trials == 4 * 2 * 2
+
+
+def test_a_resumed_run_keeps_the_leaders_it_began_with(bench):
+    bench("lab")
+    whole = bench("field")
+    part = bench("field", limit=5)
+    newer = bench("lab", overrides=["sweep.axes.a=[10,15,25,35]"])
+    assert newer.finished
+    ended = labrun.resume(part.run)
+    with open_run(ended.run) as one, open_run(whole.run) as other:
+        assert [o.condition for o in one.outcomes] == [o.condition for o in other.outcomes]
+        assert [o.objectives for o in one.outcomes] == [o.objectives for o in other.outcomes]
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (lambda text: text.replace("count = 4", "count = 5"), "has 4 conditions .* 5 leaders are wanted"),
+        (lambda text: text.replace('plugin = "sine"', 'plugin = "formula"').replace(
+            'amplitude_deg = "a", frequency_hz = "f"', 'angle_deg = "a * sin(f * t)"').replace(
+            "cycles = 2", "duration_s = 2").replace('"cycle-mean"', '"mean"'), "is of another rig"),
+    ],
+)  # fmt: skip
+def test_leaders_that_will_not_do_are_told_before_anything_moves(bench, tmp_path, change, problem):
+    bench("lab")
+    path = tmp_path / "experiments" / "field.toml"
+    path.write_text(change(path.read_text()))
+    with pytest.raises(RequestError, match=problem):
+        bench("field")
+    assert not (tmp_path / "results" / "field").exists()
+
+
+def test_a_run_that_did_not_finish_has_no_leaders(bench):
+    part = bench("lab", limit=3)
+    with pytest.raises(RequestError, match="did not come to its end"):
+        leaders_of(part.run, 2)
+
+
+def test_an_experiment_that_is_not_there_is_told_at_its_place(tmp_path, bench):
+    path = tmp_path / "experiments" / "field.toml"
+    path.write_text(FIELD.replace('"lab"', '"labb"'))
+    with pytest.raises(SpecError, match=r"field.toml:\d+:\d+: run.conditions.leaders_of"):
+        load_experiment(Path(path))
