@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from labrun.app.next import propose_next as propose_next
     from labrun.app.open import open as open  # noqa: A004 - labrun.open is what people call
     from labrun.app.plan_trials import plan_trials as plan_trials
+    from labrun.app.rank import rank as rank
     from labrun.app.report import report as report
     from labrun.app.resume import resume as resume
     from labrun.app.run import run as run
@@ -38,6 +39,7 @@ _USE_CASES = {
     "plan_trials": "plan_trials",
     "predict_fresh": "fresh",
     "propose_next": "next",
+    "rank": "rank",
     "report": "report",
     "resume": "resume",
     "run": "run",

@@ -1,7 +1,7 @@
 """The leaders of a run as conditions of another: gaits that were found on one bench, tried on the next."""
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from labrun.arrays import FloatArray
 from labrun.errors import RequestError
 from labrun.report import experiment_of
-from labrun.search import conditions, leading_conditions, levels_of
+from labrun.search import NUMBER, conditions, leading_conditions, levels_of
 from labrun.spec import (
     Condition,
     Experiment,
@@ -24,9 +25,6 @@ from labrun.spec import (
 )
 from labrun.store import TrialOutcome, find_run, is_finished, open_run
 
-NUMBER = "gait"
-"""The name under which conditions that were taken over are numbered, from 1."""
-
 
 @dataclass(frozen=True, slots=True)
 class _Values:
@@ -35,7 +33,7 @@ class _Values:
     condition: Condition
     outcomes: Sequence[TrialOutcome]
 
-    def values(self, objective: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    def values(self, objective: str) -> FloatArray:
         return np.array([one.objectives[objective] for one in self.outcomes], dtype=float)
 
     @property
@@ -124,7 +122,7 @@ def leaders_of(run: Path, count: int, wanted: Experiment | None = None) -> list[
         grouped: dict[object, list[TrialOutcome]] = {}
         for one in outcomes:
             if one.role in roles and one.status == "done" and name in one.objectives:
-                own = _own(one.condition, experiment)
+                own = own_values(one.condition, experiment)
                 grouped.setdefault(condition_key(own), []).append(replace(one, condition=own))
         measured = [_Values(group[0].condition, group) for group in grouped.values()]
         known = {condition_key(one) for one in led}
@@ -138,7 +136,7 @@ def leaders_of(run: Path, count: int, wanted: Experiment | None = None) -> list[
     return led[:count]
 
 
-def _own(condition: dict[str, float | str], experiment: Experiment) -> dict[str, float | str]:
+def own_values(condition: Mapping[str, float | str], experiment: Experiment) -> dict[str, float | str]:
     """Return a condition without the settings that all candidates share."""
     return {name: value for name, value in condition.items() if name not in experiment.over}
 

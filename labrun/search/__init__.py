@@ -27,6 +27,7 @@ from labrun.search.over import (
     settings_of,
 )
 from labrun.search.planned import axis_values, conditions, start_of_search, sweep_conditions
+from labrun.search.ranking import NUMBER, Agreement, Cell, Column, Ranking, agreement
 from labrun.search.result import (
     RESULT_FILE,
     Best,
@@ -41,8 +42,12 @@ from labrun.search.survey import allowed_points, at_points, expected_trials, mos
 from labrun.search.verdict import Verdict
 
 __all__ = [
+    "NUMBER",
     "RESULT_FILE",
+    "Agreement",
     "Best",
+    "Cell",
+    "Column",
     "Combined",
     "Constraint",
     "ConstraintError",
@@ -53,11 +58,13 @@ __all__ = [
     "Measures",
     "NoCandidateError",
     "OverSettings",
+    "Ranking",
     "RunResult",
     "Scatter",
     "Searched",
     "Verdict",
     "Violations",
+    "agreement",
     "allowed_points",
     "at_points",
     "at_settings",

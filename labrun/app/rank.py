@@ -1,0 +1,198 @@
+"""Does the laboratory's order hold in the field? Gaits by water, how far both orders agree, which gait to take."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from labrun.app.leaders import own_values
+from labrun.arrays import FloatArray
+from labrun.errors import RequestError
+from labrun.report import experiment_of
+from labrun.search import NUMBER, Cell, Column, Ranking, agreement, t_interval
+from labrun.spec import Condition, Experiment, condition_key
+from labrun.store import TrialOutcome, find_run, open_run, replace_durably
+
+FILE = "ranking.json"
+
+
+def rank(
+    laboratories: Sequence[str],
+    field: str,
+    *,
+    objective: str | None = None,
+    seed: int = 0,
+    results: str | Path = "results",
+) -> Ranking:
+    """Compare the order of gaits in the laboratory with that in the field, name the gait to take, and store that.
+
+    Parameters
+    ----------
+    laboratories
+        Runs that the gaits were found or measured in: an experiment's name (its latest run) or a run folder.
+    field
+        The run in the field; its conditions are the gaits, and its settings (`run.over`) the waters.
+    objective
+        Of the field; the one with a goal, or the first, if None.
+    seed
+        Of the resampling.
+    results
+        Where runs are.
+
+    Raises
+    ------
+    RequestError
+        A run that is not there, no trial that counts, an unknown objective, or conditions that are no gaits.
+    """
+    results = Path(results)
+    told, outcomes, experiment = _run(field, results)
+    name, maximise = _objective(experiment, objective)
+    counted = [
+        one for one in outcomes if one.status == "done" and one.role != "reference" and name in one.objectives
+    ]
+    if not counted:
+        reasons = "; ".join(dict.fromkeys(one.reason for one in outcomes if one.reason)) or "none was run"
+        raise RequestError(
+            f"{told} has no trial that counts: {reasons}", hint=f"labrun resume {told}, or run it anew"
+        )
+    notes: list[str] = []
+    gaits = _gaits(experiment, counted, told)
+    labs: dict[str, dict[object, FloatArray]] = {}
+    for target in laboratories:
+        path, theirs, maximised = _laboratory(target, results)
+        labs[path] = theirs if maximised == maximise else {key: -one for key, one in theirs.items()}
+        common = sum(_key(gait) in theirs for gait in gaits)
+        if common < len(gaits):
+            some = "none" if common == 0 else f"{common}"
+            notes.append(f"{path} measured {some} of the {len(gaits)} gaits of {told}")
+    rng = np.random.default_rng(np.random.SeedSequence((seed, len(counted))))
+    columns = []
+    for setting in _settings(counted, experiment):
+        values = [_values(counted, gait, setting, name) for gait in gaits]
+        measured = {_key(gait): one for gait, one in zip(gaits, values, strict=True) if len(one)}
+        agreements = {}
+        for path, lab in labs.items():
+            both = [key for key in measured if key in lab]
+            agreements[path] = agreement([lab[key] for key in both], [measured[key] for key in both], rng)
+        cells = tuple(
+            Cell(float(one.mean()), t_interval(one), len(one)) if len(one) else None for one in values
+        )
+        columns.append(Column(setting, cells, agreements))
+    table = experiment.objectives[name]
+    made = Ranking(
+        told,
+        tuple(labs),
+        name,
+        str(table.settings.get("unit", "")),
+        maximise,
+        tuple(gaits),
+        {
+            path: tuple(float(lab[_key(g)].mean()) if _key(g) in lab else None for g in gaits)
+            for path, lab in labs.items()
+        },
+        tuple(columns),
+        None,
+        tuple(notes),
+    )
+    made = _with_winner(made)
+    replace_durably(Path(told) / FILE, json.dumps(made.to_json(), indent=2).encode())
+    return made
+
+
+def _with_winner(ranking: Ranking) -> Ranking:
+    sign = 1.0 if ranking.maximise else -1.0
+    worst: dict[int, float] = {}
+    for place in range(len(ranking.gaits)):
+        bounds = [ranking.bound(column, place) for column in ranking.columns]
+        known = [sign * bound for bound in bounds if bound is not None]
+        if len(known) == len(bounds):
+            worst[place] = min(known)
+    if not worst:
+        note = "no gait has two trials that count in every water, so that none can be taken"
+        return replace(ranking, notes=(*ranking.notes, note))
+    best = max(worst.values())
+    first, *tied = [place for place, bound in worst.items() if bound == best]
+    if tied:
+        names = ", ".join(ranking.name(place) for place in (first, *tied))
+        return replace(ranking, winner=first, notes=(*ranking.notes, f"{names} are tied; the first is taken"))
+    return replace(ranking, winner=first)
+
+
+def _run(target: str, results: Path) -> tuple[str, list[TrialOutcome], Experiment]:
+    found = find_run(target, results)
+    folder = found.parent if found.is_file() else found
+    with open_run(folder) as opened:
+        return str(folder), list(opened.outcomes), experiment_of(opened.experiment_toml, opened.name)
+
+
+def _objective(experiment: Experiment, asked: str | None) -> tuple[str, bool]:
+    if asked is not None:
+        if asked not in experiment.objectives:
+            raise RequestError(
+                f"the field has no objective {asked!r}", hint=f"it has {', '.join(experiment.objectives)}"
+            )
+        goal = experiment.objectives[asked].goal
+        return asked, goal != "minimise"
+    if experiment.goal is not None:
+        return experiment.goal[0], experiment.goal[1] == "maximise"
+    if not experiment.objectives:
+        raise RequestError("the field has no objective", hint="give its file one, for example asked")
+    return next(iter(experiment.objectives)), True
+
+
+def _gaits(experiment: Experiment, counted: Sequence[TrialOutcome], told: str) -> list[Condition]:
+    found: dict[object, Condition] = {}
+    for one in counted:
+        gait = own_values(one.condition, experiment)
+        found.setdefault(condition_key(gait), gait)
+    if len(found) < 2:
+        raise RequestError(
+            f"{told} tried {len(found)} gait: there is nothing to rank",
+            hint="conditions = { leaders_of = ..., count = 8 }",
+        )
+    return sorted(found.values(), key=lambda gait: float(gait.get(NUMBER, 0.0)))
+
+
+def _settings(counted: Sequence[TrialOutcome], experiment: Experiment) -> list[Condition]:
+    found = (
+        {name: one.condition[name] for name in experiment.over if name in one.condition} for one in counted
+    )
+    known = {condition_key(setting): setting for setting in found}
+    return [known[key] for key in sorted(known, key=str)]
+
+
+def _values(counted: Sequence[TrialOutcome], gait: Condition, setting: Condition, name: str) -> FloatArray:
+    wanted = condition_key({**gait, **setting})
+    return np.array(
+        [one.objectives[name] for one in counted if condition_key(one.condition) == wanted], dtype=float
+    )
+
+
+def _means(lab: Mapping[object, FloatArray], gaits: Sequence[Condition]) -> tuple[float | None, ...]:
+    return tuple(float(lab[_key(gait)].mean()) if _key(gait) in lab else None for gait in gaits)
+
+
+def _key(gait: Condition) -> object:
+    """Return what a gait is known by everywhere: its values without the number that one run gave it."""
+    return condition_key({name: value for name, value in gait.items() if name != NUMBER})
+
+
+def _laboratory(target: str, results: Path) -> tuple[str, dict[object, FloatArray], bool]:
+    """Return the values of each condition of a laboratory run: its fresh repeats where there are any, else all."""
+    told, outcomes, experiment = _run(target, results)
+    if experiment.goal is None:
+        raise RequestError(
+            f"{told} has no goal, so that it has no order", hint="name a search or a sweep with a goal"
+        )
+    name, direction = experiment.goal
+    found: dict[object, list[float]] = {}
+    for roles in (("fresh", "confirm"), ("measure",)):
+        taken: dict[object, list[float]] = {}
+        for one in outcomes:
+            if one.role in roles and one.status == "done" and name in one.objectives:
+                taken.setdefault(_key(own_values(one.condition, experiment)), []).append(one.objectives[name])
+        for key, values in taken.items():
+            found.setdefault(key, values)
+    return told, {key: np.array(values) for key, values in found.items()}, direction == "maximise"
