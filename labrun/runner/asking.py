@@ -5,6 +5,9 @@ from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
+import numpy as np
+
+from labrun.devices import Clock, Scene
 from labrun.errors import ExperimentError
 from labrun.objectives import Asked
 from labrun.runner.by_hand import Person
@@ -15,10 +18,18 @@ _MOST_ANSWERS = 10
 _KEEP = "Enter: that is right.   back: the last answer was wrong."
 
 
-def scene_answers(scene: object) -> Callable[[str], float | str] | None:
+def scene_answers(scene: Scene | None, clock: Clock) -> Callable[[str], float | str] | None:
     """Return what answers for the person in front of a simulated bench; None if it cannot tell anything."""
-    found: Callable[[str], float | str] | None = getattr(scene, "answer", None)
-    return found
+    told: Callable[[str], float | str] | None = getattr(scene, "answer", None)
+    if scene is None or told is None:
+        return None
+
+    def answer(what: str) -> float | str:
+        # A bench without sensors has been watched by nobody so far: it moves on when it is looked at.
+        scene.observe(list(scene.signals)[:1], np.array([clock.now()]))
+        return told(what)
+
+    return answer
 
 
 class Asking:

@@ -115,7 +115,7 @@ class TrialRunner:
 
     def _made_asking(self, person: Person, wait: Callable[[], object]) -> Asking:
         questions = self._evaluation.questions
-        simulated = scene_answers(self._rig.scene) if isinstance(person, Willing) else None
+        simulated = scene_answers(self._rig.scene, self._bench.clock) if isinstance(person, Willing) else None
         if questions and isinstance(person, Willing) and simulated is None:
             raise ExperimentError(
                 f"{', '.join(questions)} would be typed by a person, and the scene has no answer in their place",
