@@ -18,18 +18,30 @@ _MOST_ANSWERS = 10
 _KEEP = "Enter: that is right.   back: the last answer was wrong."
 
 
-def scene_answers(scene: Scene | None, clock: Clock) -> Callable[[str], float | str] | None:
-    """Return what answers for the person in front of a simulated bench; None if it cannot tell anything."""
-    told: Callable[[str], float | str] | None = getattr(scene, "answer", None)
-    if scene is None or told is None:
-        return None
+class Onlooker:
+    """Whoever would read something off a simulated bench: the scene answers in their place.
 
-    def answer(what: str) -> float | str:
-        # A bench without sensors has been watched by nobody so far: it moves on when it is looked at.
-        scene.observe(list(scene.signals)[:1], np.array([clock.now()]))
-        return told(what)
+    A bench without sensors is watched by nobody else, and moves on only when it is looked at.
+    """
 
-    return answer
+    def __init__(self, scene: Scene, clock: Clock) -> None:
+        self._scene = scene
+        self._clock = clock
+
+    @staticmethod
+    def of(scene: Scene | None, clock: Clock) -> "Onlooker | None":
+        """Return one in front of a scene; None if it cannot tell anything."""
+        return Onlooker(scene, clock) if scene is not None and hasattr(scene, "answer") else None
+
+    def look(self) -> None:
+        """Look at the bench as it is now."""
+        self._scene.observe(list(self._scene.signals)[:1], np.array([self._clock.now()]))
+
+    def read(self, what: str) -> float | str:
+        """Return what would be typed."""
+        self.look()
+        found: float | str = getattr(self._scene, "answer")(what)  # noqa: B009  (a scene may have none)
+        return found
 
 
 class Asking:
@@ -53,7 +65,7 @@ class Asking:
         self,
         questions: Mapping[str, Asked],
         person: Person,
-        simulated: Callable[[str], float | str] | None,
+        simulated: Onlooker | None,
         journal: Callable[..., None],
         wait: Callable[[], object],
     ) -> None:
@@ -62,6 +74,11 @@ class Asking:
         self._simulated = simulated
         self._journal = journal
         self._wait = wait
+
+    def look(self) -> None:
+        """Begin to watch a trial."""
+        if self._simulated is not None and self._questions:
+            self._simulated.look()
 
     def ask(self, index: int, about: str) -> dict[str, float]:
         """Return the value of each typed result of a trial, in the unit of its objective.
@@ -100,7 +117,7 @@ class Asking:
     def _of_scene(self, name: str) -> str:
         assert self._simulated is not None  # noqa: S101  (asked by the caller)
         question = self._questions[name]
-        text = str(self._simulated(question.reads or name))
+        text = str(self._simulated.read(question.reads or name))
         try:
             question.number(text)
         except ValueError as error:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from labrun.errors import DeviceError, ExperimentError, LabrunError
-from labrun.runner.asking import Asking, scene_answers
+from labrun.runner.asking import Asking, Onlooker
 from labrun.runner.bench import Bench
 from labrun.runner.by_hand import Person, Willing
 from labrun.runner.damage import Damage
@@ -115,7 +115,7 @@ class TrialRunner:
 
     def _made_asking(self, person: Person, wait: Callable[[], object]) -> Asking:
         questions = self._evaluation.questions
-        simulated = scene_answers(self._rig.scene, self._bench.clock) if isinstance(person, Willing) else None
+        simulated = Onlooker.of(self._rig.scene, self._bench.clock) if isinstance(person, Willing) else None
         if questions and isinstance(person, Willing) and simulated is None:
             raise ExperimentError(
                 f"{', '.join(questions)} would be typed by a person, and the scene has no answer in their place",
@@ -192,6 +192,7 @@ class TrialRunner:
             role=request.role,
             attempt=request.attempt,
         )
+        self._asking.look()
         if self._rig.scene is not None:
             self._rig.scene.arrange(request.condition)
             if request.mounting is not None and hasattr(self._rig.scene, "mount"):
