@@ -11,7 +11,7 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RecordingError, RequestError
 from labrun.signals import Signals
-from labrun.spec import condition_text
+from labrun.spec import CYCLES, condition_text
 from labrun.store import (
     COMMAND,
     Between,
@@ -23,6 +23,9 @@ from labrun.store import (
     open_run,
     read_recording,
 )
+
+CYCLE = "cycle"
+"""Condition that numbers the kept cycles of a trial which went on until something happened."""
 
 
 class Ports(Protocol):
@@ -176,7 +179,8 @@ def from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
 
     Outputs of the device that gives the first one stay as they were sampled; other outputs are interpolated onto their
     times, commands run linearly between their points. Tares are subtracted. Only samples between the start and
-    the end of the trial count.
+    the end of the trial count. A trial that went on until something happened is as many trials as cycles whose samples
+    were kept, each from its own beginning, with its number (from 0) as the condition ``cycle``.
 
     Raises
     ------
@@ -197,21 +201,21 @@ def from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
         sources = {
             port.name: _find(port, measured, signals, target) for port in (*model.inputs, *model.outputs)
         }
-        trials.append(_run_trial(outcome, model, measured, sources, whole=bool(channels)))
+        trials += _run_trials(outcome, model, measured, sources, whole=bool(channels))
         inputs = tuple(_info(port, measured, sources, channels) for port in model.inputs)
         outputs = tuple(_info(port, measured, sources, {}) for port in model.outputs)
     require_trials(trials, target, left_out)
     return Dataset(run.name, target, "run", inputs, outputs, tuple(trials), left_out)
 
 
-def _run_trial(
+def _run_trials(
     outcome: TrialOutcome,
     model: Ports,
     measured: Mapping[str, Signals],
     sources: Mapping[str, tuple[str, str]],
     *,
     whole: bool,
-) -> FitTrial:
+) -> list[FitTrial]:
     base = measured[sources[model.outputs[0].name][0]].time_s
     end_s = outcome.duration_s if outcome.duration_s > 0 else np.inf
     # a sample of the very start may be dated a moment before it: clocks are only estimated
@@ -223,20 +227,35 @@ def _run_trial(
             hint="labrun show tells what was recorded; a trial without data can be marked rejected",
         )
 
-    def table(ports: Sequence[Named]) -> FloatArray:
-        columns = [_on_base(measured[sources[port.name][0]], sources[port.name][1], time_s) for port in ports]
-        return np.column_stack(columns) if columns else np.empty((len(time_s), 0))
+    def table(ports: Sequence[Named], at_s: FloatArray, begin_s: float) -> FloatArray:
+        columns = []
+        for port in ports:
+            device, channel = sources[port.name]
+            # the command is stored once: every cycle repeats it
+            columns.append(_on_base(measured[device], channel, at_s - begin_s * (device == COMMAND)))
+        return np.column_stack(columns) if columns else np.empty((len(at_s), 0))
 
-    label = condition_text(outcome.condition)
-    return FitTrial(
-        f"trial {outcome.index}: {label}" if label else f"trial {outcome.index}",
-        outcome.condition,
-        outcome.repeat,
-        time_s,
-        table(model.inputs),
-        table(model.outputs),
-        mounting=outcome.mounting,
-    )
+    def made(at_s: FloatArray, begin_s: float, condition: Mapping[str, float | str]) -> FitTrial:
+        label = condition_text(condition)
+        return FitTrial(
+            f"trial {outcome.index}: {label}" if label else f"trial {outcome.index}",
+            condition,
+            outcome.repeat,
+            at_s - begin_s,
+            table(model.inputs, at_s, begin_s),
+            table(model.outputs, at_s, begin_s),
+            mounting=outcome.mounting,
+        )
+
+    if CYCLES not in measured:
+        return [made(time_s, 0.0, outcome.condition)]
+    period_s = outcome.duration_s / len(measured[CYCLES].time_s)
+    numbers = np.floor((time_s + 1e-3) / period_s)
+    return [
+        made(time_s[numbers == one], float(one * period_s), {**outcome.condition, CYCLE: float(one)})
+        for one in np.unique(numbers)
+        if np.count_nonzero(numbers == one) > 1
+    ]
 
 
 def _on_base(signals: Signals, channel: str, time_s: FloatArray) -> FloatArray:

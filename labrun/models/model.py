@@ -58,6 +58,24 @@ class Output:
 
 
 @dataclass(frozen=True, slots=True)
+class Meaning:
+    """What a condition means to equations where a trial says it in a word, or does not say it.
+
+    Attributes
+    ----------
+    words : word -> number
+    default
+        A number or one of the words; None if every trial has to say it.
+    of
+        Name in the trial's condition, where it is not that in the equations: several numbers may follow from one word.
+    """
+
+    words: Mapping[str, float] = field(default_factory=dict)
+    default: float | str | None = None
+    of: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Origin:
     """Where a corrected model comes from.
 
@@ -92,6 +110,8 @@ class Model:
         The equations.
     site_values
         Writes coordinate, rate, load and stiffness of each of `sites` (4 values each, 0 where there is none).
+    meanings : condition -> meaning
+        Of those that trials may say in a word, or not at all.
     constants
         Further numbers the functions read behind the conditions, for example a table.
     source
@@ -115,6 +135,7 @@ class Model:
     derivative: NativeFunction
     output: NativeFunction
     site_values: NativeFunction
+    meanings: Mapping[str, Meaning] = field(default_factory=dict)
     constants: FloatArray = field(default_factory=lambda: np.empty(0), compare=False)
     source: str = ""
     notes: tuple[str, ...] = ()
@@ -179,18 +200,28 @@ class Model:
         return np.concatenate([values, np.array(numbers, dtype=float), self.constants])
 
     def _number(self, name: str, condition: Condition) -> float:
-        value = condition.get(name)
+        meaning = self.meanings.get(name, Meaning())
+        said = meaning.of or name
+        value = condition.get(said, meaning.default)
         if value is None:
             ours = [*self.states, *(one.name for one in self.inputs), *(one.name for one in self.parameters)]
             raise ModelError(
                 f"the equations of model {self.name} use {name!r}, which is no state, input or parameter, "
-                f"and the trial's condition has no {name!r} (it has: {', '.join(condition) or 'nothing'})",
-                hint=suggest(name, [*ours, *condition]),
+                f"and the trial's condition has no {said!r} (it has: {', '.join(condition) or 'nothing'})",
+                hint=suggest(said, [*ours, *condition]),
+            )
+        if isinstance(value, str) and value in meaning.words:
+            return meaning.words[value]
+        if isinstance(value, str) and meaning.words:
+            raise ModelError(
+                f"model {self.name} states no number for {said} = {value!r}",
+                hint=f"{suggest(value, meaning.words)}; conditions.{name}.words states what each word means",
             )
         if isinstance(value, str):
             raise ModelError(
-                f"the equations of model {self.name} use the condition {name!r} as a number; here it is {value!r}",
-                hint="give it a number in the recording, or another condition in the model",
+                f"the equations of model {self.name} use the condition {said!r} as a number; here it is {value!r}",
+                hint="give it a number in the recording, or say in the model what the word means: "
+                f"conditions.{name}.words = {{ {value} = NUMBER }}",
             )
         return float(value)
 

@@ -181,6 +181,21 @@ class MujocoSite(Table):
     load: Equation = Expression.of(0.0)
 
 
+class ConditionTable(Table):
+    """What a condition means to equations where a trial says it in a word, or does not say it."""
+
+    of: Name | None = None
+    words: dict[str, Finite] = {}
+    default: Finite | str | None = None
+
+    @model_validator(mode="after")
+    def _default_known(self) -> "ConditionTable":
+        with Faults() as faults:
+            if isinstance(self.default, str) and self.default not in self.words:
+                faults.add("default", f"no number is stated for the word {self.default!r}")
+        return self
+
+
 class EffectTable(Table):
     """Physics that a model carries with it."""
 
@@ -205,7 +220,7 @@ class _File(Table):
     name: Annotated[str, Field(min_length=1)]
     title: str = ""
     corrected: CorrectedTable | None = None
-    conditions: Names | None = None
+    conditions: Annotated[dict[Name, ConditionTable], BeforeValidator(_listed)] | None = None
     initial: dict[str, float | str] = {}
     effects: tuple[EffectTable, ...] = ()
 

@@ -1,13 +1,13 @@
 """Models whose equations stand in a TOML file: parameters, equations, outputs, sites and initial state."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from labrun.compiled import equations, generated
 from labrun.effects import Site
 from labrun.models.attaching import read_effects
-from labrun.models.model import Input, Model, Output, Parameter
-from labrun.models.tables import Bounded, EquationsFile, InputTable, ModelFile, is_name
+from labrun.models.model import Input, Meaning, Model, Output, Parameter
+from labrun.models.tables import Bounded, ConditionTable, EquationsFile, InputTable, ModelFile, is_name
 from labrun.toml import Expression, ExpressionError, KeyPath, suggest
 
 SITE_QUANTITIES = ("coordinate", "rate", "load", "stiffness")
@@ -72,6 +72,7 @@ def equations_model(file: ModelFile) -> Model:
         derivative=functions["derivative"],
         output=functions["output"],
         site_values=functions["site_values"],
+        meanings=meanings_of(given.conditions),
         source=file.name,
         notes=(*_unused_inputs(expressions, inputs), *only_in_loads(expressions, parameters)),
     )
@@ -125,7 +126,7 @@ def places_of(
 
 
 def conditions_of(
-    file: ModelFile, expressions: Expressions, known: Mapping[str, str], declared: Sequence[str] | None
+    file: ModelFile, expressions: Expressions, known: Mapping[str, str], declared: Collection[str] | None
 ) -> tuple[str, ...]:
     """Return the names that are no state, input or parameter, in the order they are met.
 
@@ -141,6 +142,11 @@ def conditions_of(
                 file.note_in(path, ExpressionError(expression.text, f"there is no {name!r}", position, hint))
             found.setdefault(name)
     return tuple(found)
+
+
+def meanings_of(tables: Mapping[str, ConditionTable] | None) -> dict[str, Meaning]:
+    """Return what conditions mean that trials may say in a word, or not at all."""
+    return {name: Meaning(one.words, one.default, one.of) for name, one in (tables or {}).items()}
 
 
 def refuse_unused(

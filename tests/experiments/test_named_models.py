@@ -18,6 +18,15 @@ SMALLER = {
     "driven-joint": ("trial.repeats=4",),
     "driven-joint-bushing": ("trial.repeats=4",),
     "tail-sweep": ("sweep.axes={alpha=[20,50],f=[0.6,1.4]}", "leaders={count=1,repeats=2}"),
+    "hinge-life": (
+        "run.conditions=[{layup='polyester',specimen=1,range=120},{layup='sandwich',specimen=1,range=120}]",
+        "trial.until.max_cycles=101",
+        "by_hand.mountings=3",
+    ),
+    "hinge-tensile": (
+        "run.conditions=[{layup='polyester',specimen=1},{layup='sandwich',specimen=1}]",
+        "by_hand.mountings=3",
+    ),
 }
 STRONG = {
     "hinge": "coulomb-friction@hinge:torque=4e-4",
@@ -25,6 +34,8 @@ STRONG = {
     "driven-joint": "coulomb-friction@hinge:torque=5e-3",
     "driven-joint-bushing": "tilt=0.05",
     "tail-sweep": "lag@torque_z:time_constant=0.05",
+    "hinge-life": "cubic-stiffness@hinge",
+    "hinge-tensile": "saturation@force:level=110",
 }
 AGREES = 0.45
 """Bound of the systematic part of the residual, in units of one trial's noise."""

@@ -44,6 +44,29 @@ def test_names_that_are_nothing_else_are_conditions():
         model.vector(None, {"gain": "large", "offset": 0.0})
 
 
+WORDS = """
+[conditions]
+gain   = { words = { small = 0.5, large = 2.0 }, default = "small" }
+offset = { of = "gain", words = { small = 0.0, large = 7.0 }, default = 3.0 }
+"""
+
+
+def test_a_word_of_a_condition_stands_for_numbers_and_may_be_left_out():
+    model = parse_model(FOLLOWER.replace("(u - y)/tau", "(gain*u - y + offset)/tau") + WORDS, "f.toml")
+    assert model.vector(None, {"gain": "large"})[-2:].tolist() == [2.0, 7.0]
+    assert model.vector(None, {"gain": 4.0})[-2:].tolist() == [4.0, 4.0]
+    assert model.vector(None, {})[-2:].tolist() == [0.5, 3.0]
+    with pytest.raises(ModelError, match="no number for gain = 'lrge'") as error:
+        model.vector(None, {"gain": "lrge"})
+    assert "large" in str(error.value.hint)
+
+
+def test_a_default_that_is_no_known_word_is_refused_at_its_line():
+    text = FOLLOWER.replace("(u - y)/tau", "(gain*u - y)/tau")
+    with pytest.raises(ModelError, match=r"f.toml:\d+:\d+: conditions.gain.default.*'huge'"):
+        parse_model(text + '\n[conditions.gain]\nwords = { small = 0.5 }\ndefault = "huge"\n', "f.toml")
+
+
 def test_a_state_without_a_rule_starts_free():
     model = parse_model(PENDULUM, "p.toml")
     assert model.initial == {"angle": "free", "rate": "free"}

@@ -9,6 +9,7 @@ from labrun_plugins.rigs.beam.scene import BeamBench
 import labrun
 from labrun.devices import Trajectory
 from labrun.errors import ExperimentError
+from labrun.models import load_model, simulate
 
 LEVER_M = 0.1
 
@@ -34,6 +35,15 @@ def test_the_limit_of_a_beam_is_read_off_whatever_its_loop(beam, way):
     assert found.reached
     assert found.sense == ("opposite" if way > 0 else "equal")
     assert found.torque_n_m == pytest.approx(opposite if way > 0 else equal, rel=0.01)
+
+
+@pytest.mark.parametrize("beam", ["long", "short", "polyester", "steel"])
+def test_the_model_file_knows_every_beam_of_the_bench(beam):
+    force, way_m = there_and_back(bench(beam=beam, as_modelled=True), 0.05)
+    model = load_model("buckling-beam")
+    time_s = np.arange(len(force)) / 10.0
+    told = simulate(model, time_s, way_m[:, None], condition={"beam": beam}).outputs[:, 0]
+    np.testing.assert_allclose(told, force, atol=0.01 * np.abs(force).max())
 
 
 @pytest.mark.parametrize("way", [-0.004, 0.02])

@@ -7,6 +7,7 @@ from labrun_plugins.rigs.caudal_fin.scene import CaudalTank
 from simulated_bench import sine
 
 from labrun.errors import SpecError
+from labrun.models import load_model, simulate
 from labrun.spec import shipped_experiments
 from labrun.store import read_recording
 
@@ -32,6 +33,20 @@ def test_the_tank_gives_every_row_of_the_table(fin, printed_n):
     forward, side = tank.observe(FORCES, time_s).mean(axis=0)
     assert forward == pytest.approx(printed_n, rel=0.05)
     assert side == pytest.approx(0.0, abs=0.02 * printed_n)
+
+
+@pytest.mark.parametrize(("fin", "printed_n"), fins())
+def test_the_model_file_knows_every_tail_of_the_table(fin, printed_n):
+    time_s = np.arange(0.0, 4.0, 0.01)
+    tail = np.radians(60.0) * np.sin(2 * np.pi * 1.4 * time_s)[:, None]
+    pushed = [
+        simulate(
+            load_model("caudal-thrust"), time_s, tail, parameters={"entrained": 0.0}, condition=one
+        ).outputs
+        for one in (fin, {})
+    ]
+    share = pushed[0][-100:, 0] / pushed[1][-100:, 0]
+    np.testing.assert_allclose(share, printed_n / 0.551, rtol=1e-6)
 
 
 def test_stiffer_and_larger_tails_push_harder():

@@ -82,6 +82,20 @@ def test_lives_of_a_run_are_fitted_and_what_outlived_it_is_more_than_a_number(tm
     assert any("falls by" in text for text in found.findings)
 
 
+def test_every_kept_cycle_is_a_trial_of_its_own_to_a_model(tmp_path):
+    small = [
+        'run.conditions=[{layup="sandwich",specimen=1,range=120}]', "trial.until.max_cycles=150",
+        "trial.until.keep_every=50", 'trial.until.when="cycle > 1e9"',
+    ]  # fmt: skip
+    run = labrun.run("hinge-life", dry_run=True, seed=3, overrides=small, results=tmp_path).run
+    found = labrun.compare(run, model="turned-hinge", results=tmp_path).comparison
+    assert [dict(one.condition)["cycle"] for one in found.pairs] == [0.0, 50.0, 100.0]
+    assert all(one.time_s[0] < 0.1 and 2.7 < one.time_s[-1] < 2.86 for one in found.pairs)
+    # the torque has fallen by 5 % a decade in both
+    assert np.ptp(found.pairs[2].measured) < 0.92 * np.ptp(found.pairs[0].measured)
+    assert found.worst.relative < 0.02
+
+
 def test_a_run_without_lives_is_told_what_it_lacks(tmp_path):
     small = ["run.conditions=[{release=30}]", "trial.repeats=1", "trial.duration_s=1"]
     run = labrun.run("hinge", dry_run=True, seed=1, overrides=small, results=tmp_path).run

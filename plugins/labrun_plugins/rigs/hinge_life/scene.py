@@ -63,7 +63,7 @@ class LifeBench(Bench):
     The torque falls by 5 % per decade of cycles; a hinge's life is drawn from a Weibull distribution as it is mounted,
     and after it a fiftieth of the torque is left. A cycle is counted when the angle has gone from one side to the other
     and back. A condition ``specimen`` names another hinge; every mounting is of a new one. With `as_modelled` hinges
-    neither tire nor tear.
+    tire and do not tear.
 
     Signals: ``torque_z`` about the hinge (N m), ``hinge``, the angle of the servo (rad).
     """
@@ -152,10 +152,9 @@ class LifeBench(Bench):
 
     def _left(self, cycles: NDArray[np.int64]) -> FloatArray:
         """Return the share of a new hinge's torque after so many cycles."""
-        if self._settings.as_modelled:
-            return np.ones(len(cycles))
         tired = 1.0 - _PER_DECADE * np.log10(np.maximum(cycles, 1))
-        return np.where(cycles >= self._life, _TORN, tired)
+        torn = (cycles >= self._life) & (not self._settings.as_modelled)
+        return np.where(torn, _TORN, tired)
 
     def _memory(self) -> dict[str, Any]:
         return {
