@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Any, Literal, Self
 
 from labrun.app.answer import Answer, measure_all, search_folder
+from labrun.app.worn import worn_specimens
 from labrun.control import ClosedLoopRecorder
 from labrun.errors import ExperimentError, LabrunError, PlanError
 from labrun.objectives import make_objective
@@ -83,6 +84,7 @@ def carry_out(
             _recorder(experiment, rig, folder, seed, progress),
             person,
             motions,
+            worn_specimens(experiment, rig, folder),
         )
         try:
             answer = measure_all(experiment, rig, session, folder, seed, unit, progress)

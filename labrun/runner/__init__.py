@@ -3,6 +3,7 @@
 from labrun.runner.bench import Bench, Handle
 from labrun.runner.by_hand import Person, Scripted, Willing
 from labrun.runner.clock import RealClock, SimulatedClock
+from labrun.runner.damage import Worn, worn_before
 from labrun.runner.doctor import examine_machine, examine_rig, find_devices
 from labrun.runner.emulated_bench import EmulatedBench, has_emulator
 from labrun.runner.evaluation import ObjectiveError, ObjectiveEvaluation
@@ -49,6 +50,7 @@ __all__ = [
     "TrialMotion",
     "UntilRecorder",
     "Willing",
+    "Worn",
     "examine_machine",
     "examine_rig",
     "find_devices",
@@ -59,4 +61,5 @@ __all__ = [
     "resolve_device",
     "smooth_move",
     "unsettled",
+    "worn_before",
 ]

@@ -1,9 +1,61 @@
-"""Which specimens are no longer what they were, and by which trial."""
+"""Which specimens are no longer what they were, and by which trial, of this run or of one before."""
 
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from labrun.errors import LabrunError
 from labrun.spec import BROKEN, PAST, ByHand, Condition, DamageTable, condition_key, condition_text
-from labrun.store import TrialOutcome
+from labrun.store import TrialOutcome, open_run
 
 _Specimen = tuple[tuple[str, float | str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Worn:
+    """A specimen that an earlier run left damaged.
+
+    Attributes
+    ----------
+    specimen
+        What tells it from others.
+    damage
+        ``"past its limit"`` or ``"broken"``.
+    by
+        Which trial of which run did it.
+    """
+
+    specimen: Condition
+    damage: str
+    by: str
+
+
+def worn_before(runs: Iterable[Path], table: DamageTable | None, by_hand: ByHand | None) -> list[Worn]:
+    """Return the specimens that earlier runs left damaged, each by the first that did it.
+
+    Specimens are the same where they agree in all names that tell specimens apart. A run that cannot be read, or that
+    has other names, says nothing.
+    """
+    names = _names(table, by_hand)
+    found: dict[_Specimen, Worn] = {}
+    if not names:
+        return []
+    for path in runs:
+        try:
+            with open_run(path) as run:
+                outcomes = [one for one in run.outcomes if one.damage and names <= one.condition.keys()]
+        except LabrunError:
+            continue
+        for one in outcomes:
+            specimen = {name: one.condition[name] for name in sorted(names)}
+            by = f"trial {one.index} of {path.parent.name}/{path.name}"
+            found.setdefault(condition_key(specimen), Worn(specimen, one.damage, by))
+    return list(found.values())
+
+
+def _names(table: DamageTable | None, by_hand: ByHand | None) -> frozenset[str]:
+    by_hand_names = [] if by_hand is None else by_hand.names
+    return frozenset(by_hand_names if table is None or not table.of else table.of)
 
 
 class Damage:
@@ -15,12 +67,16 @@ class Damage:
         Of the experiment file; None if nothing can be damaged.
     by_hand
         What tells specimens apart.
+    worn
+        Specimens that earlier runs left damaged.
     """
 
-    def __init__(self, table: DamageTable | None, by_hand: ByHand | None) -> None:
+    def __init__(
+        self, table: DamageTable | None, by_hand: ByHand | None, worn: Sequence[Worn] = ()
+    ) -> None:
         self._table = table
-        by_hand_names = [] if by_hand is None else by_hand.names
-        self._names = frozenset(by_hand_names if table is None or not table.of else table.of)
+        self._names = _names(table, by_hand)
+        self._worn = {condition_key(one.specimen): one for one in worn}
         self._by: dict[_Specimen, TrialOutcome] = {}
 
     def would(self, condition: Condition) -> bool:
@@ -54,7 +110,18 @@ class Damage:
 
     def is_whole(self, condition: Condition) -> bool:
         """Tell whether anything can be measured on a condition's specimen."""
-        return self._specimen(condition) not in self._by
+        specimen = self._specimen(condition)
+        return specimen not in self._by and specimen not in self._worn
+
+    def known(self, conditions: Iterable[Condition]) -> list[str]:
+        """Return a sentence on each specimen of these conditions that an earlier run left damaged."""
+        wanted = dict.fromkeys(self._specimen(condition) for condition in conditions)
+        return [
+            f"{condition_text(dict(one))} is {self._worn[one].damage} since {self._worn[one].by}; "
+            "nothing is measured on it"
+            for one in wanted
+            if one in self._worn
+        ]
 
     def forget(self, mounting: int) -> None:
         """Take back what the trials of a wrong mounting did: it was to something else."""

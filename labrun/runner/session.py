@@ -9,7 +9,7 @@ from labrun.errors import DeviceError, ExperimentError, LimitExceededError, Reco
 from labrun.runner.bench import Bench
 from labrun.runner.by_hand import SET_ASIDE, Mounting, Mountings, Person, Willing
 from labrun.runner.clock import RealClock
-from labrun.runner.damage import Damage
+from labrun.runner.damage import Damage, Worn
 from labrun.runner.faults import LimitReached
 from labrun.runner.measurement import (
     OUTLIER,
@@ -67,6 +67,8 @@ class Session:
         Who mounts what is set by hand; one who has always done it if None.
     motions
         Those made for the plan, of the same experiment.
+    worn
+        Specimens that earlier runs left damaged.
 
     Raises
     ------
@@ -86,6 +88,7 @@ class Session:
         recorder: Recorder = record_planned,
         person: Person | None = None,
         motions: MotionMaker | None = None,
+        worn: Sequence[Worn] = (),
     ) -> None:
         self.motions = MotionMaker(experiment) if motions is None else motions
         """Motion of each condition."""
@@ -120,7 +123,7 @@ class Session:
             lambda mounting: self._damage.is_whole(mounting.values),
             experiment.kind == "cmaes",
         )
-        self._damage = Damage(experiment.damage, experiment.by_hand)
+        self._damage = Damage(experiment.damage, experiment.by_hand, worn)
         self._mounting: int | None = None
         self._stopwatch = RealClock()
         self._started_s = self._stopwatch.now()
@@ -186,6 +189,7 @@ class Session:
         if self._expected is None:
             self.expect(None)
         found = [Measurement(condition, role, ()) for condition in conditions]
+        self._tell_worn(conditions)
         with self._interruptible():
             self._hands.plan(
                 conditions, order, seed=self._seed, trial_index=self.index, damages=self._damage.would
@@ -194,6 +198,18 @@ class Session:
                 self._mounting = mounting.number
                 self._measure_block(mounting, found, rule, order)
         return [self._as_marked(item) for item in found]
+
+    def _tell_worn(self, conditions: Sequence[Condition]) -> None:
+        """Say which specimens earlier runs left damaged; refuse a plan of nothing else."""
+        known = self._damage.known(conditions)
+        for text in known:
+            self._progress.note(text)
+        if known and not self.outcomes and not any(self._damage.is_whole(one) for one in conditions):
+            raise ExperimentError(
+                f"nothing is left to measure: {known[0]}",
+                hint="name new specimens by names of their own; or, where they go by the old names, "
+                "--set damage.fresh=true",
+            )
 
     def _measure_block(
         self, mounting: Mounting, found: list[Measurement], rule: RepeatRule, order: Order

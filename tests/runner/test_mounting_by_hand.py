@@ -3,7 +3,7 @@
 import pytest
 
 from labrun.errors import ExperimentError
-from labrun.runner import LimitReached, Scripted, Session
+from labrun.runner import LimitReached, Scripted, Session, worn_before
 from labrun.store import RunFolder, open_run
 
 CONDITIONS = [{"a": a, "f": 1.0, "specimen": s} for a in (10.0, 20.0) for s in ("p1", "p2")]
@@ -27,11 +27,11 @@ class AtTheBench:
 def bench(lab):
     """Return a function that makes a session whose specimens somebody mounts."""
 
-    def make(person, *, folder=None, limit=None, **changes):
+    def make(person, *, folder=None, limit=None, worn=(), **changes):
         extra = {} if folder is None else {"folder": folder}
         made = lab(by_hand=BY_HAND, sweep__axes=AXES, **extra, **changes)
         made.session = Session(
-            made.experiment, made.rig, made.folder, made.clock, 1, limit=limit, person=Scripted(person)
+            made.experiment, made.rig, made.folder, made.clock, 1, limit=limit, person=Scripted(person), worn=worn
         )
         return made
 
@@ -178,3 +178,26 @@ def test_without_specimens_the_bench_is_the_one(lab):
     session = lab(damage=PAST).session
     found = session.measure([{"a": 20, "f": 1.0}, {"a": 10, "f": 1.0}, {"a": 30, "f": 1.0}])
     assert [len(item.accepted) for item in found] in ([1, 2, 0], [0, 2, 1])
+
+
+def test_what_an_earlier_run_broke_is_neither_mounted_nor_measured_in_the_next(bench, tmp_path):
+    def new(name):
+        return RunFolder.create(tmp_path / name, "paddle", 'title = "paddle"\n', {"seed": 1})
+
+    fragile = {"broken": "thrust > 0 and specimen == 'p1'"}
+    first = bench(AtTheBench(), damage=fragile)
+    first.session.measure(CONDITIONS, order="as-listed")
+    worn = worn_before([first.folder.path], first.experiment.damage, first.experiment.by_hand)
+    assert [(dict(one.specimen), one.damage) for one in worn] == [({"specimen": "p1"}, "broken")]
+    assert worn[0].by.startswith("trial 0 of ")
+
+    person = AtTheBench()
+    second = bench(person, damage=fragile, worn=worn, folder=new("second")).session
+    second.measure(CONDITIONS, order="as-listed")
+    assert blocks(second) == [(1, "p2"), (2, "p2")]
+    assert not any("Mount p1" in text for text in person.asked)
+
+    with pytest.raises(ExperimentError, match="p1 is broken since trial 0 of .*nothing is measured on it") as told:
+        third = bench(AtTheBench(), damage=fragile, worn=worn, folder=new("third")).session
+        third.measure(CONDITIONS[::2])
+    assert "damage.fresh=true" in told.value.hint
