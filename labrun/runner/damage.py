@@ -71,9 +71,7 @@ class Damage:
         Specimens that earlier runs left damaged.
     """
 
-    def __init__(
-        self, table: DamageTable | None, by_hand: ByHand | None, worn: Sequence[Worn] = ()
-    ) -> None:
+    def __init__(self, table: DamageTable | None, by_hand: ByHand | None, worn: Sequence[Worn] = ()) -> None:
         self._table = table
         self._names = _names(table, by_hand)
         self._worn = {condition_key(one.specimen): one for one in worn}

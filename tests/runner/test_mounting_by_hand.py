@@ -31,7 +31,14 @@ def bench(lab):
         extra = {} if folder is None else {"folder": folder}
         made = lab(by_hand=BY_HAND, sweep__axes=AXES, **extra, **changes)
         made.session = Session(
-            made.experiment, made.rig, made.folder, made.clock, 1, limit=limit, person=Scripted(person), worn=worn
+            made.experiment,
+            made.rig,
+            made.folder,
+            made.clock,
+            1,
+            limit=limit,
+            person=Scripted(person),
+            worn=worn,
         )
         return made
 
@@ -197,7 +204,9 @@ def test_what_an_earlier_run_broke_is_neither_mounted_nor_measured_in_the_next(b
     assert blocks(second) == [(1, "p2"), (2, "p2")]
     assert not any("Mount p1" in text for text in person.asked)
 
-    with pytest.raises(ExperimentError, match="p1 is broken since trial 0 of .*nothing is measured on it") as told:
+    with pytest.raises(
+        ExperimentError, match=r"p1 is broken since trial 0 of .*nothing is measured on it"
+    ) as told:
         third = bench(AtTheBench(), damage=fragile, worn=worn, folder=new("third")).session
         third.measure(CONDITIONS[::2])
     assert "damage.fresh=true" in told.value.hint

@@ -1,0 +1,196 @@
+"""How often intervals of the specimen rigs hold the truth of their benches, and what a hinge of 50,000 cycles costs.
+
+    python benchmarks/specimens.py                  # five seeds of each rig, run and fitted as a person would
+    python benchmarks/specimens.py --draws 400      # as many batches, without the runner: benches and fits alone
+    python benchmarks/specimens.py --life           # one trial of 50,000 cycles, killed on its way and resumed
+
+Each seed of the first is ``labrun run NAME --dry-run --seed S`` and ``labrun fit NAME``, in a folder that is thrown away; hinges of
+polyester only, beams bent in steps of 0.05 deg. Truth is what the benches are set to: the means of their populations.
+With --draws, benches are observed directly, without noise of the sensors, and read by the functions that the fits use.
+"""
+
+import argparse
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from labrun_plugins.rigs.beam.limits import buckling_limit
+from labrun_plugins.rigs.beam.model import LIMITS_N_M
+from labrun_plugins.rigs.beam.scene import BeamBench
+from labrun_plugins.rigs.hinge_life.scene import LifeBench
+from labrun_plugins.rigs.tensile.curve import TensileCurve, tensile_curve
+from labrun_plugins.rigs.tensile.model import GRIPS_M, THICKNESS_M, WIDTH_M, YIELD_PA, YOUNG_PA
+from labrun_plugins.rigs.tensile.scene import TensileBench
+
+import labrun
+from labrun.devices import Trajectory
+from labrun.fit import student
+from labrun.fit.life import fit_weibull, intervals
+
+POLYESTER = ",".join(f'{{layup="polyester",specimen={n},range=120}}' for n in range(1, 6))
+BEAMS = ",".join(
+    f'{{beam="{beam}",specimen={n},reach={reach}}}'
+    for beam in ("long", "short")
+    for n in range(1, 4)
+    for reach in (-28.648, 28.648)
+)
+CHAINS = {
+    "polyester-tensile": [],
+    "hinge-life": [f"run.conditions=[{POLYESTER}]"],
+    "beam-buckling": [f"run.conditions=[{BEAMS}]", "gait.joints.bend.step_deg=0.05"],
+}
+TRUTH = {
+    "young": 1e-6 * YOUNG_PA,
+    "yield_stress": 1e-6 * YIELD_PA,
+    "toe_strain": 0.25,
+    "median_polyester_120": 2500.0,
+    "shape_polyester_120": 3.0,
+    **{
+        f"{sense} {beam}": LIMITS_N_M[beam][place]
+        for beam in ("long", "short")
+        for place, sense in enumerate(("equal", "opposite"))
+    },
+}
+Interval = tuple[float, float, float]
+"""Estimate, and the ends of its 95 % interval."""
+
+
+def chained(seed: int, folder: Path) -> Iterator[tuple[str, Interval]]:
+    """Run and fit every rig once."""
+    for name, overrides in CHAINS.items():
+        run = labrun.run(name, dry_run=True, seed=seed, overrides=overrides, results=folder).run
+        for beam in ("long", "short") if name == "beam-buckling" else ("",):
+            found = labrun.fit(run, **({"settings": {"beam": beam}} if beam else {})).parameters
+            for key, one in found.items():
+                told = f"{key.removesuffix('_limit')} {beam}" if beam else key
+                if told in TRUTH:
+                    yield told, (one.value, *one.ci95)
+
+
+def drawn(seed: int) -> Iterator[tuple[str, Interval]]:
+    """Observe one batch of specimens on every bench."""
+    rng = np.random.default_rng(seed)
+    curves = [strip(seed, number) for number in range(11)]
+    yield "young", over([1e-6 * one.young_pa for one in curves])
+    yield "yield_stress", over([1e-6 * one.yield_pa for one in curves])
+    yield "toe_strain", over([100 * one.toe_strain for one in curves])
+    lives = LifeBench({}, rng)
+    lives.arrange({"layup": "polyester", "range": 120})
+    cycles = []
+    for number in range(5):
+        lives.mount(number)
+        cycles.append(math.ceil(lives.truth()["life"]))
+    found = fit_weibull(np.array(cycles, dtype=float), np.ones(5, dtype=bool))
+    median, shape = intervals(found, 5, 5, rng)
+    yield "median_polyester_120", (found.median, *median)
+    yield "shape_polyester_120", (found.shape, *shape)
+    for beam in ("long", "short"):
+        bench, begin_s = BeamBench({"beam": beam}, rng), 1.0
+        bench.observe(("force",), np.array([0.0]))
+        for sense, way_m in (("equal", -0.05), ("opposite", 0.05)):
+            limits = []
+            for _ in range(3):
+                limits.append(bent(bench, way_m, begin_s))
+                begin_s += 102.0
+            yield f"{sense} {beam}", over(limits)
+
+
+def strip(seed: int, number: int) -> TensileCurve:
+    bench = TensileBench({}, np.random.default_rng(seed))
+    bench.observe(("force",), np.array([0.0]))
+    bench.arrange({"specimen": number})
+    bench.tow(0.0, 0.002, 1.6667e-4, 0.5)
+    force, position = bench.observe(("force", "position"), np.arange(0.5, 12.4, 1 / 80)).T
+    return tensile_curve(force, position, area_m2=THICKNESS_M * WIDTH_M, grips_m=GRIPS_M)
+
+
+def bent(bench: BeamBench, way_m: float, begin: float) -> float:
+    """Bend a new beam there and back in 100 s; return its limit, N m."""
+    bench.mount(1)
+    points = np.array([[0.0], [way_m], [0.0]])
+    bench.drive("pusher", Trajectory(("pusher",), np.array([0.0, 50.0, 100.0]), points), begin)
+    parts = np.array_split(begin + np.arange(0.0, 100.0, 0.1), 10)
+    force, position = np.vstack([bench.observe(("force", "position"), part) for part in parts]).T
+    return buckling_limit(force, position, 0.1).torque_n_m
+
+
+def over(values: Sequence[float]) -> Interval:
+    """Return mean and t-interval over specimens."""
+    mean, count = float(np.mean(values)), len(values)
+    half = student(count - 1) * float(np.std(values, ddof=1)) / math.sqrt(count)
+    return mean, mean - half, mean + half
+
+
+def told(found: dict[str, list[Interval]]) -> None:
+    """Print how often intervals hold the truth, and how far means of the estimates lie from it."""
+    print("| quantity | truth | mean of the estimates | off by | half interval, mean | truth held |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for name, rows in found.items():
+        estimates, lows, highs = np.array(rows).T
+        truth = TRUTH[name]
+        held = int(np.count_nonzero((lows <= truth) & (truth <= highs)))
+        half = float(np.mean(highs - lows)) / 2
+        print(
+            f"| {name} | {truth:g} | {estimates.mean():.4g} | {100 * (estimates.mean() / truth - 1):+.2f} % "
+            f"| {half:.3g} | {held} of {len(rows)} |"
+        )
+
+
+def life(folder: Path) -> None:
+    """Run a sandwich for 50,000 cycles, kill the run on its way, resume it, and tell sizes."""
+    sandwich = 'run.conditions=[{layup="sandwich",specimen=1,range=120}]'
+    command = [sys.executable, "-m", "labrun"]
+    begin = time.monotonic()
+    run = [*command, "run", "hinge-life", "--dry-run", "--seed", "1", "--set", sandwich]
+    process = subprocess.Popen([*run, "--set", "rig.scene.shape=30"], cwd=folder, stdout=subprocess.DEVNULL)
+    log = None
+    while process.poll() is None and (log is None or log.stat().st_size < 4_000_000):
+        time.sleep(0.5)
+        log = next(iter(folder.glob("results/hinge-life/*/cycles/*.jsonl")), None)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    assert log is not None
+    whole = [json.loads(line) for line in log.read_text().splitlines() if line.endswith("}")]
+    cycles = sum(one["event"] == "cycle" for one in whole)
+    place = log.parents[1]
+    size = sum(one.stat().st_size for one in place.rglob("*") if one.is_file())
+    print(f"killed with {cycles} cycles on disk, {1e-6 * size:.0f} MB")
+    subprocess.run([*command, "resume", str(place)], cwd=folder, check=True)
+    print(
+        f"whole trial: {1e-6 * sum(one.stat().st_size for one in place.rglob('*') if one.is_file()):.1f} MB"
+    )
+    print(f"{time.monotonic() - begin:.0f} s")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--draws", type=int, help="batches without the runner, instead")
+    parser.add_argument("--life", action="store_true", help="one trial of 50,000 cycles, instead")
+    given = parser.parse_args()
+    found: dict[str, list[Interval]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        if given.life:
+            subprocess.run(
+                [sys.executable, "-m", "labrun", "init"], cwd=folder, check=True, stdout=subprocess.DEVNULL
+            )
+            life(Path(folder))
+            return
+        for seed in range(given.draws or given.seeds):
+            for name, one in drawn(seed) if given.draws else chained(seed, Path(folder)):
+                found.setdefault(name, []).append(one)
+    told(found)
+
+
+if __name__ == "__main__":
+    main()
