@@ -4,9 +4,10 @@
     python benchmarks/specimens.py --draws 400      # as many batches, without the runner: benches and fits alone
     python benchmarks/specimens.py --life           # one trial of 50,000 cycles, killed on its way and resumed
 
-Each seed of the first is ``labrun run NAME --dry-run --seed S`` and ``labrun fit NAME``, in a folder that is thrown away; hinges of
-polyester only, beams bent in steps of 0.05 deg. Truth is what the benches are set to: the means of their populations.
-With --draws, benches are observed directly, without noise of the sensors, and read by the functions that the fits use.
+Each seed of the first is ``labrun run NAME --dry-run --seed S`` and ``labrun fit NAME``, in a folder that is thrown
+away: hinges of polyester only, beams bent in steps of 0.05 deg. Truth is what the benches are set to, the means of
+their populations. With --draws, benches are observed directly, without noise of the sensors, and read by the functions
+that the fits use.
 """
 
 import argparse

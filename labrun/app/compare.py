@@ -29,7 +29,7 @@ from labrun.notebook import as_html
 from labrun.report.comparison import comparison_figure, comparison_json, comparison_text
 from labrun.report.figures.fits import drawn
 from labrun.report.style import save
-from labrun.store import all_runs, is_recording, open_run, require_writable
+from labrun.store import all_runs, is_recording, open_run, read_recording, require_writable
 
 _NOTEBOOK_WIDTH = 100
 
@@ -139,9 +139,25 @@ def _beside_model(folder: Path, model: Model, signals: Mapping[str, str]) -> Com
             numbers = predicted_numbers(data, model)
             if numbers is not None:
                 return _made(data.name, _other_than(data.name, model.name), numbers, ())
+    _require_signals(folder, model)
     dataset = load_dataset(folder, model, signals)
     pairs, notes = predictions(model, dataset)
     return _made(dataset.name, _other_than(dataset.name, model.name), pairs, (*dataset.notes, *notes))
+
+
+def _require_signals(folder: Path, model: Model) -> None:
+    """Refuse to drive a model by a table of numbers."""
+    if not model.inputs or not is_recording(folder):
+        return
+    recording = read_recording(folder)
+    if recording.inputs or any(len(trial.time_s) > 1 for trial in recording.trials):
+        return
+    driven = ", ".join(one.name for one in model.inputs)
+    raise RequestError(
+        f"{folder.name} is a table of numbers, and {model.name} predicts signals from {driven}, which it does not have",
+        hint=f"hold a run beside the table, labrun compare RUN {folder.name}; or name a model that predicts "
+        f"{', '.join(one.name for one in recording.outputs)} from conditions alone",
+    )
 
 
 def _run_before(folder: Path, target: str | Path, other: str | Path | None) -> Path:

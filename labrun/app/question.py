@@ -10,6 +10,7 @@ from labrun.gap import Question
 from labrun.models import Model, load_model
 from labrun.spec import FitTable, GapTable, find_model_file, loads_experiment, shipped_experiments
 from labrun.store import all_runs, find_run, imported_channels, is_recording, open_run
+from labrun.toml import nearest
 
 
 def find_data(target: str | Path, results: Path) -> Path:
@@ -31,8 +32,18 @@ def find_data(target: str | Path, results: Path) -> Path:
     folder = Path(target).expanduser()
     if len(folder.parts) > 1 or is_recording(folder):
         return folder if is_recording(folder) else find_run(str(target), results)
-    named = (one / "recordings" / folder for one in (Path("experiments"), shipped_experiments()))
-    return next((one for one in named if is_recording(one)), None) or find_run(str(target), results)
+    shelves = [one / "recordings" for one in (Path("experiments"), shipped_experiments())]
+    named = next((one for shelf in shelves if is_recording(one := shelf / folder)), None)
+    if named is not None:
+        return named
+    try:
+        return find_run(str(target), results)
+    except RequestError as error:
+        recordings = {one.parent.name for shelf in shelves for one in shelf.glob("*/recording.toml")}
+        near = nearest(str(target), recordings)
+        if near is None or str(error.hint).startswith("did you mean"):
+            raise
+        raise RequestError(str(error.args[0]), hint=f"did you mean the recording {near!r}?") from None
 
 
 def find_run_or_latest(target: str | Path | None, results: Path) -> Path:

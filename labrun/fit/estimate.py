@@ -9,11 +9,16 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A fitted number with its 95 % interval, in its unit."""
+    """A fitted number with its 95 % interval, in its unit; an interval without width is none: nobody knows it."""
 
     value: float
     ci95: tuple[float, float]
     unit: str
+
+    @property
+    def known(self) -> bool:
+        """Tell whether there is an interval: one specimen has none."""
+        return self.ci95[0] < self.ci95[1]
 
     @property
     def contains_zero(self) -> bool:
@@ -24,7 +29,11 @@ class Estimate:
 def parameters_json(parameters: Mapping[str, Estimate]) -> dict[str, Any]:
     """Return estimates as ``labrun fit --json`` prints them."""
     return {
-        name: {"value": estimate.value, "ci95": list(estimate.ci95), "unit": estimate.unit}
+        name: {
+            "value": estimate.value,
+            "ci95": list(estimate.ci95) if estimate.known else None,
+            "unit": estimate.unit,
+        }
         for name, estimate in parameters.items()
     }
 

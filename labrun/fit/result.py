@@ -185,7 +185,7 @@ def _estimate_lines(parameters: Mapping[str, Estimate], fixed: Mapping[str, floa
     rows = [("", "value", "95 % interval", "")]
     for name, estimate in parameters.items():
         value, low, high = rounded(estimate)
-        rows.append((name, value, f"{low} ... {high}", estimate.unit))
+        rows.append((name, value, f"{low} ... {high}" if estimate.known else "not known", estimate.unit))
     rows += [(name, f"{value:.6g}", "as given", "") for name, value in fixed.items()]
     return _aligned(rows, left=(0, 2, 3))
 

@@ -169,6 +169,16 @@ def _condition_panel(pairs: Sequence[Pair]) -> Panel:
     )
 
 
+def _apart(pairs: Sequence[Pair], of: Pair) -> str:
+    """Return what tells a pair's condition from the others: titles have no room for all of it."""
+    names = [name for name in of.condition if len({pair.condition.get(name) for pair in pairs}) > 1]
+    told = [
+        value if isinstance(value := of.condition[name], str) else f"{spaced(name)} {value_text(value)}"
+        for name in names
+    ]
+    return ", ".join(told) or of.label
+
+
 def _overlays(comparison: Comparison) -> list[Stack]:
     """Return measured and predicted signals of the worst points, the difference below."""
     stacks = []
@@ -184,7 +194,7 @@ def _overlays(comparison: Comparison) -> list[Stack]:
                 Curve(pair.time_s, pair.measured, "measured", "measured", bold=True),
                 Curve(pair.time_s, pair.predicted, "fitted", "predicted"),
             ),
-            title=pair.label,
+            title=_apart(comparison.pairs, pair),
             y_label=with_unit(point.channel, point.unit),
             height=2.0,
         )

@@ -1,7 +1,7 @@
 """What `labrun show` tells of a run, or of a recording made elsewhere."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,11 @@ from labrun.report.stored_fits import StoredFit
 from labrun.report.timing import LoopHealth, StreamHealth
 from labrun.runner import unsettled
 from labrun.search import Best
-from labrun.spec import Value, condition_text
-from labrun.store import Run, imported_channels, imported_source
+from labrun.spec import PAST, Experiment, Value, condition_text
+from labrun.store import Run, TrialOutcome, imported_channels, imported_source
 
 _MOST_CONDITIONS = 100
+_MOST_NUMBERS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,11 +269,7 @@ def findings(source: ReportSource) -> Findings | RecordingFindings:
         faults=list(run.faults),
         unsettled=sum(unsettled(outcome) for outcome in run.outcomes),
         loop=source.loop,
-        damage=tuple(
-            f"trial {outcome.index}: {outcome.damage} ({condition_text(outcome.condition, experiment.units)})"
-            for outcome in run.outcomes
-            if outcome.damage
-        ),
+        damage=_damage(run.outcomes, experiment),
         fits=tuple(source.fits),
         conditions=_most(conditions),
         conditions_total=len(conditions),
@@ -280,3 +277,20 @@ def findings(source: ReportSource) -> Findings | RecordingFindings:
         objective_units={name: source.unit_of(name) for name in experiment.objectives},
         condition_units=experiment.units,
     )
+
+
+def _damage(outcomes: Sequence[TrialOutcome], experiment: Experiment) -> tuple[str, ...]:
+    """Return what became of specimens: what broke trial by trial, what was planned in one line."""
+    planned = [one for one in outcomes if one.damage == PAST]
+    told = [
+        f"trial {one.index}: {one.damage} ({condition_text(one.condition, experiment.units)})"
+        for one in outcomes
+        if one.damage and (one.damage != PAST or len(planned) == 1)
+    ]
+    if len(planned) > 1:
+        numbers = ", ".join(str(one.index) for one in planned[:_MOST_NUMBERS])
+        more = f" and {len(planned) - _MOST_NUMBERS} more" if len(planned) > _MOST_NUMBERS else ""
+        told.append(
+            f"{len(planned)} trials took their specimens past the limit, as planned: trials {numbers}{more}"
+        )
+    return tuple(told)

@@ -152,7 +152,7 @@ def print_fit(fit: StoredFit, console: Console) -> None:
     table = _table(f"fit: {fit.title}", "parameter", "value, 95 % interval", "unit")
     for name, estimate in fit.estimates.items():
         value, low, high = rounded(estimate)
-        table.add_row(name, f"{value} [{low}, {high}]", estimate.unit)
+        table.add_row(name, f"{value} [{low}, {high}]" if estimate.known else value, estimate.unit)
     console.print(table)
     for sentence in fit.sentences("findings"):
         console.print(Text(f"- {sentence}"), highlight=False)
@@ -338,9 +338,9 @@ def _what_is_measured(plan: Plan) -> list[str]:
 
 def _settling(plan: Plan) -> str:
     if plan.settle_s == plan.settle_at_most_s:
-        return f"counting {plan.settle_s:g} s of settling a trial"
+        return f"counting {plan.settle_s:g} s of settling before each trial"
     return (
-        f"counting {plan.settle_s:g} s of settling a trial (the least that evidence takes) to "
+        f"counting {plan.settle_s:g} s of settling before each trial (the least that evidence takes) to "
         f"{plan.settle_at_most_s:g} s (its timeout)"
     )
 
@@ -351,14 +351,16 @@ def _between(least: str, most: str) -> str:
 
 def _joint(peak: JointPeak) -> str:
     low, high = peak.angle_deg
-    angle = f"{low:.4g} to {high:.4g} deg"
+    angle = f"{low:.4g} deg" if low == high else f"{low:.4g} to {high:.4g} deg"
     limit = peak.angle_limit_deg
     angle += f" ({_NO_LIMIT})" if limit is None else f" (limit {limit[0]:g} to {limit[1]:g})"
-    speed = f"{peak.speed_deg_s:.4g} deg/s"
+    speed = f"at most {peak.speed_deg_s:.4g} deg/s"
+    name = peak.joint if peak.joint == peak.device else f"{peak.joint} of {peak.device}"
+    if not peak.speed_deg_s:
+        return f"{name}: {angle}, not driven from there"
     speed_limit = peak.speed_limit_deg_s
     speed += f" ({_NO_LIMIT})" if speed_limit is None else f" (limit {speed_limit:g})"
-    name = peak.joint if peak.joint == peak.device else f"{peak.joint} of {peak.device}"
-    return f"{name}: {angle}, at most {speed}"
+    return f"{name}: {angle}, {speed}"
 
 
 _INDENT = " " * 9

@@ -96,14 +96,22 @@ class Damage:
         return PAST if self.would(outcome.condition) else ""
 
     def take(self, outcome: TrialOutcome) -> str:
-        """Note what a trial did; return a sentence on it where its specimen was whole before, else an empty text."""
+        """Note what a trial did; return a sentence on it where its specimen was whole before, else an empty text.
+
+        What the plan takes past its limit is told of the first specimen only.
+        """
         specimen = self._specimen(outcome.condition)
         if not outcome.damage or specimen in self._by:
             return ""
+        planned = outcome.damage == PAST
+        told = planned and any(one.damage == PAST for one in self._by.values())
         self._by[specimen] = outcome
+        if told:
+            return ""
         who = condition_text(dict(specimen)) or "what is measured"
         return (
             f"trial {outcome.index}: {who} is {outcome.damage} from here on; nothing more is measured on it"
+            + (", nor on others that the plan takes there" if planned else "")
         )
 
     def is_whole(self, condition: Condition) -> bool:

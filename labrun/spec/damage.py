@@ -17,8 +17,8 @@ class DamageTable(Table):
 
     Conditions for which `when` holds take it past its limit: they come last, and only with `allow_damage`. It is broken
     once `broken` holds for a trial's objectives. Nothing more is measured on it then. `of` names what tells specimens
-    apart: all that is set by hand, if not said. What earlier runs did counts, unless specimens are `fresh` ones under the
-    old names.
+    apart: all that is set by hand, if not said. What earlier runs did counts, unless specimens are `fresh` ones
+    under the old names.
     """
 
     of: list[str] = Field(default_factory=list)

@@ -12,6 +12,8 @@ from labrun.store import TrialOutcome
 
 _MOST_TRACES = 15
 _BINS = 60
+_GAP = 20.0
+"""Times the usual step between samples: a longer one is no line."""
 _PHASES = (np.arange(_BINS) + 0.5) / _BINS
 
 
@@ -23,7 +25,7 @@ def draw_traces(axes: Axes, view: RunView, trials: Sequence[TrialOutcome], chann
     for trial in shown:
         trace = view.trace(trial, channel)
         if trace is not None:
-            axes.plot(*trace, color=COLOURS[0], linewidth=0.7, alpha=alpha)
+            axes.plot(*_broken(*trace), color=COLOURS[0], linewidth=0.7, alpha=alpha)
             end = max(end, trial.duration_s)
     first = shown[0]
     if first.period_s is not None and first.discard_cycles:
@@ -42,6 +44,15 @@ def draw_traces(axes: Axes, view: RunView, trials: Sequence[TrialOutcome], chann
     axes.set_xlabel("time since start of motion (s)")
     axes.set_ylabel(view.trace_label)
     zero_line(axes)
+
+
+def _broken(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a trace that is interrupted where samples are missing: of some trials only some cycles are kept."""
+    steps = np.diff(time_s)
+    if not len(steps):
+        return time_s, values
+    gaps = np.flatnonzero(steps > _GAP * np.median(steps)) + 1
+    return np.insert(time_s, gaps, np.nan), np.insert(values, gaps, np.nan)
 
 
 def draw_cycle(axes: Axes, view: RunView, trials: Sequence[TrialOutcome], channel: str) -> bool:

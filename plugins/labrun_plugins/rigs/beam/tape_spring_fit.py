@@ -238,11 +238,11 @@ def _figure(
                 ("opposite, chord", chord.opposite_limit_n_m),
             )
         ):
-            curves.append(Curve(ends, np.full(2, level), number, name, dashed=True))
+            curves.append(Curve(ends, np.full(2, level), number, f"{beam}, theory: {name}", dashed=True))
     panels = [
         Stack((Panel(tuple(curves), beam, x_label="angle, deg", y_label="torque, N m", zero=True),))
         for beam, curves in stacks.items()
     ]
     rows = tuple(tuple(panels[start : start + 2]) for start in range(0, len(panels), 2))
     title = f"Tape spring beside {data.name}\nPositive is the opposite sense"
-    return FigureData(title, rows)
+    return FigureData(title, rows, legend="top")
