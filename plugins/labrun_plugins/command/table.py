@@ -21,7 +21,7 @@ def read_table(path: Path, columns: Sequence[str], time: str | None) -> tuple[Fl
     Raises
     ------
     TableError
-        There is no such file, column or number; times that do not increase; fewer than two rows.
+        There is no such file, column or number; times that do not increase; no row.
     """
     try:
         with path.open(encoding="utf-8", newline="") as file:
@@ -37,8 +37,8 @@ def read_table(path: Path, columns: Sequence[str], time: str | None) -> tuple[Fl
     for name in wanted:
         if name not in header:
             raise TableError(f"{path.name} has no column {name!r}; {suggest(name, header, kind='columns')}")
-    if len(rows) < 3:
-        raise TableError(f"{path.name} has {len(rows) - 1} rows below its header; a curve has two or more")
+    if len(rows) < 2:
+        raise TableError(f"{path.name} has a header and no row below it")
     places = [header.index(name) for name in wanted]
     table = np.array([_numbers(path, number, row, header, places) for number, row in enumerate(rows[1:], 2)])
     if time is None:

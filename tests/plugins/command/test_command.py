@@ -62,6 +62,17 @@ def test_each_condition_is_computed_and_its_table_is_a_trial(solve):
     np.testing.assert_allclose(np.diff(curve.time_s[:20]), 0.01, atol=1e-6)
 
 
+def test_one_row_is_held_through_the_trial(solve):
+    alone = """
+        with open(output, "w") as file:
+            file.write(f"angle,moment\\n{angle},{3 * angle}\\n")
+        sys.exit()
+    """
+    with open_run(solve(before=alone).run) as run:
+        assert {one.condition["angle"]: one.objectives["peak"] for one in run.outcomes} == {10.0: 30.0, 20.0: 60.0}
+        assert len(run.signals(0)["fea"].time_s) > 20
+
+
 def test_a_condition_is_computed_once_also_in_later_runs(solve):
     solve(overrides=["trial.repeats=3"])
     assert solve.started() == 2
