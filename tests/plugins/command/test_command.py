@@ -69,7 +69,10 @@ def test_one_row_is_held_through_the_trial(solve):
         sys.exit()
     """
     with open_run(solve(before=alone).run) as run:
-        assert {one.condition["angle"]: one.objectives["peak"] for one in run.outcomes} == {10.0: 30.0, 20.0: 60.0}
+        assert {one.condition["angle"]: one.objectives["peak"] for one in run.outcomes} == {
+            10.0: 30.0,
+            20.0: 60.0,
+        }
         assert len(run.signals(0)["fea"].time_s) > 20
 
 
