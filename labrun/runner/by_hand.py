@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 from labrun.errors import ExperimentError
 from labrun.runner.measurement import Order, block_order
-from labrun.spec import ByHand, Condition, condition_key
+from labrun.spec import ByHand, Condition, condition_key, condition_text
 from labrun.store import Journal
 
 SET_ASIDE = "set aside: "
@@ -236,8 +236,7 @@ class Mountings:
         return f"{first}{table.told(coming.values, self._units)} (mounting {self._count + 1} of {total})"
 
     def _name(self, mounting: Mounting) -> str:
-        values = ", ".join(f"{name} = {value}" for name, value in mounting.values.items())
-        return f"mounting {mounting.number} ({values})"
+        return f"mounting {mounting.number} ({condition_text(mounting.values, self._units)})"
 
     def _meant(self, line: str) -> Mounting | None:
         """Return the mounting that a person takes back, None for none; ValueError says what cannot be meant."""

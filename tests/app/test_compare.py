@@ -176,3 +176,17 @@ def test_a_run_and_a_recording_of_the_same_signal_are_compared_over_time(swings,
     found = labrun.compare(folder, swings[0], results=tmp_path / "results").comparison
     assert found.worst.at_s is not None
     assert found.worst.relative < 0.2  # the repeats differ, and their mean is held against the first
+
+
+def test_a_table_of_numbers_does_not_drive_a_model_and_says_what_it_can_be_held_beside():
+    with pytest.raises(
+        RequestError, match=r"table-5-2 is a table of numbers, and caudal-thrust .* from tail"
+    ) as told:
+        labrun.compare("table-5-2", model="caudal-thrust")
+    assert "labrun compare RUN table-5-2" in told.value.hint
+
+
+def test_a_misspelt_recording_is_told_its_name():
+    with pytest.raises(RequestError) as told:
+        labrun.compare("tabel-5-2")
+    assert told.value.hint == "did you mean the recording 'table-5-2'?"

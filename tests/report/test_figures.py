@@ -8,7 +8,7 @@ from labrun.report.data import RunView
 from labrun.report.figures.runs import draw_plain_run
 from labrun.report.figures.search import draw_search
 from labrun.report.figures.sweep import Axis, axes_of, best_over_others, draw_sweep, map_colours, most_telling
-from labrun.report.figures.traces import folded_cycle
+from labrun.report.figures.traces import draw_traces, folded_cycle
 from labrun.report.style import DIVERGING, SEQUENTIAL, save
 
 GRID = {"from": 0, "to": 10, "step": 2.5}
@@ -147,3 +147,18 @@ def test_a_run_without_a_sensor_has_no_empty_picture():
     view.run.signals = lambda index: {}
     experiment = view.experiment.model_copy(update={"objectives": {}})
     assert draw_plain_run(RunView(view.run, experiment, None)) is None
+
+
+def test_a_trace_stops_where_cycles_were_not_kept():
+    from types import SimpleNamespace
+
+    from matplotlib.figure import Figure
+
+    time_s = np.concatenate([np.arange(0.0, 1.0, 0.05), np.arange(100.0, 101.0, 0.05)])
+    view = SimpleNamespace(trace=lambda *_: (time_s, np.sin(time_s)), trace_label="torque")
+    trial = SimpleNamespace(duration_s=101.0, period_s=None, discard_cycles=0)
+    axes = Figure().subplots()
+    draw_traces(axes, view, [trial], "torque")
+    drawn = axes.lines[0].get_xdata()
+    assert np.count_nonzero(np.isnan(drawn)) == 1
+    assert np.nanmax(np.diff(drawn)) < 0.06

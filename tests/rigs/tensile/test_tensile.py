@@ -143,6 +143,20 @@ def test_a_batch_is_listed_by_specimen_and_says_how_far_a_hinge_may_turn(batches
     assert any("as printed say 1.9" in text for text in batches[0].findings)
 
 
+def test_one_strip_has_values_and_no_intervals(tmp_path):
+    run = labrun.run(
+        "polyester-tensile",
+        dry_run=True,
+        seed=1,
+        overrides=["run.conditions=[{specimen=1}]"],
+        results=tmp_path,
+    ).run
+    found = labrun.fit(run)
+    assert found.to_json()["parameters"]["young"]["ci95"] is None
+    assert not found.parameters["young"].known
+    assert any("not known" in line for line in found.to_text().splitlines())
+
+
 def test_both_hinges_begin_alike_and_the_sandwich_bears_more(tmp_path):
     run = labrun.run("hinge-tensile", dry_run=True, seed=2, results=tmp_path).run
     found = labrun.fit(run)
