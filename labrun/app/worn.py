@@ -23,7 +23,9 @@ def worn_specimens(experiment: Experiment, rig: Rig, folder: RunFolder) -> list[
     known = next((one["worn"] for one in folder.journal.events() if one["event"] == _WORN), None)
     if known is not None:
         return [Worn(**one) for one in known]
-    earlier = [one for one in all_runs(folder.path.parent.parent) if one != folder.path and _on_the_bench(one)]
+    earlier = [
+        one for one in all_runs(folder.path.parent.parent) if one != folder.path and _on_the_bench(one)
+    ]
     worn = worn_before(earlier, table, experiment.by_hand)
     folder.journal.append(_WORN, worn=[asdict(one) for one in worn])
     return worn
