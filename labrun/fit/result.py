@@ -187,7 +187,7 @@ def _estimate_lines(parameters: Mapping[str, Estimate], fixed: Mapping[str, floa
         value, low, high = rounded(estimate)
         rows.append((name, value, f"{low} ... {high}" if estimate.known else "not known", estimate.unit))
     rows += [(name, f"{value:.6g}", "as given", "") for name, value in fixed.items()]
-    return _aligned(rows, left=(0, 2, 3))
+    return _aligned(rows, left=(0, 2, 3)) if len(rows) > 1 else []
 
 
 def _aligned(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> list[str]:
