@@ -62,7 +62,7 @@ class StoredFit:
         found = {}
         for name, entry in as_table(self.numbers.get("parameters")).items():
             value: Any = as_table(entry).get("value")
-            interval = as_list(as_table(entry).get("ci95")) or [value, value]
+            interval = as_list(as_table(entry).get("ci95"))
             if is_number(value) and len(interval) == 2 and all(is_number(end) for end in interval):
                 unit = str(entry.get("unit", ""))
                 found[str(name)] = Estimate(float(value), (float(interval[0]), float(interval[1])), unit)

@@ -152,7 +152,7 @@ def print_fit(fit: StoredFit, console: Console) -> None:
     table = _table(f"fit: {fit.title}", "parameter", "value, 95 % interval", "unit")
     for name, estimate in fit.estimates.items():
         value, low, high = rounded(estimate)
-        table.add_row(name, f"{value} [{low}, {high}]" if estimate.known else value, estimate.unit)
+        table.add_row(name, f"{value} [{low}, {high}]", estimate.unit)
     console.print(table)
     for sentence in fit.sentences("findings"):
         console.print(Text(f"- {sentence}"), highlight=False)
