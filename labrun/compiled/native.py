@@ -5,6 +5,7 @@ on disk by numba. The integrator takes addresses, so that nothing is compiled an
 effects, and a plugin's function runs exactly as a built-in one does.
 """
 
+import ctypes
 import functools
 import hashlib
 from collections.abc import Callable, Iterator
@@ -68,6 +69,21 @@ class NativeFunction:
     def address(self) -> int:
         """Address of the machine code; valid for the life of this process."""
         return int(compiled(self.signature, self.provide()).address)
+
+
+class ThroughAddresses(NativeFunction):
+    """A native function of signature ``model`` that has no plain Python form, because it follows addresses."""
+
+    @property
+    def python(self) -> Callable[..., Any]:
+        """The compiled function, callable with arrays as any other."""
+        doubles = ctypes.POINTER(ctypes.c_double)
+        called = ctypes.CFUNCTYPE(None, ctypes.c_double, *[doubles] * 5)(self.address)
+
+        def function(t: float, *arrays: Any) -> None:
+            called(t, *(one.ctypes.data_as(doubles) for one in arrays))
+
+        return function
 
 
 def native(signature: Signature, function: Callable[..., Any]) -> NativeFunction:

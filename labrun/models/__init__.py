@@ -3,6 +3,7 @@
 from labrun.arrays import FloatArray
 from labrun.compiled import NativeFunction, Pointer, kernel, native
 from labrun.effects import Site, SiteKind
+from labrun.models.chains.model import ClosedChain
 from labrun.models.inputs import Drive
 from labrun.models.loading import load_model, parse_model, shipped_models
 from labrun.models.mjcf.exporting import Exported, MjcfRange, mjcf_of, mjcf_ranges
@@ -24,6 +25,7 @@ from labrun.models.writing import corrected_model_text
 
 __all__ = [
     "Between",
+    "ClosedChain",
     "Condition",
     "Drive",
     "Exported",

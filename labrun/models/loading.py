@@ -6,11 +6,13 @@ from pathlib import Path
 from labrun import registry
 from labrun.errors import LabrunError, ModelError
 from labrun.models.attaching import read_effects
+from labrun.models.chains.file import chain_model
+from labrun.models.chains.model import AT_REST, ClosedChain
 from labrun.models.mjcf.file import mujoco_model
 from labrun.models.mjcf.robot import is_robot, read_robot
 from labrun.models.model import Model, Origin
 from labrun.models.tables import BasedFile, ModelFile
-from labrun.models.toml_model import equations_model
+from labrun.models.toml_model import equations_model, initial_of
 from labrun.toml import suggest
 
 _GROUP = "labrun.models"
@@ -76,11 +78,15 @@ def parse_model(text: str, name: str, depth: int = 0) -> Model:
         Anything that does not hold, with file, line, key, and for an equation the place in it.
     """
     file = ModelFile(name, text)
-    if "base" in file.data:
-        model = _based_model(file, depth)
-    else:
-        model = mujoco_model(file) if "mujoco" in file.data else equations_model(file)
+    model = _based_model(file, depth) if "base" in file.data else _own_model(file)
     return dataclasses.replace(model, origin=_origin(file)) if "corrected" in file.data else model
+
+
+def _own_model(file: ModelFile) -> Model:
+    """Return the model of a file that refers to no other."""
+    if "mujoco" in file.data:
+        return mujoco_model(file)
+    return chain_model(file) if {"bodies", "joints", "loop"} & set(file.data) else equations_model(file)
 
 
 def _origin(file: ModelFile) -> Origin:
@@ -112,14 +118,20 @@ def _based_model(file: ModelFile, depth: int) -> Model:
             file.note(
                 ("values", name), f"expected a number from {one.lower:g} to {one.upper:g}", at_value=True
             )
+    rules = {state: rule for state, rule in given.initial.items() if not _rests(model, state, rule)}
+    initial_of(file, rules, model.states, model.outputs)
     file.refuse()
-    model = model.with_values(given.values)
+    model = model.with_values(given.values).with_initial(given.initial)
     return dataclasses.replace(
         model,
         name=model.name if given.name is None else given.name,
         source=file.name,
         effects=(*model.effects, *read_effects(file, given.effects, model)),
     )
+
+
+def _rests(model: Model, state: str, rule: float | str) -> bool:
+    return isinstance(model, ClosedChain) and rule == AT_REST and state in model.tree.joints
 
 
 def shipped_models() -> dict[str, Path]:

@@ -51,10 +51,17 @@ class Input:
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """A signal a model gives."""
+    """A signal a model gives.
+
+    Attributes
+    ----------
+    exact_within
+        Smaller differences are no error of a simulation: for what is 0 but for rounding and truncation.
+    """
 
     name: str
     unit: str = "1"
+    exact_within: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,6 +252,10 @@ class Model:
         for one in effects:
             one.check(self)
         return dataclasses.replace(self, effects=(*self.effects, *effects))
+
+    def with_initial(self, rules: Mapping[str, float | str]) -> "Model":
+        """Return the model with other rules of how these states begin; see `initial`."""
+        return dataclasses.replace(self, initial={**self.initial, **rules})
 
     def with_between(self, between: Mapping[str, Between]) -> "Model":
         """Return the model with its inputs running between samples as a recording says."""

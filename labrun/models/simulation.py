@@ -175,6 +175,7 @@ def suggest_substeps(
     condition = condition or {}
     start = _checked_state(model, model.initial_state(condition) if initial_state is None else initial_state)
     p = model.vector(parameters, condition)
+    exact_within = np.array([one.exact_within for one in model.outputs])
     coarse: Simulation | None = None
     substeps = 1
     while substeps <= most:
@@ -182,7 +183,8 @@ def suggest_substeps(
         if coarse is not None and coarse.finite and fine.finite:
             span = np.ptp(fine.outputs, axis=0)
             moved = np.max(np.abs(fine.outputs - coarse.outputs), axis=0, initial=0.0)
-            if np.all(moved <= tolerance * span + 1e-12 * np.max(np.abs(fine.outputs), axis=0, initial=0.0)):
+            rounding = 1e-12 * np.max(np.abs(fine.outputs), axis=0, initial=0.0)
+            if np.all(moved <= tolerance * span + rounding + exact_within):
                 return substeps // 2
         coarse = fine
         substeps *= 2

@@ -54,7 +54,7 @@ def _each_once(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-def _listed(value: Any) -> Any:
+def listed(value: Any) -> Any:
     """Take a list of names for tables that say nothing more of each."""
     if isinstance(value, list) and all(isinstance(one, str) for one in value):
         return {name: {} for name in _each_once(tuple(value))}
@@ -63,7 +63,7 @@ def _listed(value: Any) -> Any:
     return value
 
 
-def _alone(key: str) -> BeforeValidator:
+def alone(key: str) -> BeforeValidator:
     """Take a value that stands alone for a table with this key."""
     return BeforeValidator(lambda value: value if isinstance(value, dict) else {key: value})
 
@@ -214,7 +214,7 @@ class CorrectedTable(Table):
     by: str = ""
 
 
-class _File(Table):
+class SystemFile(Table):
     """What any model file with a system of its own says."""
 
     name: Annotated[str, Field(min_length=1)]
@@ -225,26 +225,26 @@ class _File(Table):
     effects: tuple[EffectTable, ...] = ()
 
 
-class EquationsFile(_File):
+class EquationsFile(SystemFile):
     """A model file with equations."""
 
     states: Names = ()
-    inputs: Annotated[dict[Name, InputTable], BeforeValidator(_listed)] = {}
-    parameters: dict[Name, Annotated[ParameterTable, _alone("value")]] = {}
+    inputs: Annotated[dict[Name, InputTable], BeforeValidator(listed)] = {}
+    parameters: dict[Name, Annotated[ParameterTable, alone("value")]] = {}
     equations: dict[str, Equation] = {}
-    outputs: Annotated[dict[Name, Annotated[OutputTable, _alone("equation")]], Field(min_length=1)]
+    outputs: Annotated[dict[Name, Annotated[OutputTable, alone("equation")]], Field(min_length=1)]
     sites: dict[Name, SiteTable] = {}
 
 
-class MujocoFile(_File):
+class MujocoFile(SystemFile):
     """A model file with a ``mujoco`` key."""
 
     mujoco: str
     states: dict[Name, str] = {}
-    inputs: dict[Name, Annotated[MujocoInput, _alone("mjcf")]] = {}
-    parameters: dict[Name, Annotated[MujocoParameter, _alone("value")]] = {}
+    inputs: dict[Name, Annotated[MujocoInput, alone("mjcf")]] = {}
+    parameters: dict[Name, Annotated[MujocoParameter, alone("value")]] = {}
     mjcf: dict[str, Equation] = {}
-    outputs: Annotated[dict[Name, Annotated[MujocoOutput, _alone("mjcf")]], Field(min_length=1)]
+    outputs: Annotated[dict[Name, Annotated[MujocoOutput, alone("mjcf")]], Field(min_length=1)]
     sites: dict[Name, MujocoSite] = {}
 
 
@@ -256,6 +256,7 @@ class BasedFile(Table):
     title: str = ""
     corrected: CorrectedTable | None = None
     values: dict[str, Finite] = {}
+    initial: dict[str, float | str] = {}
     effects: tuple[EffectTable, ...] = ()
 
 

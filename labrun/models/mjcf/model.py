@@ -1,14 +1,12 @@
 """A model whose equations are MuJoCo's: short generated code around what is compiled once for all."""
 
-import ctypes
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.compiled import NativeFunction, equations, generated
+from labrun.compiled import NativeFunction, ThroughAddresses, equations, generated
 from labrun.errors import ModelError
 from labrun.models.mjcf.plant import Layout, plant
 from labrun.models.model import Condition, Model
@@ -25,24 +23,6 @@ def {name}(t, x, u, p, force, out):
     settings(t, x, u, p, force, numbers(table[SCRATCH]))
     {called}(table, x, u, force, out)
     return"""
-
-
-_DOUBLES = ctypes.POINTER(ctypes.c_double)
-_SIGNATURE = ctypes.CFUNCTYPE(None, ctypes.c_double, *[_DOUBLES] * 5)
-
-
-class ReachingMujoco(NativeFunction):
-    """A native function that has no plain Python form, because it follows addresses."""
-
-    @property
-    def python(self) -> Callable[..., Any]:
-        """The compiled function, callable with arrays as any other."""
-        called = _SIGNATURE(self.address)
-
-        def function(t: float, *arrays: FloatArray) -> None:
-            called(t, *(one.ctypes.data_as(_DOUBLES) for one in arrays))
-
-        return function
 
 
 def functions(
@@ -70,7 +50,7 @@ def functions(
         },
         _IMPORTS,
     )
-    reaching = {name: ReachingMujoco("model", made[name].provide) for name in ("derivative", "output")}
+    reaching = {name: ThroughAddresses("model", made[name].provide) for name in ("derivative", "output")}
     return {**reaching, "site_values": made["site_values"]}
 
 

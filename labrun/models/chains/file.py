@@ -1,0 +1,235 @@
+"""Model files with ``[bodies]``, ``[joints]`` and ``[loop]``: what hangs on what, and which numbers it takes."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+from labrun.effects import Site
+from labrun.models.attaching import read_effects
+from labrun.models.chains.model import AT_REST, CLOSED, MEASURES, OPENINGS, ClosedChain, Tree, functions
+from labrun.models.chains.tables import BodyTable, ChainFile, JointTable
+from labrun.models.model import Output
+from labrun.models.tables import ModelFile
+from labrun.models.toml_model import (
+    Expressions,
+    conditions_of,
+    initial_of,
+    inputs_of,
+    parameter_of,
+    places_of,
+    refuse_unused,
+)
+from labrun.toml import Expression, ExpressionError, KeyPath, suggest
+
+_ZERO = Expression.of(0.0)
+
+
+def chain_model(file: ModelFile) -> ClosedChain:
+    """Return the model of a file with bodies on hinges.
+
+    Raises
+    ------
+    ModelError
+        All that does not hold, each with file, line, key, and for an equation the place in it.
+    """
+    given = file.read(ChainFile)
+    tree = _tree(file, given)
+    names = tree.joints
+    states = (*names, *(f"{name}_rate" for name in names))
+    inputs = inputs_of(given.inputs)
+    outputs = tuple(
+        Output(name, one.unit, CLOSED if OPENINGS & set(one.equation.names) else 0.0)
+        for name, one in given.outputs.items()
+    )
+    parameters = tuple(parameter_of(name, one, one.value) for name, one in given.parameters.items())
+    places = places_of(file, states, inputs, parameters)
+    _check_initial(file, given, states, outputs)
+
+    settings = _settings(given, tree)
+    readings = {("outputs", name): one.equation for name, one in given.outputs.items()}
+    expressions: dict[KeyPath, Expression] = {path: one for path, one in settings if path} | readings
+    _check_forces(file, expressions, names)
+    for name in (one for one in MEASURES if one in places):
+        file.note(
+            ("outputs",), f"{name} is what labrun calls a quantity of every such model", "choose another name"
+        )
+    known = places | dict.fromkeys(MEASURES, "")
+    conditions = conditions_of(file, expressions, known, given.conditions)
+    _check_constant(file, settings, places)
+    file.refuse()
+    refuse_unused(file, expressions, parameters, conditions)
+
+    places |= {one: f"p[{len(parameters) + index}]" for index, one in enumerate(conditions)}
+    places |= {f"force.{name}": f"force[{index}]" for index, name in enumerate(names)}
+    springs = [given.joints[name].stiffness_n_m_rad for name in names]
+    at = len(parameters) + len(conditions)
+    made = functions([one for _, one in settings], list(readings.values()), springs, places, tree, at)
+    sites = tuple(
+        Site(name, "joint", name, f"{name}_rate", "", spring.text if spring.names else "")
+        for name, spring in zip(names, springs, strict=True)
+    )
+    guesses = {name: given.joints[name].guess_rad for name in names}
+    rules = {state: rule for state, rule in given.initial.items() if rule != AT_REST}
+    model = ClosedChain(
+        name=given.name,
+        states=states,
+        inputs=inputs,
+        outputs=outputs,
+        parameters=parameters,
+        conditions=conditions,
+        sites=sites,
+        initial={**guesses, **dict.fromkeys(states[len(names) :], 0.0), **rules},
+        derivative=made["derivative"],
+        output=made["output"],
+        site_values=made["site_values"],
+        source=file.name,
+        settings=made["settings"],
+        at=at,
+        tree=tree,
+        guesses=guesses,
+        resting=tuple(state for state, rule in given.initial.items() if rule == AT_REST),
+        held=tuple(name for name in names if name in rules and rules[name] not in ("first", "free")),
+    )
+    return dataclasses.replace(model, effects=read_effects(file, given.effects, model))
+
+
+def _tree(file: ModelFile, given: ChainFile) -> Tree:
+    """Return which joint hangs on which, parents first; the joint that closes the loop is the last."""
+    fixed = _fixed(file, given)
+    closing = None if given.loop is None else given.loop.joint
+    placed: dict[str, int] = {fixed: -1}
+    order: list[str] = []
+    parents: list[int] = []
+    waiting = [name for name in given.joints if name != closing]
+    while waiting:
+        ready = next((name for name in waiting if given.joints[name].from_body in placed), None)
+        if ready is None:
+            lost = given.joints[waiting[0]].from_body
+            hint = f"every chain of joints begins at {fixed}, and goes on from -> to"
+            file.fail(("joints", waiting[0]), f"it hangs on {lost}, which no joint holds", hint)
+        waiting.remove(ready)
+        one = given.joints[ready]
+        if one.to_body in placed:
+            closes = f'[loop] joint = "{ready}" says that it closes the loop'
+            hint = closes if closing is None else "labrun closes one loop"
+            file.fail(("joints", ready, "to"), f"{one.to_body} is held already", hint)
+        parents.append(placed[one.from_body])
+        placed[one.to_body] = len(order)
+        order.append(ready)
+    first, second = -1, -1
+    if closing is not None:
+        one = given.joints[closing]
+        _check_closing(file, closing, one, fixed, placed)
+        first, second = placed[one.to_body], len(order)
+        parents.append(placed[one.from_body])
+        order.append(closing)
+    for body in (one for one in given.bodies if one not in placed):
+        file.note(("bodies", body), "no joint holds it", "take it out, or name it in the `to` of a joint")
+    file.refuse()
+    bodies = tuple(given.joints[name].to_body for name in order)
+    return Tree(tuple(order), bodies, tuple(parents), first, second)
+
+
+def _fixed(file: ModelFile, given: ChainFile) -> str:
+    """Return the body that does not move; refuse names that mean nothing, and bodies without mass."""
+    fixed = [name for name, one in given.bodies.items() if one.fixed]
+    if len(fixed) != 1:
+        found = " and ".join(fixed) or "none"
+        file.fail(("bodies",), f"one body does not move, and says fixed = true; here it is {found}")
+    for name, one in given.joints.items():
+        for key, body in (("from", one.from_body), ("to", one.to_body)):
+            if body not in given.bodies:
+                file.note(("joints", name, key), f"there is no body {body!r}", suggest(body, given.bodies))
+    if given.loop is not None and given.loop.joint not in given.joints:
+        hint = suggest(given.loop.joint, given.joints)
+        file.note(("loop", "joint"), f"there is no joint {given.loop.joint!r}", hint)
+    for name, table in given.bodies.items():
+        if not table.fixed and table.mass_kg is None and table.inertia_kg_m2 is None:
+            file.note(("bodies", name), "it has neither mass_kg nor inertia_kg_m2", "give one of them")
+    file.refuse()
+    return fixed[0]
+
+
+def _check_closing(
+    file: ModelFile, name: str, one: JointTable, fixed: str, placed: Mapping[str, int]
+) -> None:
+    if one.from_body not in placed:
+        file.fail(("joints", name), f"it hangs on {one.from_body}, which no joint holds")
+    if one.to_body == fixed:
+        hint = "let joints go on from the fixed body on both sides, and name one in the middle in [loop]"
+        file.fail(("loop", "joint"), f"{name} leads to {fixed}, which has no mass to share", hint)
+    if one.to_body not in placed:
+        file.fail(("loop", "joint"), f"{name} closes nothing: only it holds {one.to_body}")
+
+
+def _settings(given: ChainFile, tree: Tree) -> list[tuple[KeyPath, Expression]]:
+    """Return all numbers of the compiled functions, in their order, with the keys that say them."""
+    rate = given.loop.stabilisation_rad_s if given.loop is not None else 0.0
+    found = _vector(("gravity_m_s2",), given.gravity_m_s2)
+    found.append(((), Expression.of(rate)))
+    for name in tree.joints:
+        joint = given.joints[name]
+        found += _joint(("joints", name), joint)
+        found += _body(("bodies", joint.to_body), given.bodies[joint.to_body])
+    return found
+
+
+def _joint(path: KeyPath, one: JointTable) -> list[tuple[KeyPath, Expression]]:
+    vectors = {
+        "axis": one.axis,
+        "at_m": one.at_m,
+        "axis_in_to": one.axis_in_to or one.axis,
+        "at_in_to_m": one.at_in_to_m or one.at_m,
+    }
+    found = [entry for key, vector in vectors.items() for entry in _vector((*path, key), vector)]
+    torques = ("stiffness_n_m_rad", "damping_n_m_s_rad", "rest_rad", "torque_n_m")
+    return found + [((*path, key), getattr(one, key)) for key in torques]
+
+
+def _body(path: KeyPath, one: BodyTable) -> list[tuple[KeyPath, Expression]]:
+    inertia = [*(one.inertia_kg_m2 or ()), *[_ZERO] * 6][:6]
+    found = [((*path, "mass_kg"), one.mass_kg or _ZERO)]
+    found += _vector((*path, "center_m"), one.center_m or (_ZERO,) * 3)
+    return found + [((*path, "inertia_kg_m2", index), each) for index, each in enumerate(inertia)]
+
+
+def _vector(path: KeyPath, values: Sequence[Expression]) -> list[tuple[KeyPath, Expression]]:
+    return [((*path, index), one) for index, one in enumerate(values)]
+
+
+def _check_initial(
+    file: ModelFile, given: ChainFile, states: Sequence[str], outputs: tuple[Output, ...]
+) -> None:
+    for state, rule in given.initial.items():
+        if rule == AT_REST and state.endswith("_rate") and state in states:
+            file.note(("initial", state), f'"{AT_REST}" is for angles', "rates begin at 0")
+    rules = {state: rule for state, rule in given.initial.items() if rule != AT_REST or state not in states}
+    initial_of(file, rules, states, outputs)
+
+
+def _check_forces(file: ModelFile, expressions: Expressions, joints: Sequence[str]) -> None:
+    """Note a ``force.<joint>`` without its joint, or anywhere but in an output: labrun adds it at every joint."""
+    for path, expression in expressions.items():
+        for name, position in expression.names.items():
+            joint = name.removeprefix("force.")
+            if joint != name and path[0] != "outputs":
+                reason = "labrun adds the force at every joint; it stands in outputs only"
+            elif joint != name and joint not in joints:
+                reason = f"there is no joint {joint!r}"
+            elif name in MEASURES and path[0] != "outputs":
+                reason = f"{name} stands in outputs only"
+            else:
+                continue
+            file.note_in(path, ExpressionError(expression.text, reason, position))
+
+
+def _check_constant(
+    file: ModelFile, settings: Sequence[tuple[KeyPath, Expression]], places: dict[str, str]
+) -> None:
+    for path, expression in settings:
+        if not path or path[-1] == "torque_n_m":
+            continue
+        for name, position in expression.names.items():
+            if name == "t" or places.get(name, "p").startswith(("x", "u")):
+                reason = f"bodies and hinges cannot depend on {name!r}, which moves"
+                hint = "use parameters and conditions; torque_n_m may depend on everything"
+                file.note_in(path, ExpressionError(expression.text, reason, position, hint))
