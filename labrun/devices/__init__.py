@@ -5,6 +5,7 @@ from labrun.devices.buffering import SampleBuffer
 from labrun.devices.clock import Clock
 from labrun.devices.limits import Excess, Limits
 from labrun.devices.listening import Listener
+from labrun.devices.orientation import EulerAngles, HingeAngle, OrientationAngles, turn_about, unknown_bodies
 from labrun.devices.pacing import CommandStream, Pacing
 from labrun.devices.plugin import DeviceContext, DevicePlugin, DeviceSettings, EmergencyStop, Port
 from labrun.devices.protocols import (
@@ -41,13 +42,16 @@ __all__ = [
     "DevicePlugin",
     "DeviceSettings",
     "EmergencyStop",
+    "EulerAngles",
     "Excess",
     "FloatArray",
     "Health",
+    "HingeAngle",
     "Identity",
     "Limits",
     "Listener",
     "NoTerminalError",
+    "OrientationAngles",
     "Paced",
     "Pacing",
     "Port",
@@ -60,4 +64,6 @@ __all__ = [
     "Terminal",
     "Tracker",
     "Trajectory",
+    "turn_about",
+    "unknown_bodies",
 ]

@@ -110,6 +110,13 @@ class Comparison:
         """Return the root mean square of measured - predicted of every channel, over all its samples."""
         return {channel: _rms(_differences(pairs)) for channel, pairs in _by_channel(self.pairs).items()}
 
+    def distances(self) -> dict[str, float]:
+        """Return the mean of |measured - predicted| of every channel, over all its samples."""
+        return {
+            channel: float(np.mean(np.abs(_differences(pairs))))
+            for channel, pairs in _by_channel(self.pairs).items()
+        }
+
     def units(self) -> dict[str, str]:
         """Return the unit of every channel."""
         return {pair.channel: pair.unit for pair in self.pairs}

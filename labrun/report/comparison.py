@@ -36,7 +36,7 @@ def comparison_text(comparison: Comparison, width: int) -> str:
         lines.append(
             f"    {channel}: {quantity_text(value, units[channel])}, {_at_worst(comparison, channel)}"
         )
-    sentences = [_verdict(comparison), *comparison.notes]
+    sentences = [_verdict(comparison), *_over_channels(comparison), *comparison.notes]
     lines.append("")
     for sentence in sentences:
         lines += textwrap.wrap(
@@ -91,6 +91,19 @@ def _relative(point: Point) -> str:
 def _at_worst(comparison: Comparison, channel: str) -> str:
     own = next(point for point in comparison.points if point.channel == channel)
     return f"at worst {_relative(own)} ({_where(own)})"
+
+
+def _over_channels(comparison: Comparison) -> list[str]:
+    """Say how far all channels are off together, where they have one unit."""
+    units, distances = set(comparison.units().values()), comparison.distances()
+    if len(units) != 1 or len(distances) < 2:
+        return []
+    (unit,) = units
+    mean, worst = float(np.mean(list(distances.values()))), max(distances, key=distances.__getitem__)
+    return [
+        f"mean of |measured - predicted| over {len(distances)} channels: {quantity_text(mean, unit)}; "
+        f"the largest is {worst}'s, {quantity_text(distances[worst], unit)}"
+    ]
 
 
 def _verdict(comparison: Comparison) -> str:

@@ -41,6 +41,7 @@ NAMES = (
     "curved-beam-fea",
     "flat-plate-cfd",
     "castellated-hinge-fea",
+    "six-bar",
     "driven-joint",
     "driven-joint-bushing",
     "flapping",

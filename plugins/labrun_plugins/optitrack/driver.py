@@ -48,7 +48,7 @@ class OptiTrack:
         self.bodies = settings.bodies
         self._settings = settings
         self._clock: Clock = context.clock
-        self._reader = PoseReader(settings.bodies, settings.angles, settings.markers)
+        self._reader = PoseReader(settings)
         self.channels = self._reader.channels
         self._session: Session | None = None
         self._listener = Listener(name, self._receive)

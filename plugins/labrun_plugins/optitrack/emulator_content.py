@@ -41,7 +41,7 @@ class EmulatedCapture:
         self._names = settings.bodies
         self._camera = SimulatedOptiTrack(
             name,
-            settings.model_copy(update={"markers": counts, "angles": {}}),
+            settings.model_copy(update={"markers": counts, "angles": {}, "joints": {}, "euler": {}}),
             DeviceContext(context.clock, context.rng, context.scene),
         )
         self._shift = 0

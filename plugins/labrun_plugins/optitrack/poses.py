@@ -1,31 +1,50 @@
 """From a frame to a sample: poses, joint angles, and markers where they are asked for; or the reason why not."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from labrun.devices import Channel, FloatArray
-from labrun_plugins.optitrack.angles import angle_about
+from labrun.devices import Channel, FloatArray, OrientationAngles, turn_about
 from labrun_plugins.optitrack.frame import Frame
-from labrun_plugins.optitrack.settings import Angle
+from labrun_plugins.optitrack.settings import OptiTrackSettings
 
 _POSE = (("x", "m"), ("y", "m"), ("z", "m"), ("qx", "1"), ("qy", "1"), ("qz", "1"), ("qw", "1"))
 
 
-def channels_of(
-    bodies: Sequence[str], angles: Mapping[str, Angle], markers: Mapping[str, int]
-) -> tuple[Channel, ...]:
+def channels_of(settings: OptiTrackSettings) -> tuple[Channel, ...]:
     """Return what is measured, in the order of a sample: poses, angles, markers."""
-    poses = [Channel(f"{body}_{part}", unit) for body in bodies for part, unit in _POSE]
-    turns = [Channel(angle, "rad") for angle in angles]
+    poses = [Channel(f"{body}_{part}", unit) for body in settings.bodies for part, unit in _POSE]
     places = [
         Channel(f"{body}_marker{number}_{part}", "m")
-        for body in bodies
-        for number in range(1, markers.get(body, 0) + 1)
+        for body in settings.bodies
+        for number in range(1, settings.markers.get(body, 0) + 1)
         for part in "xyz"
     ]
-    return tuple(poses + turns + places)
+    return (*poses, *BodyAngles(settings).channels, *places)
+
+
+class BodyAngles:
+    """All angles that the settings ask for: turns of a body, hinges between two, Euler angles.
+
+    Attributes
+    ----------
+    channels
+        In the order of `of`.
+    """
+
+    def __init__(self, settings: OptiTrackSettings) -> None:
+        self._turns = [
+            (settings.bodies.index(angle.body), np.array(angle.axis) / np.linalg.norm(angle.axis))
+            for angle in settings.angles.values()
+        ]
+        self._between = OrientationAngles(settings.bodies, settings.joints, settings.euler)
+        self.channels = (*(Channel(name, "rad") for name in settings.angles), *self._between.channels)
+
+    def of(self, orientations: FloatArray) -> FloatArray:
+        """Return the angles, shape (n, channels), of orientations (n, bodies, 4)."""
+        turns = [turn_about(orientations[:, body], axis) for body, axis in self._turns]
+        return np.column_stack([*turns, self._between.of(orientations)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,20 +60,16 @@ class PoseReader:
 
     Parameters
     ----------
-    bodies, angles, markers
-        As of the settings.
+    settings
+        What is asked for.
     """
 
-    def __init__(
-        self, bodies: Sequence[str], angles: Mapping[str, Angle], markers: Mapping[str, int]
-    ) -> None:
-        self.channels = channels_of(bodies, angles, markers)
+    def __init__(self, settings: OptiTrackSettings) -> None:
+        self.channels = channels_of(settings)
+        markers = settings.markers
         self.with_markers = bool(markers)
-        self._bodies = tuple(bodies)
-        self._angles = [
-            (self._bodies.index(angle.body), np.array(angle.axis) / np.linalg.norm(angle.axis))
-            for angle in angles.values()
-        ]
+        self._bodies = settings.bodies
+        self._angles = BodyAngles(settings)
         self._markers = [
             (body, number) for body in self._bodies for number in range(1, markers.get(body, 0) + 1)
         ]
@@ -75,7 +90,7 @@ class PoseReader:
             if not body.measured:
                 return Unseen(name, "is not tracked")
             poses[row] = body.pose
-        angles = [angle_about(poses[body : body + 1, 3:], axis) for body, axis in self._angles]
+        angles = self._angles.of(poses[None, :, 3:])[0]
         places: list[FloatArray] = []
         if self._markers:
             seen = {marker.id: marker for marker in frame.markers}
@@ -84,4 +99,4 @@ class PoseReader:
                 if marker is None or not marker.measured:
                     return Unseen(name, f"has its marker {number} hidden")
                 places.append(np.array(marker.position))
-        return np.concatenate([poses.ravel(), *angles, *places])
+        return np.concatenate([poses.ravel(), angles, *places])

@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from labrun.devices import DeviceSettings, Port
+from labrun.devices import DeviceSettings, EulerAngles, HingeAngle, Port, unknown_bodies
 
 MOST_SILENT_S = 0.5
 """The runner takes a sensor without samples for lost after this long, without knowing why."""
@@ -52,6 +52,10 @@ class OptiTrackSettings(DeviceSettings):
         Rigid bodies by their names in Motive.
     angles
         Joint angles taken from the bodies' orientations.
+    joints
+        Joint angles taken from the orientations of two bodies; ``from`` left out is the room.
+    euler
+        Euler angles of bodies, in the room or against another body.
     markers
         Body -> how many of its labelled markers are stored besides its pose.
     up_axis
@@ -76,6 +80,8 @@ angles  = { angle = { body = "arm", axis = [0, 1, 0] } }"""
     rate_hz: float = Field(default=360.0, gt=0, le=360.0)
     bodies: tuple[str, ...] = Field(default=("arm",), min_length=1)
     angles: dict[str, Angle] = Field(default_factory=dict)
+    joints: dict[str, HingeAngle] = Field(default_factory=dict)
+    euler: dict[str, EulerAngles] = Field(default_factory=dict)
     markers: dict[str, Annotated[int, Field(ge=1, le=20)]] = Field(default_factory=dict)
     up_axis: Literal["x", "y", "z"] | None = None
     lost_tracking_s: float = Field(default=0.25, gt=0, le=MOST_SILENT_S)
@@ -96,6 +102,8 @@ angles  = { angle = { body = "arm", axis = [0, 1, 0] } }"""
                 raise ValueError(
                     f"angle {name} is of body {angle.body!r}, which is not among bodies {list(self.bodies)}"
                 )
+        for fault in unknown_bodies(self.bodies, self.joints, self.euler):
+            raise ValueError(fault)
         for body in self.markers:
             if body not in self.bodies:
                 raise ValueError(f"markers of body {body!r}, which is not among bodies {list(self.bodies)}")

@@ -5,8 +5,7 @@ from typing import ClassVar
 import numpy as np
 
 from labrun.devices import DeviceContext, DeviceSettings, FloatArray
-from labrun_plugins.optitrack.angles import angle_about
-from labrun_plugins.optitrack.poses import channels_of
+from labrun_plugins.optitrack.poses import BodyAngles, channels_of
 from labrun_plugins.optitrack.settings import OptiTrackSettings
 from labrun_plugins.simulated.sensor import SimulatedSensor
 from labrun_plugins.simulated.settings import SimulatedSettings
@@ -35,13 +34,10 @@ class SimulatedOptiTrack(SimulatedSensor):
 
     def __init__(self, name: str, settings: SimulatedOptiTrackSettings, context: DeviceContext) -> None:
         self.bodies = settings.bodies
-        channels = channels_of(settings.bodies, settings.angles, settings.markers)
+        channels = channels_of(settings)
         self.feels = tuple(c.name for c in channels[: _POSE_CHANNELS * len(self.bodies)])
         self._markers = tuple(settings.markers.get(body, 0) for body in self.bodies)
-        self._angles = [
-            (self.bodies.index(angle.body), np.array(angle.axis) / np.linalg.norm(angle.axis))
-            for angle in settings.angles.values()
-        ]
+        self._angles = BodyAngles(settings)
         timing = Timing(
             latency_s=0.0055, jitter_s=0.0005, lost_share=5e-4,
             clock_offset_s=float(context.rng.uniform(10, 1000)), clock_drift=-1e-5,
@@ -69,13 +65,13 @@ class SimulatedOptiTrack(SimulatedSensor):
         poses[:, :, :3] += _POSITION_SD_M * self._rng.standard_normal((count, len(self.bodies), 3))
         half_turn = 0.5 * _ORIENTATION_SD_RAD * self._rng.standard_normal((count, len(self.bodies), 3))
         poses[:, :, 3:] = _turned(poses[:, :, 3:], half_turn)
-        angles = [angle_about(poses[:, body, 3:], axis) for body, axis in self._angles]
+        angles = self._angles.of(poses[:, :, 3:])
         places = [
             poses[:, body, :3] + _turned_by(poses[:, body, 3:], offset)
             for body, markers in enumerate(self._markers)
             for offset in marker_places(markers)
         ]
-        return np.column_stack([poses.reshape(count, -1), *angles, *places])
+        return np.column_stack([poses.reshape(count, -1), angles, *places])
 
 
 def marker_places(count: int) -> FloatArray:

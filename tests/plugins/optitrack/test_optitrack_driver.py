@@ -188,6 +188,8 @@ def test_sockets_are_bound_to_the_interface_or_the_group_and_never_to_all():
     [
         {"markers": {"leg": 1}},
         {"angles": {"angles": {"body": "leg", "axis": [0, 1, 0]}}},
+        {"joints": {"joints": {"to": "leg", "axis": [0, 1, 0]}}},
+        {"euler": {"euler": {"body": "arm", "from": "leg"}}},
         {"bodies": ["arm", "arm"]},
         {"bitstream": "four"},
         {"group": "192.168.1.10"},

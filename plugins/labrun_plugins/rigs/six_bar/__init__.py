@@ -1,0 +1,1 @@
+"""The six-bar spherical linkage, held at one hinge by hand, let go, and watched until it rests."""

@@ -1,0 +1,192 @@
+"""The fit ``six-bar-rest``: where the linkage rests, period and decay of its swing, and how well its loop closes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, NonNegativeFloat
+from scipy.optimize import OptimizeWarning, curve_fit
+
+from labrun.devices import FloatArray
+from labrun.errors import FitError, RequestError
+from labrun.fit import (
+    Curve,
+    Dataset,
+    Estimate,
+    FigureData,
+    FitJob,
+    FitSummary,
+    FittedData,
+    FitTrial,
+    Panel,
+    Stack,
+    load_dataset,
+    student,
+)
+from labrun.models import ClosedChain, Output, load_model, simulate
+
+_JOINTS = tuple(f"theta_{number}" for number in range(1, 7))
+_SWINGING = ("theta_5", "theta_6")
+"""The joints of the end-effector, whose swing the source looks at."""
+
+
+class RestSettings(BaseModel):
+    """Keys of ``[fit.settings]``.
+
+    Attributes
+    ----------
+    skip_s
+        Beginning of a trial that is left out: the faster motions die out there.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    skip_s: NonNegativeFloat = 2.0
+
+
+@dataclass(frozen=True)
+class _Ports:
+    inputs: tuple[Output, ...] = ()
+    outputs: tuple[Output, ...] = tuple(Output(joint, "rad") for joint in _JOINTS)
+
+
+@dataclass(frozen=True)
+class Swing:
+    """``rest + exp(-decay t) (a cos + b sin)(2 pi t / period)``: rad, 1/s, s."""
+
+    rest: float
+    decay: float
+    period: float
+
+
+class RestFit:
+    """Each trial by itself; estimates are means over trials with t-intervals."""
+
+    Settings: ClassVar[type[BaseModel]] = RestSettings
+
+    def __init__(self, settings: RestSettings) -> None:
+        self._settings = settings
+
+    def __call__(self, job: FitJob) -> FitSummary:
+        """Fit.
+
+        Raises
+        ------
+        RequestError
+            A model that has no loop.
+        FitError
+            No swing in the data.
+        """
+        data = load_dataset(job.target, _Ports(), job.signals)
+        model = job.model if job.model is not None else load_model("six-bar")
+        if not isinstance(model, ClosedChain) or set(model.tree.joints) != set(_JOINTS):
+            raise RequestError(
+                f"model {model.name} is no linkage with the joints {_JOINTS[0]} to {_JOINTS[-1]}",
+                hint="experiments/models/six-bar.toml is one",
+            )
+        job.note("following the swing of every joint")
+        swings = [_swings(trial, self._settings.skip_s) for trial in data.trials]
+        rest = np.array([[one.rest for one in own] for own in swings])
+        parameters = {
+            f"rest_{joint}": _estimate(rest[:, column], "rad") for column, joint in enumerate(_JOINTS)
+        }
+        for joint in _SWINGING:
+            own = [one[_JOINTS.index(joint)] for one in swings]
+            parameters[f"period_{joint}"] = _estimate([one.period for one in own], "s")
+            parameters[f"decay_{joint}"] = _estimate([one.decay for one in own], "1/s")
+        job.note("simulating the swing")
+        return FitSummary(
+            method="six-bar-rest",
+            model_name=model.name,
+            data=FittedData.of(data),
+            parameters=parameters,
+            findings=_closures(model, data, rest),
+            figure_data=lambda: _figure(data, rest),
+        )
+
+
+def swing(time_s: FloatArray, angle: FloatArray) -> Swing:
+    """Return rest, decay and period of a decaying oscillation.
+
+    Raises
+    ------
+    FitError
+        There is none.
+    """
+    middle = angle - angle.mean()
+    spectrum = np.abs(np.fft.rfft(middle * np.hanning(len(middle))))
+    frequencies = np.fft.rfftfreq(len(middle), float(np.mean(np.diff(time_s))))
+    begin = 2 * np.pi * frequencies[1 + int(np.argmax(spectrum[1:]))]
+    t = time_s - time_s[0]
+    try:
+        found, _ = curve_fit(
+            _decaying, t, angle, [float(angle.mean()), 0.3, begin, float(np.ptp(angle)) / 2, 0.0], maxfev=4000
+        )
+    except (RuntimeError, OptimizeWarning) as error:
+        raise FitError(f"no decaying oscillation is found: {error}") from error
+    return Swing(float(found[0]), float(found[1]), float(2 * np.pi / abs(found[2])))
+
+
+def _decaying(t: FloatArray, rest: float, decay: float, speed: float, a: float, b: float) -> FloatArray:
+    return np.asarray(rest + np.exp(-decay * t) * (a * np.cos(speed * t) + b * np.sin(speed * t)))
+
+
+def _swings(trial: FitTrial, skip_s: float) -> list[Swing]:
+    late = trial.time_s >= trial.time_s[0] + skip_s
+    if np.count_nonzero(late) < 100:
+        raise FitError(
+            f"{trial.label} has nothing left after its first {skip_s:g} s",
+            hint="record longer, or set skip_s",
+        )
+    return [swing(trial.time_s[late], trial.outputs[late, column]) for column in range(len(_JOINTS))]
+
+
+def _estimate(values: Sequence[float] | FloatArray, unit: str) -> Estimate:
+    mean, count = float(np.mean(values)), len(values)
+    half = student(count - 1) * float(np.std(values, ddof=1)) / np.sqrt(count) if count > 1 else 0.0
+    return Estimate(mean, (mean - half, mean + half), unit)
+
+
+def _closures(model: ClosedChain, data: Dataset, rest: FloatArray) -> tuple[str, ...]:
+    """Say how far the loop is open: as measured at rest, and while the model swings from where each trial began."""
+    order = [_JOINTS.index(joint) for joint in model.tree.joints]
+    measured = float(np.max(model.opening(rest[:, order])[:, 0]))
+    free = model.with_initial(dict.fromkeys(_JOINTS, "first"))
+    widest = 0.0
+    for trial in data.trials:
+        first = dict(zip(_JOINTS, trial.outputs[:3].mean(axis=0).tolist(), strict=True))
+        start = free.initial_state(trial.condition, first=first)
+        nothing = np.empty((len(trial.time_s), 0))
+        found = simulate(
+            free, trial.time_s, nothing, condition=trial.condition, initial_state=start, substeps=2
+        )
+        angles = found.states[:: max(len(found.states) // 500, 1), : len(_JOINTS)]
+        widest = max(widest, float(np.max(model.opening(angles)[:, 0])))
+    predicted = model.with_initial(dict.fromkeys(_JOINTS, "rest")).initial_state(data.trials[0].condition)
+    apart = np.abs(rest.mean(axis=0)[order] - predicted[: len(_JOINTS)])
+    worst = model.tree.joints[int(np.argmax(apart))]
+    return (
+        f"{model.name} as stated rests {apart.mean():.4f} rad from the measured angles in the mean, "
+        f"{apart.max():.4f} rad at {worst}",
+        f"the measured angles at rest leave its loop open by {1e3 * measured:.2f} mrad at most",
+        f"simulated from where every trial began, the loop is open by {widest:.1e} rad at most",
+    )
+
+
+def _figure(data: Dataset, rest: FloatArray) -> FigureData:
+    """Return the angles of the first trial over time with the angles at rest."""
+    trial = data.trials[0]
+    step = max(len(trial.time_s) // 2000, 1)
+    t = trial.time_s[::step] - trial.time_s[0]
+    stacks = []
+    for column, joint in enumerate(_JOINTS):
+        at_rest = np.full(2, rest[:, column].mean())
+        curves = (
+            Curve(t, trial.outputs[::step, column], "measured", "measured" if column == 0 else ""),
+            Curve(t[[0, -1]], at_rest, "fitted", "at rest" if column == 0 else ""),
+        )
+        panel = Panel(curves, x_label="time, s", y_label=f"{joint}, rad")
+        stacks.append(Stack((panel,), width=1.0))
+    title = f"Six-bar linkage let go: {data.name}\n{trial.label}"
+    return FigureData(title, (tuple(stacks[:3]), tuple(stacks[3:])), row_height_in=2.8)

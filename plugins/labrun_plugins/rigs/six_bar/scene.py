@@ -1,0 +1,185 @@
+"""The six-bar spherical linkage, held at one hinge by hand and let go, watched by cameras (section 3 of the source)."""
+
+import tomllib
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+import tomli_w
+from pydantic import NonNegativeFloat
+from scipy.spatial.transform import Rotation
+
+from labrun.devices import FloatArray
+from labrun.effects import Scale
+from labrun.errors import ExperimentError
+from labrun.models import ClosedChain, Site, Stepper, load_model, parse_model, shipped_models
+from labrun_plugins.simulated.bench import (
+    Bench,
+    BenchSettings,
+    described,
+    hidden_effects,
+    joint_model,
+    joint_stepper,
+)
+
+_MODEL = "six-bar"
+_HELD = "theta_5"
+_BODIES = tuple(f"body_{number}" for number in range(1, 7))
+_JOINTS = tuple(f"theta_{number}" for number in range(1, 7))
+_CENTRE_M = np.array([0.2, 0.0, 1.1])
+_SCALE = Scale(coordinate=0.4, rate=3.0, acceleration=50.0, force=0.01, signal=0.4, time_s=0.4)
+_BETWEEN_SETUPS = (0.0094, 0.0131)
+"""Relative scatter (sd) of stiffness and damping: that of one hinge by Table 3.2, as it is in the mean of six."""
+_GRIP_N_M_RAD = 3.0
+_GRIP_N_M_S_RAD = 0.02
+_STEADYING_N_M_S_RAD = 0.003
+"""A hand: how stiffly it holds the hinge it holds, and how it calms the others (chosen)."""
+
+
+class SixBarSettings(BenchSettings):
+    """What scatters.
+
+    Attributes
+    ----------
+    scatter
+        Factor on the scatter of stiffness and damping between setups.
+    """
+
+    scatter: NonNegativeFloat = 1.0
+
+
+def _in_hand() -> ClosedChain:
+    """Return the shipped model with a hand on it: inputs ``grip`` (0 or 1) and ``wanted`` (rad)."""
+    data = tomllib.loads(shipped_models()[_MODEL].read_text(encoding="utf-8"))
+    data["inputs"] = ["grip", "wanted"]
+    for joint, table in data["joints"].items():
+        calming = _STEADYING_N_M_S_RAD
+        torque = f"-grip*{calming}*{joint}_rate"
+        if joint == _HELD:
+            torque += f" + grip*({_GRIP_N_M_RAD}*(wanted - {joint}) - {_GRIP_N_M_S_RAD}*{joint}_rate)"
+        table["torque_n_m"] = torque
+    model = parse_model(tomli_w.dumps(data), f"{_MODEL} in a hand")
+    assert isinstance(model, ClosedChain)  # noqa: S101 - it has a loop
+    return model
+
+
+class SixBar(Bench):
+    """The linkage of the model ``six-bar``, whose springs and dampers scatter from setup to setup.
+
+    A person holds it at the hinge ``theta_5`` while a command for it runs, which takes the other hinges where springs
+    and weights leave them, and lets go when it has ended. A run is one setup.
+
+    Signals: poses ``body_1_x`` ... ``body_6_qw`` (m; unit quaternions; the common point of all hinges is at (0.2, 0,
+    1.1) m, the room's axes are those of body 1, which does not move; a body's origin is 60 mm from that point, in the
+    middle of its markers), and ``theta_1`` ... ``theta_6`` (rad, 0 when flat).
+    """
+
+    Settings: ClassVar[type[BenchSettings]] = SixBarSettings
+    step_s = 0.001
+    scale = _SCALE
+    joints = (_HELD,)
+    sensed = _JOINTS
+    signals: Mapping[str, str] = {
+        **{f"{body}_{axis}": "m" if axis in "xyz" else "1"
+           for body in _BODIES for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")},
+        **dict.fromkeys(_JOINTS, "rad"),
+    }  # fmt: skip
+
+    def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
+        super().__init__(settings, rng)
+        self._nominal = _in_hand()
+        self._column = [self._nominal.tree.joints.index(joint) for joint in _JOINTS]
+        self._placed_by = [
+            None if body == "body_1" else self._nominal.tree.bodies.index(body) for body in _BODIES
+        ]
+        loaded = load_model(_MODEL)
+        self._rest = loaded.initial_state({})
+        in_sight = [one for one in self._settings.hide if one.site in self.sensed and one.kind == "output"]
+        self._in_sight = hidden_effects(in_sight, joint_model(self.sensed), _SCALE)
+        self._sight = joint_stepper(self.sensed, self.step_s, self._in_sight) if self._in_sight else None
+        spread = self._settings.scatter * self._settings.noise * np.array(_BETWEEN_SETUPS)
+        self._hand_before = np.array([[0.0, 0.0]])
+        self._seen_before = self._rest[self._column][None, :]
+        self._set_up(np.maximum(1.0 + spread * rng.standard_normal(2), 0.1))
+
+    @property
+    def places(self) -> tuple[Site, ...]:
+        """Where effects can be hidden: every hinge, and every angle as it is seen."""
+        return (*self._model.sites, *(Site(signal, "output") for signal in self.sensed))
+
+    def truth(self) -> dict[str, Any]:
+        """Return parameters as they are on the bench, where it rests, and hidden effects."""
+        rest = {joint: float(self._rest[column]) for joint, column in zip(_JOINTS, self._column, strict=True)}
+        return {
+            "parameters": dict(self._values),
+            "rest_as_documented_rad": rest,
+            "parameter_errors": dict(self._settings.parameters),
+            "hidden": [described(effect) for effect in (*self._at_hinges, *self._in_sight)],
+        }
+
+    def _set_up(self, factors: FloatArray) -> None:
+        """Take a setup, whose factors on stiffness and damping these are."""
+        names = [one.name for one in self._nominal.parameters]
+        values = dict(zip(names, self._nominal.values.tolist(), strict=True))
+        scattered = {name: values[name] * factors[k] for k, name in enumerate(("stiffness", "damping"))}
+        self._factors = factors
+        self._model = self._with_errors(self._nominal.with_values(scattered))
+        self._values = dict(zip(names, self._model.values.tolist(), strict=True))
+        at_hinges = [
+            one for one in self._settings.hide if not (one.site in self.sensed and one.kind == "output")
+        ]
+        self._at_hinges = hidden_effects(at_hinges, self._model, _SCALE)
+        self._stepper = Stepper(
+            self._model, effects=self._at_hinges, step_s=self.step_s, initial_state=self._rest
+        )
+
+    def _advance(self, time_s: FloatArray) -> FloatArray:
+        drive = self._drives[_HELD]
+        hand = np.column_stack([np.minimum(drive.under_way(time_s), 1), drive.angles(time_s)])
+        # the hand is there or not throughout a step: what it does at the end of one is done from its beginning
+        steps = np.repeat(hand[:, None, :], 3, axis=1)
+        steps[:, 0, 1] = np.append(self._hand_before[0, 1], hand[:-1, 1])
+        steps[:, 1, 1] = 0.5 * (steps[:, 0, 1] + steps[:, 2, 1])
+        first = np.append(self._hand_before[0, 0], hand[:-1, 0]) == 0
+        steps[first, :, 1] = hand[first, None, 1]
+        self._hand_before = hand[-1:].copy()
+        true = self._stepper.advance(steps)
+        if not self._stepper.finite:
+            raise ExperimentError(
+                "the simulated six-bar linkage blew up: it came too close to the flat sheet, where it is singular",
+                hint="release it nearer to its rest (theta_5 = -9 deg), or hide a weaker effect",
+            )
+        seen = true
+        if self._sight is not None:
+            seen = self._sight.advance(np.concatenate([self._seen_before, true]))
+            self._seen_before = true[-1:].copy()
+        return np.column_stack([self._poses(seen), seen])
+
+    def _poses(self, seen: FloatArray) -> FloatArray:
+        """Return the poses of all bodies, shape (n, 42), from the angles in the order of their names."""
+        angles = np.empty_like(seen)
+        angles[:, self._column] = seen
+        turns = self._nominal.turns(angles)
+        poses = []
+        for place in self._placed_by:
+            turn = np.broadcast_to(np.eye(3), (len(seen), 3, 3)) if place is None else turns[:, place]
+            outward = 0.06 * turn[:, :, 0]
+            poses += [_CENTRE_M + outward, Rotation.from_matrix(turn).as_quat()]
+        return np.column_stack(poses)
+
+    def _memory(self) -> dict[str, Any]:
+        return {
+            "factors": self._factors.tolist(),
+            "hand_before": self._hand_before.tolist(),
+            "seen_before": self._seen_before.tolist(),
+            "sight": None if self._sight is None else self._sight.snapshot(),
+            "stepper": self._stepper.snapshot(),
+        }
+
+    def _recall(self, memory: Mapping[str, Any]) -> None:
+        self._set_up(np.array(memory["factors"]))
+        self._hand_before = np.array(memory["hand_before"])
+        self._seen_before = np.array(memory["seen_before"])
+        if self._sight is not None:
+            self._sight.restore(memory["sight"])
+        self._stepper.restore(memory["stepper"])
