@@ -29,7 +29,7 @@ class HingeAngle(BaseModel):
         Of the hinge, in the frame of ``from``; the bodies' frames are alike where the angle is 0.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
     from_body: str | None = Field(default=None, alias="from")
     to_body: str = Field(alias="to")
@@ -56,7 +56,7 @@ class EulerAngles(BaseModel):
         ``"xyz"`` is R = Rx Ry Rz.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
     body: str
     from_body: str | None = Field(default=None, alias="from")

@@ -74,3 +74,8 @@ def test_a_body_that_is_not_tracked_is_told():
 def test_an_axis_without_direction_is_refused():
     with pytest.raises(ValidationError, match=r"\[0, 0, 0\] is none"):
         hinge(axis=[0, 0, 0])
+
+
+def test_what_is_asked_for_survives_a_dump():
+    asked = hinge(**{"from": "inner"})
+    assert HingeAngle.model_validate(asked.model_dump()) == asked
