@@ -220,7 +220,7 @@ class SystemFile(Table):
     name: Annotated[str, Field(min_length=1)]
     title: str = ""
     corrected: CorrectedTable | None = None
-    conditions: Annotated[dict[Name, ConditionTable], BeforeValidator(_listed)] | None = None
+    conditions: Annotated[dict[Name, ConditionTable], BeforeValidator(listed)] | None = None
     initial: dict[str, float | str] = {}
     effects: tuple[EffectTable, ...] = ()
 
