@@ -1,11 +1,12 @@
 """What every effect does to a simple rig: the pictures of effects.md, by `labrun.models.simulate` and the effects.
 
-A joint effect sits at the hinge of a pendulum that is driven and then left to itself; a body effect at a body that is
-pushed to and fro through still water; an input or output effect at a signal with slow, fast and sudden parts.
+A joint effect sits at the hinge of a pendulum that is driven and then left to itself, one of gear or drive at a joint
+with a position servo, as effects of a robot's base and tip do; a body effect at a body that is pushed to and fro
+through still water; an input or output effect at a signal with slow, fast and sudden parts.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from io import BytesIO
 from pathlib import Path
@@ -42,6 +43,38 @@ coordinate = "angle"
 rate       = "rate"
 stiffness  = "stiffness"
 load       = "gravity_torque*cos(angle)"
+[initial]
+angle = 0.0
+rate  = 0.0
+"""
+_SERVO = """
+name   = "servo-joint"
+states = ["angle", "rate"]
+[inputs]
+goal = { unit = "rad" }
+[parameters]
+inertia        = { value = 0.01, unit = "kg m^2" }
+kp             = { value = 0.8,  unit = "N m/rad" }
+kv             = { value = 0.04,  unit = "N m s/rad" }
+gravity_torque = { value = 0.3,  unit = "N m" }
+[equations]
+angle = "rate"
+rate  = "(force.joint + force.base + force.tip + kp*(goal - angle) - kv*rate - gravity_torque*sin(angle))/inertia"
+[outputs]
+angle = { equation = "angle", unit = "rad" }
+[sites.joint]
+kind       = "joint"
+coordinate = "angle"
+rate       = "rate"
+load       = "kp*(goal - angle) - kv*rate"
+[sites.base]
+kind       = "base"
+coordinate = "gravity_torque*cos(angle)"
+rate       = "gravity_torque*sin(angle)"
+[sites.tip]
+kind       = "tip"
+coordinate = "1.5*sin(angle)"
+rate       = "1.5*sin(angle)"
 [initial]
 angle = 0.0
 rate  = 0.0
@@ -104,7 +137,10 @@ class Signature:
 
 def signature(effect: Effect) -> Signature:
     """Return what an effect does to the rig of its kind, at the first of its starts and towards the last of them."""
-    rig = rig_for(effect.kind)
+    driven = "load" in effect.needs and effect.id != "load-dependent-friction"
+    rig = rig_for("servo" if driven else effect.kind)
+    if effect.kind in ("base", "tip"):
+        rig = replace(rig_for("servo"), site=effect.kind)
     sizes = _at(effect, rig, 0), _at(effect, rig, -1)
     bare, first, second = (_output(rig, attached) for attached in ((), sizes[:1], sizes[1:]))
     return Signature(rig, bare, sizes, (first, second))
@@ -124,6 +160,11 @@ def rig_for(kind: str) -> Rig:
             force=0.4,
             period_s=1.25,
         )
+    if kind in ("servo", "base", "tip"):
+        time_s = np.linspace(0.0, 8.0, 401)
+        goal = 0.6 * np.sin(2 * np.pi * 0.8 * time_s) * (time_s < 5.0)
+        servo = parse_model(_SERVO, "servo.toml")
+        return _scaled(servo, time_s, goal[:, None], "joint", force=0.8, period_s=1.25)
     if kind == "body":
         time_s = np.linspace(0.0, 8.0, 401)
         thrust = (0.5 + 2.0 * np.sin(2 * np.pi * 0.4 * time_s)) * (time_s < 5.0)

@@ -18,7 +18,16 @@ PICTURES = DOCS / "images" / "effects"
 BEGIN, END = "<!-- effects: begin -->", "<!-- effects: end -->"
 _WIDTH = 78
 KINDS = {
-    "joint": ("Joints", "The pendulum is driven for five seconds, then left to swing."),
+    "joint": (
+        "Joints",
+        "The pendulum is driven for five seconds, then left to swing; where an effect needs the load, a joint "
+        "with a position servo follows a sine, then holds.",
+    ),
+    "base": ("Bases of robots", "The joint follows a sine for five seconds, then holds; its base is tilted."),
+    "tip": (
+        "Tips of robots",
+        "The joint follows a sine for five seconds, then holds; a load hangs at its tip.",
+    ),
     "body": ("Bodies in a fluid", "The body is pushed to and fro for five seconds, then left to glide."),
     "input": ("Inputs", "The signal is what a model is given: a sine, then steps."),
     "output": ("Outputs", "The signal is what a model puts out: a sine, then steps."),

@@ -136,7 +136,7 @@ def diagnose(
     further = [find_data(one, results) for one in more]
     if save_model is not None:
         require_new(save_model)
-    require_writable(_folder(folder, results), "the diagnosis")
+    require_writable(diagnosis_folder(folder, results), "the diagnosis")
     began = time.perf_counter()
     note(f"reading {folder}")
     question = ask(folder, model, further, signals, workspace)
@@ -220,7 +220,7 @@ def store(
     StoreError
         A file cannot be written.
     """
-    folder = _folder(target, results)
+    folder = diagnosis_folder(target, results)
     numbers = folder / NUMBERS
     try:
         _put_aside(folder)
@@ -267,7 +267,8 @@ def read_stored(run: Path) -> Mapping[str, Any]:
     return stored
 
 
-def _folder(target: Path, results: Path) -> Path:
+def diagnosis_folder(target: Path, results: Path) -> Path:
+    """Return where the diagnosis of a run or a recording is kept."""
     if is_recording(target):
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
         return results / target.resolve().name / f"gap-{stamp}-{secrets.token_hex(2)}"

@@ -109,6 +109,13 @@ def diagnose(
             help="Propose a law for what the library lacks, as an effect in TOML; refit with it.",
         ),
     ] = False,
+    whole: Annotated[
+        bool,
+        typer.Option(
+            "--whole",
+            help="Of a robot's log: fit all joints at once, not joint by joint; far slower.",
+        ),
+    ] = False,
     report: Annotated[bool, typer.Option(help="Write the page and its picture.")] = True,
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     seed: Annotated[
@@ -140,6 +147,25 @@ def diagnose(
             target = str(made.folder)
             if not as_json:
                 typer.echo(made.to_text(), err=True)
+        reason = (
+            None if whole or model or more or full_guard or explain_rest else _joint_by_joint(target, results)
+        )
+        if reason == "":
+            page = _diagnose_joints(
+                target,
+                withhold or (),
+                seed,
+                workers,
+                save_model,
+                results,
+                report=report or open_page,
+                as_json=as_json,
+            )
+            if open_page:
+                typer.launch(str(page))
+            return
+        if reason and log is not None and not as_json:
+            typer.echo(f"not joint by joint: {reason}", err=True)
         with status() as note:
             stored = diagnose_target(
                 target,
@@ -167,6 +193,31 @@ def diagnose(
             typer.echo(f"labrun: {stored.warning}", err=True)
     if open_page:
         typer.launch(str(stored.page))
+
+
+def _joint_by_joint(target: str, results: Path) -> str | None:
+    from labrun.app.diagnose_robot import joint_by_joint
+
+    return joint_by_joint(target, results)
+
+
+def _diagnose_joints(
+    target: str, withhold: Sequence[str], seed: int | None, workers: int | None, save_model: Path | None,
+    results: Path, *, report: bool, as_json: bool,
+) -> Path | None:  # fmt: skip
+    """Diagnose a robot's recording joint by joint, print the answer, and return its page."""
+    from labrun.app.diagnose_robot import diagnose_joints
+
+    with status() as note:
+        stored = diagnose_joints(
+            target, withhold=withhold, seed=seed, workers=workers, save_model=save_model, page=report,
+            results=results, note=note,
+        )  # fmt: skip
+    if as_json:
+        print_json(stored.to_json())
+    else:
+        typer.echo("\n".join(stored.to_text()))
+    return stored.page
 
 
 def save(

@@ -1,6 +1,7 @@
 """Physics a model may lack, each attachable to a site of any model."""
 
 from labrun.effects.effect import (
+    FORCED,
     AttachedEffect,
     Effect,
     EffectParameter,
@@ -16,6 +17,7 @@ from labrun.effects.library import effects, load_effect, shipped
 from labrun.effects.reading import read_effects
 
 __all__ = [
+    "FORCED",
     "AttachedEffect",
     "Effect",
     "EffectParameter",

@@ -9,7 +9,9 @@ from labrun.compiled import NativeFunction, native
 from labrun.errors import ModelError
 from labrun.toml import suggest
 
-SiteKind = Literal["joint", "body", "input", "output"]
+SiteKind = Literal["joint", "body", "base", "tip", "input", "output"]
+FORCED: frozenset[SiteKind] = frozenset({"joint", "body", "base", "tip"})
+"""Kinds of sites that take a force."""
 Need = Literal["load", "stiffness"]
 
 Quantity = Literal[
@@ -95,9 +97,12 @@ class Site:
     Attributes
     ----------
     kind
-        ``joint`` and ``body`` sites take forces; every input and every output is a site of its own kind.
+        ``joint``, ``body``, ``base`` and ``tip`` sites take forces; every input and every output is a site of its own
+        kind.
     coordinate, rate
-        Expressions of a joint's or body's coordinate and of its time derivative.
+        Expressions of a joint's or body's coordinate and of its time derivative. Of a robot's base: what gravity asks
+        of a joint for each rad that the base is rolled, and pitched; of its tip: what a joint must exert for each
+        kilogram there.
     load
         Expression of the load the joint carries; "" where a model gives none.
     stiffness

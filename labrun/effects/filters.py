@@ -36,6 +36,17 @@ def rate_limit(
     out[1] = memory[0]
 
 
+def play(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer) -> None:
+    """Write what stays until the signal is half the width away; `memory` holds it."""
+    half = 0.5 * values[0]
+    if dt == 0.0:
+        memory[0] = after[0]
+    memory[0] = min(max(memory[0], before[0] - half), before[0] + half)
+    out[0] = memory[0]
+    memory[0] = min(max(memory[0], after[0] - half), after[0] + half)
+    out[1] = memory[0]
+
+
 def lag(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer) -> None:
     """Write the exact response of ``time_constant dy/dt = signal - y`` to a straight piece; `memory` holds y."""
     constant = values[0]

@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field
 
 from labrun import registry
 from labrun.compiled import NativeFunction, law, native, signal_step
-from labrun.effects.effect import Effect, EffectParameter, Need, Quantity, SiteKind
+from labrun.effects.effect import FORCED, Effect, EffectParameter, Need, Quantity, SiteKind
 from labrun.errors import ModelError
 from labrun.toml import Expression, Fault, Places, Table, parsed, refusal, suggest, text_of, validate
 
@@ -44,6 +44,7 @@ class _Entry(Table):
     remark: str = ""
     source: str
     contains: tuple[str, ...] = ()
+    needs: tuple[Need, ...] = ()
     caution: str = ""
     compound: bool = False
     parameters: dict[str, _Parameter] = Field(default_factory=dict)
@@ -70,8 +71,8 @@ class _Entry(Table):
 
     def faults(self) -> Iterator[tuple[tuple[str, ...], str]]:
         """Return what does not fit together, by key."""
-        force = self.kinds[:1] in (("joint",), ("body",))
-        if any((kind in ("joint", "body")) != force for kind in self.kinds):
+        force = bool(self.kinds) and self.kinds[0] in FORCED
+        if any((kind in FORCED) != force for kind in self.kinds):
             yield ("kind",), "an effect is either for joints and bodies or for inputs and outputs"
             return
         name, equation, stray = ("F", self.F, self.y) if force else ("y", self.y, self.F)
@@ -89,7 +90,7 @@ class _Entry(Table):
 
     def compiled(self) -> NativeFunction:
         """Return the force law or the filter."""
-        force = self.kinds[0] in ("joint", "body")
+        force = self.kinds[0] in FORCED
         if self.F is not None:
             return law(self.F, self.rates, self.where, list(self.parameters))
         if self.y is not None:
@@ -154,7 +155,7 @@ def _filled(table: Any, shared: Mapping[str, Any]) -> Any:
 
 def _effects(id_: str, entry: _Entry, origin: str) -> Iterator[Effect]:
     used, function = entry.used(), entry.compiled()
-    needs: tuple[Need, ...] = tuple(one for one in get_args(Need) if one in used)
+    needs: tuple[Need, ...] = tuple(one for one in get_args(Need) if one in used or one in entry.needs)
     parameters = tuple(EffectParameter(name=name, **dict(one)) for name, one in entry.parameters.items())
     for kind in entry.kinds:
         yield Effect(

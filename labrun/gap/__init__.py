@@ -20,6 +20,7 @@ from labrun.gap.diagnosis import (
 from labrun.gap.fresh import FreshTest, Prediction, predict_fresh
 from labrun.gap.question import Question
 from labrun.gap.recalibration import fresh_excess
+from labrun.gap.robot import JointDiagnosis, RobotDiagnosis, diagnose_robot, why_not
 from labrun.gap.saving import recalibrated_only, require_new, save_model, save_with_law
 from labrun.gap.verdict import significant
 from labrun.gap.what_is_left import RestLaw
@@ -33,6 +34,7 @@ __all__ = [
     "Difference",
     "Estimate",
     "FreshTest",
+    "JointDiagnosis",
     "MissingForce",
     "Name",
     "Options",
@@ -40,6 +42,7 @@ __all__ = [
     "Prediction",
     "Question",
     "RestLaw",
+    "RobotDiagnosis",
     "Shrinkage",
     "Sizes",
     "Trace",
@@ -47,6 +50,7 @@ __all__ = [
     "Verdict",
     "compare_units",
     "diagnose_dataset",
+    "diagnose_robot",
     "fresh_excess",
     "predict_fresh",
     "recalibrated_only",
@@ -54,4 +58,5 @@ __all__ = [
     "save_model",
     "save_with_law",
     "significant",
+    "why_not",
 ]

@@ -278,13 +278,18 @@ def _parameters(model: Model) -> list[Candidate]:
 
 
 def _starts(effect: Effect) -> tuple[tuple[float, ...], ...]:
-    """Return combinations of the starts, each at several sizes, within the bounds."""
+    """Return combinations of the starts, each at several sizes, within the bounds.
+
+    A parameter with many starts is one that has to be scanned (a number of periods): then all of them are tried.
+    """
     fitted = [parameter for parameter in effect.parameters if not parameter.held]
     combined = list(product(*(parameter.starts for parameter in fitted)))
-    step = max(1, len(combined) // criteria.START_COMBINATIONS)
+    longest = max((len(parameter.starts) for parameter in fitted), default=0)
+    scanned = longest > criteria.START_COMBINATIONS
+    step = 1 if scanned else max(1, len(combined) // criteria.START_COMBINATIONS)
     found = []
     for start in combined[::step]:
-        for size in criteria.START_SIZES:
+        for size in criteria.START_SIZES[:1] if scanned else criteria.START_SIZES:
             scaled = [
                 value if parameter.neutral is None or not np.isfinite(parameter.neutral) else value * size
                 for value, parameter in zip(start, fitted, strict=True)

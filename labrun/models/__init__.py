@@ -7,7 +7,8 @@ from labrun.models.chains.model import ClosedChain
 from labrun.models.inputs import Drive
 from labrun.models.loading import load_model, parse_model, shipped_models
 from labrun.models.mjcf.exporting import Exported, MjcfRange, mjcf_of, mjcf_ranges
-from labrun.models.mjcf.robot import Robot, RobotActuator, RobotJoint, is_robot, read_robot
+from labrun.models.mjcf.inverse import Carried, RobotTerms, carried, robot_terms
+from labrun.models.mjcf.robot import Robot, RobotActuator, RobotJoint, identifier, is_robot, read_robot
 from labrun.models.model import Between, Condition, Input, Model, Origin, Output, Parameter
 from labrun.models.python_model import python_model
 from labrun.models.simulation import (
@@ -25,6 +26,7 @@ from labrun.models.writing import corrected_model_text
 
 __all__ = [
     "Between",
+    "Carried",
     "ClosedChain",
     "Condition",
     "Drive",
@@ -41,13 +43,16 @@ __all__ = [
     "Robot",
     "RobotActuator",
     "RobotJoint",
+    "RobotTerms",
     "Simulation",
     "Site",
     "SiteKind",
     "Stepper",
     "Unfiltered",
+    "carried",
     "corrected_model_text",
     "filtered",
+    "identifier",
     "is_robot",
     "kernel",
     "load_model",
@@ -58,6 +63,7 @@ __all__ = [
     "prepare",
     "python_model",
     "read_robot",
+    "robot_terms",
     "shipped_models",
     "simulate",
     "simulate_unfiltered",

@@ -10,7 +10,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray, IntArray
 from labrun.compiled import is_generated
-from labrun.effects import AttachedEffect, Effect, Site
+from labrun.effects import FORCED, AttachedEffect, Effect, Site
 from labrun.models.model import Model
 
 _MOST_LAYOUTS = 4096
@@ -150,7 +150,7 @@ def _laid_out(model: Model, effects: Sequence[AttachedEffect]) -> Layout:
     for one in effects:
         one.check(model)
     kinds = [one.effect.kind for one in effects]
-    acting = tuple(index for index, kind in enumerate(kinds) if kind in ("joint", "body"))
+    acting = tuple(index for index, kind in enumerate(kinds) if kind in FORCED)
     return Layout(
         derivative=model.derivative.address,
         output=model.output.address,

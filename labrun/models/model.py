@@ -42,11 +42,19 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """A signal that drives a model."""
+    """A signal that drives a model.
+
+    Attributes
+    ----------
+    prescribed
+        Whether it stands for what is known beside the model, as the motion of other joints, and is no site: nothing
+        can be missing there.
+    """
 
     name: str
     unit: str = "1"
     between: Between = "linear"
+    prescribed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,8 +159,8 @@ class Model:
 
     @property
     def places(self) -> tuple[Site, ...]:
-        """All sites: those that take a force, then every input, then every output."""
-        inputs = [Site(one.name, "input") for one in self.inputs]
+        """All sites: those that take a force, then every input that is not prescribed, then every output."""
+        inputs = [Site(one.name, "input") for one in self.inputs if not one.prescribed]
         return (*self.sites, *inputs, *(Site(one.name, "output") for one in self.outputs))
 
     def place(self, name: str, kind: SiteKind | None = None) -> Site:

@@ -7,7 +7,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.compiled import equations, generated, native
-from labrun.effects import Site
+from labrun.effects import FORCED, Site
 from labrun.errors import ModelError
 from labrun.models.model import Input, Model, Output, Parameter
 from labrun.toml import Expression, ExpressionError, suggest
@@ -63,7 +63,7 @@ def python_model(
     variables.update({one: f"p[{index}]" for index, one in enumerate(numbers)})
     expressions = []
     for site in sites:
-        if site.kind not in ("joint", "body"):
+        if site.kind not in FORCED:
             raise ModelError(
                 f"site {site.name} of model {name}: declare joint and body sites only, not {site.kind}"
             )

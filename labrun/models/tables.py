@@ -136,6 +136,7 @@ class InputTable(Table):
 
     unit: str = "1"
     between: Between = "linear"
+    prescribed: bool = False
 
 
 class MujocoInput(InputTable):
@@ -159,9 +160,9 @@ class MujocoOutput(Table):
 
 
 class SiteTable(Table):
-    """A joint or a body."""
+    """A joint or a body, or the base or the tip of a robot."""
 
-    kind: Literal["joint", "body"]
+    kind: Literal["joint", "body", "base", "tip"]
     coordinate: Equation
     rate: Equation
     load: Equation = Expression.of(0.0)

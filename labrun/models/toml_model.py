@@ -81,7 +81,7 @@ def equations_model(file: ModelFile) -> Model:
 
 def inputs_of(tables: Mapping[str, InputTable]) -> tuple[Input, ...]:
     """Return the inputs, in their order."""
-    return tuple(Input(name, one.unit, one.between) for name, one in tables.items())
+    return tuple(Input(name, one.unit, one.between, one.prescribed) for name, one in tables.items())
 
 
 def parameter_of(name: str, table: Bounded, value: float) -> Parameter:

@@ -3,7 +3,7 @@
 from labrun.effects import AttachedEffect, load_effect
 from labrun.models import parse_model
 
-JOINT = """
+JOINT = '''
 name = "joint"
 states = ["angle", "rate"]
 inputs = ["torque", "other"]
@@ -13,7 +13,8 @@ stiffness = 50.0
 damping = 0.8
 [equations]
 angle = "rate"
-rate  = "(torque + 0*other + force.hinge + force.blade - stiffness*angle - damping*rate) / inertia"
+rate = """(torque + 0*other + force.hinge + force.blade + force.stand + force.hand - stiffness*angle - damping*rate)
+  / inertia"""
 [outputs]
 angle = "angle"
 rate  = "rate"
@@ -28,12 +29,27 @@ load = "3*cos(angle)"
 kind = "body"
 coordinate = "0.1*angle"
 rate = "0.1*rate"
+[sites.stand]
+kind = "base"
+coordinate = "5*cos(angle)"
+rate = "5*sin(angle)"
+[sites.hand]
+kind = "tip"
+coordinate = "2*sin(angle)"
+rate = "2*sin(angle)"
 [initial]
 angle = 0.3
 rate = 0.0
-"""
+'''
 MODEL = parse_model(JOINT, "joint.toml")
-SITES = {"joint": "hinge", "body": "blade", "input": "torque", "output": "angle"}
+SITES = {
+    "joint": "hinge",
+    "body": "blade",
+    "base": "stand",
+    "tip": "hand",
+    "input": "torque",
+    "output": "angle",
+}
 
 
 def named(id_: str, kind: str = "joint", site: str | None = None, **values: float) -> AttachedEffect:

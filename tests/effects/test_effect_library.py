@@ -71,7 +71,7 @@ def test_units_follow_the_site():
 
 def test_an_effect_sits_only_where_the_site_gives_what_it_needs():
     offset = load_effect("rest-offset")
-    hinge, blade = MODEL.sites
+    hinge, blade, *_ = MODEL.sites
     assert offset.fits(hinge)
     assert not offset.fits(blade)
     soft = parse_model(_without_stiffness(), "soft.toml")

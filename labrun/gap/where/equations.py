@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
+from labrun.effects import FORCED
 from labrun.fit import Each, FitTrial, one_by_one
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Place
@@ -134,7 +135,7 @@ def _forces(difference: Difference, trial: FitTrial, states: FloatArray, steps: 
     model = difference.model
     order = [site.name for site in model.sites]
     found = np.zeros((2, states.shape[1], len(states), len(order)))
-    laws = [one for one in (*model.effects, *difference.effects) if one.effect.kind in ("joint", "body")]
+    laws = [one for one in (*model.effects, *difference.effects) if one.effect.kind in FORCED]
     for side, k in product(range(2), range(states.shape[1]) if laws else ()):
         moved = states.copy()
         moved[:, k] += (1 - 2 * side) * steps[k]

@@ -9,6 +9,8 @@ from typing import Any, Literal
 import numpy as np
 
 from labrun.errors import ModelError
+from labrun.models.mjcf.inverse import Drive as JointDrive
+from labrun.models.mjcf.inverse import robot_terms
 from labrun.models.mjcf.plant import imported
 
 SUFFIXES = (".xml", ".mjcf", ".urdf")
@@ -366,18 +368,36 @@ def _lines(
         yield f'{joint.output} = {{ mjcf = "joint.{joint.name}.position", unit = "{joint.unit}" }}'
     for name, (reference, unit) in shown.items():
         yield f'{name} = {{ mjcf = "{reference}", unit = "{unit}" }}'
+    terms = robot_terms(robot.xml, [one.name for one in robot.joints])
     for joint in robot.joints:
         yield f"[sites.{joint.output}]"
         yield 'kind = "joint"'
         yield f'joint = "{joint.name}"'
         if joint.sprung:
             yield f'stiffness = "{joint.output}_stiffness"'
+        if effort := _effort(robot, joint, terms.drives.get(joint.name)):
+            yield f'load = "{effort}"'
     yield "[initial]"
     for joint in robot.joints:
         begins = "first" if joint.output in measured else "free"
         yield f'{joint.output} = "{begins}"'
         if start == "free":
             yield f'{joint.output}_rate = "free"'
+
+
+def _effort(robot: Robot, joint: RobotJoint, drive: JointDrive | None) -> str:
+    """Return the equation of what a joint's drive puts on it: the load of effects in gear and drive; "" if unknown."""
+    found = [one for one in robot.actuators if one.joint == joint.name]
+    if drive is None or len(found) != 1:
+        return ""
+    rate = f"{joint.output}_rate"
+    efforts = {
+        "torque": f"{drive.gear!r}*{found[0].input}",
+        "position": f"{identifier(found[0].name)}_kp*({found[0].input} - {joint.output}) - {drive.kv!r}*{rate}",
+    }
+    effort = efforts.get(found[0].command, "")
+    low, high = drive.limits
+    return f"clip({effort}, {low!r}, {high!r})" if effort and np.isfinite([low, high]).all() else effort
 
 
 def _parameters(robot: Robot) -> Iterator[str]:

@@ -1,0 +1,133 @@
+"""A robot diagnosed joint by joint, and where its answer is kept."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from labrun.app.diagnose import FIGURE, NUMBERS, PAGE, diagnosis_folder
+from labrun.app.question import ask, find_data
+from labrun.errors import StoreError
+from labrun.fit import Note, cores, silent
+from labrun.gap import Options, RobotDiagnosis, diagnose_robot, require_new, why_not
+from labrun.gap import save_model as write_model
+from labrun.json_numbers import finite
+from labrun.models import read_robot
+from labrun.report.robot_text import robot_lines
+from labrun.store import replace_durably, require_writable
+
+ROBOT = "robot.xml"
+_FEWEST_JOINTS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class StoredRobotDiagnosis:
+    """A robot's diagnosis and its files; None what was not asked for."""
+
+    diagnosis: RobotDiagnosis
+    numbers: Path
+    page: Path | None = None
+    figure: Path | None = None
+    model: Path | None = None
+
+    def to_text(self) -> list[str]:
+        """Return a line a joint, and what to open."""
+        files = {"report": self.page or self.numbers}
+        if self.model is not None:
+            files["saved"] = self.model
+        return robot_lines(self.diagnosis, files)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``labrun gap diagnose --json`` prints."""
+        files = {
+            "stored": self.numbers,
+            "report": self.page,
+            "figure": self.figure,
+            "saved_model": self.model,
+        }
+        return {
+            **self.diagnosis.to_json(),
+            **{name: None if path is None else str(path) for name, path in files.items()},
+        }
+
+
+def joint_by_joint(target: str | Path, results: str | Path = "results") -> str | None:
+    """Return why a robot's recording cannot be diagnosed joint by joint, "" if it can, None if it is none of a robot.
+
+    A recording of a robot has ``robot.xml`` and ``model.toml`` beside its trials, as `import_log` writes it.
+    """
+    folder = find_data(target, Path(results))
+    if not (folder / ROBOT).is_file() or not (folder / "model.toml").is_file():
+        return None
+    robot = read_robot(folder / ROBOT)
+    if len(robot.joints) < _FEWEST_JOINTS:
+        return "it has one joint"
+    return why_not(robot, ask(folder, None).dataset)
+
+
+def diagnose_joints(
+    target: str | Path,
+    *,
+    withhold: Sequence[str] = (),
+    seed: int | None = None,
+    workers: int | None = None,
+    save_model: Path | None = None,
+    page: bool = True,
+    results: str | Path = "results",
+    note: Note = silent,
+) -> StoredRobotDiagnosis:
+    """Say of every joint of a robot where model and log differ, which cause explains it, how far; keep the answer.
+
+    Parameters
+    ----------
+    target
+        A recording folder that `import_log` made of a robot's log.
+    withhold
+        Effects that the library is to be without.
+    save_model
+        Where the corrected model of the whole robot goes.
+    page
+        Whether to write the page and its picture.
+
+    Raises
+    ------
+    RequestError
+        No such recording, or the robot cannot be taken apart into its joints.
+    """
+    results = Path(results)
+    folder = find_data(target, results)
+    if save_model is not None:
+        require_new(save_model)
+    kept = diagnosis_folder(folder, results)
+    require_writable(kept, "the diagnosis")
+    question = ask(folder, None)
+    options = Options(seed=seed or 0, withhold=tuple(withhold), workers=workers or cores())
+    found = diagnose_robot(read_robot(folder / ROBOT), question.model, question.dataset, options, note=note)
+    found = replace(found, source=str(folder))
+    note("writing the report" if page else "storing the diagnosis")
+    stored = _kept(found, kept, str(Path(question.model.source).resolve()), page=page)
+    if save_model is None:
+        return stored
+    write_model(found.to_json(), question.model.source, save_model)
+    return replace(stored, model=save_model)
+
+
+def _kept(found: RobotDiagnosis, folder: Path, source: str, *, page: bool) -> StoredRobotDiagnosis:
+    numbers = folder / NUMBERS
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        told = {**finite(found.to_json()), "model_source": source}
+        replace_durably(numbers, (json.dumps(told, indent=2) + "\n").encode())
+        if not page:
+            return StoredRobotDiagnosis(found, numbers)
+        # matplotlib
+        from labrun.report.figures.robot import robot_figure
+        from labrun.report.robot_page import robot_page
+        from labrun.report.style import save
+
+        figure = save(robot_figure(found), folder / FIGURE)
+        replace_durably(folder / PAGE, robot_page(found).encode())
+    except OSError as error:
+        raise StoreError(f"{folder} cannot be written to: {error.strerror}") from error
+    return StoredRobotDiagnosis(found, numbers, folder / PAGE, figure)

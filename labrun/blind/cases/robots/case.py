@@ -1,0 +1,126 @@
+"""Make one sealed robot: its file as a person has it, its log, and the answer."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .body import Body, FloatArray, draw
+from .hidden import EFFECTS, Joint, draw_shape, draw_size
+from .motion import SAMPLE_S, STEP_S, goals, run
+
+MASS_OFF, GAIN_OFF = 0.03, 0.05
+"""How far masses and gains of the robot are from its file, relative standard deviation."""
+CONTROLS = 0.25
+WHOLE = 0.12
+"""Share of robots without anything hidden, and of those whose base is tilted or that carry a load."""
+GAP = (1.0, 30.0)
+NOISE_RAD = (1e-5, 2e-3)
+_ATTEMPTS = 12
+
+
+def make_robot(seed: int, index: int, folder: Path) -> str:
+    """Make a robot, write it below `folder`, and return its name; the same for the same seed and index anywhere."""
+    rng = np.random.default_rng([seed, 70111, index])
+    name = f"case-{index + 1:04d}"
+    for _ in range(_ATTEMPTS):
+        try:
+            answer, files = _made(rng)
+        except FloatingPointError:
+            continue
+        answer.update(case=name, seed=seed, kind="robot")
+        (folder / "cases" / name).mkdir(parents=True, exist_ok=True)
+        (folder / "sealed").mkdir(parents=True, exist_ok=True)
+        for file, text in files.items():
+            (folder / "cases" / name / file).write_text(text, encoding="utf-8")
+        (folder / "sealed" / f"{name}.json").write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
+        return name
+    raise RuntimeError(f"case {index} of seed {seed}: no draw of {_ATTEMPTS} could be made")
+
+
+def _made(rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, str]]:
+    stated = draw(rng)
+    built = stated.scattered(rng, MASS_OFF, GAIN_OFF)
+    goal = goals(rng, len(built.links))
+    plain, speeds, torques = run(built, goal, {})
+    hidden, whole = _hidden(rng, built, plain, speeds, torques)
+    around = {"gravity": whole.get("gravity", (0.0, 0.0, -9.81)), "payload": whole.get("payload", 0.0)}
+    course = run(built, goal, _drives(hidden), **around)[0] if hidden or whole else plain
+    gaps = {place: _gap(built, goal, plain, course, place) for place in hidden}
+    noise = float(np.exp(rng.uniform(np.log(2e-5), np.log(5e-4))))
+    if gaps:
+        aim = float(np.exp(rng.uniform(*np.log(GAP))))
+        noise = float(np.clip(min(gaps.values()) / aim, *NOISE_RAD))
+    measured = course + noise * rng.standard_normal(course.shape)
+    answer = {
+        "robot": stated.name, "joints": len(stated.links), "noise_rad": noise,
+        "hidden": [
+            {
+                "joint": stated.links[place].name, "effect": next(iter(joint.sizes)),
+                "size": next(iter(joint.sizes.values())), "gap": gaps[place] / noise,
+            }
+            for place, joint in hidden.items()
+        ],
+        "whole": {name: list(one) if isinstance(one, tuple) else one for name, one in whole.items()},
+    }  # fmt: skip
+    return answer, {"robot.xml": stated.xml(), "log.csv": _csv(stated, goal, measured)}
+
+
+def _hidden(
+    rng: np.random.Generator, body: Body, plain: FloatArray, speeds: FloatArray, torques: FloatArray
+) -> tuple[dict[int, Joint], dict[str, Any]]:
+    kind = rng.random()
+    if kind < CONTROLS:
+        return {}, {}
+    if kind < CONTROLS + WHOLE:
+        if rng.random() < 0.5:
+            roll, pitch = rng.uniform(0.03, 0.1, 2) * rng.choice([-1, 1], 2)
+            down = np.array([np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)])
+            return {}, {"gravity": tuple(float(one) for one in 9.81 * down)}
+        return {}, {"payload": float(rng.uniform(0.3, 1.0)) * body.links[len(body.links) // 2].mass}
+    count = min(int(rng.integers(1, 4)), len(body.links))
+    found = {}
+    for place in sorted(int(one) for one in rng.choice(len(body.links), count, replace=False)):
+        effect = EFFECTS[int(rng.integers(len(EFFECTS)))]
+        torque = float(np.percentile(np.abs(torques[:, place]), 95))
+        travel = float(np.percentile(np.abs(plain[:, place]), 95))
+        rate = float(np.percentile(np.abs(speeds[:, place]), 99))
+        link = body.links[place]
+        found[place] = Joint(
+            link.kp, link.kv, link.armature, STEP_S, torque, rate,
+            {effect: draw_size(effect, rng, torque, travel)}, draw_shape(rng),
+        )  # fmt: skip
+    return found, {}
+
+
+def _drives(hidden: dict[int, Joint]) -> dict[int, Joint]:
+    return {
+        place: replace(joint, _late={}, _motor=None, _played=None, _bristle=0.0)
+        for place, joint in hidden.items()
+    }
+
+
+def _gap(body: Body, goal: FloatArray, plain: FloatArray, course: FloatArray, place: int) -> float:
+    """Return what is left of a joint's change once gains and damping of its servo were adapted to it, rad."""
+    link = body.links[place]
+    changed = []
+    for other in (
+        replace(link, kp=1.02 * link.kp), replace(link, damping=1.2 * link.damping),
+        replace(link, mass=1.03 * link.mass),
+    ):  # fmt: skip
+        links = tuple(other if k == place else one for k, one in enumerate(body.links))
+        changed.append(run(replace(body, links=links), goal, {})[0][:, place] - plain[:, place])
+    left = course[:, place] - plain[:, place]
+    by = np.column_stack(changed)
+    left = left - by @ np.linalg.lstsq(by, left, rcond=None)[0]
+    return float(np.sqrt(np.mean(left**2)))
+
+
+def _csv(body: Body, goal: FloatArray, measured: FloatArray) -> str:
+    names = [one.name for one in body.links]
+    header = ["time_s", *(f"{name}.pos" for name in names), *(f"{name}.cmd" for name in names)]
+    time_s = np.arange(len(goal)) * SAMPLE_S
+    rows = np.column_stack([time_s, measured, goal])
+    return ",".join(header) + "\n" + "\n".join(",".join(f"{one:.9g}" for one in row) for row in rows) + "\n"

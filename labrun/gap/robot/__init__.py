@@ -1,0 +1,6 @@
+"""A robot's joints one by one: each as a model of its own, the motion of the others prescribed as it was measured."""
+
+from labrun.gap.robot.diagnose import JointDiagnosis, RobotDiagnosis, diagnose_robot
+from labrun.gap.robot.one_joint import why_not
+
+__all__ = ["JointDiagnosis", "RobotDiagnosis", "diagnose_robot", "why_not"]

@@ -1,0 +1,267 @@
+"""A whole robot diagnosed: every joint by itself, then all that was found together in the whole robot."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect
+from labrun.fit import Dataset, Note, silent, workers
+from labrun.gap.diagnose import Options, diagnose_dataset
+from labrun.gap.diagnosis import Diagnosis
+from labrun.gap.robot.one_joint import OneJoint, Prescribed, one_joint, prescribed
+from labrun.models import Model, Robot, RobotJoint, simulate, suggest_substeps
+
+OF_THE_WHOLE = ("gravity-tilt", "payload")
+"""Effects that one joint shows and the whole robot has."""
+_MOST_SUBSTEPS = 16
+
+
+@dataclass(frozen=True)
+class JointDiagnosis:
+    """What was found about one joint.
+
+    Attributes
+    ----------
+    stated, recalibrated, corrected
+        Root mean square of measured minus simulated of this joint, in its unit, where the whole robot is simulated:
+        with the model as stated, with parameters recalibrated, with all causes of all joints added. NaN where the
+        simulation leaves the finite numbers.
+    """
+
+    joint: RobotJoint
+    diagnosis: Diagnosis
+    stated: float
+    recalibrated: float
+    corrected: float
+
+
+@dataclass(frozen=True)
+class RobotDiagnosis:
+    """What was found about a robot.
+
+    Attributes
+    ----------
+    whole
+        Causes of the robot as a whole (a tilted base, a load), with the joints that show each.
+    effects, values
+        All causes as they go into the model of the whole robot, and its parameters.
+    remarks
+        What to know, in sentences.
+    """
+
+    name: str
+    model: str
+    source: str
+    joints: tuple[JointDiagnosis, ...]
+    whole: tuple[tuple[str, tuple[str, ...], Mapping[str, float]], ...]
+    effects: tuple[AttachedEffect, ...]
+    values: Mapping[str, float]
+    remarks: tuple[str, ...]
+    seconds: float
+
+    @property
+    def named(self) -> tuple[JointDiagnosis, ...]:
+        """The joints at which a cause was found."""
+        return tuple(one for one in self.joints if one.diagnosis.causes)
+
+    @property
+    def sentence(self) -> str:
+        """The answer, as a sentence."""
+        found = [
+            f"{one.joint.name}: {' and '.join(cause.name.words.partition(' at ')[0] for cause in one.diagnosis.causes)}"
+            for one in self.named
+        ]
+        unexplained = [one.joint.name for one in self.joints if one.diagnosis.verdict == "not-in-library"]
+        told = "; ".join(found) if found else "nothing but recalibration is asked for at any joint"
+        count = f"{len(self.named)} of {len(self.joints)} joints lack physics: " if found else ""
+        rest = f"; not in the library: {', '.join(unexplained)}" if unexplained else ""
+        return f"{count}{told}{rest}."
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``labrun gap diagnose --json`` prints, with what makes the corrected model."""
+        found = bool(self.named)
+        return {
+            "verdict": "explained" if found else "no-gap",
+            "sentence": self.sentence,
+            "name": self.name,
+            "model": self.model,
+            "source": self.source,
+            "joints": [
+                {
+                    "joint": one.joint.name, "unit": one.joint.unit, "stated": _number(one.stated),
+                    "recalibrated": _number(one.recalibrated), "corrected": _number(one.corrected),
+                    "diagnosis": one.diagnosis.to_json(),
+                }
+                for one in self.joints
+            ],
+            "whole": [
+                {"effect": name, "joints": list(joints), "values": dict(values)}
+                for name, joints, values in self.whole
+            ],
+            "corrected": dict(self.values),
+            "effects": [
+                {"effect": one.effect.id, "kind": one.effect.kind, "site": one.site, "values": list(one.values)}
+                for one in self.effects
+            ],
+            "notes": list(self.remarks),
+            "seconds": round(self.seconds, 2),
+        }  # fmt: skip
+
+
+def diagnose_robot(
+    robot: Robot, model: Model, dataset: Dataset, options: Options | None = None, *, note: Note = silent
+) -> RobotDiagnosis:
+    """Say of every joint where model and log differ, which cause explains it, and how far.
+
+    Each joint is diagnosed as a model of its own in which the other joints move as they were measured; what is found
+    is then put into the model of the whole robot, which is simulated beside the log.
+
+    Parameters
+    ----------
+    robot
+        The robot's file.
+    model
+        The model of the whole robot, as `labrun.models.load_model` makes it from that file.
+    options
+        ``workers`` joints are looked at at once.
+
+    Raises
+    ------
+    RequestError
+        The robot cannot be taken apart into its joints; see `why_not`.
+    RecordingError, FitError, ModelError
+        Data or model that do not allow a diagnosis.
+    """
+    options = options or Options()
+    start = time.perf_counter()
+    note("finding what each joint carries along the measured motion")
+    found = prescribed(robot, model, dataset)
+    alone = replace(options, workers=1, places=False)
+    done: list[str] = []
+
+    def look(place: int) -> tuple[OneJoint, Diagnosis]:
+        one = one_joint(found, place)
+        answer = diagnose_dataset(
+            one.dataset, one.model, alone, note=_told(note, done, robot, one.joint.name)
+        )
+        done.append(one.joint.name)
+        note(f"{len(done)} of {len(robot.joints)} joints: {one.joint.name} {answer.verdict}")
+        return one, answer
+
+    with workers(options.workers) as each:
+        answers = each(look, range(len(robot.joints)))
+    note("simulating the whole robot with what was found")
+    return _together(found, answers, start)
+
+
+def _told(note: Note, done: Sequence[str], robot: Robot, joint: str) -> Callable[[str], None]:
+    return lambda text: note(f"{len(done)} of {len(robot.joints)} joints done; {joint}: {text}")
+
+
+def _together(
+    found: Prescribed, answers: Sequence[tuple[OneJoint, Diagnosis]], start: float
+) -> RobotDiagnosis:
+    model = found.whole
+    names = {one.name for one in model.parameters}
+    recalibrated, corrected = _values(model, answers, after=False), _values(model, answers, after=True)
+    effects, left = [], []
+    for _, answer in answers:
+        for one in answer.effects:
+            try:
+                one.check(model)
+                effects.append(one)
+            except Exception as error:
+                if one.effect.id not in OF_THE_WHOLE:
+                    left.append(f"{one.effect.id} at {one.site} is not in the corrected model: {error}")
+    whole = _of_the_whole(answers)
+    left += [
+        f"{name} is told by {', '.join(joints)} and is not in the corrected model"
+        for name, joints, _ in whole
+    ]
+    errors = [
+        _errors(found, model.with_values(values).with_effects(added))
+        for values, added in (({}, ()), (recalibrated, ()), (corrected, tuple(effects)))
+    ]
+    joints = tuple(
+        JointDiagnosis(one.joint, answer, *(float(error[place]) for error in errors))
+        for place, (one, answer) in enumerate(answers)
+    )
+    return RobotDiagnosis(
+        found.robot.name, model.name, str(found.dataset.source), joints, whole, tuple(effects),
+        {name: value for name, value in corrected.items() if name in names}, tuple(left), time.perf_counter() - start,
+    )  # fmt: skip
+
+
+def _values(model: Model, answers: Sequence[tuple[OneJoint, Diagnosis]], *, after: bool) -> dict[str, float]:
+    """Return the parameters of the whole robot: a joint's own from that joint, a mass as the mean over joints."""
+    stated = {one.name: one.value for one in model.parameters}
+    told: dict[str, list[float]] = {}
+    for _, answer in answers:
+        every = {name: value for name, (_, _, value) in answer.recalibration.items()}
+        for name, value in {**every, **(answer.corrected if after else {})}.items():
+            if name in stated:
+                told[name] = [value]
+            elif (mass := name.removesuffix("_ratio")) in stated:
+                told.setdefault(mass, []).append(value * stated[mass])
+    return {name: float(np.mean(values)) for name, values in told.items()}
+
+
+def _of_the_whole(
+    answers: Sequence[tuple[OneJoint, Diagnosis]],
+) -> tuple[tuple[str, tuple[str, ...], dict[str, float]], ...]:
+    found = []
+    for effect in OF_THE_WHOLE:
+        shown = [
+            (one.joint.name, cause)
+            for one, answer in answers
+            for cause in answer.causes
+            if cause.name.effect == effect
+        ]
+        if shown:
+            names = shown[0][1].values
+            values = {
+                name: float(np.median([cause.values[name].value for _, cause in shown])) for name in names
+            }
+            found.append((effect, tuple(name for name, _ in shown), values))
+    return tuple(found)
+
+
+def _errors(found: Prescribed, model: Model) -> FloatArray:
+    """Return the root mean square of measured minus simulated of every joint, whole trials simulated at once."""
+    data = found.dataset
+    names = [one.name for one in data.outputs]
+    columns = [names.index(one.output) for one in found.robot.joints]
+    model = model.with_between({one.name: one.between for one in data.inputs})
+    squares, count, substeps = np.zeros(len(columns)), 0, None
+    for trial, (q, rate, _) in zip(data.trials, found.motions, strict=True):
+        known = {joint.output: float(q[0, k]) for k, joint in enumerate(found.robot.joints)}
+        known |= {f"{joint.output}_rate": float(rate[0, k]) for k, joint in enumerate(found.robot.joints)}
+        begin = np.array([known.get(state, 0.0) for state in model.states])
+        if substeps is None:
+            substeps = suggest_substeps(
+                model,
+                trial.time_s[:50],
+                trial.inputs[:50],
+                initial_state=begin,
+                tolerance=1e-3,
+                most=_MOST_SUBSTEPS,
+            )
+        made = simulate(
+            model,
+            trial.time_s,
+            trial.inputs,
+            initial_state=begin,
+            condition=trial.condition,
+            substeps=substeps,
+        )
+        squares += np.sum((trial.outputs[:, columns] - made.outputs[:, columns]) ** 2, axis=0)
+        count += len(trial.time_s)
+    return np.sqrt(squares / max(count, 1))
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None

@@ -1,0 +1,275 @@
+"""One joint as a model of its own: its drive and what it carries, while the others move as they were measured.
+
+The joint's equation is the row of the robot's equations of motion that belongs to it (Featherstone, Rigid Body Dynamics
+Algorithms (2008), chapter 3), linearised about the measured motion in what the joint itself does:
+
+    (armature + H(t)) q'' = drive - damping q' - c(t) - dc/dq (q - q_measured) - dc/dq' (q' - q'_measured)
+
+H and c come from the inverse dynamics of the bodies that hang on the joint, each in proportion to its mass.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.errors import RequestError
+from labrun.fit import Dataset
+from labrun.gap.robot.motion import smoothed
+from labrun.models import (
+    Carried,
+    Model,
+    Robot,
+    RobotActuator,
+    RobotJoint,
+    RobotTerms,
+    carried,
+    identifier,
+    parse_model,
+    robot_terms,
+)
+from labrun.store import SignalInfo
+
+LEAST_SHARE = 0.01
+"""Part of a joint's torque that a body must ask for to have a mass of its own among the parameters."""
+_GAIN_TOLERANCE, _MASS_TOLERANCE = 0.1, 0.05
+
+
+@dataclass(frozen=True)
+class OneJoint:
+    """A joint with its model and its data."""
+
+    joint: RobotJoint
+    model: Model
+    dataset: Dataset
+
+
+@dataclass(frozen=True)
+class Prescribed:
+    """A robot's log with the motion and the torques that it shows.
+
+    Attributes
+    ----------
+    motions
+        Of every trial: coordinates, rates and accelerations of all joints.
+    terms
+        Of every trial: what the joints carry.
+    """
+
+    robot: Robot
+    whole: Model
+    dataset: Dataset
+    motions: tuple[tuple[FloatArray, FloatArray, FloatArray], ...]
+    terms: tuple[Carried, ...]
+    own: RobotTerms
+
+
+def why_not(robot: Robot, dataset: Dataset) -> str:
+    """Return why a robot cannot be taken apart into its joints; "" if it can."""
+    measured = {one.name for one in dataset.outputs}
+    missing = [one.name for one in robot.joints if one.output not in measured]
+    if missing:
+        return f"the log has no angle of {', '.join(missing)}"
+    coupled = robot_terms(robot.xml, [one.name for one in robot.joints]).coupled
+    if coupled:
+        return coupled
+    for one in robot.actuators:
+        if not one.joint or one.command == "other":
+            return f"actuator {one.name} drives no joint by a goal or a torque"
+    names = [one.joint for one in robot.actuators]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    return f"more than one actuator drives {', '.join(twice)}" if twice else ""
+
+
+def prescribed(robot: Robot, whole: Model, dataset: Dataset) -> Prescribed:
+    """Find the motion of all joints and what each carries.
+
+    Parameters
+    ----------
+    whole
+        The model of the whole robot, whose statements of gains, springs and damping count.
+
+    Raises
+    ------
+    RequestError
+        The robot cannot be taken apart into its joints, with the reason.
+    """
+    reason = why_not(robot, dataset)
+    if reason:
+        raise RequestError(f"{robot.name} cannot be looked at joint by joint: {reason}")
+    names = [one.name for one in dataset.outputs]
+    columns = [names.index(one.output) for one in robot.joints]
+    motions = [smoothed(trial.time_s, trial.outputs[:, columns]) for trial in dataset.trials]
+    joints = [one.name for one in robot.joints]
+    lengths = [len(one[0]) for one in motions]
+    moved = tuple(np.concatenate([one[k] for one in motions]) for k in range(3))
+    terms = carried(robot.xml, joints, moved)  # type: ignore[arg-type]
+    return Prescribed(
+        robot, whole, dataset, tuple(motions), tuple(_parts(terms, lengths)), robot_terms(robot.xml, joints)
+    )
+
+
+def _parts(terms: Carried, lengths: Sequence[int]) -> Iterator[Carried]:
+    first = 0
+    for length in lengths:
+        rows = slice(first, first + length)
+        yield Carried(
+            terms.bodies, terms.inertia[rows], terms.torque[rows], terms.slope[rows], terms.rate_slope[rows],
+            terms.tilt[rows], terms.load[rows],
+        )  # fmt: skip
+        first += length
+
+
+def one_joint(found: Prescribed, place: int) -> OneJoint:
+    """Return the model of a joint, and the trials as it sees them."""
+    joint = found.robot.joints[place]
+    drive = next((one for one in found.robot.actuators if one.joint == joint.name), None)
+    torque = np.concatenate([one.torque[:, place] for one in found.terms])
+    inertia = np.concatenate([one.inertia[:, place] for one in found.terms])
+    acceleration = np.concatenate([one[2][:, place] for one in found.motions])
+    shares = np.sqrt(np.mean((torque + inertia * acceleration[:, None]) ** 2, axis=0))
+    total = float(np.sqrt(np.mean(np.sum(torque + inertia * acceleration[:, None], axis=1) ** 2)))
+    own = [k for k, share in enumerate(shares) if share > LEAST_SHARE * total]
+    rest = [k for k in range(len(shares)) if k not in own]
+    tilted = bool(max(float(np.ptp(one.tilt[:, place])) for one in found.terms) > LEAST_SHARE * total)
+    loaded = bool(max(float(np.ptp(one.load[:, place])) for one in found.terms) > 0)
+    bodies = [found.terms[0].bodies[k] for k in own]
+    text = "\n".join(_lines(found, place, joint, drive, bodies, tilted=tilted, loaded=loaded))
+    model = parse_model(text, f"{found.robot.name}: {joint.name}")
+    return OneJoint(
+        joint, model, _dataset(found, place, joint, drive, own, rest, model, tilted=tilted, loaded=loaded)
+    )
+
+
+def _dataset(
+    found: Prescribed, place: int, joint: RobotJoint, drive: RobotActuator | None, own: list[int], rest: list[int],
+    model: Model, *, tilted: bool, loaded: bool,
+) -> Dataset:  # fmt: skip
+    data = found.dataset
+    output = [one.name for one in data.outputs].index(joint.output)
+    goal = [one.name for one in data.inputs].index(drive.input) if drive else None
+    trials, begun = [], 0.0
+    told = [tuple(sorted(trial.condition.items())) for trial in data.trials]
+    in_row = len(set(told)) == len(told)
+    for trial, (q, rate, _), terms in zip(data.trials, found.motions, found.terms, strict=True):
+        columns = [] if goal is None else [trial.inputs[:, goal]]
+        columns += [terms.torque[:, place, k] for k in own] + [terms.inertia[:, place, k] for k in own]
+        columns += [
+            terms.torque[:, place, rest].sum(axis=1), terms.inertia[:, place, rest].sum(axis=1),
+            terms.slope[:, place], terms.rate_slope[:, place], q[:, place], rate[:, place],
+        ]  # fmt: skip
+        columns += [terms.tilt[:, place, 0], terms.tilt[:, place, 1]] if tilted else []
+        columns += [terms.load[:, place]] if loaded else []
+        # trials of one log follow one another: what changes with the log's time needs it (repeats are averaged instead)
+        time_s = trial.time_s + (begun - trial.time_s[0]) if in_row else trial.time_s
+        begun += float(trial.time_s[-1] - trial.time_s[0])
+        outputs = trial.outputs[:, [output]].copy()
+        trials.append(replace(trial, time_s=time_s, inputs=np.column_stack(columns), outputs=outputs))
+    known = {one.name: one for one in data.inputs}
+    infos = tuple(known.get(one.name) or SignalInfo(one.name, one.unit) for one in model.inputs)
+    return replace(
+        data,
+        name=f"{data.name}: {joint.name}",
+        inputs=infos,
+        outputs=(data.outputs[output],),
+        trials=tuple(trials),
+    )
+
+
+def _lines(
+    found: Prescribed, place: int, joint: RobotJoint, drive: RobotActuator | None, bodies: list[str],
+    *, tilted: bool, loaded: bool,
+) -> Iterator[str]:  # fmt: skip
+    q, rate = joint.output, f"{joint.output}_rate"
+    turns = joint.unit == "rad"
+    force, per = ("N m", "N m s/rad") if turns else ("N", "N s/m")
+    yield f'name = "{found.robot.name}-{joint.output}"'
+    yield f'states = ["{q}", "{rate}"]'
+    yield "[inputs]"
+    if drive is not None:
+        between = "hold" if drive.command in ("position", "velocity") else "linear"
+        yield f'{drive.input} = {{ unit = "{drive.unit}", between = "{between}" }}'
+    known = [f"torque_{k}" for k in range(len(bodies))] + [f"inertia_{k}" for k in range(len(bodies))]
+    known += ["torque_rest", "inertia_rest", "slope", "rate_slope", "measured", "measured_rate"]
+    known += ["roll_torque", "pitch_torque"] if tilted else []
+    known += ["load_torque"] if loaded else []
+    for name in known:
+        yield f'{name} = {{ prescribed = true, between = "linear" }}'
+    yield "[parameters]"
+    yield _parameter(found.whole, f"{q}_damping", found.own.damping[place], "free", per)
+    if joint.sprung:
+        yield _parameter(
+            found.whole,
+            f"{q}_stiffness",
+            found.own.stiffness[place],
+            _GAIN_TOLERANCE,
+            f"{force}/{joint.unit}",
+        )
+    yield f"{q}_armature = {{ value = {found.own.armature[place]!r}, tolerance = 0.0 }}"
+    gains = found.own.drives.get(joint.name)
+    if gains is not None and gains.kp:
+        yield _parameter(found.whole, _gain(joint, drive), gains.kp, _GAIN_TOLERANCE, f"{force}/{joint.unit}")
+    for k, body in enumerate(bodies):
+        yield f"{identifier(body)}_mass_ratio = {{ value = 1.0, tolerance = {_MASS_TOLERANCE}, lower = 0.0 }} # {k}"
+    masses = [f"{identifier(body)}_mass_ratio" for body in bodies]
+    torque = " + ".join(["torque_rest", *(f"{mass}*torque_{k}" for k, mass in enumerate(masses))])
+    inertia = " + ".join(
+        [f"{q}_armature", "inertia_rest", *(f"{mass}*inertia_{k}" for k, mass in enumerate(masses))]
+    )
+    effort = _effort(joint, drive, found)
+    own = [f"{q}_damping*{rate}"]
+    if joint.sprung:
+        own.append(f"{q}_stiffness*({q} - {found.own.rest[place]!r})")
+    if found.own.friction[place]:
+        own.append(f"{found.own.friction[place]!r}*tanh({rate}/0.01)")
+    forces = [f"force.{q}", *(["force.base"] if tilted else []), *(["force.tip"] if loaded else [])]
+    yield "[equations]"
+    yield f'{q} = "{rate}"'
+    yield (
+        f'{rate} = "({effort} + {" + ".join(forces)} - {" - ".join(own)} - ({torque}) - slope*({q} - measured)'
+        f' - rate_slope*({rate} - measured_rate)) / ({inertia})"'
+    )
+    yield "[outputs]"
+    yield f'{q} = {{ equation = "{q}", unit = "{joint.unit}" }}'
+    yield f"[sites.{q}]"
+    yield f'kind = "joint"\ncoordinate = "{q}"\nrate = "{rate}"\nload = "{effort}"'
+    if joint.sprung:
+        yield f'stiffness = "{q}_stiffness"'
+    if tilted:
+        yield '[sites.base]\nkind = "base"\ncoordinate = "roll_torque"\nrate = "pitch_torque"'
+    if loaded:
+        yield '[sites.tip]\nkind = "tip"\ncoordinate = "load_torque"\nrate = "load_torque"'
+    yield "[initial]"
+    yield f'{q} = "first"\n{rate} = "free"'
+
+
+def _gain(joint: RobotJoint, drive: RobotActuator | None) -> str:
+    """Return what the gain is called in the model of the whole robot."""
+    return f"{joint.output if drive is None else identifier(drive.name)}_kp"
+
+
+def _effort(joint: RobotJoint, drive: RobotActuator | None, found: Prescribed) -> str:
+    """Return the equation of what the drive puts on the joint."""
+    if drive is None:
+        return "0.0"
+    gains_name = _gain(joint, drive)
+    gains = found.own.drives[joint.name]
+    q, rate = joint.output, f"{joint.output}_rate"
+    if drive.command == "torque":
+        effort = f"{gains.gear!r}*{drive.input}"
+    elif drive.command == "velocity":
+        effort = f"{gains_name}*({drive.input} - {rate})"
+    else:
+        effort = f"{gains_name}*({drive.input} - {q}) - {gains.kv!r}*{rate}"
+    low, high = gains.limits
+    return f"clip({effort}, {low!r}, {high!r})" if np.isfinite([low, high]).all() else effort
+
+
+def _parameter(whole: Model, name: str, value: float, tolerance: float | str, unit: str) -> str:
+    """Return the line of a parameter: what the model of the whole robot says of it, where it has one of that name."""
+    known = next((one for one in whole.parameters if one.name == name), None)
+    if known is not None:
+        value, tolerance = known.value, known.tolerance
+    told = f'"{tolerance}"' if isinstance(tolerance, str) else repr(float(tolerance))
+    return f'{name} = {{ value = {value!r}, tolerance = {told}, unit = "{unit}", lower = 0.0 }}'

@@ -1,0 +1,127 @@
+"""Joints looked at one by one, on an arm that MuJoCo steps in short steps."""
+
+import dataclasses
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labrun.fit import Dataset, FitTrial
+from labrun.gap import Options, diagnose_robot, why_not
+from labrun.gap.robot.motion import smoothed
+from labrun.gap.robot.one_joint import one_joint, prescribed
+from labrun.models import load_model, read_robot, simulate
+from labrun.store import SignalInfo
+
+XML = """
+<mujoco model="arm"><compiler angle="radian"/><worldbody><body name="upper">
+<joint name="shoulder" axis="0 1 0" damping="0.4" armature="0.05"/>
+<inertial pos="0 0 -0.2" mass="1.5" diaginertia="0.01 0.01 0.01"/>
+<body name="lower" pos="0 0 -0.4"><joint name="elbow" axis="0 1 0" damping="0.2" armature="0.02"/>
+<inertial pos="0 0 -0.15" mass="0.8" diaginertia="0.005 0.005 0.005"/></body></body></worldbody>
+<actuator><position name="shoulder" joint="shoulder" kp="150" kv="8"/>
+<position name="elbow" joint="elbow" kp="40" kv="2"/></actuator></mujoco>
+"""
+NOISE = 2e-4
+STEP_S, SAMPLE_S, SAMPLES = 5e-4, 0.01, 220
+
+
+@cache
+def log(friction: float = 0.0, trials: int = 5) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """Return goals and measured angles; Coulomb friction of the elbow as a spring of bristles (Dahl)."""
+    import mujoco
+
+    rng = np.random.default_rng(3)
+    model = mujoco.MjModel.from_xml_string(XML)
+    model.opt.timestep = STEP_S
+    time_s = np.arange(SAMPLES) * SAMPLE_S
+    fade = np.sin(np.pi * np.arange(SAMPLES) / SAMPLES) ** 1.5
+    made = []
+    for _ in range(trials):
+        data = mujoco.MjData(model)
+        frequency, phase = rng.uniform(0.4, 1.6, (2, 2)), rng.uniform(0, 6, (2, 2))
+        goals = (
+            0.35 * fade[:, None] * np.sin(2 * np.pi * time_s[:, None, None] * frequency + phase).sum(axis=2)
+        )
+        angles, bristle = np.empty_like(goals), 0.0
+        for row in range(SAMPLES):
+            angles[row] = data.qpos
+            for _ in range(round(SAMPLE_S / STEP_S)):
+                bristle = float(np.clip(bristle + STEP_S * data.qvel[1] / 2e-4, -1, 1))
+                data.ctrl[:], data.qfrc_applied[1] = goals[row], -friction * bristle
+                mujoco.mj_step(model, data)
+        made.append((goals, angles + NOISE * rng.standard_normal(angles.shape)))
+    return tuple(made)
+
+
+def arm(tmp_path: Path, friction: float = 0.0):
+    file = tmp_path / "arm.xml"
+    file.write_text(XML, encoding="utf-8")
+    robot, model = read_robot(file), load_model(file)
+    time_s = np.arange(SAMPLES) * SAMPLE_S
+    trials = tuple(
+        FitTrial(f"trial {k}", {"motion": f"m{k}"}, 1, time_s, goals, angles)
+        for k, (goals, angles) in enumerate(log(friction))
+    )
+    inputs = tuple(SignalInfo(one.name, one.unit, "hold") for one in model.inputs)
+    outputs = tuple(SignalInfo(one.name, one.unit) for one in model.outputs)
+    return robot, model, Dataset("arm", tmp_path, "recording", inputs, outputs, trials)
+
+
+def test_smoothing_returns_the_motion_behind_the_noise():
+    time_s = np.linspace(0, 4, 401)
+    clean = np.sin(5 * time_s)
+    noisy = clean + 1e-3 * np.random.default_rng(0).standard_normal(401)
+    q, rate, acceleration = (one[:, 0] for one in smoothed(time_s, noisy[:, None]))
+    inner = slice(30, -30)
+    assert np.std((q - clean)[inner]) < 0.5e-3
+    assert np.std((rate - 5 * np.cos(5 * time_s))[inner]) < 0.02
+    assert np.std((acceleration + 25 * clean)[inner]) < 0.5
+
+
+def test_a_joint_alone_moves_as_it_does_in_the_robot(tmp_path):
+    robot, model, dataset = arm(tmp_path)
+    found = prescribed(robot, model, dataset)
+    for place in range(2):
+        one = one_joint(found, place)
+        trial = one.dataset.trials[0]
+        moved = simulate(
+            one.model, trial.time_s, trial.inputs, initial_state=[trial.outputs[0, 0], 0.0], substeps=2
+        )
+        assert np.std(moved.outputs[:, 0] - trial.outputs[:, 0]) < 3 * NOISE
+
+
+def test_prescribed_motion_is_no_site(tmp_path):
+    robot, model, dataset = arm(tmp_path)
+    places = one_joint(prescribed(robot, model, dataset), 1).model.places
+    assert [(one.kind, one.name) for one in places] == [
+        ("joint", "elbow"), ("base", "base"), ("tip", "tip"), ("input", "elbow_command"), ("output", "elbow"),
+    ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_friction_is_named_at_its_joint_and_nothing_at_the_other(tmp_path):
+    robot, model, dataset = arm(tmp_path, friction=0.25)
+    said: list[str] = []
+    found = diagnose_robot(robot, model, dataset, Options(workers=2), note=said.append)
+    shoulder, elbow = found.joints
+    assert [str(one.name) for one in elbow.diagnosis.causes] == ["coulomb-friction at elbow"]
+    assert elbow.diagnosis.causes[0].values["torque"].value == pytest.approx(0.25, rel=0.1)
+    assert not shoulder.diagnosis.causes
+    assert elbow.corrected < 0.5 * elbow.recalibrated
+    assert found.sentence == "1 of 2 joints lack physics: elbow: Coulomb friction."
+    assert any("2 of 2 joints" in one for one in said)
+
+
+def test_what_cannot_be_taken_apart_is_told(tmp_path):
+    robot, _, dataset = arm(tmp_path)
+    assert why_not(robot, dataset) == ""
+    alone = dataclasses.replace(dataset, outputs=dataset.outputs[:1])
+    assert why_not(robot, alone) == "the log has no angle of elbow"
+    tied = XML.replace(
+        "</worldbody>", '</worldbody><equality><joint joint1="shoulder" joint2="elbow"/></equality>'
+    )
+    file = tmp_path / "tied.xml"
+    file.write_text(tied, encoding="utf-8")
+    assert why_not(read_robot(file), dataset) == "equality constraints tie its joints together"
