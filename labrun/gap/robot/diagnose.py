@@ -108,6 +108,14 @@ class RobotDiagnosis:
                 for one in self.effects
             ],
             "notes": list(self.remarks),
+            "data": {
+                "trials": self.joints[0].diagnosis.trials,
+                "conditions": self.joints[0].diagnosis.conditions,
+                "repeats": self.joints[0].diagnosis.repeats,
+            },
+            "seed": self.joints[0].diagnosis.seed,
+            "limitations": [],
+            "causes": [cause for one in self.joints for cause in one.diagnosis.to_json()["causes"]],
             "seconds": round(self.seconds, 2),
         }  # fmt: skip
 

@@ -210,6 +210,9 @@ def _lines(
     gains = found.own.drives.get(joint.name)
     if gains is not None and gains.kp:
         yield _parameter(found.whole, _gain(joint, drive), gains.kp, _GAIN_TOLERANCE, f"{force}/{joint.unit}")
+    if gains is not None and gains.kv:
+        # of the motion alone it is the joint's damping; of what the drive puts on the gear it is a part
+        yield _parameter(found.whole, _rate_gain(joint, drive), gains.kv, _GAIN_TOLERANCE, per)
     for k, body in enumerate(bodies):
         yield f"{identifier(body)}_mass_ratio = {{ value = 1.0, tolerance = {_MASS_TOLERANCE}, lower = 0.0 }} # {k}"
     masses = [f"{identifier(body)}_mass_ratio" for body in bodies]
@@ -249,6 +252,10 @@ def _gain(joint: RobotJoint, drive: RobotActuator | None) -> str:
     return f"{joint.output if drive is None else identifier(drive.name)}_kp"
 
 
+def _rate_gain(joint: RobotJoint, drive: RobotActuator | None) -> str:
+    return f"{joint.output if drive is None else identifier(drive.name)}_kv"
+
+
 def _effort(joint: RobotJoint, drive: RobotActuator | None, found: Prescribed) -> str:
     """Return the equation of what the drive puts on the joint."""
     if drive is None:
@@ -261,7 +268,8 @@ def _effort(joint: RobotJoint, drive: RobotActuator | None, found: Prescribed) -
     elif drive.command == "velocity":
         effort = f"{gains_name}*({drive.input} - {rate})"
     else:
-        effort = f"{gains_name}*({drive.input} - {q}) - {gains.kv!r}*{rate}"
+        effort = f"{gains_name}*({drive.input} - {q})"
+        effort += f" - {_rate_gain(joint, drive)}*{rate}" if gains.kv else ""
     low, high = gains.limits
     return f"clip({effort}, {low!r}, {high!r})" if np.isfinite([low, high]).all() else effort
 
