@@ -5,6 +5,7 @@ from labrun.blind.diagnosis_check import Checked, check
 from labrun.blind.hiding import HiddenBench, hidden_bench, named_model
 from labrun.blind.judging import GOOD, STRENGTHS, Judged
 from labrun.blind.revealed import Compared, Hidden, Revealed, reveal
+from labrun.blind.robot_check import CheckedRobots, JudgedJoint, check_robots
 from labrun.blind.scoring import Scores, Share
 from labrun.blind.seal import SEALED, Seal, is_sealed, read_seal, redacted, write_seal
 
@@ -13,15 +14,18 @@ __all__ = [
     "SEALED",
     "STRENGTHS",
     "Checked",
+    "CheckedRobots",
     "Compared",
     "Hidden",
     "HiddenBench",
     "Judged",
+    "JudgedJoint",
     "Revealed",
     "Scores",
     "Seal",
     "Share",
     "check",
+    "check_robots",
     "concealed",
     "hidden_bench",
     "is_sealed",

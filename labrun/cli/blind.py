@@ -17,7 +17,8 @@ def check(
         str | None,
         typer.Option(
             metavar="KIND",
-            help="Cases of one kind, not the mixture: control, effect, pair, parameter or outside.",
+            help="Cases of one kind, not the mixture: control, effect, pair, parameter or outside; robots: arms and "
+            "legs of 6 to 12 joints with effects hidden in one to three, diagnosed joint by joint.",
         ),
     ] = None,
     data: Annotated[
@@ -45,6 +46,9 @@ def check(
 
     Example:  labrun gap check --cases 20 --seed 7
     """
+    if only is not None and only.removesuffix("s") == "robot":
+        _check_robots(cases, seed, workers, out, as_json=as_json, other=bool(data or cluster or generator))
+        return
     with reported(as_json):
         from labrun.blind import check as check_cases
         from labrun.report.diagnosis_check import check_text, write_check_page
@@ -66,6 +70,23 @@ def check(
             print_json(result.to_json())
         else:
             typer.echo(check_text(result))
+
+
+def _check_robots(
+    cases: int, seed: int, workers: int | None, out: Path | None, *, as_json: bool, other: bool
+) -> None:
+    with reported(as_json):
+        from labrun.blind import check_robots
+        from labrun.errors import RequestError
+
+        if other:
+            raise RequestError("--data, --cluster and --generator are not for --only robots")
+        with status() as note:
+            result = check_robots(cases=cases, seed=seed, workers=workers, out=out, note=note)
+        if as_json:
+            print_json(result.to_json())
+        else:
+            typer.echo(result.to_text())
 
 
 def reveal(

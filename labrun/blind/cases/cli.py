@@ -12,7 +12,11 @@ from pathlib import Path
 from .case import Asked, make_case
 from .mixture import DECK
 from .noise import COLOURS
+from .robots.case import make_robot
 from .seal import SEAL, seal, verify
+
+ROBOTS = "robot"
+"""Kind of cases that are whole robots; never in the mixture."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -21,7 +25,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--cases", type=int, default=60, metavar="N", help="how many cases to make")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="below 1000: development")
     parser.add_argument("--first", type=int, default=1, metavar="K", help="number of the first case, from 1")
-    parser.add_argument("--only", choices=tuple(DECK), help="make cases of this kind alone, not the mixture")
+    parser.add_argument(
+        "--only", choices=(*DECK, ROBOTS), help="make cases of this kind alone, not the mixture"
+    )
     parser.add_argument(
         "--repeats", type=int, metavar="N", help="repeats of every condition, not those drawn"
     )
@@ -59,8 +65,11 @@ def _make(folder: Path, seed: int, indices: range, given: argparse.Namespace) ->
     shutil.rmtree(making, ignore_errors=True)
     making.mkdir(parents=True)
     try:
-        make = partial(
-            make_case, seed, folder=making, asked=Asked(given.only, given.repeats, given.noise, given.zeros)
+        asked = Asked(given.only, given.repeats, given.noise, given.zeros)
+        make = (
+            partial(make_robot, seed, folder=making)
+            if given.only == ROBOTS
+            else partial(make_case, seed, folder=making, asked=asked)
         )
         if given.workers == 1:
             for index in indices:

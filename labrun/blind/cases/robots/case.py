@@ -9,7 +9,7 @@ import numpy as np
 
 from .body import Body, FloatArray, draw
 from .hidden import EFFECTS, Joint, draw_shape, draw_size
-from .motion import SAMPLE_S, STEP_S, goals, run
+from .motion import REST_S, SAMPLE_S, SEGMENTS, STEP_S, goals, run
 
 MASS_OFF, GAIN_OFF = 0.03, 0.05
 """How far masses and gains of the robot are from its file, relative standard deviation."""
@@ -65,7 +65,7 @@ def _made(rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, str]]:
         ],
         "whole": {name: list(one) if isinstance(one, tuple) else one for name, one in whole.items()},
     }  # fmt: skip
-    return answer, {"robot.xml": stated.xml(), "log.csv": _csv(stated, goal, measured)}
+    return answer, {"robot.xml": stated.xml(), **_recording(stated, goal, measured)}
 
 
 def _hidden(
@@ -118,9 +118,22 @@ def _gap(body: Body, goal: FloatArray, plain: FloatArray, course: FloatArray, pl
     return float(np.sqrt(np.mean(left**2)))
 
 
-def _csv(body: Body, goal: FloatArray, measured: FloatArray) -> str:
+def _recording(body: Body, goal: FloatArray, measured: FloatArray) -> dict[str, str]:
+    """Return a recording, a file a motion; each begins half a rest before its first goal, but for the first."""
     names = [one.name for one in body.links]
-    header = ["time_s", *(f"{name}.pos" for name in names), *(f"{name}.cmd" for name in names)]
-    time_s = np.arange(len(goal)) * SAMPLE_S
-    rows = np.column_stack([time_s, measured, goal])
-    return ",".join(header) + "\n" + "\n".join(",".join(f"{one:.9g}" for one in row) for row in rows) + "\n"
+    lines = ['experiment = "robot"']
+    for name in names:
+        lines += [f"[channels.{name}_command]", 'kind = "input"', 'unit = "rad"', 'between = "hold"']
+        lines += [f"[channels.{name}]", 'kind = "output"', 'unit = "rad"']
+    files = {}
+    header = ",".join(["time_s", *(f"{name}_command" for name in names), *names])
+    per = len(goal) // SEGMENTS
+    lead = round(REST_S / SAMPLE_S / 2)
+    for number in range(SEGMENTS):
+        rows = slice(max(0, number * per - lead), (number + 1) * per - lead)
+        time_s = SAMPLE_S * np.arange(len(goal[rows]))
+        table = np.column_stack([time_s, goal[rows], measured[rows]])
+        file = f"{number + 1:03d}.csv"
+        files[file] = header + "\n" + "".join(",".join(f"{one:.9g}" for one in row) + "\n" for row in table)
+        lines += ["[[trials]]", f'file = "{file}"', f'condition = {{ motion = "m{number + 1}" }}']
+    return {**files, "recording.toml": "\n".join(lines) + "\n"}

@@ -1,0 +1,215 @@
+"""The check on sealed robots: made, diagnosed joint by joint, their seal opened, scored."""
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from labrun.blind.check_folder import SHIPPED_GENERATOR, CheckFolder, make_cases, open_answers, seal_of
+from labrun.blind.diagnosis_check import FIRST_REPORTED_SEED, case_seed
+from labrun.blind.jobs import fingerprint
+from labrun.errors import LabrunError, RequestError
+from labrun.fit import Note, cores, load_dataset, silent
+from labrun.gap import Options, diagnose_robot
+from labrun.models import load_model, read_robot
+
+ROBOT = "robot"
+PLAIN_GAP = 3.0
+"""Gap, in units of the noise, from which a hidden effect has to be named."""
+_MOST_NAMED = 2
+_WHOLE = {"gravity": "gravity-tilt", "payload": "payload"}
+
+
+@dataclass(frozen=True)
+class JudgedJoint:
+    """One joint of one robot: what was hidden there, and what was said.
+
+    Attributes
+    ----------
+    hidden, gap
+        Empty and 0 where nothing was hidden.
+    said
+        Every announced cause with what it cannot be told from, the cause first.
+    right
+        Whether the hidden effect is among them; of a joint without, whether nothing was announced.
+    """
+
+    case: str
+    joint: str
+    hidden: str
+    gap: float
+    said: tuple[tuple[str, ...], ...]
+    right: bool
+
+
+@dataclass(frozen=True)
+class CheckedRobots:
+    """Scores of a check on robots, and every joint behind them."""
+
+    seed: int
+    seal: str
+    folder: Path
+    joints: tuple[JudgedJoint, ...]
+    whole: tuple[tuple[str, str, bool], ...]
+    seconds: Mapping[str, float]
+
+    def named(self, least: float = PLAIN_GAP, most: float = float("inf")) -> tuple[int, int]:
+        """Return how many of the hidden effects with a gap in between were named, and how many there are."""
+        there = [one for one in self.joints if one.hidden and least <= one.gap < most]
+        return sum(one.right for one in there), len(there)
+
+    @property
+    def false_alarms(self) -> tuple[int, int]:
+        """Joints without anything hidden at which a cause was announced, and how many such joints there are."""
+        there = [one for one in self.joints if not one.hidden]
+        return sum(not one.right for one in there), len(there)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``labrun gap check --only robots --json`` prints."""
+        return {
+            "seed": self.seed,
+            "development": self.seed < FIRST_REPORTED_SEED,
+            "seal": self.seal,
+            "named_from_gap_3": list(self.named()),
+            "named_below": list(self.named(0.0, PLAIN_GAP)),
+            "false_alarms": list(self.false_alarms),
+            "whole": [{"case": case, "hidden": hidden, "named": named} for case, hidden, named in self.whole],
+            "joints": [
+                {
+                    "case": one.case, "joint": one.joint, "hidden": one.hidden or None, "gap": one.gap,
+                    "said": [list(names) for names in one.said], "right": one.right,
+                }
+                for one in self.joints
+            ],
+            "seconds": dict(self.seconds),
+        }  # fmt: skip
+
+    def to_text(self) -> str:
+        """Return the scores, and every joint that was not right."""
+        right, there = self.named()
+        weak, weak_there = self.named(0.0, PLAIN_GAP)
+        wrong, plain = self.false_alarms
+        use = "of development" if self.seed < FIRST_REPORTED_SEED else "for reporting, once"
+        lines = [
+            f"seed {self.seed} ({use}); {len(self.seconds)} robots, {len(self.joints)} joints",
+            f"joint and effect named where the gap is 3 and more: {right} of {there}",
+            f"                             where it is less: {weak} of {weak_there}",
+            f"causes at joints without: {wrong} of {plain}",
+            f"tilted bases and payloads named: {sum(one[2] for one in self.whole)} of {len(self.whole)}",
+        ]
+        for one in self.joints:
+            if not one.right:
+                said = "; ".join(" or ".join(names) for names in one.said) or "nothing"
+                hidden = f"{one.hidden}, gap {one.gap:.2g}" if one.hidden else "nothing"
+                lines.append(f"  {one.case} {one.joint}: hidden {hidden}; said {said}")
+        return "\n".join([*lines, str(self.folder)])
+
+
+def check_robots(
+    *,
+    cases: int = 10,
+    seed: int = 0,
+    workers: int | None = None,
+    out: Path | None = None,
+    note: Note = silent,
+    announce: Callable[[str], None] | None = None,
+) -> CheckedRobots:
+    """Have sealed robots made, diagnose each joint by joint without its answer, then open the seal and score.
+
+    Every diagnosis is written as soon as it is there; the same call goes on where an earlier one was interrupted.
+
+    Raises
+    ------
+    RequestError
+        A folder that holds something else.
+    LabrunError
+        The generator failed, the seal is broken, or Ctrl-C.
+    """
+    folder = CheckFolder(out or Path("gap-check") / f"seed-{seed}-only-robot-cases-1-to-{cases}")
+    if not folder.made:
+        if folder.path.exists() and any(folder.path.iterdir()):
+            raise RequestError(
+                f"{folder.path} is there and holds something else than a check", hint="--out a new folder"
+            )
+        note("making the robots")
+        folder.path.parent.mkdir(parents=True, exist_ok=True)
+        make_cases(
+            SHIPPED_GENERATOR, folder.path, cases=cases, seed=seed, first=1, only=ROBOT, workers=1, note=note
+        )  # fmt: skip
+    printed = folder.ask({"cases": cases, "seed": seed, "first": 1, "only": ROBOT})
+    line = f"seal {seal_of(folder.path)}  ({cases} robots, in {folder.path})"
+    if announce is None:
+        print(line, file=sys.stderr, flush=True)
+    else:
+        announce(line)
+    try:
+        said = {name: _said(folder, name, seed, workers or cores(), note) for name in folder.cases()}
+    except KeyboardInterrupt:
+        raise LabrunError(
+            "interrupted by Ctrl-C; every robot that was finished is kept",
+            hint=f"the same command goes on: {folder.path}",
+        ) from None
+    note("opening the seal")
+    joints: list[JudgedJoint] = []
+    whole: list[tuple[str, str, bool]] = []
+    for answer in open_answers(folder.path, printed):
+        joints += _judged(answer, said[answer["case"]]["joints"], whole)
+    seconds = {name: float(one["seconds"]) for name, one in said.items()}
+    found = CheckedRobots(seed, printed, folder.path, tuple(joints), tuple(whole), seconds)
+    folder.keep_scores(found.to_json())
+    return found
+
+
+def _said(folder: CheckFolder, name: str, seed: int, workers: int, note: Note) -> Mapping[str, Any]:
+    """Return what is said of a robot, joint by joint; what was said before by the same code is not said again."""
+    kept = folder.said(name)
+    if kept is not None:
+        return kept
+    begun = time.perf_counter()
+    with tempfile.TemporaryDirectory() as there:
+        for file, content in folder.seen(name).items():
+            (Path(there) / file).write_bytes(content)
+        robot, model = read_robot(Path(there) / "robot.xml"), load_model(Path(there) / "robot.xml")
+        dataset = load_dataset(Path(there), model)
+        options = Options(seed=case_seed(seed, name), workers=workers)
+        found = diagnose_robot(robot, model, dataset, options, note=lambda text: note(f"{name}: {text}"))
+    joints = {
+        one.joint.name: [_names(cause) for cause in one.diagnosis.to_json()["causes"]] for one in found.joints
+    }
+    told = {"programme": fingerprint(), "joints": joints, "seconds": time.perf_counter() - begun}
+    folder.keep_said(name, told)
+    return told
+
+
+def _names(cause: Mapping[str, Any]) -> list[str]:
+    return [f"{one['effect']} at {one['site']}" for one in (cause, *cause["indistinguishable_from"])]
+
+
+def _judged(
+    answer: Mapping[str, Any], said: Mapping[str, Sequence[Sequence[str]]], whole: list[tuple[str, str, bool]]
+) -> list[JudgedJoint]:
+    hidden = {one["joint"]: one for one in answer["hidden"]}
+    of_all = {_WHOLE[name] for name in answer["whole"]}
+    found = []
+    for joint, causes in said.items():
+        told = tuple(tuple(names) for names in causes)
+        there = hidden.get(joint)
+        if there is None:
+            # a tilted base and a load are there at every joint
+            right = all(_effects(names) & of_all for names in told)
+            found.append(JudgedJoint(answer["case"], joint, "", 0.0, told, right))
+            continue
+        wanted = {there["effect"], f"{joint}_kp"} if there["effect"] == "drive-gain" else {there["effect"]}
+        right = any(len(names) <= _MOST_NAMED and _effects(names) & wanted for names in told)
+        found.append(JudgedJoint(answer["case"], joint, there["effect"], there["gap"], told, right))
+    for effect in sorted(of_all):
+        named = any(effect in _effects(names) for causes in said.values() for names in causes)
+        whole.append((answer["case"], effect, named))
+    return found
+
+
+def _effects(names: Sequence[str]) -> set[str]:
+    return {one.partition(" at ")[0] for one in names}

@@ -1,0 +1,96 @@
+"""Sealed robots: what is made of a seed, and that what is hidden is there."""
+
+import json
+
+import numpy as np
+import pytest
+
+from labrun.blind.cases.robots.body import draw
+from labrun.blind.cases.robots.case import make_robot
+from labrun.blind.cases.robots.hidden import EFFECTS, Joint, draw_shape
+from labrun.blind.robot_check import _judged
+from labrun.fit import load_dataset
+from labrun.gap import why_not
+from labrun.models import load_model, read_robot
+
+STEP_S = 1e-3
+
+
+def joint(effect: str, size: float) -> Joint:
+    shape = draw_shape(np.random.default_rng(0))
+    return Joint(40.0, 2.0, 0.05, STEP_S, 4.0, 2.0, {effect: size}, shape)
+
+
+def test_a_robot_is_the_same_for_the_same_seed_and_labrun_reads_it(tmp_path):
+    name = make_robot(1, 2, tmp_path)  # nothing is hidden in it: made in half a second
+    assert name == make_robot(1, 2, tmp_path / "again")
+    folder, again = tmp_path / "cases" / name, tmp_path / "again" / "cases" / name
+    for file in folder.iterdir():
+        assert file.read_bytes() == (again / file.name).read_bytes()
+    answer = json.loads((tmp_path / "sealed" / f"{name}.json").read_text(encoding="utf-8"))
+    robot = read_robot(folder / "robot.xml")
+    dataset = load_dataset(folder, load_model(folder / "robot.xml"))
+    assert len(robot.joints) == answer["joints"]
+    assert why_not(robot, dataset) == ""
+    assert len({str(trial.condition) for trial in dataset.trials}) == len(dataset.trials) == 10
+    assert sum(len(trial.time_s) for trial in dataset.trials) * 0.01 == pytest.approx(60.0, abs=0.5)
+    quiet = min(float(trial.outputs[:15].std(axis=0).max()) for trial in dataset.trials)
+    assert quiet < 3 * answer["noise_rad"]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_robots_have_six_to_twelve_joints_and_differ_from_their_file(seed):
+    rng = np.random.default_rng(seed)
+    stated = draw(rng)
+    assert 6 <= len(stated.links) <= 12
+    built = stated.scattered(rng, 0.03, 0.05)
+    ratios = np.array([b.mass / s.mass for b, s in zip(built.links, stated.links, strict=True)])
+    assert 0 < np.std(ratios) < 0.08
+
+
+@pytest.mark.parametrize("effect", [one for one in EFFECTS if one not in ("play", "delay")])
+def test_what_is_hidden_changes_the_torque(effect):
+    time_s = np.arange(0, 2, STEP_S)
+    q, rate, goal = 0.3 * np.sin(6 * time_s), 1.8 * np.cos(6 * time_s), 0.4 * np.sin(6 * time_s + 0.3)
+    size = {"elastic-transmission": 400.0, "torque-speed-limit": 2.0, "loop-delay": 0.01}.get(effect, 0.2)
+    hidden = joint(effect, size)
+    plain = 40.0 * (goal - q) - 2.0 * rate
+    torque = [hidden.torque(*one) for one in zip(time_s, goal, q, rate, strict=True)]
+    assert np.std(torque - plain) > 0.02 * np.std(plain)
+
+
+def test_play_keeps_what_is_measured_half_its_width_behind():
+    hidden = joint("play", 0.02)
+    path = np.concatenate([np.linspace(0, 0.1, 50), np.linspace(0.1, -0.1, 100)])
+    measured = np.array([hidden.measured(float(one)) for one in path])
+    assert measured[49] == pytest.approx(0.09)
+    assert measured[-1] == pytest.approx(-0.09)
+
+
+def test_a_delayed_goal_acts_a_delay_later():
+    hidden = joint("delay", 0.0105)
+    torques = [hidden.torque(k * STEP_S, float(k), 0.0, 0.0) for k in range(100)]
+    assert torques[60] == pytest.approx(40.0 * (60 - 10.5))
+
+
+def test_a_joint_is_judged_by_what_was_hidden_there():
+    answer = {
+        "case": "case-0001", "whole": {},
+        "hidden": [{"joint": "a", "effect": "cogging", "gap": 5.0}, {"joint": "b", "effect": "drive-gain", "gap": 2.0}],
+    }  # fmt: skip
+    said = {
+        "a": [["stribeck-friction at a", "cogging at a"]],
+        "b": [["b_kp at b_kp"]],
+        "c": [["delay at c"]],
+        "d": [],
+    }
+    judged = {one.joint: one.right for one in _judged(answer, said, [])}
+    assert judged == {"a": True, "b": True, "c": False, "d": True}
+    tilted = {"case": "case-0002", "whole": {"gravity": [0, 0, -9.8]}, "hidden": []}
+    whole: list[tuple[str, str, bool]] = []
+    judged = {
+        one.joint: one.right
+        for one in _judged(tilted, {"a": [["gravity-tilt at base"]], "b": [["cogging at b"]]}, whole)
+    }
+    assert judged == {"a": True, "b": False}
+    assert whole == [("case-0002", "gravity-tilt", True)]
