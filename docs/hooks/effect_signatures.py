@@ -67,6 +67,7 @@ kind       = "joint"
 coordinate = "angle"
 rate       = "rate"
 load       = "kp*(goal - angle) - kv*rate"
+drive      = true
 [sites.base]
 kind       = "base"
 coordinate = "gravity_torque*cos(angle)"
@@ -137,7 +138,7 @@ class Signature:
 
 def signature(effect: Effect) -> Signature:
     """Return what an effect does to the rig of its kind, at the first of its starts and towards the last of them."""
-    driven = "load" in effect.needs and effect.id != "load-dependent-friction"
+    driven = "drive" in effect.needs
     rig = rig_for("servo" if driven else effect.kind)
     if effect.kind in ("base", "tip"):
         rig = replace(rig_for("servo"), site=effect.kind)

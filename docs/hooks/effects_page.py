@@ -20,7 +20,7 @@ _WIDTH = 78
 KINDS = {
     "joint": (
         "Joints",
-        "The pendulum is driven for five seconds, then left to swing; where an effect needs the load, a joint "
+        "The pendulum is driven for five seconds, then left to swing; where an effect needs the drive, a joint "
         "with a position servo follows a sine, then holds.",
     ),
     "base": ("Bases of robots", "The joint follows a sine for five seconds, then holds; its base is tilted."),

@@ -9,6 +9,7 @@ import numpy as np
 
 from labrun.errors import RecordingError, RequestError
 from labrun.logs import (
+    TICKS,
     Piece,
     Stream,
     Table,
@@ -59,7 +60,7 @@ class ImportedLog:
     def to_text(self) -> str:
         """Return what a person wants to know of it."""
         width = max(len(name) for name, _ in self.channels)
-        lines = [f"{self.trials} trials, {self.duration_s:.4g} s"]
+        lines = [f"{self.trials} trial{'s' * (self.trials != 1)}, {self.duration_s:.4g} s"]
         lines += [f"  {name:<{width}}  {column}" for name, column in self.channels]
         return "\n".join([*lines, *self.remarks, f"wrote {self.folder}"])
 
@@ -87,7 +88,8 @@ def import_log(
     mapping
         ``CHANNEL=COLUMN``: which column of the log a channel, joint or actuator is; ``none`` for none.
     unit
-        Of the log's angles: ``rad``, ``deg``, ``ticks``, ``normalised``; told from their range if None.
+        Of the log's angles: ``rad``, ``deg``, ``ticks`` (of 4096 a turn, or ``ticks:16384``), ``normalised``; told
+        from their range if None.
     cut_s
         Length of the trials; at rests if None.
     rate_hz
@@ -102,8 +104,7 @@ def import_log(
     """
     log, model = Path(log).expanduser(), Path(model).expanduser()
     folder = _free(Path("recordings") / log.stem) if to is None else Path(to)
-    if unit is not None and unit not in get_args(Unit):
-        raise RequestError(f"{unit!r} is no unit of angles", hint=f"one of {', '.join(get_args(Unit))}")
+    unit, ticks = _unit(unit)
     if cut_s is not None and not cut_s > 0:
         raise RequestError(f"trials cannot be {cut_s:g} s long")
     asked = _asked(mapping)
@@ -111,7 +112,7 @@ def import_log(
     robot = _driven(model, streams, asked) if is_robot(model) else None
     loaded = None if robot else load_model(model)
     found, said = matched(_of_robot(robot) if robot else _of_model(loaded), streams, asked)
-    matches, units = in_si(found, unit)  # type: ignore[arg-type]
+    matches, units = in_si(found, unit, ticks)  # type: ignore[arg-type]
     table, repairs = table_of(matches)
     bad = list(unusable(table))
     trials, how = cut(table, cut_s, [piece for piece, _ in bad])
@@ -143,6 +144,18 @@ def import_log(
     length = sum(float(table.time_s[piece.end - 1] - table.time_s[piece.first]) for piece in trials)
     shown = tuple((one.wanted.channel, one.column.name if one.column else "none") for one in matches)
     return ImportedLog(folder, shown, len(trials), length, tuple(remarks))
+
+
+def _unit(text: str | None) -> tuple[str | None, int]:
+    """Return the unit, and how many ticks a turn has."""
+    unit, colon, ticks = (text or "").partition(":")
+    if text is None or (not colon and unit in get_args(Unit)):
+        return text, TICKS
+    if unit == "ticks" and ticks.isdigit() and int(ticks) > 1:
+        return unit, int(ticks)
+    raise RequestError(
+        f"{text!r} is no unit of angles", hint=f"one of {', '.join(get_args(Unit))}, or ticks:16384"
+    )
 
 
 def _asked(mapping: Sequence[str]) -> dict[str, str]:

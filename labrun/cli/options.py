@@ -80,7 +80,10 @@ Mapping = Annotated[
 ]
 Unit = Annotated[
     str | None,
-    typer.Option("--unit", help="Of a log's angles: rad, deg, ticks or normalised; told from their range."),
+    typer.Option(
+        "--unit",
+        help="Of a log's angles: rad, deg, ticks (ticks:16384 a turn) or normalised; told from their range.",
+    ),
 ]
 Cut = Annotated[
     str | None,

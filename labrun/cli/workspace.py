@@ -16,6 +16,7 @@ class NewKind(StrEnum):
     RUN = "run"
     SWEEP = "sweep"
     CMAES = "cmaes"
+    TRACK = "track"
 
 
 def init(

@@ -12,7 +12,7 @@ from labrun.toml import suggest
 SiteKind = Literal["joint", "body", "base", "tip", "input", "output"]
 FORCED: frozenset[SiteKind] = frozenset({"joint", "body", "base", "tip"})
 """Kinds of sites that take a force."""
-Need = Literal["load", "stiffness"]
+Need = Literal["load", "stiffness", "drive"]
 
 Quantity = Literal[
     "force",
@@ -32,6 +32,7 @@ Quantity = Literal[
 
 _FORCES = {"rad": "N m", "m": "N"}
 """Generalized forces by the unit of the coordinate; of any other, the force is what the model's equation says."""
+_QUOTED = '"..."'
 _INERTIAS = {"rad": "kg m^2", "m": "kg"}
 
 
@@ -108,6 +109,8 @@ class Site:
     stiffness
         Name of the parameter that is the site's own spring, or an expression where a condition exchanges it; "" where
         there is none.
+    drive
+        Whether the load is what the joint's own drive puts on it, through its gear.
     """
 
     name: str
@@ -116,6 +119,7 @@ class Site:
     rate: str = ""
     load: str = ""
     stiffness: str = ""
+    drive: bool = False
 
 
 class HasSites(Protocol):
@@ -289,7 +293,7 @@ class AttachedEffect:
                 raise ModelError(
                     f"effect {self.effect.id} needs the {need} at site {site.name}, "
                     f"which model {model.name} does not give",
-                    hint=f'add {need} = "..." to [sites.{site.name}]',
+                    hint=f"add {need} = {'true' if need == 'drive' else _QUOTED} to [sites.{site.name}]",
                 )
         there = {"input": len(model.inputs), "output": len(model.outputs)}.get(self.effect.kind, 1)
         if there < self.effect.signals:

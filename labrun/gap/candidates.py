@@ -258,6 +258,8 @@ def untried(model: Model, withhold: Collection[str] = ()) -> tuple[str, ...]:
     lacking: dict[str, list[str]] = {}
     joints = [one for one in model.places if one.kind == "joint"]
     for effect in effects(without=withhold):
+        if "drive" in effect.needs:  # where no joint has a drive, nobody misses what is in one
+            continue
         fitting = [one for one in joints if effect.kind == "joint" and not effect.fits(one)]
         if joints and len(fitting) == len(joints):
             lacking.setdefault(effect.needs[0], []).append(effect.id)

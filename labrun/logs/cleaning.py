@@ -107,8 +107,9 @@ def repaired(
     period = float(np.median(inside)) if len(inside) else 1.0
     gaps = np.append(False, (steps > GAP_PERIODS * period) & ~edge[1:])
     if gaps.any():
+        count = int(gaps.sum())
         said.append(
-            f"{stream.name}: {int(gaps.sum())} gaps of more than {GAP_PERIODS:g} periods, the longest "
+            f"{stream.name}: {count} gap{'s' * (count != 1)} of more than {GAP_PERIODS:g} periods, the longest "
             f"{float(steps[gaps[1:]].max()):.3g} s; it is cut there"
         )
     scatter = float(np.std(inside)) / period if len(inside) else 0.0
@@ -120,6 +121,13 @@ def repaired(
         )
         time_s = even
     return time_s, index, gaps | edge, said
+
+
+def _refuse_short(base: Stream, count: int) -> None:
+    if count < LEAST_SAMPLES:
+        raise RecordingError(
+            f"{base.name} has {count} samples with a stamp of their own; at least {LEAST_SAMPLES} are needed"
+        )
 
 
 def table_of(matches: Sequence[Match]) -> tuple[Table, list[str]]:
@@ -156,6 +164,7 @@ def table_of(matches: Sequence[Match]) -> tuple[Table, list[str]]:
     last = min(float(good[id(one)][0][-1]) for one in streams if _measures(one, matches) or one is base)
     inside = (time_s >= first) & (time_s <= last)
     if inside.sum() < LEAST_SAMPLES:
+        _refuse_short(base, len(time_s))
         raise RecordingError(
             "the topics do not overlap in time: "
             + "; ".join(

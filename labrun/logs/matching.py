@@ -14,7 +14,7 @@ from labrun.logs.streams import Column, Role, Stream, plain
 
 Unit = Literal["rad", "deg", "ticks", "normalised"]
 TICKS = 4096
-"""Steps of an encoder in one turn, its middle being zero: that of the servos whose logs come in ticks."""
+"""Steps of an encoder in one turn, its middle being zero, if nobody says: that of servos whose logs come in ticks."""
 _BEYOND_RAD = 2.2 * math.pi
 _SLACK = 1.05
 _NOT = "none"
@@ -99,6 +99,7 @@ def matched(
                 said.append(f"{one.channel} is {candidates[0][1].name}, as --map says")
             continue
         unclear.append(_question(one, candidates, streams, given))
+    unclear += _twice(found)
     if unclear:
         have = sorted({column.name for stream in streams for column in stream.columns})
         shown = ", ".join(have[:30]) + (f" and {len(have) - 30} more" if len(have) > 30 else "")
@@ -108,6 +109,21 @@ def matched(
             hint="say it: --map CHANNEL=COLUMN, or --map CHANNEL=none for what the log does not have",
         )
     return found, said
+
+
+def _twice(found: Sequence[Match]) -> list[str]:
+    """Return a line for every column that was taken for more than one channel."""
+    channels: dict[int, list[str]] = {}
+    names: dict[int, str] = {}
+    for one in found:
+        if one.column is not None:
+            channels.setdefault(id(one.column), []).append(one.wanted.channel)
+            names[id(one.column)] = one.column.name
+    return [
+        f"{' and '.join(several)}: column {names[key]} was taken for all of them, and can be one only"
+        for key, several in channels.items()
+        if len(several) > 1
+    ]
 
 
 def _asked_for(one: Wanted, asked: Mapping[str, str]) -> str | None:
@@ -162,6 +178,11 @@ def _question(
     proposal = next((column for column in columns if near and plain(column.stem) == near[0]), None)
     if proposal is None:
         proposal = next((c for c in columns if c.place == one.place and c.width == one.width), None)
+    if proposal is None:  # enc_1, enc_2 ...: numbered in the robot's own order, most likely
+        numbered = sorted((int(c.stem), c.name) for c in columns if c.stem.isdigit())
+        named = dict(enumerate((name for _, name in numbered), 0)) if len(numbered) == one.width else {}
+        if one.place in named:
+            return f"{what}: no column of that name; proposal, by its number: --map {one.channel}={named[one.place]}"
     if proposal is None:
         return f"{what}: no column of that name; --map {one.channel}={_NOT} leaves it out"
     return f"{what}: no column of that name; proposal: --map {one.channel}={proposal.name}"
@@ -171,8 +192,15 @@ def _listed(wanted: Sequence[Wanted]) -> str:
     return ", ".join(dict.fromkeys(one.channel for one in wanted))
 
 
-def in_si(matches: Sequence[Match], asked: Unit | None) -> tuple[list[Match], list[str]]:
+def in_si(matches: Sequence[Match], asked: Unit | None, ticks: int = TICKS) -> tuple[list[Match], list[str]]:
     """Return the matches with their factors to SI, and the units that were found, in words.
+
+    Parameters
+    ----------
+    asked
+        What a person said; told from the range if None.
+    ticks
+        Of a turn of the encoder.
 
     Goals and measured angles are each of one unit. What is stated by name or format counts, but for angles that no
     joint can have; then whole numbers of a great range are ticks, angles beyond a turn degrees, others radians.
@@ -191,12 +219,13 @@ def in_si(matches: Sequence[Match], asked: Unit | None) -> tuple[list[Match], li
         made += [one for one in group if one not in angles]
         if not angles:
             continue
-        unit, reason = (asked, "as --unit says") if asked else _detected(angles, words)
+        unit, reason = (asked, "as --unit says") if asked else _detected(angles, words, ticks)
         if reason.startswith(_BY_RANGE):
             found[words] = unit
-        said.append(f"{words} are in {_WORDS[unit]}, {reason}")
+        said.append(f"{words} are in {_WORDS[unit]}{_turn(unit, ticks)}, {reason}")
         made += [
-            Match(one.wanted, one.stream, one.column, _factor(unit, one, _largest(angles))) for one in angles
+            Match(one.wanted, one.stream, one.column, _factor(unit, one, _largest(angles), ticks))
+            for one in angles
         ]
     if len(set(found.values())) > 1:
         told = " and ".join(f"{words} look like {_WORDS[unit]}" for words, unit in found.items())
@@ -210,12 +239,16 @@ def in_si(matches: Sequence[Match], asked: Unit | None) -> tuple[list[Match], li
 
 _BY_RANGE = "by their range"
 _WORDS: Mapping[Unit, str] = {
-    "rad": "radians", "deg": "degrees", "ticks": f"ticks of {TICKS} a turn",
+    "rad": "radians", "deg": "degrees", "ticks": "ticks",
     "normalised": "shares of the joint's range",
 }  # fmt: skip
 
 
-def _detected(angles: Sequence[Match], words: str) -> tuple[Unit, str]:
+def _turn(unit: Unit, ticks: int) -> str:
+    return f" of {ticks} a turn" if unit == "ticks" else ""
+
+
+def _detected(angles: Sequence[Match], words: str, ticks: int) -> tuple[Unit, str]:
     columns = [one.column for one in angles if one.column is not None]
     largest = _largest(angles)
     stated = {column.unit for column in columns if column.unit}
@@ -229,10 +262,10 @@ def _detected(angles: Sequence[Match], words: str) -> tuple[Unit, str]:
     values = [column.values[np.isfinite(column.values)] for column in columns]
     whole = all(bool(np.all(one == np.round(one))) for one in values)
     if whole and largest > 500 and all(one.min(initial=0) >= 0 for one in values):
-        if largest >= TICKS:
+        if largest >= ticks:
             raise RequestError(
-                f"{words} are whole numbers up to {largest:.0f}, more than {TICKS} ticks of a turn",
-                hint="convert them, or say --unit rad, deg or ticks",
+                f"{words} are whole numbers up to {largest:.0f}, more than {ticks} ticks of a turn",
+                hint="say how many a turn has: --unit ticks:16384; or --unit rad or deg",
             )
         return "ticks", f"{_BY_RANGE}: whole numbers up to {largest:.0f}"
     if largest <= _BEYOND_RAD:
@@ -258,13 +291,13 @@ def _largest(angles: Sequence[Match]) -> float:
     )
 
 
-def _factor(unit: Unit, match: Match, largest: float) -> tuple[float, float]:
+def _factor(unit: Unit, match: Match, largest: float, ticks: int) -> tuple[float, float]:
     if unit == "rad":
         return 1.0, 0.0
     if unit == "deg":
         return math.pi / 180, 0.0
     if unit == "ticks":
-        return 2 * math.pi / TICKS, -math.pi
+        return 2 * math.pi / ticks, -math.pi
     if match.wanted.range is None:
         raise RequestError(
             f"{match.wanted.names[0]} has no range in the model, of which a normalised angle would be a share",

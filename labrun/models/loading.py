@@ -16,6 +16,7 @@ from labrun.models.toml_model import equations_model, initial_of
 from labrun.toml import suggest
 
 _GROUP = "labrun.models"
+_PYTHON = "name the model in it, where Python finds the file: --model {}:MODEL, or a function that makes one"
 _DEEPEST = 16
 """Files that refer to files: more is a circle."""
 
@@ -43,6 +44,8 @@ def load_model(source: str | Path) -> Model:
 def load_from(source: str | Path, depth: int = 0) -> Model:
     """Do as `load_model`; `depth` counts the files that have referred to this one."""
     path = model_file(source)
+    if path is not None and path.suffix == ".py":
+        path = None
     if path is not None and is_robot(path):
         robot = read_robot(path)
         model = parse_model(robot.table(), str(path), depth)
@@ -56,6 +59,10 @@ def load_from(source: str | Path, depth: int = 0) -> Model:
         if not isinstance(made, Model):
             raise ModelError(f"{name} is no labrun model but {type(made).__name__}")
         return made
+    if name.endswith(".py"):
+        raise ModelError(
+            f"a file of Python such as {name} holds many things", hint=_PYTHON.format(Path(name).stem)
+        )
     known = [*shipped_models(), *registry.names(_GROUP)]
     raise ModelError(f"there is no model {name!r}", hint=suggest(name, known))
 

@@ -167,6 +167,7 @@ class SiteTable(Table):
     rate: Equation
     load: Equation = Expression.of(0.0)
     stiffness: Equation = Expression.of(0.0)
+    drive: bool = False
 
     def text(self, quantity: str) -> str:
         """Return one of its equations as it was typed; "" where the file has none."""
@@ -180,6 +181,7 @@ class MujocoSite(Table):
     joint: str | None = None
     stiffness: str = ""
     load: Equation = Expression.of(0.0)
+    drive: bool = False
 
 
 class ConditionTable(Table):

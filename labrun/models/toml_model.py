@@ -28,7 +28,7 @@ def equations_model(file: ModelFile) -> Model:
     outputs = tuple(Output(name, one.unit) for name, one in given.outputs.items())
     parameters = tuple(parameter_of(name, one, one.value) for name, one in given.parameters.items())
     sites = tuple(
-        Site(name, one.kind, *(one.text(quantity) for quantity in SITE_QUANTITIES))
+        Site(name, one.kind, *(one.text(quantity) for quantity in SITE_QUANTITIES), drive=one.drive)
         for name, one in given.sites.items()
     )
     places = places_of(file, given.states, inputs, parameters)

@@ -14,7 +14,7 @@ from labrun.spec.plugins import examine
 from labrun.spec.raw import DeviceInfo
 from labrun.toml import suggest
 
-Kind = Literal["run", "sweep", "cmaes"]
+Kind = Literal["run", "sweep", "cmaes", "track"]
 _FORCES = ("force", "torque")
 _KIND_TABLES: dict[Kind, str] = {
     "run": """\
@@ -29,6 +29,22 @@ axes = {{ {axes} }}
 [cmaes]                                # a search for the best
 variables = {{ {ranges} }}
 stop = {{ trials = 60 }}
+""",
+    "track": """\
+[track]                                # a loop sets `a` while the motion runs; see labrun keys track
+rate_hz = 20
+conditions = [{{ controller = "P" }}, {{ controller = "PI" }}]
+
+[track.loops.loop]
+drives     = "a"
+range      = [0, {most}]
+slew_per_s = {most}
+reference  = {{ plugin = "sine", mean = {half}, amplitude = {quarter}, period_s = 5 }}   # in units of the channel
+feedback   = {{ plugin = "cycle-average", channel = "{channel}" }}
+
+[track.loops.loop.controllers]         # gains: what `a` changes by for a unit of error
+P  = {{ plugin = "pid", p = 1 }}
+PI = {{ plugin = "pid", p = 1, i = 0.5 }}
 """,
 }
 
@@ -95,8 +111,11 @@ def template(name: str, devices: Sequence[str], kind: Kind) -> str:
             f"nothing of {', '.join(devices)} moves: a {kind} has nothing to vary",
             hint="--kind run, or an actuator more, such as dynamixel, or operator: a person who moves it",
         )
-    conditions = _KIND_TABLES[kind].format(**_spread(values)) if values else _ONE_CONDITION
-    parts = [_head(name, kind), *tables, gait, _trial(bench), conditions]
+    if kind == "track":
+        gait, conditions = _loop(bench, values, gait, devices)
+    else:
+        conditions = _KIND_TABLES[kind].format(**_spread(values)) if values else _ONE_CONDITION
+    parts = [_head(name, kind), *tables, gait, _trial(bench, kind), conditions]
     text = "\n\n".join(part.strip() for part in [*parts, _objective(bench, kind)] if part.strip()) + "\n"
     loads_experiment(text, name, beside=Path(f"{name}.toml"))
     return text
@@ -185,16 +204,34 @@ def _spread(values: dict[str, float]) -> dict[str, str]:
     }
 
 
+def _loop(bench: _Bench, values: dict[str, float], gait: str, devices: Sequence[str]) -> tuple[str, str]:
+    """Return gait and tables of a loop that sets the amplitude so that what is measured follows a reference."""
+    channel = _measured(bench)
+    if "a" not in values or channel is None:
+        raise RequestError(
+            f"a loop needs something that swings and something that is measured; {', '.join(devices)} is not both",
+            hint="an actuator and a sensor, such as dynamixel,ati-netft",
+        )
+    most = values["a"]
+    numbers = {"most": most, "half": 0.5 * most, "quarter": 0.25 * most}
+    table = _KIND_TABLES["track"].format(
+        channel=channel, **{name: _rounded(one) for name, one in numbers.items()}
+    )
+    return gait.replace('"f"', _rounded(values["f"])), table
+
+
 def _rounded(value: float) -> str:
     """Two digits, never more than the value."""
     text = f"{value:.2g}"
     return text if float(text) <= value else f"{0.95 * value:.2g}"
 
 
-def _trial(bench: _Bench) -> str:
+def _trial(bench: _Bench, kind: Kind) -> str:
     lines = ["[trial]"]
     lines += (
-        ["duration_s = 5"]
+        ["duration_s = 10"]
+        if kind == "track"
+        else ["duration_s = 5"]
         if bench.attended or not any(info.joints for info in bench.infos.values())
         else ["cycles = 5", "discard_cycles = 1                     # recorded, and not counted"]
     )
@@ -222,12 +259,17 @@ def _of_force(info: DeviceInfo) -> bool:
     return any(channel.startswith(_FORCES) for channel in info.channels or ())
 
 
-def _objective(bench: _Bench, kind: Kind) -> str:
+def _measured(bench: _Bench) -> str | None:
+    """Return a channel that is measured, of a force if there is one."""
     measured = [
         f"{device}.{channel}" for device, info in bench.infos.items() for channel in info.channels or ()
     ]
     forces = [one for one in measured if one.partition(".")[2].startswith(_FORCES)]
-    channel = next(iter([*forces, *measured]), None)
+    return next(iter([*forces, *measured]), None)
+
+
+def _objective(bench: _Bench, kind: Kind) -> str:
+    channel = _measured(bench)
     if channel is None:
         if kind == "cmaes":
             raise RequestError(

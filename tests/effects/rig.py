@@ -25,6 +25,7 @@ coordinate = "angle"
 rate = "rate"
 stiffness = "stiffness"
 load = "3*cos(angle)"
+drive = true
 [sites.blade]
 kind = "body"
 coordinate = "0.1*angle"

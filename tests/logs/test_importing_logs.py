@@ -182,7 +182,7 @@ def test_the_log_is_cut_at_a_drop_out(tmp_path, arm):
     made = import_log(
         logs.write_csv(tmp_path / "a.csv", time_s[kept], goals[kept], angles[kept]), arm, tmp_path / "one"
     )
-    assert "1 gaps of more than 5 periods, the longest 0.52 s" in " ".join(made.remarks)
+    assert "1 gap of more than 5 periods, the longest 0.52 s" in " ".join(made.remarks)
     for trial in read_recording(made.folder).trials:
         assert np.diff(trial.time_s).max() < 0.05
 

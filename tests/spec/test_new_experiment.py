@@ -20,6 +20,7 @@ from labrun.spec import load_experiment, new_experiment
         (["arduino-servo"], "sweep"),
         (["ati-netft"], "run"),
         (["ur5", "optitrack"], "sweep"),
+        (["dynamixel", "ati-netft"], "track"),
     ],
 )
 def test_a_new_file_dry_runs_as_it_stands(tmp_path, devices, kind):
@@ -39,6 +40,7 @@ def test_two_devices_of_a_kind_get_names_of_their_own(tmp_path):
     [
         ("a", ["dynamixl"], "run", "dynamixel"),
         ("a", ["optitrack"], "sweep", "actuator"),
+        ("a", ["arduino-servo"], "track", "measured"),
         ("a", ["arduino-servo"], "cmaes", "sensor"),
         ("a", ["dynamixel", "dynamixel"], "run", "joint_1"),
         ("../a", ["dynamixel"], "run", "no name"),

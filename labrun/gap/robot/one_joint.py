@@ -182,8 +182,6 @@ def _lines(
     *, tilted: bool, loaded: bool,
 ) -> Iterator[str]:  # fmt: skip
     q, rate = joint.output, f"{joint.output}_rate"
-    turns = joint.unit == "rad"
-    force, per = ("N m", "N m s/rad") if turns else ("N", "N s/m")
     yield f'name = "{found.robot.name}-{joint.output}"'
     yield f'states = ["{q}", "{rate}"]'
     yield "[inputs]"
@@ -197,24 +195,7 @@ def _lines(
     for name in known:
         yield f'{name} = {{ prescribed = true, between = "linear" }}'
     yield "[parameters]"
-    yield _parameter(found.whole, f"{q}_damping", found.own.damping[place], "free", per)
-    if joint.sprung:
-        yield _parameter(
-            found.whole,
-            f"{q}_stiffness",
-            found.own.stiffness[place],
-            _GAIN_TOLERANCE,
-            f"{force}/{joint.unit}",
-        )
-    yield f"{q}_armature = {{ value = {found.own.armature[place]!r}, tolerance = 0.0 }}"
-    gains = found.own.drives.get(joint.name)
-    if gains is not None and gains.kp:
-        yield _parameter(found.whole, _gain(joint, drive), gains.kp, _GAIN_TOLERANCE, f"{force}/{joint.unit}")
-    if gains is not None and gains.kv:
-        # of the motion alone it is the joint's damping; of what the drive puts on the gear it is a part
-        yield _parameter(found.whole, _rate_gain(joint, drive), gains.kv, _GAIN_TOLERANCE, per)
-    for k, body in enumerate(bodies):
-        yield f"{identifier(body)}_mass_ratio = {{ value = 1.0, tolerance = {_MASS_TOLERANCE}, lower = 0.0 }} # {k}"
+    yield from _parameters(found, place, joint, drive, bodies)
     masses = [f"{identifier(body)}_mass_ratio" for body in bodies]
     torque = " + ".join(["torque_rest", *(f"{mass}*torque_{k}" for k, mass in enumerate(masses))])
     inertia = " + ".join(
@@ -235,16 +216,48 @@ def _lines(
     )
     yield "[outputs]"
     yield f'{q} = {{ equation = "{q}", unit = "{joint.unit}" }}'
+    yield from _sites(joint, effort, driven=drive is not None, tilted=tilted, loaded=loaded)
+    yield "[initial]"
+    yield f'{q} = "first"\n{rate} = "free"'
+
+
+def _parameters(
+    found: Prescribed, place: int, joint: RobotJoint, drive: RobotActuator | None, bodies: list[str]
+) -> Iterator[str]:
+    q = joint.output
+    force, per = ("N m", "N m s/rad") if joint.unit == "rad" else ("N", "N s/m")
+    yield _parameter(found.whole, f"{q}_damping", found.own.damping[place], "free", per)
+    if joint.sprung:
+        yield _parameter(
+            found.whole,
+            f"{q}_stiffness",
+            found.own.stiffness[place],
+            _GAIN_TOLERANCE,
+            f"{force}/{joint.unit}",
+        )
+    yield f"{q}_armature = {{ value = {found.own.armature[place]!r}, tolerance = 0.0 }}"
+    gains = found.own.drives.get(joint.name)
+    if gains is not None and gains.kp:
+        yield _parameter(found.whole, _gain(joint, drive), gains.kp, _GAIN_TOLERANCE, f"{force}/{joint.unit}")
+    if gains is not None and gains.kv and drive is not None and drive.command == "position":
+        # of the motion alone it is the joint's damping; of what the drive puts on the gear it is a part
+        yield _parameter(found.whole, _rate_gain(joint, drive), gains.kv, _GAIN_TOLERANCE, per)
+    for k, body in enumerate(bodies):
+        yield f"{identifier(body)}_mass_ratio = {{ value = 1.0, tolerance = {_MASS_TOLERANCE}, lower = 0.0 }} # {k}"
+
+
+def _sites(joint: RobotJoint, effort: str, *, driven: bool, tilted: bool, loaded: bool) -> Iterator[str]:
+    q, rate = joint.output, f"{joint.output}_rate"
     yield f"[sites.{q}]"
     yield f'kind = "joint"\ncoordinate = "{q}"\nrate = "{rate}"\nload = "{effort}"'
+    if driven:
+        yield "drive = true"
     if joint.sprung:
         yield f'stiffness = "{q}_stiffness"'
     if tilted:
         yield '[sites.base]\nkind = "base"\ncoordinate = "roll_torque"\nrate = "pitch_torque"'
     if loaded:
         yield '[sites.tip]\nkind = "tip"\ncoordinate = "load_torque"\nrate = "load_torque"'
-    yield "[initial]"
-    yield f'{q} = "first"\n{rate} = "free"'
 
 
 def _gain(joint: RobotJoint, drive: RobotActuator | None) -> str:

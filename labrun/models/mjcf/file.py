@@ -94,6 +94,7 @@ def mujoco_model(file: ModelFile) -> MujocoModel:
             states.named(Place("data", "qvel", dof)),
             one.load.text if "load" in one.model_fields_set else "",
             one.stiffness,
+            one.drive,
         )
         for (name, one), (position, dof) in zip(given.sites.items(), dofs, strict=True)
     )

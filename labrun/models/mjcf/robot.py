@@ -377,6 +377,7 @@ def _lines(
             yield f'stiffness = "{joint.output}_stiffness"'
         if effort := _effort(robot, joint, terms.drives.get(joint.name)):
             yield f'load = "{effort}"'
+            yield "drive = true"
     yield "[initial]"
     for joint in robot.joints:
         begins = "first" if joint.output in measured else "free"

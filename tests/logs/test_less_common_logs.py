@@ -1,0 +1,131 @@
+"""Goals as trajectories, a bare Parquet file, encoders of other resolutions, and columns that cannot be right."""
+
+import numpy as np
+import pytest
+import robot_logs as logs
+
+from labrun.app.logs import import_log
+from labrun.errors import ModelError, RecordingError, RequestError
+from labrun.logs import read_log
+from labrun.models import load_model
+from labrun.store import read_recording
+
+pytest.importorskip("mujoco")
+ZERO = 1_700_000_000 * 10**9
+
+
+@pytest.fixture
+def arm(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(logs.ARM)
+    return path
+
+
+def write_trajectories(path, starts_s):
+    """Write a bag of trajectories of three points, 0.1 s apart, one a start; the second joint is told first."""
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    kind = "trajectory_msgs/msg/JointTrajectory"
+    time = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    with Writer(path, version=9) as writer:
+        connection = writer.add_connection("/arm/joint_trajectory", kind, typestore=store)
+        for number, start_s in enumerate(starts_s):
+            points = [
+                types["trajectory_msgs/msg/JointTrajectoryPoint"](
+                    positions=np.array([-number - 0.1 * k, number + 0.1 * k]), velocities=np.array([]),
+                    accelerations=np.array([]), effort=np.array([]),
+                    time_from_start=types["builtin_interfaces/msg/Duration"](sec=0, nanosec=k * 10**8),
+                )
+                for k in range(3)
+            ]  # fmt: skip
+            message = types[kind](
+                header=types["std_msgs/msg/Header"](stamp=time, frame_id=""), joint_names=["elbow", "shoulder"],
+                points=points,
+            )  # fmt: skip
+            writer.write(connection, ZERO + round(start_s * 1e9), store.serialize_cdr(message, kind))
+    return path
+
+
+def test_a_trajectory_is_told_point_by_point_until_the_next_one_comes(tmp_path):
+    pytest.importorskip("rosbags")
+    (stream,) = read_log(write_trajectories(tmp_path / "bag", [0.0, 0.15, 2.0]), None)
+    assert stream.time_s == pytest.approx([0.0, 0.1, 0.15, 0.25, 0.35, 2.0, 2.1, 2.2])
+    shoulder = next(one for one in stream.columns if one.stem == "shoulder")
+    assert shoulder.role == "command"
+    assert shoulder.values == pytest.approx([0, 0.1, 1.0, 1.1, 1.2, 2.0, 2.1, 2.2])
+
+
+def test_a_bare_parquet_file_is_read(tmp_path, arm):
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    time_s, goals, angles = logs.motion()
+    columns = dict(
+        zip(("shoulder_pos", "elbow_pos", "shoulder_cmd", "elbow_cmd"), [*angles.T, *goals.T], strict=True)
+    )
+    parquet.write_table(pyarrow.table({"time_s": time_s, **columns}), tmp_path / "log.parquet")
+    recording = read_recording(import_log(tmp_path / "log.parquet", arm, tmp_path / "recording").folder)
+    assert len(recording.trials) == 3
+    lowest = min(trial.inputs[:, 1].min() for trial in recording.trials)
+    assert lowest == pytest.approx(goals[:, 1].min(), abs=1e-6)
+
+
+def test_one_column_is_not_two_channels(tmp_path, arm):
+    log = logs.write_csv(tmp_path / "log.csv", *logs.motion())
+    with pytest.raises(
+        RequestError, match="shoulder and elbow: column shoulder_pos was taken for all of them"
+    ):
+        import_log(log, arm, tmp_path / "recording", mapping=["elbow=shoulder_pos"])
+    assert not (tmp_path / "recording").exists()
+
+
+def test_numbered_columns_are_proposed_by_their_number(tmp_path, arm):
+    names = ["time_s", "cmd_1", "cmd_2", "enc_1", "enc_2"]
+    log = logs.write_csv(tmp_path / "log.csv", *logs.motion(), names=names)
+    with pytest.raises(RequestError) as asked:
+        import_log(log, arm, tmp_path / "recording")
+    proposals = [line.partition("--map ")[2] for line in str(asked.value).splitlines() if "proposal" in line]
+    assert proposals == ["shoulder_command=cmd_1", "elbow_command=cmd_2", "shoulder=enc_1", "elbow=enc_2"]
+    assert import_log(log, arm, tmp_path / "recording", mapping=proposals).trials == 3
+
+
+def test_ticks_of_another_encoder_are_counted_as_said(tmp_path, arm):
+    time_s, goals, angles = logs.motion()
+    counts = [np.round(one * 16384 / (2 * np.pi) + 8192) for one in (goals, angles)]
+    log = logs.write_csv(tmp_path / "log.csv", time_s, *counts)
+    with pytest.raises(RequestError, match=r"more than 4096 ticks of a turn(.|\n)*ticks:16384"):
+        import_log(log, arm, tmp_path / "recording")
+    made = import_log(log, arm, tmp_path / "recording", unit="ticks:16384")
+    assert "goals are in ticks of 16384 a turn, as --unit says" in made.remarks
+    highest = max(trial.inputs[:, 0].max() for trial in read_recording(made.folder).trials)
+    assert highest == pytest.approx(goals[:, 0].max(), abs=4e-4)
+    with pytest.raises(RequestError, match="no unit of angles"):
+        import_log(log, arm, tmp_path / "other", unit="ticks:many")
+
+
+def test_a_log_of_two_rows_is_told_to_be_short(tmp_path, arm):
+    time_s, goals, angles = logs.motion()
+    log = logs.write_csv(tmp_path / "log.csv", time_s[:2], goals[:2], angles[:2])
+    with pytest.raises(
+        RecordingError, match="log has 2 samples with a stamp of their own; at least 20 are needed"
+    ):
+        import_log(log, arm, tmp_path / "recording")
+
+
+def test_one_trial_and_one_gap_are_one(tmp_path, arm):
+    time_s, goals, angles = logs.motion()
+    late = np.where(time_s > 6.2, time_s + 1.0, time_s)
+    log = logs.write_csv(tmp_path / "log.csv", late, goals, angles)
+    assert any("1 gap of more than" in one for one in import_log(log, arm, tmp_path / "a").remarks)
+    log = logs.write_csv(tmp_path / "short.csv", time_s[:400], goals[:400], angles[:400])
+    assert import_log(log, arm, tmp_path / "b").to_text().startswith("1 trial, ")
+
+
+def test_a_python_file_as_model_is_told_what_to_name(tmp_path):
+    file = tmp_path / "mk.py"
+    file.write_text("MODEL = None\n")
+    with pytest.raises(ModelError, match=r"--model mk:MODEL"):
+        load_model(file)
