@@ -9,13 +9,14 @@ from typing import Any
 from labrun.app.diagnose import FIGURE, NUMBERS, PAGE, diagnosis_folder
 from labrun.app.question import ask, find_data
 from labrun.errors import StoreError
-from labrun.fit import Note, cores, silent
+from labrun.fit import Note, silent
 from labrun.gap import Options, RobotDiagnosis, diagnose_robot, require_new, why_not
 from labrun.gap import save_model as write_model
 from labrun.json_numbers import finite
 from labrun.models import read_robot
 from labrun.report.robot_text import robot_lines
 from labrun.store import replace_durably, require_writable
+from labrun.workers import cores
 
 ROBOT = "robot.xml"
 _FEWEST_JOINTS = 2

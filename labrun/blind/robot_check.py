@@ -12,9 +12,10 @@ from labrun.blind.check_folder import SHIPPED_GENERATOR, CheckFolder, make_cases
 from labrun.blind.diagnosis_check import FIRST_REPORTED_SEED, case_seed
 from labrun.blind.jobs import fingerprint
 from labrun.errors import LabrunError, RequestError
-from labrun.fit import Note, cores, load_dataset, silent
+from labrun.fit import Note, load_dataset, silent
 from labrun.gap import Options, diagnose_robot
 from labrun.models import load_model, read_robot
+from labrun.workers import cores
 
 ROBOT = "robot"
 PLAIN_GAP = 3.0
