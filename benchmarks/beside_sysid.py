@@ -158,8 +158,7 @@ if __name__ == "__main__":
     began = time.perf_counter()
     answer, error = by_labrun(log)
     for one in answer.joints:
-        print(
-            f"  {one.joint.name}: {1e3 * one.stated:.3f} > {1e3 * one.recalibrated:.3f} > {1e3 * one.corrected:.3f} mrad"
-        )
+        steps = " > ".join(f"{1e3 * error:.3f}" for error in (one.stated, one.recalibrated, one.corrected))
+        print(f"  {one.joint.name}, motions that were seen: {steps} mrad")
     print(f"labrun{'':<24} {1e3 * error:.3f} mrad  {time.perf_counter() - began:.1f} s  {answer.sentence}")
     print(f"noise of the encoders {1e3 * NOISE_RAD:.3f} mrad")
