@@ -208,14 +208,23 @@ def _values(model: Model, answers: Sequence[tuple[OneJoint, Diagnosis]], *, afte
     """Return the parameters of the whole robot: a joint's own from that joint, a mass as the mean over joints."""
     stated = {one.name: one.value for one in model.parameters}
     told: dict[str, list[float]] = {}
-    for _, answer in answers:
+    for one, answer in answers:
         every = {name: value for name, (_, _, value) in answer.recalibration.items()}
-        for name, value in {**every, **(answer.corrected if after else {})}.items():
+        every |= answer.corrected if after else {}
+        _into_damping(one.joint.output, every, answer)
+        for name, value in every.items():
             if name in stated:
                 told[name] = [value]
             elif (mass := name.removesuffix("_ratio")) in stated:
                 told.setdefault(mass, []).append(value * stated[mass])
     return {name: float(np.mean(values)) for name, values in told.items()}
+
+
+def _into_damping(joint: str, values: dict[str, float], answer: Diagnosis) -> None:
+    """Give the joint's damping what its servo's rate gain changed by: the whole robot has the sum in one place."""
+    damping = f"{joint}_damping"
+    for name in [name for name in values if name.endswith("_kv")]:
+        values[damping] = max(values[damping] + values.pop(name) - answer.recalibration[name][0], 0.0)
 
 
 def _of_the_whole(

@@ -9,6 +9,7 @@ import pytest
 
 from labrun.fit import Dataset, FitTrial
 from labrun.gap import Options, diagnose_robot, why_not
+from labrun.gap.robot.diagnose import _into_damping
 from labrun.gap.robot.motion import smoothed
 from labrun.gap.robot.one_joint import one_joint, prescribed
 from labrun.models import load_model, read_robot, simulate
@@ -125,3 +126,13 @@ def test_what_cannot_be_taken_apart_is_told(tmp_path):
     file = tmp_path / "tied.xml"
     file.write_text(tied, encoding="utf-8")
     assert why_not(read_robot(file), dataset) == "equality constraints tie its joints together"
+
+
+def test_what_a_rate_gain_changed_by_goes_into_the_damping_of_the_whole_robot():
+    values = {"elbow_damping": 0.5, "servo_kv": 2.2, "elbow_kp": 40.0}
+
+    class Answer:
+        recalibration = {"servo_kv": (2.0, 0.1, 2.2)}  # noqa: RUF012
+
+    _into_damping("elbow", values, Answer())
+    assert values == {"elbow_damping": pytest.approx(0.7), "elbow_kp": 40.0}
