@@ -28,11 +28,17 @@ def robot_figure(found: RobotDiagnosis) -> Figure:
                     f"{one.name.words.partition(' at ')[0]} ({percent(one.confidence)})" for one in causes
                 )
                 axes.annotate(
-                    named, (before, row), (8, 0), textcoords="offset points", va="center", fontsize=9
+                    named,
+                    (max(gap.raw, before), row),
+                    (8, 0),
+                    textcoords="offset points",
+                    va="center",
+                    fontsize=9,
                 )
             axes.plot(before, row, "o", mfc="white", mec=COLOURS[0], zorder=3)
         axes.axvline(1.0, color=_AS_STATED, lw=1, ls="--", zorder=0)
         axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         low, high = axes.get_xlim()
         axes.set_xlim(low, high * 12)
         axes.set_yticks(range(count), [one.joint.name for one in found.joints])
