@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from labrun.runner import Planner, Progress, Rig, Session
+from labrun.devices import Excess
+from labrun.runner import Planner, Progress, Rig, Session, guard_excesses
 from labrun.search import (
     Best,
     Feasibility,
@@ -24,7 +25,7 @@ from labrun.search import (
     search_by_cmaes,
     settings_of,
 )
-from labrun.spec import Experiment, condition_text
+from labrun.spec import Condition, Experiment, condition_text
 from labrun.store import RunFolder
 
 
@@ -56,7 +57,12 @@ def measure_all(
         measures = OverSettings(session, settings, experiment.combine, experiment.goal[1])
     if experiment.cmaes is not None and experiment.kind == "cmaes":
         _expect(session, folder, expected_trials(experiment, ()))
-        excess_of = excess_at_settings(Planner(experiment, rig, session.motions).excess_of, settings)
+        planner = Planner(experiment, rig, session.motions)
+
+        def guarded(condition: Condition) -> list[Excess]:
+            return [*planner.excess_of(condition), *guard_excesses(experiment, session.motions, condition)]
+
+        excess_of = excess_at_settings(guarded, settings)
         feasibility = Feasibility(experiment.cmaes, excess_of)
         return _searched(experiment, measures, feasibility, folder, seed, unit, progress)
     planned = conditions(experiment, seed)

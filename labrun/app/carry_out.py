@@ -29,6 +29,7 @@ from labrun.runner import (
     UntilRecorder,
     record_planned,
     unsettled,
+    within_bounds,
 )
 from labrun.search import (
     RESULT_FILE,
@@ -81,7 +82,7 @@ def carry_out(
             seed,
             progress,
             limit,
-            _recorder(experiment, rig, folder, seed, progress),
+            within_bounds(_recorder(experiment, rig, folder, seed, progress), experiment),
             person,
             motions,
             worn_specimens(experiment, rig, folder),

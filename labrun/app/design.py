@@ -282,8 +282,19 @@ def _handed_on(
         replace_durably(run / "design.json", (json.dumps(numbers, indent=2) + "\n").encode())
     for name, table in design_table.writes.items():
         template = (run / f"template-{name}.toml").read_text(encoding="utf-8")
+        modelled = "model.toml"
+        if table.model is not None:
+            modelled = f"{name}-model.toml"
+            own = model_text(simulator, values, run=str(run), model=table.model)
+            replace_durably(run / modelled, own.encode())
         text = written_experiment(
-            table, template, f"design.writes.{name}", values, title=experiment.title, run=str(run)
+            table,
+            template,
+            f"design.writes.{name}",
+            values,
+            title=experiment.title,
+            run=str(run),
+            model=str(run / modelled),
         )
         replace_durably(run / f"{name}.toml", text.encode())
         target = workspace / f"{name}.toml"
@@ -314,6 +325,12 @@ def _templates(experiment: Experiment, beside: Path, workspace: Path) -> dict[st
         assert table is not None  # noqa: S101  (there would be nothing to write)
         start = {one: float(variable.start) for one, variable in table.variables.items()}
         written_experiment(
-            written, texts[name], f"design.writes.{name}", start, title=experiment.title, run=""
+            written,
+            texts[name],
+            f"design.writes.{name}",
+            start,
+            title=experiment.title,
+            run="",
+            model=table.model,
         )
     return texts

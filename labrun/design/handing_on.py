@@ -8,7 +8,7 @@ import tomli_w
 
 from labrun.design.simulator import Simulator
 from labrun.errors import RequestError
-from labrun.models import corrected_model_text
+from labrun.models import corrected_model_text, load_model
 from labrun.spec import Condition, Design, WrittenExperiment
 from labrun.toml import KeyPath, locate, replaced, suggest
 
@@ -31,17 +31,32 @@ def dimensions_csv(design: Design, values: Condition, units: Mapping[str, str]) 
     return text.getvalue()
 
 
-def model_text(simulator: Simulator, values: Condition, *, run: str) -> str:
-    """Return the model of a finished design as a file that may be named wherever a model is."""
-    model = simulator.loaded
+def model_text(simulator: Simulator, values: Condition, *, run: str, model: str | None = None) -> str:
+    """Return the model of a finished design, or another of its parameters, as a file to be named wherever a model is.
+
+    Raises
+    ------
+    ModelError
+        The other model does not have the parameters of the design.
+    """
     return corrected_model_text(
-        model, simulator.model, simulator.parameters(values), remarks=f"the design found by {run}",
+        simulator.loaded if model is None else load_model(model),
+        simulator.model if model is None else model,
+        simulator.parameters(values),
+        remarks=f"the design found by {run}",
         heading=f"{MADE[2:]},",
-    )  # fmt: skip
+    )
 
 
 def written_experiment(
-    written: WrittenExperiment, template: str, key: str, values: Condition, *, title: str, run: str
+    written: WrittenExperiment,
+    template: str,
+    key: str,
+    values: Condition,
+    *,
+    title: str,
+    run: str,
+    model: str,
 ) -> str:
     """Return an experiment on the rig of a finished design.
 
@@ -55,6 +70,8 @@ def written_experiment(
         Where in the design's file `written` stands, for messages.
     title, run
         Of the design, for the comment on top.
+    model
+        The file of the design's model.
 
     Raises
     ------
@@ -62,17 +79,20 @@ def written_experiment(
         The template has no such key.
     """
     known = {".".join(map(str, path)): path for path in locate(template).spans}
+    given: dict[str, float | str] = {name: float(one(values)) for name, one in written.values.items()}
+    if written.model_at is not None:
+        given[written.model_at] = model
     places: dict[KeyPath, str] = {}
-    for name, expression in written.values.items():
+    for name, value in given.items():
         if name not in known:
             raise RequestError(
-                f"{key}.values.{name}: {written.template} has no such key", hint=suggest(name, list(known))
+                f"{key}: {written.template} has no key {name}", hint=suggest(name, list(known))
             )
-        places[known[name]] = _number(float(expression(values)))
+        places[known[name]] = _as_toml(value)
     about = f"{MADE} ({run}): {title.splitlines()[0]}"
     keep = "# A later design replaces this file. Take these two lines away to keep it."
     return "\n".join([about, keep, replaced(template, places)])
 
 
-def _number(value: float) -> str:
+def _as_toml(value: float | str) -> str:
     return tomli_w.dumps({"a": value}).removeprefix("a = ").strip()

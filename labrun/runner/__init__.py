@@ -18,6 +18,7 @@ from labrun.runner.rig import Rig
 from labrun.runner.session import Session
 from labrun.runner.settle import unsettled
 from labrun.runner.until import UntilRecorder
+from labrun.runner.within import guard_excesses, within_bounds
 
 __all__ = [
     "LEAD_S",
@@ -54,6 +55,7 @@ __all__ = [
     "examine_machine",
     "examine_rig",
     "find_devices",
+    "guard_excesses",
     "has_emulator",
     "percent",
     "ports_of",
@@ -62,4 +64,5 @@ __all__ = [
     "smooth_move",
     "unsettled",
     "worn_before",
+    "within_bounds",
 ]

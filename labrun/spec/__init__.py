@@ -28,6 +28,7 @@ from labrun.spec.plugins import resolved_settings, scene_of
 from labrun.spec.search_tables import (
     CmaEs,
     Combine,
+    Guard,
     Interval,
     Leaders,
     LeadersOf,
@@ -72,6 +73,7 @@ __all__ = [
     "FitTable",
     "GaitTable",
     "GapTable",
+    "Guard",
     "Interval",
     "Key",
     "Kind",

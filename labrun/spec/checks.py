@@ -144,6 +144,14 @@ def _check_references(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]
         yield from check_name(name, path, objectives, "no objective of this name", kind="objectives")
     yield from _check_device_names(trial, devices)
     joints = table(data, "gait", "joints")
+    for name in table(trial, "within"):
+        yield from check_channel(name, ("trial", "within", name), devices)
+    for name in table(data, "cmaes", "guard", "limits"):
+        path = ("cmaes", "guard", "limits", name)
+        if "." in name:
+            yield from check_channel(name, path, devices)
+        else:
+            yield from check_name(name, path, joints, "no joint of the gait has this name", kind="joints")
     for owner in ("fit", "gap"):
         for name, signal in table(data, owner, "signals").items():
             path = (owner, "signals", name)

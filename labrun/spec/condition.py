@@ -2,9 +2,22 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
 
 Number = float | int
 """A number of the file; whole ones stay whole."""
+
+
+def _ordered(pair: list[Number]) -> list[Number]:
+    if not pair[0] < pair[1]:
+        raise ValueError(f"[low, high], and {pair[0]:g} is not below {pair[1]:g}")
+    return pair
+
+
+Bounds = Annotated[list[Number], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
+"""``[low, high]``."""
 Value = float | str
 """A value of a condition: a number, or a word (a specimen's name)."""
 Condition = Mapping[str, Value]

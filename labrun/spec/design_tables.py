@@ -39,10 +39,13 @@ class Part(Table):
 class WrittenExperiment(Table):
     """An experiment on the rig of the finished design: a file's text, with other values in one or more of its tables.
 
-    `values` are expressions in the variables of the design, by the key they stand at in the file.
+    `values` are expressions in the variables of the design, by the key they stand at in the file. `model_at` is the key
+    that names a model there: `model`, or that of the design, with the parameters of the design takes its place.
     """
 
     template: str
+    model_at: str | None = None
+    model: str | None = None
     values: dict[str, Expression] = Field(default_factory=dict)
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, PositiveFloat, PositiveInt, Tag, model_validator
 
-from labrun.spec.condition import Number, Value
+from labrun.spec.condition import Bounds, Number, Value
 from labrun.toml import Faults, Table
 
 
@@ -185,6 +185,25 @@ class Leaders(Table):
     repeats: Annotated[int, Field(ge=2)] = 5
 
 
+class Guard(Table):
+    """What a search keeps to while it looks around; the leaders are measured again without.
+
+    `limits` by name: of a joint its angle in deg, of a channel ("wrench.force_x") its value in its unit.
+    """
+
+    limits: dict[str, Bounds] = Field(default_factory=dict)
+
+    @property
+    def channels(self) -> dict[str, list[Number]]:
+        """Bounds of channels, held while a candidate is measured."""
+        return {name: bounds for name, bounds in self.limits.items() if "." in name}
+
+    @property
+    def joints_deg(self) -> dict[str, list[Number]]:
+        """Bounds of joints, beyond which no candidate is run."""
+        return {name: bounds for name, bounds in self.limits.items() if "." not in name}
+
+
 class CmaEs(Over):
     """Covariance matrix adaptation. `step_size` is a share of each variable's range."""
 
@@ -193,6 +212,7 @@ class CmaEs(Over):
     parents: PositiveInt | None = None
     step_size: PositiveFloat = 0.3
     where: list[str] = Field(default_factory=list)
+    guard: Guard = Guard()
     penalty: Penalty = Penalty()
     each: dict[str, Annotated[list[Value], Field(min_length=1)]] = Field(default_factory=dict)
     """A search of its own for every combination of these."""

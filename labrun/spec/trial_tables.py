@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
-from labrun.spec.condition import Number, Value
+from labrun.spec.condition import Bounds, Number, Value
 from labrun.spec.until import Until
 from labrun.toml import Expression, Faults, Table
 
@@ -116,6 +116,8 @@ class TrialTable(Table):
     outliers: Outliers = Outliers()
     reference: Reference | None = None
     carriage: CarriageMove | None = None
+    within: dict[str, Bounds] = Field(default_factory=dict)
+    """Channels that end a trial, rejected, when they leave their bounds."""
     safe_pose_deg: dict[str, float] = Field(default_factory=dict)
     move_speed_deg_s: PositiveFloat = 60.0
     on_fault: Literal["stop", "retry-trial", "skip"] = "stop"

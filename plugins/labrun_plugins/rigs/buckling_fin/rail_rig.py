@@ -1,0 +1,245 @@
+"""The gait rig with its carriage free: a swimmer of two fins that runs on a rail above a tank (section 7.6).
+
+The rail holds the swimmer on its course; along it nothing does but friction. A line can pull the carriage back
+(`tow`), and never pushes it. While it pulls, the fins go on, and the water takes no notice of the way (chosen: nobody
+measures then).
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
+
+from labrun.devices import FloatArray
+from labrun.effects import Scale
+from labrun.errors import ExperimentError
+from labrun.models import Model, Stepper
+from labrun_plugins.rigs.buckling_fin.model import fin_model
+from labrun_plugins.rigs.buckling_fin.swimmers import two_fin_swimmer
+from labrun_plugins.simulated.bench import (
+    Bench,
+    BenchSettings,
+    HiddenEffect,
+    described,
+    hidden_effects,
+    joint_model,
+    joint_stepper,
+    packed,
+    unpacked,
+)
+
+_SCALE = Scale(coordinate=0.5, rate=0.3, acceleration=3.0, force=1.0, signal=0.5, time_s=2.0)
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_X, _SPEED = 0, 3
+_SENSOR_SD_N = 0.02
+"""Of what the water does to the sensor at random (chosen)."""
+
+
+class RailRigSettings(BenchSettings):
+    """Which swimmer hangs there, and what it hangs on.
+
+    Attributes
+    ----------
+    design
+        Parameters of the swimmer, SI, as its design has them; see `equations.PARAMETERS`.
+    rail_n, rail_at_rest_n
+        Friction of the rail in motion and at rest, N (chosen; the source blames friction and stiction of the rail for
+        its stop-and-go, and gives neither).
+    carriage_kg
+        What of the body's mass is above the sensor (chosen).
+    rail
+        "locked" holds the carriage where it is.
+    ends_m
+        Where the rail's bumpers are, from the carriage's start.
+    """
+
+    design: dict[str, float] = Field(default_factory=dict)
+    rail_n: NonNegativeFloat = 0.3
+    rail_at_rest_n: NonNegativeFloat = 0.6
+    carriage_kg: PositiveFloat = 0.3
+    rail: Literal["free", "locked"] = "free"
+    ends_m: tuple[float, float] = (-0.1, 1.0)
+
+    @model_validator(mode="after")
+    def _rests(self) -> "RailRigSettings":
+        if self.rail_at_rest_n < self.rail_n:
+            raise ValueError(f"rail_at_rest_n = {self.rail_at_rest_n:g} is below rail_n = {self.rail_n:g}")
+        if not self.ends_m[0] < 0.0 < self.ends_m[1]:
+            raise ValueError("ends_m: the carriage's start, 0, is between them")
+        return self
+
+
+class RailRig(Bench):
+    """A swimmer under a free carriage: where it is, and what it does to the carriage.
+
+    Joints ``left`` and ``right`` are the servos, positive towards the front. Signals: ``force_x``, ``force_y`` (N),
+    ``torque_z`` (N m) and zeros for the rest of a wrench, of the swimmer on the carriage, x forward; ``swimmer_x`` ...
+    ``swimmer_qw``, its pose (m; unit quaternion); ``position`` of the carriage (m); each servo's angle (rad).
+
+    With `as_modelled` the rail has no friction.
+    """
+
+    Settings: ClassVar[type[BenchSettings]] = RailRigSettings
+    step_s = 0.001
+    scale = _SCALE
+    joints = ("left", "right")
+    sensed = ("x",)
+    signals: Mapping[str, str] = {
+        **{f"force_{axis}": "N" for axis in "xyz"}, **{f"torque_{axis}": "N m" for axis in "xyz"},
+        **{f"swimmer_{one}": "m" if one in "xyz" else "1" for one in _POSE},
+        "position": "m", "left": "rad", "right": "rad",
+    }  # fmt: skip
+
+    def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
+        super().__init__(settings, rng)
+        keys = self._settings
+        self._model: Model = self._with_errors(two_fin_swimmer().with_values(keys.design))
+        on_joints = [one for one in keys.hide if one.site in self.joints]
+        on_swimmer = [one for one in keys.hide if one.site not in self.joints]
+        joint_effects = hidden_effects(on_joints, joint_model(self.joints), _SCALE)
+        self._rail = [] if keys.as_modelled else hidden_effects([_friction(keys)], self._model, _SCALE)
+        swimmer_effects = hidden_effects(on_swimmer, self._model, _SCALE)
+        self._hidden = swimmer_effects + joint_effects
+        self._servo = joint_stepper(self.joints, self.step_s, joint_effects) if joint_effects else None
+        self._free = Stepper(self._model, effects=[*self._rail, *swimmer_effects], step_s=self.step_s)
+        values = {one.name: one.value for one in self._model.parameters}
+        held = fin_model("held-swimmer", fins=2).with_values(values)
+        on_held = [one for one in swimmer_effects if one.site != "rail"]
+        self._held = Stepper(held, effects=on_held, step_s=self.step_s)
+        self._outputs = [one.name for one in self._model.outputs]
+        self._pull: tuple[float, float, float] | None = None  # to_m, speed_m_s, start_s
+        self._told_before = np.zeros((1, 2))
+        self._servo_before = np.zeros((1, 2))
+
+    def tow(self, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:  # noqa: ARG002
+        """Pull the carriage to `to_m` from `start_s` on, from where it is then; a line does not push."""
+        self._pull = (to_m, speed_m_s, start_s) if speed_m_s > 0 else None
+
+    def truth(self) -> dict[str, Any]:
+        """Return parameters as they are on the bench, and hidden effects, of which the rail's friction is one."""
+        names = (one.name for one in self._model.parameters)
+        return {
+            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
+            "parameter_errors": dict(self._settings.parameters),
+            "hidden": [described(effect) for effect in (*self._rail, *self._hidden)],
+        }
+
+    def _advance(self, time_s: FloatArray) -> FloatArray:
+        told = np.column_stack([self._drives[joint].angles(time_s) for joint in self.joints])
+        servo = told
+        if self._servo is not None:
+            servo = self._servo.advance(np.concatenate([self._told_before, told]))
+        self._told_before = told[-1:].copy()
+        edges = np.concatenate([self._servo_before, servo])
+        self._servo_before = edges[-1:].copy()
+        rows = np.empty((len(time_s), len(self._outputs)))
+        first = 0
+        while first < len(time_s):
+            first = self._stretch(time_s, edges, first, rows)
+        if not self._free.finite:
+            raise ExperimentError("the simulated swimmer blew up", hint="hide a weaker effect, or none")
+        return self._signals(rows, told)
+
+    def _stretch(self, time_s: FloatArray, edges: FloatArray, first: int, rows: FloatArray) -> int:
+        """Simulate up to where the line gets taut or slack, or to the end; return where that is."""
+        count = len(time_s)
+        if self._settings.rail == "locked":
+            self._locked(edges, first, count, rows, np.full(count - first, self._free.state[_X]))
+            return count
+        if self._pull is not None:
+            to_m, speed, start_s = self._pull
+            begins = int(np.searchsorted(time_s, start_s))
+            if begins > first:
+                return self._freely(edges, first, min(begins, count), rows)
+            here = self._free.state[_X]
+            if here > to_m:
+                steps = int(np.ceil((here - to_m) / (speed * self.step_s)))
+                end = min(count, first + steps)
+                way = np.maximum(here - speed * self.step_s * np.arange(1, end - first + 1), to_m)
+                self._locked(edges, first, end, rows, way)
+                return end
+            self._pull = None
+        return self._freely(edges, first, count, rows)
+
+    def _freely(self, edges: FloatArray, first: int, end: int, rows: FloatArray) -> int:
+        """Swim; a bumper stops the carriage for good, until it is pulled back."""
+        low, high = self._settings.ends_m
+        found = self._free.advance(edges[first : end + 1])
+        rows[first:end] = found
+        x = found[:, self._outputs.index("x")]
+        if not (beyond := (x < low) | (x > high)).any():
+            return end
+        state = self._free.state
+        state[_X], state[_SPEED] = np.clip(state[_X], low, high), 0.0
+        self._free.state = state
+        at = int(np.argmax(beyond))
+        rows[first + at : end, self._outputs.index("x")] = np.clip(x[at], low, high)
+        rows[first + at : end, self._outputs.index("acceleration")] = 0.0
+        return end
+
+    def _locked(self, edges: FloatArray, first: int, end: int, rows: FloatArray, x_m: FloatArray) -> None:
+        """Move the fins while something else holds or moves the carriage."""
+        state = self._free.state
+        still = state.copy()
+        still[_X] = still[_SPEED] = 0.0
+        self._held.state = still
+        found = self._held.advance(edges[first : end + 1])
+        after = self._held.state
+        after[_X], after[_SPEED] = x_m[-1], 0.0
+        self._free.state = after
+        rows[first:end] = found
+        rows[first:end, self._outputs.index("x")] = x_m
+
+    def _signals(self, rows: FloatArray, told: FloatArray) -> FloatArray:
+        names = self._outputs
+        x, acceleration = rows[:, names.index("x")], rows[:, names.index("acceleration")]
+        speed, zero = rows[:, names.index("speed")], np.zeros(len(rows))
+        friction = np.zeros(len(rows))
+        for effect in self._rail:
+            values = effect.named_values
+            torque = values["torque"] + values["static_excess"] * np.exp(
+                -((speed / values["stribeck_speed"]) ** 2)
+            )
+            friction = torque * np.tanh(speed / values["transition_speed"])
+        force_x = rows[:, names.index("force_x")]
+        if self._settings.rail == "free":
+            force_x = force_x + self._settings.carriage_kg * acceleration + friction
+        noise = self._settings.noise * _SENSOR_SD_N * self._rng.standard_normal((len(rows), 2))
+        return np.column_stack([
+            force_x + noise[:, 0], rows[:, names.index("force_y")] + noise[:, 1], zero,
+            zero, zero, rows[:, names.index("torque_z")],
+            x, zero, zero, zero, zero, zero, np.ones(len(rows)),
+            x, told,
+        ])  # fmt: skip
+
+    def _memory(self) -> dict[str, Any]:
+        return {
+            "pull": None if self._pull is None else list(self._pull),
+            "told_before": packed(self._told_before),
+            "servo_before": packed(self._servo_before),
+            "servo": None if self._servo is None else self._servo.snapshot(),
+            "free": self._free.snapshot(),
+            "held": self._held.snapshot(),
+        }
+
+    def _recall(self, memory: Mapping[str, Any]) -> None:
+        pull: Sequence[float] | None = memory["pull"]
+        self._pull = None if pull is None else (pull[0], pull[1], pull[2])
+        self._told_before = unpacked(memory["told_before"])
+        self._servo_before = unpacked(memory["servo_before"])
+        if self._servo is not None:
+            self._servo.restore(memory["servo"])
+        self._free.restore(memory["free"])
+        self._held.restore(memory["held"])
+
+
+def _friction(settings: RailRigSettings) -> HiddenEffect:
+    """Return the rail's friction: more at rest than in motion, which makes a slow swimmer stop and go."""
+    values = {
+        "torque": settings.rail_n,
+        "static_excess": settings.rail_at_rest_n - settings.rail_n,
+        "stribeck_speed": 0.02,
+        "transition_speed": 0.002,
+    }
+    return HiddenEffect(effect="stribeck-friction", site="rail", kind="joint", values=values)
