@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from labrun.app.design import design_plan
 from labrun.app.leaders import with_leaders
 from labrun.control import ClosedLoopRecorder
 from labrun.errors import PlanError, SpecError
@@ -69,6 +70,8 @@ def check(
         loaded = experiment
     else:
         loaded = load_named(str(experiment), Path(workspace), overrides)
+    if loaded.experiment.kind == "design":
+        return design_plan(loaded)
     loaded = with_leaders(loaded, Path(results), planned=True)
     plan = whole_plan(loaded, seed, None)
     if dry_run and loaded.experiment.rig.scene is None:

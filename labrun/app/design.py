@@ -27,7 +27,7 @@ from labrun.errors import PlanError, RequestError
 from labrun.objectives import make_objective
 from labrun.report.style import as_svg, save
 from labrun.report.text import counted
-from labrun.runner import Progress, SilentProgress
+from labrun.runner import Plan, Progress, SearchSpace, SilentProgress
 from labrun.search import Best, RunResult, honest_best, read_generations, resume_line, search_by_cmaes
 from labrun.spec import (
     Experiment,
@@ -40,6 +40,7 @@ from labrun.spec import (
 from labrun.store import RunFolder, collect, replace_durably, saving
 from labrun.workers import Pool, cores, pool
 
+_PROBES = 4096
 _NEAR = 0.01
 """A variable closer to an end of its range than this share of it stands at that end."""
 
@@ -138,6 +139,34 @@ def begin(
         simulator, folder, seed=seed, workers=workers, cluster=cluster, limit=limit,
         workspace=workspace, progress=progress, draw=draw,
     )  # fmt: skip
+
+
+def design_plan(loaded: LoadedExperiment) -> Plan:
+    """Return the plan of a design, of which some points have been simulated.
+
+    Raises
+    ------
+    RequestError
+        Bounds and constraints exclude each other, or file and model do not fit together.
+    """
+    simulator = simulator_of(loaded.experiment, loaded.path)
+    share = require_simulable(simulator)
+    _templates(loaded.experiment, loaded.path, Path())
+    leaders, search = loaded.experiment.leaders, simulator.design
+    candidates = search.stop.iterations * search.population_size
+    return Plan(
+        conditions=candidates,
+        trials=(leaders.count + 1) * leaders.repeats,
+        trials_at_most=(leaders.count + 1) * leaders.repeats,
+        time_s=0.0,
+        time_at_most_s=0.0,
+        settle_s=0.0,
+        disk_bytes=0,
+        peaks=(),
+        rates_hz={},
+        space=SearchSpace(_PROBES, share, (), ()),
+        notes=(f"a design: at most {candidates:,} candidates are simulated, then copies of the leaders",),
+    )
 
 
 def simulator_of(experiment: Experiment, beside: Path) -> Simulator:

@@ -45,6 +45,8 @@ NAMES = (
     "driven-joint",
     "driven-joint-bushing",
     "flapping",
+    "rowing",
+    "swimmer",
     "undulation",
     "wing-air",
     "wing-water",

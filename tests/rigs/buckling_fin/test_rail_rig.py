@@ -1,0 +1,119 @@
+"""The swimmer on its rail: it swims, sticks, is pulled back, is stopped where the tank ends; one limb turns it."""
+
+import json
+
+import numpy as np
+import pytest
+from labrun_plugins.rigs.buckling_fin.rail_rig import RailRig
+from labrun_plugins.rigs.buckling_fin.swimmers import free_swimmer
+
+from labrun.app.run import run
+from labrun.devices import Trajectory
+from labrun.models import simulate
+from labrun.store import open_run
+
+DESIGN = {
+    "motor_spacing": 0.04, "link": 0.1121, "arm": 0.0873, "plate_area": 0.009136, "plate_mass": 0.01581,
+    "added_mass": 0.0, "body_area": 0.004,
+}  # fmt: skip
+STROKE_RAD, BACK_RAD, HZ = np.radians(42), np.radians(-55), 0.82
+
+
+def rowed(start_s=3.0, stroke_rad=STROKE_RAD, **settings):
+    rig = RailRig({"design": DESIGN, **settings}, np.random.default_rng(1))
+    rig.observe(("position",), np.zeros(1))
+    slowly = np.linspace(0, 1, 41)
+    time_s = np.linspace(0, 5, 501)
+    gait = BACK_RAD + stroke_rad * np.sin(2 * np.pi * HZ * time_s)
+    for joint in rig.joints:
+        rig.drive(joint, Trajectory((joint,), 2 * slowly, (slowly * gait[0])[:, None]), 0.5)
+        rig.drive(joint, Trajectory((joint,), time_s, gait[:, None]), start_s)
+    return rig
+
+
+def seen(rig, signal, *times_s):
+    return rig.observe((signal,), np.array(times_s))[:, 0]
+
+
+def test_rowing_pushes_the_held_carriage_by_5_to_9_newtons_and_pulls_it_by_less_than_2():
+    force = seen(rowed(rail="locked"), "force_x", *np.arange(5.0, 7.5, 0.005))
+    assert 5 < force.max() < 9
+    assert -2 < force.min() < 0
+
+
+def test_the_rails_friction_costs_way():
+    ends = [0.0, 3.0, 6.0]
+    free, rubbing = (seen(rowed(rail_n=n, rail_at_rest_n=2 * n), "position", *ends) for n in (0.0, 0.3))
+    assert 0 < rubbing[2] - rubbing[1] < 0.9 * (free[2] - free[1])
+
+
+def test_a_stroke_below_the_rails_stiction_does_not_move_the_carriage():
+    where = seen(rowed(stroke_rad=np.radians(3)), "position", 3.0, 8.0)
+    assert abs(where[1] - where[0]) < 0.01
+
+
+def test_a_line_pulls_the_carriage_back_and_a_bumper_stops_it():
+    rig = rowed(ends_m=(-0.1, 0.5))
+    assert seen(rig, "position", 7.9)[0] == pytest.approx(0.5, abs=1e-9)
+    rig.tow(0.5, 0.0, 0.2, 8.5)
+    on_the_way = seen(rig, "position", 9.5, 11.2, 12.0)
+    assert 0.2 < on_the_way[0] < 0.4
+    assert np.abs(on_the_way[1:]).max() < 0.01
+
+
+def test_a_rig_that_is_restored_goes_on_identically():
+    rig = rowed()
+    seen(rig, "position", 4.0)
+    memory = json.loads(json.dumps(rig.snapshot()))
+    after = seen(rig, "force_x", *np.arange(4.1, 6.0, 0.01))
+    other = RailRig({"design": DESIGN}, np.random.default_rng(5))
+    other.restore(memory)
+    assert np.array_equal(seen(other, "force_x", *np.arange(4.1, 6.0, 0.01)), after)
+
+
+def test_one_limb_rowing_turns_and_both_do_not():
+    model = free_swimmer().with_values(DESIGN)
+    yaw = [one.name for one in model.outputs].index("yaw")
+    time_s = np.linspace(0, 4, 2001)
+    both = BACK_RAD + STROKE_RAD * np.sin(2 * np.pi * HZ * time_s)
+    for told, turns in ((np.full_like(both, BACK_RAD), True), (both, False)):
+        start = np.zeros(len(model.states))
+        start[[6, 10]] = BACK_RAD
+        found = simulate(model, time_s, np.column_stack([both, told]), initial_state=start, substeps=2)
+        assert found.finite
+        assert (abs(found.outputs[-1, yaw]) > np.radians(10)) == turns
+
+
+SHORT = ("cmaes.population=4", "cmaes.stop.iterations=2", "leaders.count=1", "leaders.repeats=2")
+
+
+def test_candidates_that_leave_the_tank_are_stopped_and_the_search_goes_on(tmp_path):
+    # the tank ends where nearly every candidate gets
+    overrides = (*SHORT, 'trial.within={"cameras.swimmer_x" = [-0.1, 0.45]}')
+    result = run("rowing", dry_run=True, overrides=overrides, seed=2, results=tmp_path)
+    with_reason = [one for one in open_run(result.run).outcomes if one.status == "rejected"]
+    assert with_reason
+    assert all("is outside -0.1 ... 0.45: stopped" in one.reason for one in with_reason)
+    assert result.best is not None
+    assert result.best.value < 0.46
+
+
+def test_a_guard_holds_while_the_search_looks_around_and_not_when_its_winner_is_measured_again(tmp_path):
+    hard = 'cmaes.guard.limits={"wrench.force_x" = [-4, 1.0]}'
+    result = run("rowing", dry_run=True, overrides=(*SHORT, hard), seed=1, results=tmp_path)
+    measured = open_run(result.run)
+    for one in measured.outcomes:
+        peak = measured.signals(one.index)["wrench"].tared().column("force_x").max()
+        if one.role == "measure" and one.status == "done":
+            assert peak <= 1.0
+        if one.role in ("fresh", "confirm"):
+            assert one.status == "done"
+
+
+def test_no_candidate_goes_beyond_a_guarded_joint(tmp_path):
+    tight = "cmaes.guard.limits={left = [-100, 0]}"
+    result = run("rowing", dry_run=True, overrides=(*SHORT, tight), seed=1, results=tmp_path)
+    for one in open_run(result.run).outcomes:
+        if one.role == "measure":
+            assert one.condition["beta"] - one.condition["alpha"] >= -100
+            assert one.condition["beta"] + one.condition["alpha"] <= 0
