@@ -27,6 +27,8 @@ SMALLER = {
         "--set trial.repeats=1 --set trial.duration_s=20 --set objectives.first_cycle.to_s=10 "
         "--set objectives.later.from_s=10 --set objectives.later.to_s=20"
     ),
+    "swimmer": "--set design.stop.iterations=4 --set leaders={count=1,repeats=3}",
+    "rowing": "--set cmaes.population=4 --set cmaes.stop.iterations=2 --set leaders={count=1,repeats=2}",
     "fin-step": "--set trial.repeats=4",
     "level": "--set trial.duration_s=18",
     "stabilise": "--set trial.duration_s=5 --set trial.repeats=1",
@@ -46,6 +48,8 @@ ENDINGS = {
 """Output by which a page shows that a command ends badly, with its exit code; all others must end well."""
 RUNS = ("run", "sweep", "cmaes", "track")
 SLOW = ("closed-chains.md", "closed-loop.md", "stabilise.md")
+RUNS = ("run", "sweep", "cmaes", "track", "design")
+SLOW = ("closed-loop.md", "stabilise.md", "designed-swimmer.md")
 """Pages that take long, besides those of the fits."""
 MOST_NOT_RUN = 18
 """A block that is marked and could run is a page nobody checks: whoever adds one must raise this number."""

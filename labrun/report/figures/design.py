@@ -1,5 +1,6 @@
 """The drawing of a finished design, to scale."""
 
+import textwrap
 from collections.abc import Mapping
 
 from matplotlib.figure import Figure
@@ -15,6 +16,7 @@ _LARGEST_MM = 260.0
 _MARGIN_MM = 12.0
 _TABLE_MM = 62.0
 _LINE_MM = 5.5
+_LETTER_MM = 2.3
 
 
 def draw_design(drawing: Drawing, units: Mapping[str, str], title: str) -> Figure:
@@ -34,8 +36,9 @@ def draw_design(drawing: Drawing, units: Mapping[str, str], title: str) -> Figur
     margin = _MARGIN_MM * scale
     wide, tall = right - left + 2 * margin, high - low + 2 * margin
     rows = len(drawing.dimensions) + 3
-    width_mm = max(wide / scale + _TABLE_MM, 150.0)
-    height_mm = max(tall / scale, _LINE_MM * rows) + 10.0
+    width_mm = max(wide / scale + _TABLE_MM, 110.0)
+    told = textwrap.wrap(title, int(width_mm / _LETTER_MM))
+    height_mm = max(tall / scale, _LINE_MM * rows) + 5.0 + _LINE_MM * len(told)
     with new_figure(width_mm / _MM_PER_IN, height_mm / _MM_PER_IN) as figure:
         figure.set_layout_engine("none")
         axes = figure.add_axes((0.0, 0.0, wide / scale / width_mm, tall / scale / height_mm))
@@ -58,13 +61,21 @@ def draw_design(drawing: Drawing, units: Mapping[str, str], title: str) -> Figur
                     plain, middle, xytext=(8, 0), textcoords="offset points", fontsize=7.5, va="center", color=INK,
                 )  # fmt: skip
         across = 1 - _TABLE_MM / width_mm
-        figure.text(0.02, 1 - 3.0 / height_mm, title, fontsize=10, fontweight="bold", va="top", color=INK)
+        figure.text(
+            0.02, 1 - 3.0 / height_mm, "\n".join(told), fontsize=10, fontweight="bold", va="top", color=INK
+        )
         lines = [f"scale 1:{scale}", ""]
         for name, (value, tolerance) in drawing.dimensions.items():
             unit = units.get(name, "")
             lines.append(f"{name} = {value:.1f} ± {tolerance:g} {unit}".rstrip())
         figure.text(
-            across, 1 - 12.0 / height_mm, "\n".join(lines), fontsize=8.5, va="top", linespacing=1.6, color=INK
+            across,
+            1 - (8.0 + _LINE_MM * len(told)) / height_mm,
+            "\n".join(lines),
+            fontsize=8.5,
+            va="top",
+            linespacing=1.6,
+            color=INK,
         )
         figure.text(
             across,
