@@ -63,6 +63,6 @@ __all__ = [
     "resolve_device",
     "smooth_move",
     "unsettled",
-    "worn_before",
     "within_bounds",
+    "worn_before",
 ]
