@@ -29,6 +29,7 @@ GROUPS = (
     "labrun.controllers",
     "labrun.references",
     "labrun.feedbacks",
+    "labrun.inverses",
     "labrun.fits",
     "labrun.models",
     "labrun.effects",

@@ -101,8 +101,8 @@ def fit(
     note("drawing")
     kept.mkdir(parents=True, exist_ok=True)
     stem = _stem(result)
-    for name, text in result.files.items():
-        replace_durably(kept / name, text.encode())
+    for name, content in result.files.items():
+        replace_durably(kept / name, content.encode() if isinstance(content, str) else content)
     drawn = fit_figure(result)
     if drawn is not None:
         result = replace(result, figure=save(drawn, kept / f"{stem}.png"))

@@ -16,6 +16,7 @@ from labrun.gaits import make_gait, steering_of
 from labrun.runner import LEAD_S, TAIL_S, Handle, Recording, Rig, SimulatedClock
 from labrun.spec import LOOP_DEVICE, Experiment, LoopTable, Track, condition_text
 
+_LOOK_S = 0.05
 _ON_TIME = 1e-9
 """Share of a period by which rounding may make a step look late."""
 
@@ -156,6 +157,9 @@ class ClosedLoopRecorder:
         try:
             for loop in loops:
                 loop.begin()
+            bench = recording.bench
+            while not all(loop.ready() for loop in loops):
+                bench.watch(bench.clock.now() + _LOOK_S)
             self._closed(recording, loops, pieces, period_s)
         finally:
             for loop in loops:

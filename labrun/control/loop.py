@@ -76,6 +76,10 @@ class Loop:
         """Start what the controller keeps running beside the loop."""
         getattr(self._controller, "begin", lambda: None)()
 
+    def ready(self) -> bool:
+        """Tell whether that has come up."""
+        return bool(getattr(self._controller, "ready", lambda: True)())
+
     def end(self) -> None:
         """End it."""
         getattr(self._controller, "end", lambda: None)()
@@ -118,6 +122,7 @@ class Loop:
             feedback,
             here,
             self._reference,
+            history.newest_s(self.channels),
             {channel: value for channel, (_, value) in seen.items()},
             {channel: at_s for channel, (at_s, _) in seen.items()},
         )

@@ -20,7 +20,7 @@ from labrun.control.protocol import (
     VectorStep,
 )
 from labrun.errors import SpecError
-from labrun.spec import LoopTable, resolved_settings
+from labrun.spec import LoopTable, named_channels, resolved_settings
 from labrun.toml import PluginTable, suggest
 
 REFERENCES = "labrun.references"
@@ -169,15 +169,5 @@ def _made(what: str, table: PluginTable, make: Any) -> Any:
 def watched_by(table: PluginTable) -> list[str]:
     """Return the channels that a controller's keys name."""
     plugin = registry.load(CONTROLLERS, table.plugin)
-    found: list[str] = []
-    for key in getattr(plugin, "channel_settings", ()):
-        value = table.settings.get(key)
-        named = (
-            list(value.values())
-            if isinstance(value, Mapping)
-            else value
-            if isinstance(value, list)
-            else [value]
-        )
-        found += [name for name in named if isinstance(name, str)]
-    return found
+    keys = getattr(plugin, "channel_settings", ())
+    return [channel for key in keys for _, channel in named_channels(table.settings, key)]

@@ -114,6 +114,8 @@ class VectorStep:
 
     Attributes
     ----------
+    feedback_s
+        When the newest sample of the feedback was made, time of the trial.
     channels
         Newest sample of each channel that the controller asked for.
     channels_s
@@ -126,6 +128,7 @@ class VectorStep:
     feedback: Numbers
     drives: Numbers
     reference_at: Callable[[float], Numbers]
+    feedback_s: float
     channels: Mapping[str, float]
     channels_s: Mapping[str, float]
 
@@ -179,8 +182,9 @@ class VectorController(Protocol):
     """Sets all variables of its loop, step by step. Its class says ``several = True``.
 
     Besides, it may have `channels`, the channels whose newest samples it wants with every step; ``begin()``, called as
-    the recording starts, and ``end()``, called after it whatever happened; ``recorded()``, its values of the channels
-    that its class announces with ``records(settings)``; and ``remarks()``, what to tell the person of this trial.
+    the trial is about to be recorded, ``ready()``, asked again and again until it is True, and ``end()``, called after
+    the recording whatever happened; ``recorded()``, its values of the channels that its class announces with
+    ``records(settings)``; and ``remarks()``, what to tell the person of this trial.
     """
 
     def update(self, step: VectorStep) -> Numbers:

@@ -65,7 +65,7 @@ class FitSummary:
     details
         Anything else that is stored, JSON-ready.
     files
-        Further files that are written beside the figure: name -> text.
+        Further files that are written beside the figure: name -> text, or bytes.
     figure_data
         Makes what the figure shows; None if there is nothing to show but what the report knows to draw.
     figure
@@ -83,7 +83,7 @@ class FitSummary:
     findings: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
-    files: Mapping[str, str] = field(default_factory=dict)
+    files: Mapping[str, str | bytes] = field(default_factory=dict)
     figure_data: Callable[[], FigureData] | None = None
     figure: Path | None = None
 
@@ -119,7 +119,8 @@ class FitSummary:
         without = f", {data.left_out} left out" if data.left_out else ""
         trials = f"{data.trials} trial{'s' * (data.trials != 1)}{without}"
         lines = [f"{self.model_name} fitted to {data.name}: {trials}", ""]
-        lines += _estimate_lines(self.parameters, self.fixed)
+        if self.parameters or self.fixed:
+            lines += _estimate_lines(self.parameters, self.fixed)
         if self.rmse:
             lines += ["", "  root mean square of measured - simulated"]
         for name, value in self.rmse.items():

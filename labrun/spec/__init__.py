@@ -25,6 +25,7 @@ from labrun.spec.loop_tables import (
 )
 from labrun.spec.overrides import apply_overrides
 from labrun.spec.plugins import resolved_settings, scene_of
+from labrun.spec.raw import named_channels
 from labrun.spec.search_tables import (
     CmaEs,
     Combine,
@@ -115,7 +116,7 @@ __all__ = [
     "load_experiment",
     "load_named",
     "loads_experiment",
-    "loop_channel",
+    "loop_channel", "named_channels",
     "new_experiment",
     "resolved",
     "resolved_settings",

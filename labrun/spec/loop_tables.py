@@ -97,6 +97,11 @@ def _listed(value: object) -> object:
     return [value] if isinstance(value, str) else value
 
 
+def _paired(value: object) -> object:
+    """Return a list as the tuple that strict reading wants where the file has been read already."""
+    return tuple(value) if isinstance(value, list) else value
+
+
 OneOrSeveral = Annotated[
     Annotated[PluginTable, Tag("one")] | Annotated[list[PluginTable], Field(min_length=1), Tag("several")],
     Discriminator(_form),
@@ -112,7 +117,7 @@ class LoopTable(Table):
     """
 
     drives: Annotated[list[str], Field(min_length=1), BeforeValidator(_listed)]
-    range: tuple[Number, Number]
+    range: Annotated[tuple[Number, Number], BeforeValidator(_paired)]
     slew_per_s: PositiveFloat | None = None
     initial: Number | None = None
     reference: OneOrSeveral

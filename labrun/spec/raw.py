@@ -105,6 +105,21 @@ def check_name(
         yield Fault(path, f"{message}; {suggest(name, known, kind=kind)}", at_value=path[-1] != name)
 
 
+def named_channels(settings: Mapping[str, Any], key: str) -> list[tuple[KeyPath, str]]:
+    """Return the channels that a plugin's key names, with their paths: one, a list or a table of them.
+
+    A key inside a table of the plugin is written ``"table.key"``.
+    """
+    *outer, last = key.split(".")
+    value = table(settings, *outer).get(last)
+    path: KeyPath = (*outer, last)
+    if isinstance(value, Mapping):
+        found = [((*path, name), one) for name, one in value.items()]
+    else:
+        found = [(path, one) for one in (value if isinstance(value, list) else [value])]
+    return [(place, one) for place, one in found if isinstance(one, str)]
+
+
 def check_channel(channel: object, path: KeyPath, devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
     """Yield what is wrong with a channel's name, "device.channel"."""
     if not isinstance(channel, str):

@@ -16,6 +16,7 @@ from labrun.spec.raw import (
     drives_of,
     gait_expressions,
     listed_conditions,
+    named_channels,
     one_or_several,
     table,
     tables,
@@ -188,12 +189,8 @@ def _check_channels(
     """Yield what is wrong with the channels that a plugin's keys name: one, a list, or a table of them."""
     plugin, _ = load_plugin(group, keys.get("plugin"), ())
     for key in getattr(plugin, "channel_settings", ()):
-        value = keys.get(key)
-        named = (
-            value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else [value]
-        )
-        for channel in named:
-            yield from check_channel(channel, (*path, key), devices)
+        for inner, channel in named_channels(keys, key):
+            yield from check_channel(channel, (*path, *inner), devices)
 
 
 def _check_named_controllers(

@@ -10,7 +10,7 @@ from labrun.errors import RequestError
 from labrun.toml import suggest
 
 _RESULTS = "results"
-_COPIED = (".toml", ".csv", ".xml")
+_COPIED = (".toml", ".csv", ".xml", ".npz")
 """Experiments and models, the samples of recordings, MJCF models."""
 
 

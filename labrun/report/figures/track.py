@@ -20,7 +20,8 @@ _MOST_CONDITIONS = 8
 _ACROSS = 4
 _MOST_REPEATS = 5
 _ROW_IN = 2.75
-_MOST_OBJECTIVES = 3
+_MOST_OBJECTIVES = 4
+_MOST_TICKS = 120
 _OBJECTIVES_IN = 2.5
 
 
@@ -121,12 +122,32 @@ def _draw(view: RunView, panel: _Panel, above: Axes, below: Axes, *, first: bool
                 ls=(0, (4, 2)),
             )
         above.set_xlim(0, float(whole.time_s[-1]))
+    if shape.more and streams:
+        _draw_trainings(below, streams[0], name)
     several = len(track.loops) > 1
     above.set_title(condition_title(view, panel.trials[0]) + (f"\nloop {name}" if several else ""))
     if not first:
         return
     above.set_ylabel(f"{name} ({_unit(panel, name, 'feedback', shape.components[0])})")
     below.set_ylabel(f"{', '.join(loop.drives)} ({_unit(panel, name, 'drive', shape.drives[0])})")
+
+
+def _draw_trainings(axes: Axes, stream: Signals, loop: str) -> None:
+    """Mark on the time axis when new weights came into force; of very many, every so many."""
+    column = loop_channel(loop, "trainings")
+    if column not in stream.columns:
+        return
+    came = np.flatnonzero(np.diff(stream.column(column)) > 0) + 1
+    shown = stream.time_s[came[:: max(1, len(came) // _MOST_TICKS)]]
+    axes.plot(
+        shown,
+        np.zeros_like(shown),
+        "|",
+        color=INK,
+        markersize=5,
+        transform=axes.get_xaxis_transform(),
+        clip_on=False,
+    )
 
 
 def _column(stream: Signals, loop: str, quantity: str, part: str) -> FloatArray:

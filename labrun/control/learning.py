@@ -1,0 +1,343 @@
+"""Learning beside a loop: samples go to a learner, weights come back; in a process of its own on a bench."""
+
+import contextlib
+import math
+import multiprocessing
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from multiprocessing.shared_memory import SharedMemory
+from typing import Any, Protocol
+
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.errors import ExperimentError
+from labrun.learned import Network, SlidingAffine
+
+_READY_S = 30.0
+_IDLE_S = 2e-4
+_RING = 1 << 14
+"""Samples that fit between loop and learner: 16 s at a kilohertz."""
+_HEAD = 8
+_GIVEN, _STOP, _VERSION, _READY = range(4)
+_SLOT_HEAD = 3
+"""Of each of the two places for weights: newest sample, how long they took, how many trainings."""
+
+
+@dataclass(frozen=True, slots=True)
+class LearnerTask:
+    """What to learn: an affine network's weights over a window of samples, see `SlidingAffine`."""
+
+    network: Network
+    window: int | None
+    ridge: float
+
+    @property
+    def start(self) -> Network:
+        """The affine map to begin with.
+
+        Raises
+        ------
+        ExperimentError
+            The network is none.
+        """
+        try:
+            return self.network.collapsed()
+        except ValueError as error:
+            raise ExperimentError(
+                f"beside a loop only affine networks are trained: {error}",
+                hint='fit it with activation = "identity"',
+            ) from error
+
+
+class Learner(Protocol):
+    """Takes samples and gives weights.
+
+    Attributes
+    ----------
+    lag_s
+        How old the newest sample in the weights was when they came into force.
+    training_s
+        How long they took.
+    trainings
+        How many have come into force.
+    alive
+        Whether there are more to come.
+    remarks
+        What went wrong, for people.
+    """
+
+    lag_s: float
+    training_s: float
+    trainings: int
+    alive: bool
+    remarks: list[str]
+
+    def begin(self) -> None:
+        """Start; return at once."""
+
+    def ready(self) -> bool:
+        """Tell whether it has come up.
+
+        Raises
+        ------
+        ExperimentError
+            It never will.
+        """
+
+    def end(self) -> None:
+        """End, at once."""
+
+    def give(self, time_s: float, inputs: Sequence[float], outputs: Sequence[float]) -> None:
+        """Hand over a sample and the time of the trial at which it was made."""
+
+    def newest(self, now_s: float) -> Network | None:
+        """Return weights that came since the last call."""
+
+
+class _Learned:
+    """What learners share."""
+
+    def __init__(self, task: LearnerTask) -> None:
+        self._task = task
+        self._start = task.start
+        self.lag_s = self.training_s = math.nan
+        self.trainings = 0
+        self.alive = True
+        self.remarks: list[str] = []
+
+    def _accepted(self, network: Network) -> Network | None:
+        if network.finite:
+            return network
+        self._give_up("it returned weights that are not finite numbers")
+        return None
+
+    def _give_up(self, why: str) -> None:
+        if self.alive:
+            self.alive = False
+            kept = f"those of training {self.trainings}" if self.trainings else "those of the file"
+            self.remarks.append(f"the learner ended: {why}; the loop went on with its last weights, {kept}")
+
+
+class InlineLearner(_Learned):
+    """Learns within the step, and hands the weights out as late as `training_s` says: for simulated time."""
+
+    def __init__(self, task: LearnerTask, training_s: float) -> None:
+        super().__init__(task)
+        self._takes_s = training_s
+        self._solver = SlidingAffine(self._start, task.window, task.ridge)
+        self._waiting: list[tuple[Sequence[float], Sequence[float]]] = []
+        self._newest_s = -math.inf
+        self._due: deque[tuple[float, float, Network]] = deque()
+
+    def begin(self) -> None:
+        """Nothing runs beside."""
+
+    def ready(self) -> bool:
+        """Return True."""
+        return True
+
+    def end(self) -> None:
+        """Nothing runs beside."""
+
+    def give(self, time_s: float, inputs: Sequence[float], outputs: Sequence[float]) -> None:
+        """Keep a sample for the next training."""
+        self._waiting.append((inputs, outputs))
+        self._newest_s = time_s
+
+    def newest(self, now_s: float) -> Network | None:
+        """Train if the training before is over; return the weights that are due."""
+        found = None
+        if self._due and self._due[0][0] <= now_s:
+            _, sample_s, network = self._due.popleft()
+            found = self._accepted(network)
+            self.lag_s, self.training_s = now_s - sample_s, self._takes_s
+            self.trainings += 1
+        if not self._due and self._waiting and self.alive:
+            inputs, outputs = zip(*self._waiting, strict=True)
+            self._waiting.clear()
+            self._solver.add(np.array(inputs), np.array(outputs))
+            self._due.append((now_s + self._takes_s, self._newest_s, self._solver.solved()))
+        return found
+
+
+class ProcessLearner(_Learned):
+    """Learns in a process of its own; samples and weights go through shared memory, and nobody waits for the other.
+
+    A loop whose learner dies goes on with the weights it has.
+    """
+
+    def __init__(self, task: LearnerTask) -> None:
+        super().__init__(task)
+        self._inputs = len(self._start.inputs.mean)
+        self._outputs = len(self._start.outputs.mean)
+        self._memory: SharedMemory | None = None
+        self._process: Any = None
+        self._given = 0
+        self._version = 0
+        self._looked_s = -math.inf
+        self._until_s = math.inf
+
+    def begin(self) -> None:
+        """Start the process."""
+        layout = _Layout(self._inputs, self._outputs)
+        self._memory = SharedMemory(create=True, size=8 * layout.size)
+        self._view = _Shared(self._memory, layout)
+        self._view.all[:] = 0.0
+        context = multiprocessing.get_context("spawn")
+        self._process = context.Process(
+            target=learn, args=(self._memory.name, self._task), daemon=True, name="labrun learner"
+        )
+        self._process.start()
+        self._until_s = time.monotonic() + _READY_S
+
+    def ready(self) -> bool:
+        """Tell whether the process has come up; see `Learner.ready`."""
+        if self._memory is None or self._view.all[_READY]:
+            return True
+        if not self._process.is_alive() or time.monotonic() > self._until_s:
+            self.end()
+            raise ExperimentError(
+                "the process that learns beside the loop did not come up",
+                hint="the loop was not closed yet; see what it wrote above",
+            )
+        return False
+
+    def end(self) -> None:
+        """End the process, and give the memory back."""
+        if self._memory is None:
+            return
+        self._view.all[_STOP] = 1.0
+        if self._process is not None:
+            self._process.join(1.0)
+            if self._process.is_alive():
+                self._process.kill()
+                self._process.join(1.0)
+        del self._view
+        self._memory.close()
+        with contextlib.suppress(FileNotFoundError):
+            self._memory.unlink()
+        self._memory = None
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process."""
+        return None if self._process is None else self._process.pid
+
+    def give(self, time_s: float, inputs: Sequence[float], outputs: Sequence[float]) -> None:
+        """Put a sample into the ring; the oldest is overwritten."""
+        if self._memory is None:
+            return
+        row = self._view.ring[self._given % _RING]
+        row[0] = time_s
+        row[1 : 1 + self._inputs] = inputs
+        row[1 + self._inputs :] = outputs
+        self._given += 1
+        self._view.all[_GIVEN] = self._given
+
+    def newest(self, now_s: float) -> Network | None:
+        """Return the weights that came since."""
+        if self._memory is None or not self.alive:
+            return None
+        view = self._view
+        version = int(view.all[_VERSION])
+        if version == self._version:
+            if now_s - self._looked_s > 0.05:  # asking after a process costs more than a step has
+                self._looked_s = now_s
+                if not self._process.is_alive():
+                    self._give_up(
+                        f"its process died (exit code {self._process.exitcode}) after {now_s:.2f} s"
+                    )
+            return None
+        head, weights = view.weights(version)
+        self._version = version
+        network = self._accepted(replace(self._start, weights=(weights[:-1],), biases=(weights[-1],)))
+        if network is not None:
+            self.lag_s, self.training_s = now_s - head[0], head[1]
+            self.trainings = int(head[2])
+        return network
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    inputs: int
+    outputs: int
+
+    @property
+    def slot(self) -> int:
+        return _SLOT_HEAD + (self.inputs + 1) * self.outputs
+
+    @property
+    def row(self) -> int:
+        return 1 + self.inputs + self.outputs
+
+    @property
+    def size(self) -> int:
+        return _HEAD + 2 * self.slot + _RING * self.row
+
+
+class _Shared:
+    """The memory between loop and learner: a head, two places for weights, a ring of samples.
+
+    Weights are written to the place that is not in force, and then the version goes up: whoever reads has them whole,
+    unless two trainings end while he copies, and then he copies again.
+    """
+
+    def __init__(self, memory: SharedMemory, layout: _Layout) -> None:
+        self.all: FloatArray = np.ndarray((layout.size,), dtype=np.float64, buffer=memory.buf)
+        self._layout = layout
+        begin = _HEAD + 2 * layout.slot
+        self.ring = self.all[begin:].reshape(_RING, layout.row)
+
+    def place(self, version: int) -> FloatArray:
+        """Return the place of a version."""
+        begin = _HEAD + (version % 2) * self._layout.slot
+        return self.all[begin : begin + self._layout.slot]
+
+    def weights(self, version: int) -> tuple[list[float], FloatArray]:
+        """Return head and weights of a version, or of the one that has overtaken it."""
+        while True:
+            copied = self.place(version).copy()
+            now = int(self.all[_VERSION])
+            if now - version < 2:
+                break
+            version = now
+        shape = (self._layout.inputs + 1, self._layout.outputs)
+        return copied[:_SLOT_HEAD].tolist(), copied[_SLOT_HEAD:].reshape(shape)
+
+
+def learn(name: str, task: LearnerTask) -> None:
+    """Train on whatever samples have come, again and again, until told to stop or the loop's process is gone."""
+    parent = multiprocessing.parent_process()
+    memory = SharedMemory(name=name)
+    start = task.start
+    layout = _Layout(len(start.inputs.mean), len(start.outputs.mean))
+    view = _Shared(memory, layout)
+    solver = SlidingAffine(start, task.window, task.ridge)
+    solver.solved()
+    taken, trainings = 0, 0
+    view.all[_READY] = 1.0
+    looked_s = time.monotonic()
+    while view.all[_STOP] == 0.0:
+        given = int(view.all[_GIVEN])
+        if given == taken:
+            time.sleep(_IDLE_S)
+            if time.monotonic() - looked_s > 1.0:
+                looked_s = time.monotonic()
+                if parent is not None and not parent.is_alive():
+                    break
+            continue
+        began_s = time.perf_counter()
+        taken = max(taken, given - _RING + 64)
+        rows = view.ring[np.arange(taken, given) % _RING]
+        solver.add(rows[:, 1 : 1 + layout.inputs], rows[:, 1 + layout.inputs :])
+        network = solver.solved()
+        taken, trainings = given, trainings + 1
+        place = view.place(trainings)
+        place[_SLOT_HEAD:] = np.vstack([network.weights[0], network.biases[0]]).ravel()
+        place[0], place[1], place[2] = rows[-1, 0], time.perf_counter() - began_s, trainings
+        view.all[_VERSION] = trainings
+    with contextlib.suppress(BufferError):  # arrays still look at it; the process ends anyway
+        memory.close()

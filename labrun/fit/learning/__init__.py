@@ -1,0 +1,1 @@
+"""Fits that learn a map from recorded signals: networks beside exact affine least squares, and the study of them."""

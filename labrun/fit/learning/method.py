@@ -1,0 +1,263 @@
+"""The fit ``mlp``: networks learned from a run, their error on withheld trials, and exact least squares beside it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
+
+from labrun.arrays import FloatArray
+from labrun.errors import FitError
+from labrun.fit.figure import Curve, FigureData, Panel, Stack
+from labrun.fit.learning.samples import Samples, corrected, load_samples, mean_absolute, origin_of
+from labrun.fit.method import FitJob
+from labrun.fit.result import FitSummary, TextTable
+from labrun.fit.signals import SignalTable
+from labrun.learned import (
+    Activation,
+    LearnedModel,
+    Network,
+    Solver,
+    Training,
+    exact_affine,
+    files_of,
+    train,
+)
+
+_SHOWN = 600
+
+
+class NetworkTable(BaseModel):
+    """One network of a fit.
+
+    Attributes
+    ----------
+    hidden
+        Neurons of each hidden layer.
+    inverse
+        Learn what this analytic inverse leaves, instead of the outputs themselves.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    hidden: tuple[PositiveInt, ...] = (4, 4)
+    activation: Activation = "identity"
+    solver: Solver = "lbfgs"
+    alpha: NonNegativeFloat = 1e-4
+    most_iterations: PositiveInt = 2000
+    inverse: str = ""
+
+    @property
+    def training(self) -> Training:
+        """How it is trained."""
+        return Training(self.hidden, self.activation, self.solver, self.alpha, self.most_iterations)
+
+
+class DataTable(BaseModel):
+    """Which signals are learned from and to.
+
+    Attributes
+    ----------
+    inputs, outputs
+        Signals by the names that loops have for them: components of a feedback, and drives.
+    unit
+        Of the outputs.
+    where
+        Only trials whose condition has these values.
+    rate_hz
+        Of the time base.
+    withhold
+        Share of the trials that is withheld from training.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    inputs: Annotated[dict[str, SignalTable], Field(min_length=1)]
+    outputs: Annotated[dict[str, SignalTable], Field(min_length=1)]
+    unit: str = ""
+    where: dict[str, float | str] = {}
+    rate_hz: PositiveFloat = 20.0
+    withhold: Annotated[float, Field(gt=0, lt=1)] = 0.25
+
+    def load(self, job: FitJob) -> Samples:
+        """Return the samples of a run."""
+        return load_samples(
+            job.target,
+            self.inputs,
+            self.outputs,
+            unit=self.unit,
+            where=self.where,
+            rate_hz=self.rate_hz,
+            withhold=self.withhold,
+            rng=job.rng,
+        )
+
+
+class MlpSettings(DataTable):
+    """Keys of the fit: the data, and networks by name; each is written as NAME.toml and NAME.npz."""
+
+    networks: Annotated[dict[str, NetworkTable], Field(min_length=1)] = {"mlp": NetworkTable()}
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """A trained network beside the exact affine map: mean absolute errors in the outputs' unit."""
+
+    network: Network
+    affine: Network
+    took_s: float
+    trained: float
+    withheld: float
+    affine_withheld: float
+    untouched: float
+    """Withheld error with no network at all: of the inverse alone, or of the mean."""
+
+
+class MlpFit:
+    """Networks by scikit-learn (source, sections 4.2 and 4.3)."""
+
+    Settings: ClassVar[type[BaseModel]] = MlpSettings
+
+    def __init__(self, settings: MlpSettings) -> None:
+        self._settings = settings
+
+    def __call__(self, job: FitJob) -> FitSummary:
+        """Train every network."""
+        settings = self._settings
+        samples = settings.load(job)
+        rig, origin = origin_of(job.target)
+        fitted: dict[str, Fitted] = {}
+        files: dict[str, str | bytes] = {}
+        for name, table in settings.networks.items():
+            job.note(f"training {name}")
+            one = fitted[name] = fit_network(samples, table, int(job.rng.integers(2**31)))
+            how = {
+                "solver": table.solver,
+                "samples": int(np.count_nonzero(samples.withheld == 0)),
+                "mean_absolute_error_withheld": one.withheld,
+                "exact_affine_withheld": one.affine_withheld,
+            }
+            files |= files_of(
+                LearnedModel(
+                    one.network,
+                    samples.input_units,
+                    samples.output_units,
+                    rig,
+                    table.inverse,
+                    {**origin, **how},
+                ),
+                name,
+            )
+        return _summary(settings, samples, fitted, files)
+
+
+def fit_network(samples: Samples, table: NetworkTable, seed: int) -> Fitted:
+    """Train a network, and solve the affine least squares on the same samples.
+
+    Raises
+    ------
+    FitError
+        The training did not come to finite weights.
+    """
+    outputs = corrected(samples, table.inverse) if table.inverse else samples.outputs
+    kept, out = samples.withheld == 0, samples.withheld == 1
+    network, took_s = train(table.training, samples.inputs[kept], outputs[kept], seed=seed)
+    if not network.finite:
+        raise FitError("the training came to weights that are no finite numbers", hint="try another solver")
+    affine = exact_affine(samples.inputs[kept], outputs[kept])
+
+    def error(of: Network, chosen: FloatArray) -> float:
+        return mean_absolute(of(samples.inputs[chosen]) - outputs[chosen])
+
+    idle = outputs[out] if table.inverse else outputs[out] - outputs[kept].mean(axis=0)
+    return Fitted(
+        network,
+        affine,
+        took_s,
+        error(network, kept),
+        error(network, out),
+        error(affine, out),
+        mean_absolute(idle),
+    )
+
+
+def _summary(
+    settings: MlpSettings, samples: Samples, fitted: Mapping[str, Fitted], files: Mapping[str, str | bytes]
+) -> FitSummary:
+    unit = settings.unit or "1"
+    rows, findings = [], []
+    for name, one in fitted.items():
+        table = settings.networks[name]
+        what = f"{table.activation}, {'-'.join(map(str, table.hidden))}, {table.solver}"
+        idle = f"{one.untouched:.4g} ({'inverse alone' if table.inverse else 'the mean'})"
+        rows.append(
+            (
+                name,
+                what,
+                f"{one.trained:.4g}",
+                f"{one.withheld:.4g}",
+                f"{one.affine_withheld:.4g}",
+                idle,
+                f"{one.took_s:.3g}",
+            )
+        )
+        ratio = one.withheld / one.affine_withheld
+        findings.append(
+            f"{name}: on withheld data {one.withheld:.3g} {unit} off on average, {ratio:.2f} of what exact affine "
+            f"least squares leaves ({one.affine_withheld:.3g} {unit}), in {one.took_s:.2g} s"
+        )
+    head = ("network", "layers", "trained", "withheld", "exact affine", "without", "training (s)")
+    return FitSummary(
+        method="mlp",
+        model_name="mlp",
+        data=samples.data,
+        parameters={},
+        tables=(TextTable(f"mean absolute error, {unit}; {samples.told}", head, tuple(rows)),),
+        findings=(*findings, "a controller loads a network by its TOML file; the npz beside it goes with it"),
+        details={"errors": {name: _numbers(one) for name, one in fitted.items()}},
+        files=files,
+        figure_data=lambda: _figure(settings, samples, fitted),
+    )
+
+
+def _numbers(one: Fitted) -> dict[str, Any]:
+    return {
+        "trained": one.trained,
+        "withheld": one.withheld,
+        "affine_withheld": one.affine_withheld,
+        "without": one.untouched,
+        "training_s": one.took_s,
+    }
+
+
+def _figure(settings: MlpSettings, samples: Samples, fitted: Mapping[str, Fitted]) -> FigureData:
+    unit = settings.unit or "1"
+    rows = []
+    out = samples.withheld == 1
+    step_s = 1.0 / settings.rate_hz
+    for name, one in fitted.items():
+        inverse = settings.networks[name].inverse
+        wanted = (corrected(samples, inverse) if inverse else samples.outputs)[out][:_SHOWN]
+        found = one.network(samples.inputs[out][:_SHOWN])
+        time_s: FloatArray = step_s * np.arange(len(wanted), dtype=np.float64)
+        stacks = []
+        for column, output in enumerate(settings.outputs):
+            above = Panel(
+                (
+                    Curve(time_s, wanted[:, column], "measured", "withheld data"),
+                    Curve(time_s, found[:, column], "fitted", "network"),
+                ),
+                title=f"{name}: {output}" + (f" less {inverse}" if inverse else ""),
+                y_label=f"{output}, {unit}",
+                height=2.0,
+            )
+            below = Panel(
+                (Curve(time_s, wanted[:, column] - found[:, column], "residual"),),
+                x_label="time of the withheld data, s",
+                y_label=f"error, {unit}",
+                zero=True,
+            )
+            stacks.append(Stack((above, below)))
+        rows.append(tuple(stacks))
+    return FigureData("networks on data they were not trained with", tuple(rows), row_height_in=4.2)

@@ -1,0 +1,27 @@
+"""Maps learned from data: networks with their scaling, kept as plain arrays beside a TOML file, and trained anew."""
+
+from labrun.learned.affine import SlidingAffine, exact_affine
+from labrun.learned.artefact import LearnedModel, files_of, from_table, read_learned, to_table
+from labrun.learned.inverse import INVERSES, Inverse, load_inverse
+from labrun.learned.network import ACTIVATIONS, Activation, Network, Scaling
+from labrun.learned.training import Solver, Training, train
+
+__all__ = [
+    "ACTIVATIONS",
+    "INVERSES",
+    "Activation",
+    "Inverse",
+    "LearnedModel",
+    "Network",
+    "Scaling",
+    "SlidingAffine",
+    "Solver",
+    "Training",
+    "exact_affine",
+    "files_of",
+    "from_table",
+    "load_inverse",
+    "read_learned",
+    "to_table",
+    "train",
+]

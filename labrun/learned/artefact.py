@@ -1,0 +1,217 @@
+"""A learned model as two files: what it is in TOML, its numbers in npz beside it. Nothing in them is executed."""
+
+import hashlib
+import io
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from labrun.errors import SpecError
+from labrun.learned.network import ACTIVATIONS, Activation, Network, Scaling
+from labrun.toml import parsed, text_of
+
+_FORM = 1
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedModel:
+    """A network, and what it is a map from and to.
+
+    Attributes
+    ----------
+    network
+    inputs, outputs
+        Names and units, in the network's order.
+    rig
+        The bench that it was learned on, as its experiment names the scene; empty if it names none.
+    added_to
+        The inverse (see `load_inverse`) whose drives it corrects; empty if it gives the drives themselves.
+    origin
+        Run and git commit of the data, and how it was trained: for people.
+    """
+
+    network: Network
+    inputs: Mapping[str, str]
+    outputs: Mapping[str, str]
+    rig: str = ""
+    added_to: str = ""
+    origin: Mapping[str, Any] = field(default_factory=dict)
+
+
+def files_of(model: LearnedModel, stem: str) -> dict[str, str | bytes]:
+    """Return the files of a model: name -> content."""
+    packed = _packed(model.network)
+    table = {
+        "form": _FORM,
+        "inputs": dict(model.inputs),
+        "outputs": dict(model.outputs),
+        "rig": model.rig,
+        "added_to": model.added_to,
+        "activation": model.network.activation,
+        "hidden": list(model.network.hidden),
+        "weights": f"{stem}.npz",
+        "sha256": hashlib.sha256(packed).hexdigest(),
+        "scaling": _scaling_table(model.network),
+        "origin": dict(model.origin),
+    }
+    return {f"{stem}.toml": tomli_w.dumps(table), f"{stem}.npz": packed}
+
+
+def read_learned(path: Path) -> LearnedModel:
+    """Read a model from its TOML file and the npz beside it.
+
+    Raises
+    ------
+    SpecError
+        A file that is missing, damaged, or of another fit; or weights that are no finite numbers.
+    """
+    data = parsed(text_of(path, kind=SpecError, what="learned model"), str(path), kind=SpecError)
+    missing = [
+        key for key in ("inputs", "outputs", "activation", "weights", "sha256", "scaling") if key not in data
+    ]
+    if missing:
+        raise SpecError(
+            f"{path} is no learned model: it has no {', '.join(missing)}",
+            hint="labrun fit NAME --model mlp writes one, a .toml and an .npz beside it",
+        )
+    beside = path.parent / str(data["weights"])
+    try:
+        packed = beside.read_bytes()
+    except OSError as error:
+        raise SpecError(
+            f"{path} has its weights in {beside.name}, which cannot be read: {error.strerror}",
+            hint="the two files belong together: copy both",
+        ) from error
+    if hashlib.sha256(packed).hexdigest() != data["sha256"]:
+        raise SpecError(
+            f"the weights in {beside} are not those that {path.name} describes: another fit, or a damaged file",
+            hint="copy both files of one fit; the scaling of one does not hold for the weights of another",
+        )
+    try:
+        arrays = np.load(io.BytesIO(packed), allow_pickle=False)
+        layers = sum(name.startswith("weight_") for name in arrays.files)
+        network = Network(
+            tuple(np.asarray(arrays[f"weight_{i}"], dtype=np.float64) for i in range(layers)),
+            tuple(np.asarray(arrays[f"bias_{i}"], dtype=np.float64) for i in range(layers)),
+            _activation(data["activation"]),
+            *_scalings(data["scaling"]),
+        )
+        return _checked(
+            LearnedModel(
+                network,
+                dict(data["inputs"]),
+                dict(data["outputs"]),
+                str(data.get("rig", "")),
+                str(data.get("added_to", "")),
+                dict(data.get("origin", {})),
+            )
+        )
+    except (KeyError, ValueError, TypeError, zipfile.BadZipFile) as error:
+        raise SpecError(f"{path} and {beside.name} cannot be read as a learned model: {error}") from error
+
+
+def to_table(model: LearnedModel) -> dict[str, Any]:
+    """Return a model as a table, for an experiment that is stored with all it needs."""
+    network = model.network
+    return {
+        "inputs": dict(model.inputs),
+        "outputs": dict(model.outputs),
+        "rig": model.rig,
+        "added_to": model.added_to,
+        "activation": network.activation,
+        "weights": [one.tolist() for one in network.weights],
+        "biases": [one.tolist() for one in network.biases],
+        "scaling": _scaling_table(network),
+        "origin": dict(model.origin),
+    }
+
+
+def from_table(table: Mapping[str, Any]) -> LearnedModel:
+    """Return what `to_table` was given.
+
+    Raises
+    ------
+    SpecError
+        Tables that were changed meanwhile, so that they do not fit together any more.
+    """
+    try:
+        network = Network(
+            tuple(np.array(one, dtype=np.float64) for one in table["weights"]),
+            tuple(np.array(one, dtype=np.float64) for one in table["biases"]),
+            _activation(table["activation"]),
+            *_scalings(table["scaling"]),
+        )
+        return _checked(
+            LearnedModel(
+                network,
+                dict(table["inputs"]),
+                dict(table["outputs"]),
+                str(table["rig"]),
+                str(table["added_to"]),
+                dict(table.get("origin", {})),
+            )
+        )
+    except (KeyError, ValueError, TypeError) as error:
+        raise SpecError(f"the learned model that stands in the experiment does not hold: {error}") from error
+
+
+def _checked(model: LearnedModel) -> LearnedModel:
+    network = model.network
+    sizes = [len(model.inputs), *(len(bias) for bias in network.biases)]
+    wanted = list(pairwise(sizes))
+    if [one.shape for one in network.weights] != wanted or sizes[-1] != len(model.outputs):
+        raise ValueError(
+            f"layers of {sizes} neurons do not lead from {len(model.inputs)} inputs to {len(model.outputs)}"
+        )
+    scales = [
+        len(network.inputs.mean),
+        len(network.inputs.scale),
+        len(network.outputs.mean),
+        len(network.outputs.scale),
+    ]
+    if scales != [len(model.inputs)] * 2 + [len(model.outputs)] * 2:
+        raise ValueError("its scaling is of another number of inputs or outputs")
+    if not network.finite:
+        raise SpecError(
+            "weights of this learned model are not finite numbers", hint="its training failed: fit it again"
+        )
+    return model
+
+
+def _activation(name: object) -> Activation:
+    for known in ACTIVATIONS:
+        if name == known:
+            return known
+    raise ValueError(f"activation {name!r} is none of {', '.join(ACTIVATIONS)}")
+
+
+def _packed(network: Network) -> bytes:
+    arrays: dict[str, Any] = {}
+    for number, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        arrays |= {f"weight_{number}": weight, f"bias_{number}": bias}
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def _scaling_table(network: Network) -> dict[str, Any]:
+    return {
+        "input_mean": network.inputs.mean.tolist(),
+        "input_scale": network.inputs.scale.tolist(),
+        "output_mean": network.outputs.mean.tolist(),
+        "output_scale": network.outputs.scale.tolist(),
+    }
+
+
+def _scalings(table: Mapping[str, Any]) -> tuple[Scaling, Scaling]:
+    one, other = (
+        Scaling(np.array(table[f"{of}_mean"], dtype=float), np.array(table[f"{of}_scale"], dtype=float))
+        for of in ("input", "output")
+    )
+    return one, other

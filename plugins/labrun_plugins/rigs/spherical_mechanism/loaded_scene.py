@@ -1,0 +1,222 @@
+"""The larger mechanism with play, sag and lag, and a load put on while it runs (section 4 of the source work, S4.1)."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import Field, NonNegativeFloat
+
+from labrun.devices import FloatArray
+from labrun.effects import Scale
+from labrun.errors import ExperimentError, SpecError
+from labrun.models import Stepper, kernel
+from labrun_plugins.rigs.spherical_mechanism.loaded_model import OUTPUTS, loaded_model
+from labrun_plugins.simulated.bench import (
+    Bench,
+    BenchSettings,
+    described,
+    hidden_effects,
+    joint_model,
+    joint_stepper,
+    packed,
+    unpacked,
+)
+
+_SCALE = Scale(coordinate=0.05, rate=1.0, acceleration=10.0, force=0.03, signal=0.4, time_s=0.5)
+_STOP_RAD = math.radians(80.0)
+_WANDER = 0.3
+_WANDER_HZ = 0.3
+_MOST_G = 500.0
+_MOUNTED = ("load_g", "moving", "load_from_s", "load_to_s")
+_SERVOS = ("servo_1", "servo_2")
+
+
+class SpmLoadSettings(BenchSettings):
+    """What the mechanism has that its kinematics do not know, and its load.
+
+    Attributes
+    ----------
+    play_deg
+        Of each horn, to either side; friction holds the horn where it is left.
+    offset_deg
+        How far the end-effector stands askew because the horns do, unloaded, at small angles.
+    load_g, moving, load_from_s, load_to_s
+        The load; whether it moves inside its container (then its pull wanders by 30 % at 0.3 Hz); from when to when in
+        a trial it hangs there. Conditions of these names change them.
+    """
+
+    play_deg: NonNegativeFloat = 1.6
+    offset_deg: tuple[float, float] = (8.0, -8.0)
+    load_g: float = Field(default=0.0, ge=0.0, le=_MOST_G)
+    moving: float = 0.0
+    load_from_s: float = 0.0
+    load_to_s: float = 1e6
+
+
+class SpmLoad(Bench):
+    """A two-axis spherical mechanism of laminate that bends under its own weight and under what hangs on it.
+
+    Between a servo and the end-effector: the horn sits askew and has play, friction holds it within that play, then the
+    laminate, see `loaded_model`. The source gives none of these numbers; they are chosen. With `as_modelled` horns have
+    neither play nor offset.
+
+    Signals: ``effector_x`` ... ``effector_qw``, pose of the end-effector (at the centre of rotation; orientation
+    ``Ry(theta_2) Rx(-phi)``, ``tan phi = tan theta_1 / cos theta_2``); ``theta_1``, ``theta_2``, its angles, and
+    ``servo_1``, ``servo_2``, those of the servos (rad); ``load``, what hangs on it (kg).
+    """
+
+    Settings: ClassVar[type[BenchSettings]] = SpmLoadSettings
+    step_s = 0.002
+    scale = _SCALE
+    joints = _SERVOS
+    sensed = OUTPUTS
+    signals: Mapping[str, str] = {
+        **{
+            f"effector_{axis}": "m" if axis in "xyz" else "1"
+            for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")
+        },
+        **dict.fromkeys((*OUTPUTS, *_SERVOS), "rad"),
+        "load": "kg",
+    }
+
+    def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
+        super().__init__(settings, rng)
+        self._model = self._with_errors(loaded_model())
+        hide = self._settings.hide
+        at_servo = hidden_effects(
+            [one for one in hide if one.site in self.joints], joint_model(_SERVOS), _SCALE
+        )
+        in_sight = hidden_effects([one for one in hide if one.site in OUTPUTS], joint_model(OUTPUTS), _SCALE)
+        inside = [one for one in hide if one.site not in (*self.joints, *OUTPUTS)]
+        in_model = hidden_effects(inside, self._model, _SCALE)
+        self._hidden = [*in_model, *at_servo, *in_sight]
+        self._servo = joint_stepper(_SERVOS, self.step_s, at_servo) if at_servo else None
+        self._sight = joint_stepper(OUTPUTS, self.step_s, in_sight) if in_sight else None
+        self._stepper = Stepper(self._model, effects=in_model, step_s=self.step_s)
+        plain = self._settings.as_modelled
+        self._play = 0.0 if plain else math.radians(self._settings.play_deg)
+        values = dict(
+            zip((one.name for one in self._model.parameters), self._model.values.tolist(), strict=True)
+        )
+        held = 1.0 - values["gravity_torque"] / values["stiffness"]
+        self._offset = np.zeros(2) if plain else held * np.radians(self._settings.offset_deg)
+        self._servos_before, self._seen_before = np.zeros((1, 2)), np.zeros((1, 2))
+        self._horn = self._offset.copy()
+        self._inputs_before = np.array([[*self._horn, 0.0, 1.0, 1.0]])
+        self._phase = rng.uniform(0.0, 2.0 * math.pi, 2)
+        self._start_s = math.inf
+        self._mounted = {name: float(getattr(self._settings, name)) for name in _MOUNTED}
+
+    def arrange(self, condition: Mapping[str, float | str]) -> None:
+        """Have the load at hand that the condition says; one that hangs there from the start is put on now."""
+        wanted = {name: float(condition.get(name, value)) for name, value in self._mounted.items()}
+        if not 0.0 <= wanted["load_g"] <= _MOST_G:
+            raise SpecError(
+                f"load_g = {wanted['load_g']:g} is not to be had on this bench", hint=f"0 to {_MOST_G:g} g"
+            )
+        self._mounted, self._start_s = wanted, math.inf
+
+    def begin(self, start_s: float) -> None:
+        """Count the load's times from the beginning of a recording."""
+        self._start_s = start_s
+
+    def truth(self) -> dict[str, Any]:
+        """Return what is mounted, parameters as they are on the bench, and hidden effects."""
+        names = (one.name for one in self._model.parameters)
+        return {
+            "mounted": dict(self._mounted),
+            "play_deg": math.degrees(self._play),
+            "offset_deg": np.degrees(self._offset).tolist(),
+            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
+            "parameter_errors": dict(self._settings.parameters),
+            "hidden": [described(effect) for effect in self._hidden],
+        }
+
+    def _advance(self, time_s: FloatArray) -> FloatArray:
+        told = np.column_stack([self._drives[joint].angles(time_s) for joint in self.joints])
+        servos = told
+        if self._servo is not None:
+            servos = self._servo.advance(np.concatenate([self._servos_before, told]))
+        self._servos_before = told[-1:].copy()
+        horns = _with_play(servos + self._offset, self._horn, self._play)
+        load_kg = self._load(time_s)
+        pulls = np.ones((len(time_s), 2))
+        if self._mounted["moving"] and self._settings.noise:
+            turn = 2.0 * math.pi * _WANDER_HZ * time_s[:, None] * np.array([1.0, 0.83]) + self._phase
+            pulls += _WANDER * np.sin(turn)
+        inputs = np.column_stack([horns, load_kg, pulls])
+        true = self._stepper.advance(np.concatenate([self._inputs_before, inputs]))
+        self._inputs_before = inputs[-1:].copy()
+        if not self._stepper.finite or not np.abs(true).max() < _STOP_RAD:
+            raise ExperimentError(
+                "the simulated mechanism toppled over: its end-effector passed 80 deg",
+                hint="a smaller path, a lighter load, or a weaker hidden effect",
+            )
+        seen = true
+        if self._sight is not None:
+            seen = self._sight.advance(np.concatenate([self._seen_before, true]))
+            self._seen_before = true[-1:].copy()
+        return np.column_stack([_poses(seen), seen, servos, load_kg])
+
+    def _load(self, time_s: FloatArray) -> FloatArray:
+        """Return what hangs on the end-effector at these times, kg."""
+        begin_s, end_s, kg = (
+            self._mounted["load_from_s"],
+            self._mounted["load_to_s"],
+            1e-3 * self._mounted["load_g"],
+        )
+        since_s = time_s - self._start_s if math.isfinite(self._start_s) else np.zeros(len(time_s))
+        return np.where((since_s >= begin_s) & (since_s < end_s), kg, 0.0)
+
+    def _memory(self) -> dict[str, Any]:
+        return {
+            "mounted": dict(self._mounted),
+            "start_s": self._start_s if math.isfinite(self._start_s) else None,
+            "phase": self._phase.tolist(),
+            "horn": self._horn.tolist(),
+            "servos_before": packed(self._servos_before),
+            "seen_before": packed(self._seen_before),
+            "inputs_before": packed(self._inputs_before),
+            "servo": None if self._servo is None else self._servo.snapshot(),
+            "sight": None if self._sight is None else self._sight.snapshot(),
+            "stepper": self._stepper.snapshot(),
+        }
+
+    def _recall(self, memory: Mapping[str, Any]) -> None:
+        self._mounted = {name: float(value) for name, value in memory["mounted"].items()}
+        self._start_s = math.inf if memory["start_s"] is None else float(memory["start_s"])
+        self._phase, self._horn = np.array(memory["phase"]), np.array(memory["horn"])
+        self._servos_before, self._seen_before = (
+            unpacked(memory["servos_before"]),
+            unpacked(memory["seen_before"]),
+        )
+        self._inputs_before = unpacked(memory["inputs_before"])
+        if self._servo is not None:
+            self._servo.restore(memory["servo"])
+        if self._sight is not None:
+            self._sight.restore(memory["sight"])
+        self._stepper.restore(memory["stepper"])
+
+
+@kernel
+def _with_play(shafts: FloatArray, horn: FloatArray, half_gap: float) -> FloatArray:
+    """Return horns that shafts take along once the play is used up, shape (n, 2); `horn` is where they are left."""
+    found = np.empty_like(shafts)
+    for i in range(len(shafts)):
+        for axis in range(2):
+            horn[axis] = min(max(horn[axis], shafts[i, axis] - half_gap), shafts[i, axis] + half_gap)
+            found[i, axis] = horn[axis]
+    return found
+
+
+@kernel
+def _poses(angles: FloatArray) -> FloatArray:
+    """Return x, y, z (0) and the quaternion x, y, z, w of the end-effector, shape (n, 7)."""
+    found = np.zeros((len(angles), 7))
+    for i in range(len(angles)):
+        theta_2 = angles[i, 1]
+        phi = -math.atan2(math.tan(angles[i, 0]), math.cos(theta_2))
+        cy, sy, cx, sx = math.cos(theta_2 / 2), math.sin(theta_2 / 2), math.cos(phi / 2), math.sin(phi / 2)
+        found[i, 3], found[i, 4], found[i, 5], found[i, 6] = cy * sx, sy * cx, -sy * sx, cy * cx
+    return found

@@ -1,0 +1,82 @@
+"""From samples of the rig to weights, to a loop that they steer: the shipped experiments, shortened."""
+
+from pathlib import Path
+
+import pytest
+
+from labrun.app.fit import fit
+from labrun.app.run import run
+from labrun.fit.learning import study
+from labrun.learned import read_learned
+from labrun.store import open_run
+
+EXPERIMENTS = Path(__file__).parents[3] / "experiments"
+TRIALS = ", ".join(
+    f'{{ set = "{name}", size = {size}, load_g = {load}, phase = {phase} }}'
+    for name, size, load in (("A", 34, 0), ("B", 25, 100))
+    for phase in (0, 120, 240)
+)
+
+
+@pytest.fixture(scope="module")
+def collected(tmp_path_factory):
+    results = tmp_path_factory.mktemp("results")
+    changes = ["trial.duration_s=20", f"run.conditions=[{TRIALS}]"]
+    return run(EXPERIMENTS / "spm-collect.toml", dry_run=True, seed=1, overrides=changes, results=results).run
+
+
+def test_both_ways_of_learning_are_written_with_what_they_are(collected):
+    found = fit(collected, model="mlp", workspace=EXPERIMENTS.parent)
+    for name, added in (("mlp-error", "spm-inverse"), ("mlp-ik", "")):
+        model = read_learned(collected / "fit" / f"{name}.toml")
+        assert (model.rig, model.added_to) == ("spm-load", added)
+        assert list(model.inputs) == ["qw", "qx", "qy", "qz"]
+        assert model.outputs == {"theta_1": "deg", "theta_2": "deg"}
+        assert model.origin["run"] == collected.name
+        errors = found.details["errors"][name]
+        assert errors["withheld"] <= 1.05 * errors["affine_withheld"] < 0.5 * errors["without"]
+    assert found.figure is not None
+
+
+def test_a_study_that_was_interrupted_goes_on_where_it_was(collected, monkeypatch):
+    changes = ["layers=[1, 2]", 'activations=["identity"]', 'solvers=["lbfgs"]', "retrainings=2"]
+    whole = fit(collected, model="mlp-study", overrides=changes, workspace=EXPERIMENTS.parent)
+    rows = whole.details["rows"]
+    assert [(row["mode"], row["layers"]) for row in rows] == [
+        ("error", 1),
+        ("error", 2),
+        ("ik", 1),
+        ("ik", 2),
+    ]
+    for row in rows:
+        assert row["retrained"] <= 1.05 * whole.details["exact_affine"][row["mode"]]
+    kept = collected / "fit" / "mlp-study.jsonl"
+    lines = kept.read_text().splitlines()
+    kept.write_text("\n".join([*lines[:2], lines[2][:40]]) + "\n")
+    trained = []
+    real = study.train
+    monkeypatch.setattr(study, "train", lambda *a, **k: trained.append(1) or real(*a, **k))
+    again = fit(collected, model="mlp-study", overrides=changes, workspace=EXPERIMENTS.parent)
+    assert len(trained) == 2 * (1 + 2)
+    assert [row["retrained"] for row in again.details["rows"]] == [row["retrained"] for row in rows]
+
+
+@pytest.mark.slow
+def test_the_errors_of_the_source_are_met_and_a_load_is_learned(tmp_path):
+    def values(name, of, overrides):
+        made = run(
+            EXPERIMENTS / f"{name}.toml", dry_run=True, seed=1, overrides=overrides, results=tmp_path
+        ).run
+        with open_run(made) as found:
+            return {
+                (one.condition["controller"], one.condition["load_g"]): one.objectives[of]
+                for one in found.outcomes
+            }
+
+    off = values("spm-pretrained", "off", ["trial.repeats=1"])
+    assert off["ik", 0] == pytest.approx(6.370, abs=0.5)
+    assert off["mlp-error", 0] == pytest.approx(1.425, abs=0.3)
+    assert off["mlp-ik", 0] == pytest.approx(1.341, abs=0.3)
+    assert off["mlp-error", 100] == pytest.approx(4.201, abs=0.5)
+    learned = values("spm-transfer", "after", [])
+    assert all(learned[key] < 0.3 * off[key] for key in learned)
