@@ -1,20 +1,29 @@
 """Loads on the fish's fins: two pectoral five-bars and a tail, as flat plates in water that remembers.
 
-The outer links of each five-bar carry the fin: blades that span its two sectors of 72 degrees from 11 to 15.5
-cm from the mechanism's centre (chosen, with the range of gaits, so that good turning gaits give some 0.05 N m),
-cut into blade elements, each with the force of `plate_force`. They are a laminate that bends: their axes follow the
+The outer links of each five-bar carry the fin: blades (see `attachments`; 11 to 15.5 cm from the mechanism's
+centre, chosen, with the range of gaits, so that good turning gaits give some 0.05 N m), cut into blade elements,
+each with the force of `plate_force`, and with the drag of its edges (`edge_drag`): blades of laminate some 2 mm
+thick, 4.5 cm deep, at a Reynolds number of 2e4 (chosen: 0.07, of which 0.02 is friction and the rest blunt edges).
+The struts that hold the blades move with them, and have the drag of cylinders (`strut_drag`; chosen: four a fin, 4 mm
+thick, coefficient 1.1). Blades and struts are a laminate that bends: their axes follow the
 mechanism's with a lag (twice 25 ms, chosen), which makes of the snap through the flat state a swing. Added mass
 is left out: its force averages out over a cycle. The tail is two plates, the second of which follows the first
-with a lag (a flexible sheet).
+with a lag (a flexible sheet, so thin that its edges count for nothing).
 
 Each fin sets the water around it in motion: its reaction accelerates an entrained mass of water, whose speed
-dies out over seconds (chosen: 8 kg, 2 s). The next strokes, and the next trial, meet that water; towing
-leaves it behind within 0.15 m (chosen: about a fin's length).
+dies out over seconds (2 s, chosen). The mass is that of the water through which a fin sweeps, some 15 cm
+along the body: 3 kg at a pectoral fin, and 8 kg at the tail with its larger stroke (chosen). The next strokes, and the next
+trial, meet that water. A fish that moves leaves it behind: water passes a fin's 15 cm, and is replaced by what comes
+from ahead: still water at the pectoral fins; between them and the tail, 21 cm long, what the pectoral fins left; at the tail what
+comes from there. So the tail beats in the wake of the pectoral fins, with their speed and a second or three later.
 
 Body frame: x forward, y left, z up; the left side mirrors the right one (y -> -y), so that equal angles of
 right and left joints are a mirrored motion. At zero angles a pectoral fin is a flat sheet that points
-sideways; its normal points up and forward, 27 degrees from up (chosen: its drag at neutral then matches the
+sideways; its normal points up and forward, 33.4 degrees from up (chosen: the drag at neutral then matches the
 measured one, see `model`).
+
+A speed is taken over a step, from the directions at its two ends; directions are those in its middle, so that the forces
+of a beat are right to second order in the step.
 """
 
 import math
@@ -23,79 +32,63 @@ import numpy as np
 
 from labrun.devices import FloatArray
 from labrun.models import kernel
+from labrun_plugins.rigs.fish.attachments import ATTACHMENTS, Attachment
 from labrun_plugins.rigs.fish.five_bar import ARC_RAD, link_axes, reached
+from labrun_plugins.rigs.fish.plates import edge_drag, plate_force, strut_drag
 
-WATER_KG_M3 = 1000.0
 JOINTS = ("right_1", "right_2", "left_1", "left_2", "tail")
-
-_ROOT_M = (0.05, 0.05, 0.0)
-_TILT_RAD = math.radians(27.0)
-_INNER_M, _OUTER_M = 0.11, 0.155
-_RINGS, _DIRECTIONS = 2, 4
-_TAIL_ROOT_M = -0.25
+TILT_RAD = math.radians(33.4)
+ROOT_M = (0.05, 0.035, 0.0)
+EDGE_COEFFICIENT = 0.07
+STRUT_COEFFICIENT = 1.1
+STRUT_M = 0.0043
+"""Diameter of a strut."""
+TAIL_ROOT_M = -0.25
+_DIRECTIONS = 4
 _TAIL_PIECE_M, _TAIL_HEIGHT_M = 0.06, 0.10
 _TAIL_LAG_S = 0.08
-_ENTRAINED_KG = 8.0
-_WAKE_S = 2.0
-_LEFT_BEHIND_M = 0.15
-
-_edges = np.linspace(_INNER_M, _OUTER_M, _RINGS + 1)
-_RING_M = 2.0 / 3.0 * (_edges[1:] ** 3 - _edges[:-1] ** 3) / (_edges[1:] ** 2 - _edges[:-1] ** 2)
-"""Distance of the blade elements from the mechanism's centre."""
-_RING_M2 = 0.5 * (ARC_RAD / 2.0) * (_edges[1:] ** 2 - _edges[:-1] ** 2)
-"""Area of a blade element: half a sector."""
-FIN_AREA_M2 = float(4 * _RING_M2.sum())
-
 _BEND_S = 0.025
 _STAGES = 2
 
-_ELEMENTS = 2 * _DIRECTIONS * 3
-_BENT = 2 * _STAGES * 9
+_ENTRAINED_KG = (3.0, 3.0, math.inf, 8.0)
+_WATER_X_M = (0.05, 0.05, -0.13, -0.31)
+_WATER_LONG_M = (0.15, 0.15, 0.21, 0.15)
+_WAKE_S = 2.0
+WATERS = 4
+"""Stretches of water that remember: at the right and the left fin, between them and the tail, and at the tail."""
+
+_ELEMENTS = 2 * 2 * _DIRECTIONS * 3
+_BENT = 2 * (_STAGES + 1) * 9
 FIN_MEMORY = _ELEMENTS + _BENT + 2
-"""Numbers that `fin_loads` keeps in `motion`: directions of the blade elements, axes of both fins as they are
-bent in each stage of the lag, and both tail angles."""
+"""Numbers that `fin_loads` keeps in `motion`: directions of the blade elements of both rings, axes of both fins as they
+are bent in each stage of the lag and in the outer ring, and both tail angles."""
 
 
 @kernel
-def plate_force(
-    u_x: float, u_y: float, u_z: float, n_x: float, n_y: float, n_z: float, area_m2: float
-) -> float:
-    """Return the force along the unit normal n, N, on a plate that moves through water at velocity u, m/s.
-
-    Eq. (7.11) of the source work: ``F = rho u^2 A sin(alpha)``, normal to the plate, with u the speed of the plate
-    relative to the water and alpha its angle of attack. Its components along and across the flow are the drag (7.9)
-    and the lift (7.10). With the sign written out for motion that goes to and fro, and as a vector, it is
-    ``F = -rho A |u| (u . n) n``, whichever way the normal n points.
-    """
-    speed: float = (u_x * u_x + u_y * u_y + u_z * u_z) ** 0.5
-    return -WATER_KG_M3 * area_m2 * speed * (u_x * n_x + u_y * n_y + u_z * n_z)
-
-
-@kernel
-def _bend(axes: FloatArray, share: float, bent: FloatArray, now: FloatArray) -> None:
-    """Let a fin's axes follow its mechanism's by this share of the way, and write them, as unit vectors."""
+def _bend(axes: FloatArray, share: float, outer_share: float, bent: FloatArray) -> None:
+    """Let a fin's axes follow its mechanism's by this share of the way, and those of its outer ring follow these."""
     for axis in range(3):
         for i in range(3):
             value = axes[axis, i]
             for stage in range(_STAGES):
                 bent[stage, axis, i] += share * (value - bent[stage, axis, i])
                 value = bent[stage, axis, i]
-            now[axis, i] = value
-    _normalize(now)
+            bent[_STAGES, axis, i] += outer_share * (value - bent[_STAGES, axis, i])
 
 
 @kernel
-def _directions(axes: FloatArray, directions: FloatArray, normals: FloatArray) -> None:
-    """Write the directions of a fin's blade elements and the normals of its links, all unit vectors."""
+def _directions(bent: FloatArray, axes: FloatArray, directions: FloatArray) -> None:
+    """Write the directions of a ring's blade elements, from axes that need not be unit vectors."""
     near, far = math.sin(0.75 * ARC_RAD) / math.sin(ARC_RAD), math.sin(0.25 * ARC_RAD) / math.sin(ARC_RAD)
+    for axis in range(3):
+        for i in range(3):
+            axes[axis, i] = bent[axis, i]
+    _normalize(axes)
     for link in range(2):
         for i in range(3):
             directions[2 * link, i] = near * axes[link, i] + far * axes[2, i]
             directions[2 * link + 1, i] = far * axes[link, i] + near * axes[2, i]
-            j, k = (i + 1) % 3, (i + 2) % 3
-            normals[link, i] = axes[link, j] * axes[2, k] - axes[link, k] * axes[2, j]
     _normalize(directions)
-    _normalize(normals)
 
 
 @kernel
@@ -107,10 +100,10 @@ def _normalize(vectors: FloatArray) -> None:
 
 
 @kernel
-def _to_body(side: float, vectors: FloatArray, count: int) -> None:
+def _to_body(side: float, vectors: FloatArray) -> None:
     """Turn rows (outward, along the sheet, normal) into body coordinates; side is -1 right, +1 left."""
-    cosine, sine = math.cos(_TILT_RAD), math.sin(_TILT_RAD)
-    for row in range(count):
+    cosine, sine = math.cos(TILT_RAD), math.sin(TILT_RAD)
+    for row in range(len(vectors)):
         outward, along, normal = vectors[row, 0], vectors[row, 1], vectors[row, 2]
         vectors[row, 0] = cosine * along + sine * normal
         vectors[row, 1] = side * outward
@@ -129,7 +122,13 @@ def _add(load: FloatArray, fx: float, fy: float, fz: float, x: float, y: float, 
 
 
 def fin_loads(
-    joints: FloatArray, tow_m_s: FloatArray, step_s: float, motion: FloatArray, wake: FloatArray
+    joints: FloatArray,
+    going: FloatArray,
+    step_s: float,
+    motion: FloatArray,
+    wake: FloatArray,
+    attachment: Attachment = ATTACHMENTS["broad"],
+    caudal: bool = True,
 ) -> FloatArray:
     """Return the loads on all fins at each step, about the body's origin.
 
@@ -137,12 +136,17 @@ def fin_loads(
     ----------
     joints : (n, 5)
         Angles at the end of each step, rad, in the order of `JOINTS`.
-    tow_m_s : (n,)
-        Speed of the body along x, through water at rest.
+    going : (n, 3)
+        Speed of the body ahead and to its left (m/s), and its rate of turn to the left (rad/s).
     step_s
         Length of a step.
-    motion : (FIN_MEMORY,), wake : (3, 3)
-        Memory, updated: the last directions; velocity of the water at right fin, left fin and tail (m/s).
+    motion : (FIN_MEMORY,), wake : (WATERS, 3)
+        Memory, updated: the last directions; velocity of the water at right fin, left fin, between these and the tail,
+        and at the tail (m/s), along the body's axes.
+    attachment
+        Blades of the pectoral fins.
+    caudal
+        Whether the tail is on.
 
     Returns
     -------
@@ -150,102 +154,146 @@ def fin_loads(
         Force (N) and torque (N m), six axes; and the mean size of the forces (N), a measure of how the water
         is stirred.
     """
-    before = motion[:_ELEMENTS].reshape(2, _DIRECTIONS, 3)
-    bent = motion[_ELEMENTS:-2].reshape(2, _STAGES, 3, 3)
+    before = motion[:_ELEMENTS].reshape(2, 2, _DIRECTIONS, 3)
+    bent = motion[_ELEMENTS:-2].reshape(2, _STAGES + 1, 3, 3)
     loads = np.zeros((len(joints), 7))
-    _add_loads(joints, tow_m_s, step_s, before, bent, motion[-2:], wake, loads)
+    _add_loads(
+        joints, going, step_s, before, bent, motion[-2:], wake, loads,
+        attachment.ring_m, attachment.ring_m2, attachment.inner_m, attachment.outer_lag_s,
+        _TAIL_PIECE_M * _TAIL_HEIGHT_M if caudal else 0.0,
+    )  # fmt: skip
     return loads
 
 
 @kernel
 def _add_loads(
-    joints: FloatArray, tow_m_s: FloatArray, step_s: float, before: FloatArray, bent: FloatArray, tail: FloatArray,
-    wake: FloatArray, loads: FloatArray,
+    joints: FloatArray, going: FloatArray, step_s: float, before: FloatArray, bent: FloatArray, tail: FloatArray,
+    wake: FloatArray, loads: FloatArray, ring_m: FloatArray, ring_m2: FloatArray, inner_m: float, outer_lag_s: float,
+    tail_m2: float,
 ) -> None:  # fmt: skip
-    count = len(joints)
-    mechanism, axes, normals = np.empty((2, 3, 3)), np.empty((3, 3)), np.empty((2, 3))
-    now = np.empty((_DIRECTIONS, 3))
+    mechanism, axes = np.empty((2, 3, 3)), np.empty((3, 3))
     share = 1.0 - math.exp(-step_s / _BEND_S)
-    rate_hz = 1.0 / step_s
-    fin = np.zeros(6)
-    for n in range(count):
+    outer_share = 1.0 - math.exp(-step_s / outer_lag_s) if outer_lag_s > 0.0 else 1.0
+    fin, now = np.zeros(6), np.empty((_DIRECTIONS, 3))
+    for n in range(len(joints)):
+        ahead, aside, turning = going[n, 0], going[n, 1], going[n, 2]
         for which in range(2):
             side = -1.0 if which == 0 else 1.0
-            for i in range(6):
-                fin[i] = 0.0
+            fin[:] = 0.0
             first, second = joints[n, 2 * which], joints[n, 2 * which + 1]
             if n == 0 or first != joints[n - 1, 2 * which] or second != joints[n - 1, 2 * which + 1]:
                 link_axes(*reached(first, second), mechanism[which])
-            _bend(mechanism[which], share, bent[which], axes)
-            _directions(axes, now, normals)
-            _to_body(side, now, _DIRECTIONS)
-            _to_body(side, normals, 2)
-            for d in range(_DIRECTIONS):
-                link = d // 2
-                n_x, n_y, n_z = normals[link, 0], normals[link, 1], normals[link, 2]
-                r_x = (now[d, 0] - before[which, d, 0]) * rate_hz
-                r_y = (now[d, 1] - before[which, d, 1]) * rate_hz
-                r_z = (now[d, 2] - before[which, d, 2]) * rate_hz
-                for ring in range(_RINGS):
-                    radius = _RING_M[ring]
-                    force = plate_force(
-                        radius * r_x + tow_m_s[n] - wake[which, 0],
-                        radius * r_y - wake[which, 1],
-                        radius * r_z - wake[which, 2],
-                        n_x, n_y, n_z, _RING_M2[ring],
-                    )  # fmt: skip
-                    _add(
-                        fin, force * n_x, force * n_y, force * n_z,
-                        _ROOT_M[0] + radius * now[d, 0], side * _ROOT_M[1] + radius * now[d, 1],
-                        _ROOT_M[2] + radius * now[d, 2],
-                    )  # fmt: skip
-            for d in range(_DIRECTIONS):
-                for i in range(3):
-                    before[which, d, i] = now[d, i]
-            _take_along(wake, which, fin, tow_m_s[n], step_s)
+            _bend(mechanism[which], share, outer_share, bent[which])
+            for ring in range(len(ring_m)):
+                if ring == 0 or outer_lag_s > 0.0:
+                    _directions(bent[which, _STAGES if ring > 0 else _STAGES - 1], axes, now)
+                    _to_body(side, now)
+                _blades(
+                    side, now, before[which, ring], ring_m[ring], ring_m2[ring], inner_m if ring == 0 else 0.0,
+                    ahead, aside, turning, wake[which], 1.0 / step_s, fin,
+                )  # fmt: skip
+                before[which, ring] = now
+            _take_along(wake, which, fin, ahead, aside, turning, step_s)
             for i in range(6):
                 loads[n, i] += fin[i]
             loads[n, 6] += math.sqrt(fin[0] ** 2 + fin[1] ** 2 + fin[2] ** 2)
-        for i in range(6):
-            fin[i] = 0.0
-        _tail(joints[n, 4], tow_m_s[n], step_s, tail, wake, fin)
-        _take_along(wake, 2, fin, tow_m_s[n], step_s)
+        fin[:] = 0.0
+        _take_along(wake, 2, fin, ahead, aside, turning, step_s)
+        _tail(joints[n, 4], ahead, aside, turning, step_s, tail_m2, tail, wake[3], fin)
+        _take_along(wake, 3, fin, ahead, aside, turning, step_s)
         for i in range(6):
             loads[n, i] += fin[i]
         loads[n, 6] += math.sqrt(fin[0] ** 2 + fin[1] ** 2)
 
 
 @kernel
-def _take_along(wake: FloatArray, which: int, force: FloatArray, tow_m_s: float, step_s: float) -> None:
-    """Let the water around a fin take up the reaction to its force, and come to rest over time."""
-    rate = 1.0 / _WAKE_S + abs(tow_m_s) / _LEFT_BEHIND_M
+def _blades(
+    side: float, now: FloatArray, before: FloatArray, radius: float, area: float, strut_m: float, ahead: float,
+    aside: float, turning: float, water: FloatArray, rate_hz: float, load: FloatArray,
+) -> None:  # fmt: skip
+    """Add the load on one ring of blade elements, and on the struts of that length."""
+    middle, rate = np.empty((_DIRECTIONS, 3)), np.empty(3)
+    for d in range(_DIRECTIONS):
+        for i in range(3):
+            middle[d, i] = 0.5 * (now[d, i] + before[d, i])
+    root_x, root_y = ROOT_M[0], side * ROOT_M[1]
+    strut_at = strut_m / math.sqrt(3.0)  # where the mean of the squared speed of a turning strut is found
+    for d in range(_DIRECTIONS):
+        for i in range(3):
+            rate[i] = (now[d, i] - before[d, i]) * rate_hz
+        # The plate of a link holds both of its elements: its normal is square to them.
+        one, other = 2 * (d // 2), 2 * (d // 2) + 1
+        n_x = middle[one, 1] * middle[other, 2] - middle[one, 2] * middle[other, 1]
+        n_y = middle[one, 2] * middle[other, 0] - middle[one, 0] * middle[other, 2]
+        n_z = middle[one, 0] * middle[other, 1] - middle[one, 1] * middle[other, 0]
+        scale = 1.0 / math.sqrt(n_x * n_x + n_y * n_y + n_z * n_z)
+        n_x, n_y, n_z = scale * n_x, scale * n_y, scale * n_z
+        x, y, z = root_x + radius * middle[d, 0], root_y + radius * middle[d, 1], radius * middle[d, 2]
+        u_x = radius * rate[0] + ahead - turning * y - water[0]
+        u_y = radius * rate[1] + aside + turning * x - water[1]
+        u_z = radius * rate[2] - water[2]
+        force = plate_force(u_x, u_y, u_z, n_x, n_y, n_z, area)
+        e_x, e_y, e_z = edge_drag(u_x, u_y, u_z, n_x, n_y, n_z, area, EDGE_COEFFICIENT)
+        _add(load, force * n_x + e_x, force * n_y + e_y, force * n_z + e_z, x, y, z)
+        if strut_m > 0.0:
+            x, y = root_x + strut_at * middle[d, 0], root_y + strut_at * middle[d, 1]
+            u_x = strut_at * rate[0] + ahead - turning * y - water[0]
+            u_y = strut_at * rate[1] + aside + turning * x - water[1]
+            u_z = strut_at * rate[2] - water[2]
+            e_x, e_y, e_z = strut_drag(
+                u_x, u_y, u_z, middle[d, 0], middle[d, 1], middle[d, 2], STRUT_M * strut_m, STRUT_COEFFICIENT
+            )
+            _add(load, e_x, e_y, e_z, x, y, strut_at * middle[d, 2])
+
+
+@kernel
+def _take_along(
+    wake: FloatArray, which: int, force: FloatArray, ahead: float, aside: float, turning: float, step_s: float
+) -> None:
+    """Let a stretch of water take up the reaction to a force, come to rest over time, and be replaced by what comes."""
+    passing = math.sqrt(ahead**2 + (aside + turning * _WATER_X_M[which]) ** 2) / _WATER_LONG_M[which]
+    from_ahead = max(0.0, ahead) / _WATER_LONG_M[which] if which >= 2 else 0.0
+    turned_x, turned_y = turning * wake[which, 1], -turning * wake[which, 0]
     for i in range(3):
-        wake[which, i] += step_s * (-force[i] / _ENTRAINED_KG - wake[which, i] * rate)
+        comes = 0.0
+        if which == 2:
+            comes = 0.5 * (wake[0, i] + wake[1, i])
+        elif which == 3:
+            comes = wake[2, i]
+        turned = turned_x if i == 0 else (turned_y if i == 1 else 0.0)
+        wake[which, i] += step_s * (
+            -force[i] / _ENTRAINED_KG[which]
+            - wake[which, i] * (1.0 / _WAKE_S + passing)
+            + comes * from_ahead
+            + turned
+        )
 
 
 @kernel
 def _tail(
-    angle: float, tow_m_s: float, step_s: float, angles: FloatArray, wake: FloatArray, load: FloatArray
-) -> None:
+    angle: float, ahead: float, aside: float, turning: float, step_s: float, area: float, angles: FloatArray,
+    water: FloatArray, load: FloatArray,
+) -> None:  # fmt: skip
     """Add the load on the tail's two plates, and update their angles."""
     stem_before, tip_before = angles[0], angles[1]
-    tip = angle + (tip_before - angle) * math.exp(-step_s / _TAIL_LAG_S)
-    stem_rate, tip_rate = (angle - stem_before) / step_s, (tip - tip_before) / step_s
-    angles[0], angles[1] = angle, tip
-    area = _TAIL_PIECE_M * _TAIL_HEIGHT_M
+    tip_end = angle + (tip_before - angle) * math.exp(-step_s / _TAIL_LAG_S)
+    stem_rate, tip_rate = (angle - stem_before) / step_s, (tip_end - tip_before) / step_s
+    stem, tip = 0.5 * (angle + stem_before), 0.5 * (tip_end + tip_before)
+    angles[0], angles[1] = angle, tip_end
     half = 0.5 * _TAIL_PIECE_M
     # Points backward at zero; a positive angle swings it to the right (turn about z).
-    cosine, sine = math.cos(angle), math.sin(angle)
-    u_x = half * sine * stem_rate + tow_m_s - wake[2, 0]
-    u_y = -half * cosine * stem_rate - wake[2, 1]
+    cosine, sine = math.cos(stem), math.sin(stem)
+    x, y = TAIL_ROOT_M - half * cosine, -half * sine
+    u_x = half * sine * stem_rate + ahead - turning * y - water[0]
+    u_y = -half * cosine * stem_rate + aside + turning * x - water[1]
     force = plate_force(u_x, u_y, 0.0, -sine, cosine, 0.0, area)
-    _add(load, -force * sine, force * cosine, 0.0, _TAIL_ROOT_M - half * cosine, -half * sine, 0.0)
+    _add(load, -force * sine, force * cosine, 0.0, x, y, 0.0)
     tip_cosine, tip_sine = math.cos(tip), math.sin(tip)
-    u_x = _TAIL_PIECE_M * sine * stem_rate + half * tip_sine * tip_rate + tow_m_s - wake[2, 0]
-    u_y = -_TAIL_PIECE_M * cosine * stem_rate - half * tip_cosine * tip_rate - wake[2, 1]
-    force = plate_force(u_x, u_y, 0.0, -tip_sine, tip_cosine, 0.0, area)
-    x = _TAIL_ROOT_M - _TAIL_PIECE_M * cosine - half * tip_cosine
+    x = TAIL_ROOT_M - _TAIL_PIECE_M * cosine - half * tip_cosine
     y = -_TAIL_PIECE_M * sine - half * tip_sine
+    u_x = _TAIL_PIECE_M * sine * stem_rate + half * tip_sine * tip_rate + ahead - turning * y - water[0]
+    u_y = -_TAIL_PIECE_M * cosine * stem_rate - half * tip_cosine * tip_rate + aside + turning * x - water[1]
+    force = plate_force(u_x, u_y, 0.0, -tip_sine, tip_cosine, 0.0, area)
     _add(load, -force * tip_sine, force * tip_cosine, 0.0, x, y, 0.0)
 
 
@@ -253,6 +301,6 @@ def motion_at(joints: FloatArray) -> FloatArray:
     """Return the `motion` memory of fins at rest at these joint angles, shape (FIN_MEMORY,)."""
     motion = np.zeros(FIN_MEMORY)
     # One step that is longer than any lag.
-    fin_loads(joints[None, :], np.zeros(1), 1e6, motion, np.zeros((3, 3)))
+    fin_loads(joints[None, :], np.zeros((1, 3)), 1e6, motion, np.zeros((WATERS, 3)))
     motion[-1] = joints[4]
     return motion

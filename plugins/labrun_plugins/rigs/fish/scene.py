@@ -11,7 +11,9 @@ from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import ExperimentError
 from labrun.models import Stepper
-from labrun_plugins.rigs.fish.fins import JOINTS, fin_loads, motion_at
+from labrun_plugins.rigs.fish.attachments import ATTACHMENTS, AttachmentName
+from labrun_plugins.rigs.fish.fins import JOINTS, WATERS, fin_loads, motion_at
+from labrun_plugins.rigs.fish.hand import chosen_by_hand
 from labrun_plugins.rigs.fish.model import OUTPUTS, fire_model
 from labrun_plugins.simulated.bench import (
     ACCELERATION_M_S2,
@@ -30,9 +32,13 @@ _SCALE = Scale(coordinate=0.5, rate=0.2, acceleration=1.0, force=0.3, signal=0.5
 
 
 class FireTankSettings(BenchSettings):
-    """`mount_height_m`: the sensor sits this far above the fish's centre, at the end of the arm."""
+    """`mount_height_m`: the sensor sits this far above the fish's centre, at the end of the arm.
+
+    `attachment`: the blades of the pectoral fins, where no condition says otherwise.
+    """
 
     mount_height_m: PositiveFloat = 0.15
+    attachment: AttachmentName = "broad"
 
 
 class FireTank(Bench):
@@ -40,8 +46,9 @@ class FireTank(Bench):
 
     Physics and sources: see `five_bar`, `fins` and `model`.
 
-    With `as_modelled` it is integrated in finer steps: at 10 ms a plate's speed is 5 ms older than its direction, which
-    no model of it says.
+    With `as_modelled` it is integrated in finer steps: at 10 ms the loads are 5 ms old, which no model of it says.
+
+    Blades are changed by hand: the factor `attachment`.
 
     A trial leaves moving water at each fin (2 s), waves between the walls (about 6 s) and vortices (2 s)
     behind.
@@ -72,9 +79,14 @@ class FireTank(Bench):
         self._stepper = Stepper(self._model, effects=water_effects, step_s=self.step_s)
         self._carriage = Carriage()
         self._motion = motion_at(np.zeros(len(JOINTS)))
-        self._wake = np.zeros((3, 3))
+        self._wake = np.zeros((WATERS, 3))
+        self._attachment: str = self._settings.attachment
         self._joints_before = np.zeros((1, len(JOINTS)))
         self._inputs_before = np.zeros((1, len(self._model.inputs)))
+
+    def arrange(self, condition: Mapping[str, float | str]) -> None:
+        """Put on the blades of the condition."""
+        self._attachment = chosen_by_hand(condition, "attachment", ATTACHMENTS, self._attachment)
 
     def tow(
         self,
@@ -113,7 +125,10 @@ class FireTank(Bench):
             joints = self._servo.advance(np.concatenate([self._joints_before, commanded]))
             self._joints_before = commanded[-1:].copy()
         position, speed, acceleration = self._carriage.motion(time_s)
-        loads = fin_loads(joints, speed, self.step_s, self._motion, self._wake)
+        going = np.zeros((count, 3))
+        going[:, 0] = speed
+        blades = ATTACHMENTS[self._attachment]
+        loads = fin_loads(joints, going, self.step_s, self._motion, self._wake, blades)
         noise = self._settings.noise / math.sqrt(self.step_s) * self._rng.standard_normal((count, 3))
         inputs = np.empty((count + 1, len(self._model.inputs)))
         inputs[0] = self._inputs_before
@@ -128,6 +143,7 @@ class FireTank(Bench):
 
     def _memory(self) -> dict[str, Any]:
         return {
+            "attachment": self._attachment,
             "carriage": self._carriage.snapshot(),
             "motion": packed(self._motion),
             "wake": packed(self._wake),
@@ -138,6 +154,7 @@ class FireTank(Bench):
         }
 
     def _recall(self, memory: Mapping[str, Any]) -> None:
+        self._attachment = memory["attachment"]
         self._carriage.restore(memory["carriage"])
         self._motion = unpacked(memory["motion"])
         self._wake = unpacked(memory["wake"])
