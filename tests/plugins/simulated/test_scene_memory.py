@@ -16,6 +16,7 @@ SCENES = {
     "hinge-bench": {"hide": [{"effect": "coulomb-friction", "site": "hinge"}]},
     "caudal-tank": {"hide": [{"effect": "delay", "site": "tail", "values": {"delay": 0.05}}]},
     "fire-tank": {"hide": [{"effect": "lag", "site": "torque_z", "values": {"time_constant": 0.05}}]},
+    "fire-free": {"hide": [{"effect": "drag-error", "site": "fish"}], "caudal": "on"},
     "driven-joint": {"hide": [{"effect": "lag", "site": "horn"}]},
     "spm-stabiliser": {"hide": [{"effect": "coulomb-friction", "site": "axis_1"}]},
 }

@@ -76,7 +76,7 @@ def test_random_turning_gaits_hardly_turn_and_a_search_has_something_to_find():
     )
     assert abs(np.median(torques)) < 0.05 * good
     assert np.median(np.abs(torques)) < 0.25 * good
-    assert 0.02 < good < 0.5
+    assert 0.005 < good < 0.5
 
 
 def test_two_different_gaits_turn_the_same_way_so_the_landscape_has_several_peaks():
@@ -91,7 +91,7 @@ def test_neutral_drag_is_about_the_measured_one(speed):
     tank = FireTank({"noise": 0}, np.random.default_rng(0))
     tank.tow(0.0, 5.0, speed, 0.0)
     load = tank.observe(AXES, np.arange(3.0, 5.0, 0.01)).mean(axis=0)
-    assert -load[0] == pytest.approx(5.43 * speed**2, rel=0.2)
+    assert -load[0] == pytest.approx(5.43 * speed**2, rel=0.15)
     assert load[4] == pytest.approx(-0.15 * load[0], abs=0.1 * abs(load[0]))  # the sensor sits above
 
 

@@ -1,29 +1,32 @@
 """Loads on the fish's fins: two pectoral five-bars and a tail, as flat plates in water that remembers.
 
-The outer links of each five-bar carry the fin: blades (see `attachments`; 11 to 15.5 cm from the mechanism's
-centre, chosen, with the range of gaits, so that good turning gaits give some 0.05 N m), cut into blade elements,
-each with the force of `plate_force`, and with the drag of its edges (`edge_drag`): blades of laminate some 2 mm
-thick, 4.5 cm deep, at a Reynolds number of 2e4 (chosen: 0.07, of which 0.02 is friction and the rest blunt edges).
-The struts that hold the blades move with them, and have the drag of cylinders (`strut_drag`; chosen: four a fin, 4 mm
-thick, coefficient 1.1). Blades and struts are a laminate that bends: their axes follow the
-mechanism's with a lag (twice 25 ms, chosen), which makes of the snap through the flat state a swing. Added mass
-is left out: its force averages out over a cycle. The tail is two plates, the second of which follows the first
-with a lag (a flexible sheet, so thin that its edges count for nothing).
+The outer links of each five-bar carry the fin: blades (see `attachments`), cut into blade elements, each with the
+force of `plate_force`, and with the drag of its edges (`edge_drag`): blades of laminate some 2 mm thick and 2.5 cm
+deep, at a Reynolds number of 1e4 (chosen: 0.07, of which 0.02 is friction and the rest blunt edges). The struts
+that hold the blades move with them, and have the drag of cylinders (`strut_drag`; chosen: four a fin, 4.3 mm
+thick, coefficient 1.1). Blades and struts are a laminate that bends: their axes follow the mechanism's with a lag
+(twice 25 ms, chosen), which makes of the snap through the flat state a swing. Added mass is left out: its force
+averages out over a cycle. The tail is two plates, the second of which follows the first with a lag (a flexible
+sheet, so thin that its edges count for nothing).
 
 Each fin sets the water around it in motion: its reaction accelerates an entrained mass of water, whose speed
-dies out over seconds (2 s, chosen). The mass is that of the water through which a fin sweeps, some 15 cm
-along the body: 3 kg at a pectoral fin, and 8 kg at the tail with its larger stroke (chosen). The next strokes, and the next
-trial, meet that water. A fish that moves leaves it behind: water passes a fin's 15 cm, and is replaced by what comes
-from ahead: still water at the pectoral fins; between them and the tail, 21 cm long, what the pectoral fins left; at the tail what
-comes from there. So the tail beats in the wake of the pectoral fins, with their speed and a second or three later.
+dies out over seconds (2 s, chosen). The mass is that of the water through which a fin sweeps, some 15 cm along the
+body: 3 kg at a pectoral fin, 8 kg at the tail with its larger stroke (chosen). The next strokes, and the next
+trial, meet that water. A fish that moves leaves it behind: water passes a fin's 15 cm, and is replaced by what
+comes from ahead. That is still water at the pectoral fins; between them and the tail, 21 cm long, what the
+pectoral fins left; at the tail, what comes from there. So the tail beats in the wake of the pectoral fins, a few
+seconds later.
 
 Body frame: x forward, y left, z up; the left side mirrors the right one (y -> -y), so that equal angles of
 right and left joints are a mirrored motion. At zero angles a pectoral fin is a flat sheet that points
-sideways; its normal points up and forward, 33.4 degrees from up (chosen: the drag at neutral then matches the
-measured one, see `model`).
+sideways; its normal points up and forward, 33.4 degrees from up.
 
-A speed is taken over a step, from the directions at its two ends; directions are those in its middle, so that the forces
-of a beat are right to second order in the step.
+The source gives no dimensions of the fins. Tilt and blades (see `attachments`), and the drag of the body (see
+`model`), are those with which this law gives three of its findings: the drag at neutral and in the best pose, and
+that pectoral fins alone do about as much as to cancel drag at 0.1 m/s.
+
+A speed is taken over a step, from the directions at its two ends; directions are those in its middle, so that
+the forces of a beat are right to second order in the step.
 """
 
 import math

@@ -1,14 +1,15 @@
 """The fish let loose: a rigid body that goes ahead, aside and about its vertical axis, in water that stirs it.
 
-Kirchhoff's equations of a body in an ideal fluid, in the plane (Lamb, Hydrodynamics (1932), section 124), with the loads
-of the fins and quadratic drag,
+Kirchhoff's equations of a body in an ideal fluid, in the plane (Lamb, Hydrodynamics (1932), section 124), with the
+loads of the fins and quadratic drag,
 
     ``m_a u' =  m_s v r + F_x - c_a u|u|``
     ``m_s v' = -m_a u r + F_y - c_s v|v|``
     ``I r'   = (m_a - m_s) u v + N_z - c_r r|r|``
 
-with u ahead, v to the left, r the turn to the left, m_a and m_s the masses with the water that moves along. Without
-fins and drag they keep the kinetic energy. Functions of the model signature ``(t, x, u, p, force, out)``; see `labrun.models`.
+with u ahead, v to the left, r the turn to the left, m_a and m_s the masses with the water that moves along.
+Without fins and drag they keep the kinetic energy. Functions of the model signature ``(t, x, u, p, force, out)``;
+see `labrun.models`.
 """
 
 import math
@@ -70,10 +71,13 @@ def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> No
 def free_model() -> Model:
     """Return the model of the free fish.
 
-    Mass 2 kg ahead, with the water that moves along, as on the arm; half as much again aside, 0.05 kg m^2 about the vertical
-    axis (a rod of 0.542 m and 2 kg; chosen). Its hull has the drag that is left of the towed one without the mount at the arm;
-    its drag aside is that of a plate 0.4 m long and 0.1 m high. The yaw drag is set so that the best turning gait
-    turns it with the 30.25 deg/s of the source when the tail and the dorsal fin are off.
+    Mass 2 kg ahead, with the water that moves along, as on the arm; half as much again aside, 0.05 kg m^2 about the
+    vertical axis (a rod of 0.542 m and 2 kg); a hull whose drag, 0.8 N s^2/m^2, is less than half of that with the
+    mount at the arm; drag aside of a plate 0.4 m long and 0.1 m high (all chosen). The yaw drag, and what tail and
+    dorsal fin add to it, are set so that a turning gait like those that win on the arm turns the fish with about
+    the 30.25 and 15.68 deg/s of the source. They are small: a stiff hull and tail square to the flow would have some
+    ten times as much by the law of the fins, and fins that ahead push no more than the source's could not turn them
+    so fast.
     """
     return Model(
         name="fire-free",

@@ -12,7 +12,7 @@ from labrun.errors import ExperimentError
 from labrun.models import Stepper
 from labrun_plugins.rigs.fish.attachments import ATTACHMENTS, AttachmentName
 from labrun_plugins.rigs.fish.fins import JOINTS, WATERS, fin_loads, motion_at
-from labrun_plugins.rigs.fish.free_model import REAR_FINS_YAW_DRAG, OUTPUTS, free_model
+from labrun_plugins.rigs.fish.free_model import OUTPUTS, REAR_FINS_YAW_DRAG, free_model
 from labrun_plugins.rigs.fish.hand import chosen_by_hand
 from labrun_plugins.simulated.bench import (
     Bench,
@@ -43,14 +43,14 @@ class FireFreeSettings(BenchSettings):
 class FireFree(Bench):
     """The five-jointed fish without the arm.
 
-    Physics and sources: see `five_bar`, `fins` and `free_model`. Nothing but water is at its hull, whose drag is less than
-    that of the towed fish with its mount. The tail and the dorsal fin are taken off together, as the source did
-    in its tank; the factors by hand are `attachment`, `caudal` and `water`.
+    Physics and sources: see `five_bar`, `fins` and `free_model`. Nothing but water is at its hull, whose drag is less
+    than that of the towed fish with its mount. The tail and the dorsal fin are taken off together, as the source
+    did in its tank; the factors by hand are `attachment`, `caudal` and `water`.
 
     Before a trial a person puts the fish back, at rest.
 
-    Signals: ``x``, ``y`` (m) and ``heading`` (rad, to the left) where it was put; its speed ``ahead`` and ``aside`` (to the
-    left, m/s), its rate of turn ``turning`` (rad/s), and each joint's angle (rad).
+    Signals: ``x``, ``y`` (m) and ``heading`` (rad, to the left) from where it was put; its speed ``ahead`` and
+    ``aside`` (to the left, m/s), its rate of turn ``turning`` (rad/s), and each joint's angle (rad).
     """
 
     Settings: ClassVar[type[BenchSettings]] = FireFreeSettings
@@ -125,7 +125,13 @@ class FireFree(Bench):
             # A tail that nobody drives trails in the flow instead of standing square to it.
             beats = caudal and joints[n, 4] != self._motion[-2]
             loads = fin_loads(
-                joints[n : n + 1], going[None, :], self.step_s, self._motion, self._wake, attachment, caudal=beats
+                joints[n : n + 1],
+                going[None, :],
+                self.step_s,
+                self._motion,
+                self._wake,
+                attachment,
+                caudal=beats,
             )[0]
             inputs[0] = self._inputs_before
             inputs[1, :4], inputs[1, 4:] = loads[[0, 1, 5, 6]], noise[n]

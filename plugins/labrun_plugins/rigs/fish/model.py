@@ -62,10 +62,10 @@ def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> No
 def fire_model(mount_height_m: float) -> Model:
     """Return the model of the tank around the fins.
 
-    The drag of body and mount, 1.77 N s^2/m^2, is what is left of the 1.5 N that the source measured, summed over 0.1, 0.3 and
-    0.6 m/s, in the pose of least drag (E6.g), after that of the fins' edges and struts in it. The rest is chosen: mass 2 kg
-    with what water it drags along, waves that return 3 % of the force, vortices of 4 % of the fins' mean force,
-    and 4.5 mm times it in yaw.
+    The drag of body and mount, 1.77 N s^2/m^2, is what is left of the 1.5 N that the source measured, summed over
+    0.1, 0.3 and 0.6 m/s, in the pose of least drag (E6.g), after that of the fins' edges and struts in it. The rest is
+    chosen: mass 2 kg with what water it drags along, waves that return 3 % of the force, vortices of 4 % of
+    the fins' mean force, and 4.5 mm times it in yaw.
     """
     return Model(
         name="fire-tank",

@@ -31,9 +31,7 @@ def edge_drag(
 ) -> tuple[float, float, float]:
     """Return the force in a plate's own plane, N: against the part of its velocity u, m/s, that lies in it."""
     across = u_x * n_x + u_y * n_y + u_z * n_z
-    share = (
-        -0.5 * WATER_KG_M3 * coefficient * area_m2 * (u_x * u_x + u_y * u_y + u_z * u_z) ** 0.5
-    )
+    share = -0.5 * WATER_KG_M3 * coefficient * area_m2 * (u_x * u_x + u_y * u_y + u_z * u_z) ** 0.5
     return share * (u_x - across * n_x), share * (u_y - across * n_y), share * (u_z - across * n_z)
 
 
