@@ -54,7 +54,7 @@ class Attachment:
         return np.linspace(self.inner_m, self.outer_m, RINGS + 1)
 
 
-ATTACHMENTS: dict[AttachmentName, Attachment] = {
+ATTACHMENTS: dict[str, Attachment] = {
     "broad": Attachment(0.08, 0.1048),
     "slender": Attachment(0.095, 0.1048),
     "short": Attachment(0.06, 0.085),
