@@ -56,7 +56,7 @@ class Attachment:
 
 ATTACHMENTS: dict[str, Attachment] = {
     "broad": Attachment(0.08, 0.1048),
-    "slender": Attachment(0.095, 0.1048),
+    "slender": Attachment(0.098, 0.1048),
     "short": Attachment(0.06, 0.085),
     "two-body": Attachment(0.08, 0.1048, outer_lag_s=0.06),
 }
