@@ -19,8 +19,9 @@ FIN_STEP = (
     "{a_before=20,a_after=35,b_before=0,b_after=0}]",
 )
 TAIL_SWEEP = (
-    "sweep.axes.alpha=[30,50]",
-    "sweep.axes.f=[0.8,1.2]",
+    "sweep.axes={alpha=[30,50],beta=[0],f=[0.8,1.2],v=[0.1],pose=[0]}",
+    "sweep.where=[]",
+    "trial.repeats=3",
     "leaders.count=1",
     "leaders.repeats=2",
     "trial.carriage.to_m=0.35",
