@@ -7,9 +7,11 @@ import pytest
 from labrun_plugins.rigs.six_bar.rest_fit import swing
 from labrun_plugins.rigs.six_bar.scene import SixBar
 
+import labrun
 from labrun.devices import HingeAngle, OrientationAngles, Trajectory
 from labrun.errors import SpecError
 from labrun.models import load_model
+from labrun.spec import shipped_experiments
 
 JOINTS = tuple(f"theta_{number}" for number in range(1, 7))
 BODIES = tuple(f"body_{number}" for number in range(1, 7))
@@ -97,3 +99,13 @@ def test_rest_period_and_decay_of_a_known_swing_are_found():
     angle = -0.15 + 0.05 * np.exp(-0.3 * time_s) * np.cos(2 * np.pi * time_s / 0.42 + 0.7)
     found = swing(time_s, angle)
     assert (found.rest, found.decay, found.period) == pytest.approx((-0.15, 0.3, 0.42), rel=1e-6)
+
+
+def test_table_3_3_is_a_tenth_of_a_radian_away_and_joint_4_the_most(tmp_path):
+    table = shipped_experiments() / "recordings" / "table-3-3"
+    found = labrun.compare(table, model="six-bar", results=tmp_path)
+    distances = found.comparison.distances()
+    assert np.mean(list(distances.values())) == pytest.approx(0.0907, abs=0.005)
+    assert max(distances, key=distances.get) == "theta_4"
+    assert "over 6 channels: 0.0927" in found.to_text()
+    assert "the largest is theta_4's" in found.to_text(200)
