@@ -14,6 +14,7 @@ from labrun_plugins.rigs.fish.attachments import ATTACHMENTS, AttachmentName
 from labrun_plugins.rigs.fish.fins import JOINTS, WATERS, fin_loads, motion_at
 from labrun_plugins.rigs.fish.free_model import OUTPUTS, REAR_FINS_YAW_DRAG, free_model
 from labrun_plugins.rigs.fish.hand import chosen_by_hand
+from labrun_plugins.rigs.fish.watching import Watch
 from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
@@ -72,9 +73,11 @@ class FireFree(Bench):
         self._servo = joint_stepper(self.joints, self.step_s, joint_effects) if joint_effects else None
         self._put = {name: getattr(self._settings, name) for name in ("attachment", "caudal", "water")}
         self._stepper = self._fresh_stepper()
+        self._watch = Watch()
         self._motion = motion_at(np.zeros(len(JOINTS)))
         self._wake = np.zeros((WATERS, 3))
         self._joints_before = np.zeros((1, len(JOINTS)))
+        self._fins_before = np.zeros(4)
         self._inputs_before = np.zeros(len(self._model.inputs))
 
     def arrange(self, condition: Mapping[str, float | str]) -> None:
@@ -86,6 +89,12 @@ class FireFree(Bench):
         self._stepper = self._fresh_stepper()
         self._stepper.state = state
         self._wake[:] = 0.0
+        self._watch.clear()
+
+    def answer(self, what: str) -> float | str:
+        """Return what somebody with a watch would type after the trial; see `Watch`."""
+        thumb = float(self._settings.noise * self._rng.standard_normal())
+        return self._watch.read(what, thumb)
 
     def truth(self) -> dict[str, Any]:
         """Return parameters as they are on the bench, and hidden effects."""
@@ -115,6 +124,7 @@ class FireFree(Bench):
             commanded = joints
             joints = self._servo.advance(np.concatenate([self._joints_before, commanded]))
             self._joints_before = commanded[-1:].copy()
+        before, self._fins_before = self._fins_before, joints[-1, :4].copy()
         noise = self._settings.noise / math.sqrt(self.step_s) * self._rng.standard_normal((count, 3))
         rows = np.empty((count, len(self.signals)))
         rows[:, 6:] = joints
@@ -138,6 +148,8 @@ class FireFree(Bench):
             rows[n, :6] = self._stepper.advance(inputs)[0]
             going = rows[n, 3:6]
             self._inputs_before = inputs[1].copy()
+        beating = (joints[:, :4] != np.vstack([before, joints[:-1, :4]])).any(axis=1)
+        self._watch.look(time_s, rows[:, :3], beating)
         if not self._stepper.finite:
             raise ExperimentError("the simulated free fish blew up", hint="hide a weaker effect, or none")
         return rows
@@ -148,6 +160,7 @@ class FireFree(Bench):
             "motion": packed(self._motion),
             "wake": packed(self._wake),
             "joints_before": packed(self._joints_before),
+            "fins_before": packed(self._fins_before),
             "inputs_before": packed(self._inputs_before),
             "servo": None if self._servo is None else self._servo.snapshot(),
             "stepper": self._stepper.snapshot(),
@@ -159,6 +172,7 @@ class FireFree(Bench):
         self._motion = unpacked(memory["motion"])
         self._wake = unpacked(memory["wake"])
         self._joints_before = unpacked(memory["joints_before"])
+        self._fins_before = unpacked(memory["fins_before"])
         self._inputs_before = unpacked(memory["inputs_before"])
         if self._servo is not None:
             self._servo.restore(memory["servo"])
