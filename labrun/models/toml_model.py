@@ -28,10 +28,17 @@ def equations_model(file: ModelFile) -> Model:
     outputs = tuple(Output(name, one.unit) for name, one in given.outputs.items())
     parameters = tuple(parameter_of(name, one, one.value) for name, one in given.parameters.items())
     sites = tuple(
-        Site(name, one.kind, *(one.text(quantity) for quantity in SITE_QUANTITIES))
+        Site(
+            name,
+            one.kind,
+            one.text("coordinate"),
+            one.text("rate"),
+            one.text("load"),
+            one.text("stiffness"),
+            one.drive,
+        )
         for name, one in given.sites.items()
     )
-    sites = tuple(dataclasses.replace(one, drive=given.sites[one.name].drive) for one in sites)
     places = places_of(file, given.states, inputs, parameters)
     initial = initial_of(file, given.initial, given.states, outputs)
     _check_states(file, given)
