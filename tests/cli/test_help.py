@@ -27,8 +27,8 @@ def _labrun(*arguments: str, cwd=None) -> subprocess.CompletedProcess[str]:
 def test_the_commands_are_those_of_the_guide():
     found = " ".join(COMMANDS)
     assert found == (
-        "check cmaes compare doctor export fit gap import init keys list new plugins report resume run show sweep "
-        "track watch"
+        "check cmaes compare design doctor export fit gap import init keys list new plugins rank report resume run "
+        "show sweep track watch"
     )
 
 
