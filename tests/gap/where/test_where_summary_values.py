@@ -25,17 +25,17 @@ def found(difference):
     return find_places(difference, np.random.default_rng(0), note=said.append), said
 
 
-def test_the_model_gives_the_extremes_as_printed(difference):
+def test_the_model_gives_the_simulated_extremes_that_the_source_prints(difference):
     simulated = np.concatenate(difference.simulated)
-    assert simulated[:, 0] == pytest.approx([0.04, 0.14, 0.30, 0.46])
-    assert simulated[:, 1] == pytest.approx([-0.04, -0.14, -0.23, -0.24])
+    assert simulated[:, 0] == pytest.approx([0.04, 0.14, 0.30, 0.46], abs=0.005)
+    assert simulated[:, 1] == pytest.approx([-0.04, -0.14, -0.23, -0.24], abs=0.005)
 
 
 def test_the_gap_is_in_the_recovery_stroke_once_buckling_starts(difference, found):
     places, _ = found
     best = next(one for one in places if one.at == "recovery_stroke | buckling = one side")
-    # (0.10^2 + 0.12^2) of (0.01^2 + 0.10^2 + 0.02^2 + 0.12^2 + 0.02^2)
-    assert best.share == pytest.approx(0.0244 / 0.0253)
+    # as printed it is (0.10^2 + 0.12^2) of (0.01^2 + 0.10^2 + 0.02^2 + 0.12^2 + 0.02^2)
+    assert best.share == pytest.approx(0.0244 / 0.0253, abs=0.02)
     assert best.p <= 0.05
     sentence = describe(places, difference.units.conditions)
     assert sentence.startswith("96 % of it is in the recovery stroke at 0.3 and 0.4 Hz")
