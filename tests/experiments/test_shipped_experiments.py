@@ -54,6 +54,7 @@ NAMES = (
     "flapping",
     "rowing",
     "swimmer",
+    "peg-robot",
     "undulation",
     "wing-air",
     "wing-water",
