@@ -48,6 +48,7 @@ ENDINGS = {
 """Output by which a page shows that a command ends badly, with its exit code; all others must end well."""
 RUNS = ("run", "sweep", "cmaes", "track", "design")
 SLOW = (
+    "buckling-fins.md",
     "closed-chains.md",
     "closed-loop.md",
     "designed-swimmer.md",
