@@ -88,8 +88,12 @@ def test_an_error_is_one_json_object_for_a_script(tmp_path):
     ("command", "typed", "offered"),
     [
         ("run", "turn", ["turn-torque", "turn-torque-current"]),
-        ("cmaes", "", ["turn-torque", "turn-torque-current"]),
-        ("track", "", ["force-control", "stabilise"]),
+        (
+            "cmaes",
+            "f",
+            ["fire-attachment", "flapping", "forward-16d", "forward-pectoral", "forward-symmetric"],
+        ),
+        ("track", "s", ["spm-history", "spm-open-loop", "spm-pretrained", "spm-transfer", "stabilise"]),
     ],
 )
 def test_completion_offers_the_experiments_that_the_command_runs(
