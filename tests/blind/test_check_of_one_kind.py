@@ -16,6 +16,7 @@ from labrun.blind.check_folder import SHIPPED_GENERATOR, CheckFolder, make_cases
 from labrun.blind.diagnosis_check import _diagnosed, kind_named
 from labrun.blind.jobs import fingerprint
 from labrun.blind.judging import KINDS, Cause, Named, Said, Shown, Shrunk, Truth, judge
+from labrun.blind.robot_check import ROBOT
 from labrun.blind.scoring import score
 from labrun.errors import LabrunError, RequestError
 from labrun.report.diagnosis_check import check_page, check_text
@@ -149,7 +150,7 @@ def test_kinds_are_those_of_the_generator_and_may_be_said_in_the_plural() -> Non
         [sys.executable, str(SHIPPED_GENERATOR), "--help"], capture_output=True, text=True, check=True
     )
     (choices,) = {part.partition("}")[0] for part in told.stdout.split("--only {")[1:]}
-    assert sorted(choices.replace(" ", "").replace("\n", "").split(",")) == sorted(KINDS)
+    assert sorted(choices.replace(" ", "").replace("\n", "").split(",")) == sorted((*KINDS, ROBOT))
     assert [kind_named(f"{kind}s") for kind in KINDS] == list(KINDS)
 
 

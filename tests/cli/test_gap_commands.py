@@ -66,8 +66,9 @@ def test_a_horizon_that_is_no_number_is_told_with_how_to_write_it():
 @pytest.mark.parametrize(
     ("command", "lost", "called"),
     [
-        ("diagnose", "diagnosis", "labrun.app.diagnose.diagnose"),
-        ("next", "experiment", "labrun.app.next.propose_next"),
+        (["diagnose", "hinge"], "diagnosis", "labrun.app.diagnose_robot.joint_by_joint"),
+        (["diagnose", "hinge", "--whole"], "diagnosis", "labrun.app.diagnose.diagnose"),
+        (["next", "hinge"], "experiment", "labrun.app.next.propose_next"),
     ],
 )
 def test_ctrl_c_says_that_nothing_was_written(command, lost, called, monkeypatch):
@@ -75,7 +76,7 @@ def test_ctrl_c_says_that_nothing_was_written(command, lost, called, monkeypatch
         raise KeyboardInterrupt
 
     monkeypatch.setattr(called, interrupted)
-    done = typed(command, "hinge", "--json")
+    done = typed(*command, "--json")
     assert done.exit_code == 130
     assert json.loads(done.stdout)["error"] == f"interrupted; no {lost} was written"
     assert "moved" not in done.stderr

@@ -17,7 +17,10 @@ SMALLER = {
     "fin-step": ("trial.repeats=4", "trial.duration_s=16"),
     "driven-joint": ("trial.repeats=4",),
     "driven-joint-bushing": ("trial.repeats=4",),
-    "tail-sweep": ("sweep.axes={alpha=[20,50],f=[0.6,1.4]}", "leaders={count=1,repeats=2}"),
+    "tail-sweep": (
+        "sweep.axes={alpha=[20,50],beta=[0],f=[0.6,1.4],v=[0.1],pose=[0]}",
+        "leaders={count=1,repeats=2}",
+    ),
     "hinge-life": (
         "run.conditions=[{layup='polyester',specimen=1,range=120},{layup='sandwich',specimen=1,range=120}]",
         "trial.until.max_cycles=101",

@@ -45,16 +45,14 @@ def test_stopped_and_resumed_it_ends_as_in_one_go(each, whole, dry_run, stop):
     assert ended.verdicts == whole.verdicts
 
 
-def test_a_person_mounts_each_level_once(each, tmp_path):
-    from conftest import Recorder
-
+def test_a_person_mounts_each_level_once(each, tmp_path, recorder):
     asked = []
     execute(
         load_experiment(each),
         results=tmp_path / "r",
         dry_run=True,
         seed=5,
-        progress=Recorder(),
+        progress=recorder,
         person=lambda text: asked.append(text) or "",
     )
     assert len(asked) == 2
