@@ -73,6 +73,8 @@ def draw_track(view: RunView) -> Figure:
                 width = width_in / len(objectives)
                 objective_panel(axes, view, view.points(objective), objective=objective, width_in=width)
             panels[0].set_title(PANEL_TITLE)
+            for axes in panels[1:]:  # all have the first one's conditions
+                axes.set_xlabel("")
         heading(figure, view.experiment.title, _subtitle(view, len(groups), len(shown)))
     return figure
 
@@ -129,7 +131,8 @@ def _draw(view: RunView, panel: _Panel, above: Axes, below: Axes, *, first: bool
     if not first:
         return
     above.set_ylabel(f"{name} ({_unit(panel, name, 'feedback', shape.components[0])})")
-    below.set_ylabel(f"{', '.join(loop.drives)} ({_unit(panel, name, 'drive', shape.drives[0])})")
+    driven = "drives" if len(loop.drives) > 1 else loop.drives[0]
+    below.set_ylabel(f"{driven} ({_unit(panel, name, 'drive', shape.drives[0])})")
 
 
 def _draw_trainings(axes: Axes, stream: Signals, loop: str) -> None:
@@ -164,5 +167,7 @@ def _subtitle(view: RunView, conditions: int, shown: int) -> str:
     track = view.experiment.track
     rate = f"loop at {track.rate_hz:g} Hz" if track is not None else ""
     accepted = sum(outcome.status == "done" for outcome in view.run.outcomes)
-    text = f"{conditions} conditions, {accepted} accepted trials, {rate}; dashed: the reference, colours: repeats"
+    single = track is not None and all(len(loop.shape.components) == 1 for loop in track.loops.values())
+    text = f"{conditions} conditions, {accepted} accepted trials, {rate}; dashed: the reference"
+    text += ", colours: repeats" * single
     return text + (f" (the first {shown} conditions are shown)" if shown < conditions else "")
