@@ -48,10 +48,12 @@ ENDINGS = {
 """Output by which a page shows that a command ends badly, with its exit code; all others must end well."""
 RUNS = ("run", "sweep", "cmaes", "track", "design")
 SLOW = (
+    "a-scene-of-your-own.md",
     "buckling-fins.md",
     "closed-chains.md",
     "closed-loop.md",
     "designed-swimmer.md",
+    "hold-a-prediction.md",
     "learned-models.md",
     "learning-beside-the-loop.md",
     "stabilise.md",

@@ -31,6 +31,8 @@ SMALLER = {
         "by_hand.mountings=3",
     ),
 }
+LONG = ("fin-step", "tail-sweep")
+"""What takes tens of seconds."""
 STRONG = {
     "hinge": "coulomb-friction@hinge:torque=4e-4",
     "fin-step": "cross-talk@torque_x:share=-0.3",
@@ -70,7 +72,9 @@ def systematic(name, hide, folder):
     return np.sqrt(np.maximum(np.mean(shared, axis=0), 0.0) / np.mean(scatter, axis=0))
 
 
-@pytest.mark.parametrize("name", SMALLER)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in LONG else []) for name in SMALLER]
+)
 def test_with_nothing_hidden_the_named_model_agrees_within_noise_and_with_an_effect_it_does_not(
     name, tmp_path
 ):

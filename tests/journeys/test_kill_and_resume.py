@@ -80,7 +80,7 @@ def _kill_again_and_again(
     return kills
 
 
-@pytest.mark.parametrize("most", [10, pytest.param(50, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("most", [5, pytest.param(50, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("arguments", [SWEEP, SEARCH], ids=["sweep", "search"])
 def test_runs_killed_at_random_instants_end_with_the_same_result(arguments, most, labrun, command, tmp_path):
     whole = tmp_path / "whole"
