@@ -16,10 +16,11 @@ from labrun.runner import RealClock
 
 SWEEP = (
     "sweep", "fin-params", "--dry-run", "--json", "--seed", "7",
-    "--set", "sweep.axes.b=[0]", "--set", "sweep.axes.a=[30, 45, 60]", "--set", "sweep.axes.f=[0.8, 1.0, 1.2, 1.4]",
-    "--set", "trial.reference.every=10",
+    "--set", "sweep.axes.b=[0]", "--set", "sweep.axes.a=[15, 20, 25, 30, 35, 40, 45, 50, 55, 60]",
+    "--set", "sweep.axes.f=[0.6, 0.8, 1.0, 1.1, 1.2, 1.4]", "--set", "trial.reference.every=10",
 )  # fmt: skip
-EXPECTED = 36 + 4 + 30
+EXPECTED = 180 + 18 + 30
+"""Enough to be under way when a second process has started to watch."""
 
 
 @pytest.fixture
