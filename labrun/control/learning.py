@@ -191,6 +191,7 @@ class ProcessLearner(_Learned):
             target=learn, args=(self._memory.name, self._task), daemon=True, name="labrun learner"
         )
         self._process.start()
+        # a process comes up in real time, whatever clock the loop runs by
         self._until_s = time.monotonic() + _READY_S
 
     def ready(self) -> bool:
@@ -319,6 +320,7 @@ def learn(name: str, task: LearnerTask) -> None:
     solver.solved()
     taken, trainings = 0, 0
     view.all[_READY] = 1.0
+    # no clock of a loop here: this process waits for memory that another one writes
     looked_s = time.monotonic()
     while view.all[_STOP] == 0.0:
         given = int(view.all[_GIVEN])

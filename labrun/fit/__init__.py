@@ -5,7 +5,7 @@ import sys
 from labrun import UseCasePackage
 from labrun.fit.comparison import Comparison, Pair, Point, compared, predictions
 from labrun.fit.correlation import correlation_length
-from labrun.fit.dataset import Dataset, FitTrial, load_dataset
+from labrun.fit.dataset import Dataset, FitTrial, OutputsAlone, load_dataset
 from labrun.fit.deviations import Deviation, DeviationKind
 from labrun.fit.estimate import Estimate, rounded
 from labrun.fit.figure import Curve, FigureData, Panel, Stack
@@ -50,6 +50,7 @@ __all__ = [
     "NormalEquations",
     "Note",
     "OutputNoise",
+    "OutputsAlone",
     "Pair",
     "Panel",
     "Point",

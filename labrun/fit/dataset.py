@@ -57,6 +57,14 @@ class Named(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class OutputsAlone:
+    """The ports of a fit that reads measured outputs and simulates nothing."""
+
+    outputs: "Sequence[Named]"
+    inputs: "Sequence[Named]" = ()
+
+
+@dataclass(frozen=True, slots=True)
 class FitTrial:
     """One trial.
 

@@ -18,6 +18,7 @@ from labrun_plugins.simulated.bench import (
     hidden_effects,
     joint_model,
     joint_stepper,
+    through,
 )
 
 _SCALE = Scale(coordinate=0.2, rate=0.01, acceleration=0.05, force=0.2, signal=2.0, time_s=10.0)
@@ -156,11 +157,11 @@ class BeamBench(Bench):
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
         told = self._drives["pusher"].angles(time_s)
-        moved = _through(self._pusher, self._told_before, told)
+        moved = through(self._pusher, self._told_before, told)
         inputs = np.concatenate([self._inputs_before, self._driven(moved)])
         force = self._stepper.advance(inputs)[:, 0]
         self._inputs_before = inputs[-1:].copy()
-        felt = _through(self._cell, self._force_before, force)
+        felt = through(self._cell, self._force_before, force)
         self._told_before = told[-1:].copy()
         self._force_before = force[-1:].copy()
         if not self._stepper.finite:
@@ -209,14 +210,6 @@ class BeamBench(Bench):
         if self._cell is not None:
             self._cell.restore(memory["cell"])
         self._stepper.restore(memory["stepper"])
-
-
-def _through(stepper: Stepper | None, before: FloatArray, values: FloatArray) -> FloatArray:
-    """Return a signal after the effects that hide in it; as it is where none does."""
-    if stepper is None:
-        return values
-    passed: FloatArray = stepper.advance(np.append(before, values)[:, None])[:, 0]
-    return passed
 
 
 @kernel

@@ -17,6 +17,7 @@ from labrun.fit import (
     FitJob,
     FitSummary,
     FittedData,
+    OutputsAlone,
     Panel,
     Stack,
     TextTable,
@@ -55,10 +56,7 @@ class TapeSpringSettings(BaseModel):
     poisson: float = Field(default=0.35, ge=0.0, lt=0.5)
 
 
-@dataclass(frozen=True)
-class _Ports:
-    inputs: tuple[Output, ...] = ()
-    outputs: tuple[Output, ...] = (Output("force", "N"), Output("displacement", "m"))
+_MEASURED = OutputsAlone((Output("force", "N"), Output("displacement", "m")))
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,7 @@ class TapeSpringFit:
             No trial of the beam buckled in equal sense.
         """
         keys = self._settings
-        data = load_dataset(job.target, _Ports(), job.signals)
+        data = load_dataset(job.target, _MEASURED, job.signals)
         found = [
             buckling_limit(trial.outputs[:, 0], trial.outputs[:, 1], 1e-3 * keys.lever_mm)
             for trial in data.trials

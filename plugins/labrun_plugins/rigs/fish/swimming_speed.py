@@ -22,6 +22,7 @@ from labrun.fit import (
     FitSummary,
     FittedData,
     FitTrial,
+    OutputsAlone,
     Panel,
     Stack,
     load_dataset,
@@ -59,10 +60,7 @@ class SwimmingSpeedSettings(BaseModel):
     names: dict[str, str] = {}
 
 
-@dataclass(frozen=True)
-class _Ports:
-    inputs: tuple[Output, ...] = ()
-    outputs: tuple[Output, ...] = (Output("force", "N"),)
+_MEASURED = OutputsAlone((Output("force", "N"),))
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,7 @@ class SwimmingSpeedFit:
         FitError
             Too few speeds, or a net force that has one sign at all of them.
         """
-        data = load_dataset(job.target, _Ports(), job.signals)
+        data = load_dataset(job.target, _MEASURED, job.signals)
         keys = self._settings
         trials = [one for one in data.trials if all(one.condition.get(k) == v for k, v in keys.of.items())]
         levels = _levels(trials, keys)

@@ -20,6 +20,7 @@ from labrun_plugins.simulated.bench import (
     hidden_effects,
     joint_model,
     joint_stepper,
+    through,
 )
 
 _SCALE = Scale(coordinate=1.5, rate=4.0, acceleration=10.0, force=0.02, signal=0.1, time_s=2.0)
@@ -140,10 +141,10 @@ class LifeBench(Bench):
         told = self._drives["hinge"].angles(time_s)
         sides = _sides(told, self._side)
         cycles = self._cycles + np.cumsum(np.diff(sides) > 0)
-        turned = _through(self._servo, self._told_before, told)
+        turned = through(self._servo, self._told_before, told)
         inputs = np.column_stack([turned, self._left(cycles)])
         torque = self._stepper.advance(np.concatenate([self._inputs_before, inputs]))[:, 0]
-        felt = _through(self._sensor, self._torque_before, torque)
+        felt = through(self._sensor, self._torque_before, torque)
         self._told_before, self._torque_before = told[-1:].copy(), torque[-1:].copy()
         self._inputs_before, self._cycles, self._side = inputs[-1:].copy(), int(cycles[-1]), int(sides[-1])
         if not self._stepper.finite:
@@ -191,11 +192,3 @@ def _sides(angle: FloatArray, before: int) -> NDArray[np.int64]:
     sides = np.concatenate([[before], aside])
     last = np.maximum.accumulate(np.where(sides != 0, np.arange(len(sides)), 0))
     return np.asarray(sides[last])
-
-
-def _through(stepper: Stepper | None, before: FloatArray, values: FloatArray) -> FloatArray:
-    """Return a signal after the effects that hide in it; as it is where none does."""
-    if stepper is None:
-        return values
-    passed: FloatArray = stepper.advance(np.append(before, values)[:, None])[:, 0]
-    return passed

@@ -19,6 +19,7 @@ from labrun.fit import (
     FitSummary,
     FittedData,
     FitTrial,
+    OutputsAlone,
     Panel,
     Stack,
     load_dataset,
@@ -45,10 +46,7 @@ class RestSettings(BaseModel):
     skip_s: NonNegativeFloat = 2.0
 
 
-@dataclass(frozen=True)
-class _Ports:
-    inputs: tuple[Output, ...] = ()
-    outputs: tuple[Output, ...] = tuple(Output(joint, "rad") for joint in _JOINTS)
+_MEASURED = OutputsAlone(tuple(Output(joint, "rad") for joint in _JOINTS))
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ class RestFit:
         FitError
             No swing in the data.
         """
-        data = load_dataset(job.target, _Ports(), job.signals)
+        data = load_dataset(job.target, _MEASURED, job.signals)
         model = job.model if job.model is not None else load_model("six-bar")
         if not isinstance(model, ClosedChain) or set(model.tree.joints) != set(_JOINTS):
             raise RequestError(

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,6 +17,7 @@ from labrun.fit import (
     FitSummary,
     FittedData,
     FitTrial,
+    OutputsAlone,
     Panel,
     Stack,
     TextTable,
@@ -65,10 +65,7 @@ class TensileSettings(BaseModel):
     hinge_length_mm: PositiveFloat = 1.75
 
 
-@dataclass(frozen=True)
-class _Ports:
-    inputs: tuple[Output, ...] = ()
-    outputs: tuple[Output, ...] = (Output("force", "N"), Output("displacement", "m"))
+_MEASURED = OutputsAlone((Output("force", "N"), Output("displacement", "m")))
 
 
 class TensileFit:
@@ -87,7 +84,7 @@ class TensileFit:
         FitError
             No test can be read: strain that runs backwards, a load cell beyond its range.
         """
-        data = load_dataset(job.target, _Ports(), job.signals)
+        data = load_dataset(job.target, _MEASURED, job.signals)
         keys = self._settings
         area_m2 = 1e-6 * keys.thickness_mm * keys.width_mm
         read: list[tuple[FitTrial, TensileCurve]] = []

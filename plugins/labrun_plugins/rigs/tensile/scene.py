@@ -27,6 +27,7 @@ from labrun_plugins.simulated.bench import (
     hidden_effects,
     joint_model,
     joint_stepper,
+    through,
 )
 
 _SCALE = Scale(coordinate=1e-3, rate=2e-4, acceleration=1e-3, force=20.0, signal=80.0, time_s=5.0)
@@ -166,7 +167,7 @@ class TensileBench(Bench):
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
         told = self._drives["pusher"].angles(time_s)
-        moved = _through(self._grip, self._told_before, told)
+        moved = through(self._grip, self._told_before, told)
         held = np.full(len(moved), self._clamped)
         if not self._clamped:
             held = np.logical_or.accumulate(moved <= _AT_ZERO_M)
@@ -178,7 +179,7 @@ class TensileBench(Bench):
             self._whole = False
             force[breaks[0] :] = 0.0
         self._farthest = float(farthest[-1])
-        felt = _through(self._cell, self._force_before, force)
+        felt = through(self._cell, self._force_before, force)
         self._told_before, self._force_before = told[-1:].copy(), force[-1:].copy()
         if not self._stepper.finite:
             raise ExperimentError("the simulated tensile bench blew up", hint="hide a weaker effect, or none")
@@ -221,11 +222,3 @@ class TensileBench(Bench):
         if self._cell is not None:
             self._cell.restore(memory["cell"])
         self._stepper.restore(memory["stepper"])
-
-
-def _through(stepper: Stepper | None, before: FloatArray, values: FloatArray) -> FloatArray:
-    """Return a signal after the effects that hide in it; as it is where none does."""
-    if stepper is None:
-        return values
-    passed: FloatArray = stepper.advance(np.append(before, values)[:, None])[:, 0]
-    return passed

@@ -1,7 +1,13 @@
 """What all simulated benches share; the scene of a rig is a `Bench`."""
 
 from labrun_plugins.simulated.bench.bench import Bench
-from labrun_plugins.simulated.bench.hidden import described, hidden_effects, joint_model, joint_stepper
+from labrun_plugins.simulated.bench.hidden import (
+    described,
+    hidden_effects,
+    joint_model,
+    joint_stepper,
+    through,
+)
 from labrun_plugins.simulated.bench.history import packed, unpacked
 from labrun_plugins.simulated.bench.motion import ACCELERATION_M_S2, Carriage
 from labrun_plugins.simulated.bench.settings import BenchSettings, HiddenEffect
@@ -17,5 +23,6 @@ __all__ = [
     "joint_model",
     "joint_stepper",
     "packed",
+    "through",
     "unpacked",
 ]

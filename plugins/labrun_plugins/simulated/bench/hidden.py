@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from labrun.devices import FloatArray
 from labrun.effects import AttachedEffect, Scale, load_effect
 from labrun.errors import ModelError, PluginError, SpecError
 from labrun.models import Input, Model, Output, Stepper, native
@@ -83,3 +84,11 @@ def _attached(wanted: HiddenEffect, model: Model, scale: Scale) -> AttachedEffec
     raise SpecError(
         f"rig.scene.hide: {wanted.effect!r} at {wanted.site!r}: " + "; ".join(dict.fromkeys(refusals))
     )
+
+
+def through(stepper: Stepper | None, before: FloatArray, values: FloatArray) -> FloatArray:
+    """Return a signal after the effects that hide in it, `before` its last value; as it is where none does."""
+    if stepper is None:
+        return values
+    passed: FloatArray = stepper.advance(np.append(before, values)[:, None])[:, 0]
+    return passed
