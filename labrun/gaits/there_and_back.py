@@ -1,6 +1,7 @@
 """Slow motions there and back again: evenly, or in steps with a rest on each."""
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
@@ -71,8 +72,9 @@ class _ThereAndBack(ExpressionGait):
         return found
 
     @staticmethod
+    @abstractmethod
     def _way(values: Mapping[str, float]) -> tuple[Way, float]:
-        raise NotImplementedError
+        """Return a joint's way over time, and how long it takes there and back, from its keys."""
 
 
 class RampGait(_ThereAndBack):

@@ -1,6 +1,6 @@
 """How far a channel has gone: from the beginning of the recording to its end, and how fast, over whole cycles."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -9,7 +9,6 @@ from pydantic import NonNegativeFloat
 from labrun.errors import ExperimentError
 from labrun.objectives.channel import ChannelObjective, ChannelSettings
 from labrun.objectives.protocol import TrialSignals
-from labrun.signals import Signal
 from labrun.toml import checked
 
 
@@ -23,9 +22,6 @@ class Change(ChannelObjective):
         """Return the change, in the unit of `unit`."""
         ends = _at(signals, self.channel, (signals.start_s, signals.end_s))
         return self._settings.scale / (self._settings.divide_by_m or 1.0) * (ends[1] - ends[0])
-
-    def _number(self, pieces: Iterable[Signal]) -> float:
-        raise NotImplementedError
 
 
 class RateOfChangeSettings(ChannelSettings):
@@ -78,9 +74,6 @@ class RateOfChange(ChannelObjective):
             * (ends[1] - ends[0])
             / (end_s - start_s)
         )
-
-    def _number(self, pieces: Iterable[Signal]) -> float:
-        raise NotImplementedError
 
 
 def _at(signals: TrialSignals, channel: str, times_s: tuple[float, float]) -> tuple[float, float]:

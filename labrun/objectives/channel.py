@@ -60,13 +60,21 @@ class ChannelObjective(ABC):
         """Return the number's unit: that of the channel, divided by metres where the file asks for it."""
         return per_metre(channel_unit) if self._settings.divide_by_m is not None else channel_unit
 
+    @abstractmethod
     def __call__(self, signals: TrialSignals) -> float:
         """Return the number."""
-        return self._number(map(self._scaled, signals.counting_pieces(self.channel)))
 
     def _scaled(self, signal: Signal) -> Signal:
         factor = self._settings.scale / (self._settings.divide_by_m or 1.0)
         return Signal(signal.time_s, signal.values * factor, self.unit(signal.unit))
+
+
+class ReducedChannel(ChannelObjective):
+    """A number from one channel, which the counting part of it is enough for."""
+
+    def __call__(self, signals: TrialSignals) -> float:
+        """Return the number."""
+        return self._number(map(self._scaled, signals.counting_pieces(self.channel)))
 
     @abstractmethod
     def _number(self, pieces: Iterable[Signal]) -> float:
@@ -118,14 +126,14 @@ class Following:
         return found
 
 
-class Mean(ChannelObjective):
+class Mean(ReducedChannel):
     """Mean of a channel over the recording; over its whole cycles after the discarded ones if the gait has any."""
 
     def _number(self, pieces: Iterable[Signal]) -> float:
         return time_mean(pieces)
 
 
-class CycleMean(ChannelObjective):
+class CycleMean(Mean):
     """Mean of a channel over whole gait cycles after the discarded ones.
 
     Cut to whole cycles, so that what a symmetric gait does to and fro cancels (the source's own sanity check on side
@@ -147,9 +155,6 @@ class CycleMean(ChannelObjective):
             )
         return super().__call__(signals)
 
-    def _number(self, pieces: Iterable[Signal]) -> float:
-        return time_mean(pieces)
-
 
 class MeanAbsoluteSettings(ChannelSettings):
     """Keys of `mean-absolute`: `from_s` and `to_s` narrow the part of the recording that counts."""
@@ -167,7 +172,7 @@ class MeanAbsoluteSettings(ChannelSettings):
         return self
 
 
-class MeanAbsolute(ChannelObjective):
+class MeanAbsolute(ReducedChannel):
     """Mean over time of a channel's magnitude: of an error, how far off a loop was on average (MAE).
 
     Without `from_s` and `to_s` it counts what every objective counts: the recording after the discarded cycles.
@@ -207,14 +212,14 @@ class MeanAbsolute(ChannelObjective):
         return time_mean(pieces, np.abs)
 
 
-class Rms(ChannelObjective):
+class Rms(ReducedChannel):
     """Root of the mean square of a channel over the recording, mean included, integrated over time."""
 
     def _number(self, pieces: Iterable[Signal]) -> float:
         return math.sqrt(time_mean(pieces, np.square))
 
 
-class Peak(ChannelObjective):
+class Peak(ReducedChannel):
     """The value of a channel that is farthest from zero, with its sign."""
 
     def _number(self, pieces: Iterable[Signal]) -> float:
@@ -222,7 +227,7 @@ class Peak(ChannelObjective):
         return max(peaks, key=abs)
 
 
-class Amplitude(ChannelObjective):
+class Amplitude(ReducedChannel):
     """Amplitude of a channel: at the gait's frequency if there is one, else half of its range.
 
     At the gait's frequency it is the length of the first Fourier component over whole cycles, which noise and other
@@ -290,9 +295,6 @@ class LoopArea(ChannelObjective):
             total += float(np.trapezoid(force.values, way))
         return total
 
-    def _number(self, pieces: Iterable[Signal]) -> float:
-        raise NotImplementedError
-
 
 class DirectionSettings(ChannelSettings):
     """Keys of `direction`: `side_channel` is the second axis, and `side_scale` turns it round (-1) or weights it."""
@@ -327,14 +329,11 @@ class Direction(ChannelObjective):
         ExperimentError
             Both means are zero: there is no direction.
         """
-        forward = self._number(signals.counting_pieces(self.channel)) * self._settings.scale
-        side = self._number(signals.counting_pieces(self.side_channel)) * self._side_scale
+        forward = time_mean(signals.counting_pieces(self.channel)) * self._settings.scale
+        side = time_mean(signals.counting_pieces(self.side_channel)) * self._side_scale
         if forward == 0 and side == 0:
             raise ExperimentError(f"{self.channel} and {self.side_channel} are both zero: no direction")
         return math.degrees(math.atan2(side, forward))
-
-    def _number(self, pieces: Iterable[Signal]) -> float:
-        return time_mean(pieces)
 
 
 class Cycles:

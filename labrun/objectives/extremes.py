@@ -9,7 +9,7 @@ from pydantic import NonNegativeFloat, model_validator
 
 from labrun.arrays import FloatArray
 from labrun.errors import ExperimentError
-from labrun.objectives.channel import ChannelObjective, ChannelSettings, Following
+from labrun.objectives.channel import ChannelObjective, ChannelSettings, Following, ReducedChannel
 from labrun.objectives.protocol import TrialSignals
 from labrun.signals import Signal
 from labrun.toml import Faults, checked
@@ -77,9 +77,6 @@ class Extremes(ChannelObjective):
 
         return float(student.ppf(0.975, count - 1) * found.std(ddof=1) / math.sqrt(count))
 
-    def _number(self, pieces: Iterable[Signal]) -> float:
-        raise NotImplementedError
-
 
 def smoothed(time_s: FloatArray, values: FloatArray, over_s: float) -> FloatArray:
     """Return the mean of straight lines between samples over a time around each; shorter at the ends.
@@ -134,7 +131,7 @@ class ShareOfTimeSettings(ChannelSettings):
         return self
 
 
-class ShareOfTime(ChannelObjective):
+class ShareOfTime(ReducedChannel):
     """Share of the time that a channel spends above, or below, a level, %; over whole cycles where there are any."""
 
     Settings: ClassVar[type[ChannelSettings]] = ShareOfTimeSettings

@@ -101,9 +101,6 @@ class Work(ChannelObjective):
         column = joints.index(joint)
         return lambda time_s: signals.command.at(time_s - signals.start_s)[:, column]
 
-    def _number(self, pieces: Any) -> float:
-        raise NotImplementedError
-
 
 def split_work(force: FloatArray, way: FloatArray, by: Literal["force", "power"]) -> tuple[float, float]:
     """Return how much work was done where the force, or the power, is positive, and where it is negative; both >= 0.

@@ -1,5 +1,7 @@
 """A simulated sensor: samples of scene signals with noise, quantization, range, losses and latency."""
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 
 from labrun.devices import Channel, DeviceContext, DeviceError, FloatArray, Samples
@@ -11,7 +13,7 @@ _SILENCE_S = 0.5
 """A driver takes a stream that is silent for this long as lost."""
 
 
-class SimulatedSensor(SimulatedDevice):
+class SimulatedSensor(SimulatedDevice, ABC):
     """Streams what `_measure` makes of the scene.
 
     Parameters
@@ -109,9 +111,9 @@ class SimulatedSensor(SimulatedDevice):
         saturated = self._clip(values)
         return values, saturated
 
+    @abstractmethod
     def _measure(self, time_s: FloatArray) -> FloatArray:
         """Return the values, shape (n, channels), before the end of the range is applied."""
-        raise NotImplementedError
 
     def _empty(self) -> Samples:
         return Samples.empty(len(self.channels))

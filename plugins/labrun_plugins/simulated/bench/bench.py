@@ -1,6 +1,7 @@
 """What all simulated benches share: a time grid, commanded joints, hand-made changes, and an exact memory."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -28,7 +29,7 @@ _CHUNK = 20_000
 """Grid points simulated at once, at most: bounds the memory of a long wait."""
 
 
-class Bench:
+class Bench(ABC):
     """A simulated bench on a uniform time grid. Subclasses give `_advance` and its memory.
 
     Parameters
@@ -69,7 +70,7 @@ class Bench:
         sensed = self.sensed or [output.name for output in self._model.outputs]
         return (*driven, *self._model.sites, *(Site(signal, "output") for signal in sensed))
 
-    def arrange(self, condition: Mapping[str, float | str]) -> None:
+    def arrange(self, condition: Mapping[str, float | str]) -> None:  # noqa: B027
         """Put in place what a person would change by hand; this bench has nothing of the kind."""
 
     def drive(self, joint: str, trajectory: Trajectory, start_s: float) -> None:
@@ -138,21 +139,21 @@ class Bench:
         restore_generator(self._rng, snapshot["generator"])
         self._recall(snapshot["memory"])
 
+    @abstractmethod
     def truth(self) -> dict[str, Any]:
         """Return parameters and hidden effects as JSON-ready values."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _advance(self, time_s: FloatArray) -> FloatArray:
         """Simulate up to the next grid points and return their signals, shape (n, signals)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _memory(self) -> dict[str, Any]:
         """Return what the subclass remembers, JSON-ready."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _recall(self, memory: Mapping[str, Any]) -> None:
         """Take back what `_memory` gave."""
-        raise NotImplementedError
 
     def _begin(self, time_s: float) -> None:
         """Start the grid one point before the first look; before that nothing happened."""
