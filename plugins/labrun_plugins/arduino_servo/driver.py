@@ -1,26 +1,23 @@
 """RC servos on an Arduino: joints whose set-points go out at 50 Hz."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from labrun.devices import (
     DeviceContext,
     DeviceSettings,
     FloatArray,
-    Health,
     Identity,
     Pacing,
-    Remark,
     Trajectory,
 )
-from labrun_plugins.arduino_servo.examination import examine
+from labrun_plugins.arduino_servo.board_device import BoardDevice
 from labrun_plugins.arduino_servo.pulses import Pulses
 from labrun_plugins.arduino_servo.servo_board import ServoBoard
 from labrun_plugins.arduino_servo.settings import KIND, ArduinoServoSettings, Joint, channels_of
-from labrun_plugins.labline.handshake import probe, stop_from_scratch
 
 
-class ArduinoServo:
+class ArduinoServo(BoardDevice):
     """RC servos behind the firmware `labservo`.
 
     A servo does not say where it is: `pose` is where the pulses sent last ask it to be. A channel gives no pulses
@@ -33,15 +30,15 @@ class ArduinoServo:
     """
 
     Settings: ClassVar[type[DeviceSettings]] = ArduinoServoSettings
+    kind: ClassVar[str] = KIND
 
     def __init__(self, name: str, settings: ArduinoServoSettings, context: DeviceContext) -> None:
         self._tables = dict(settings.joints or {name: Joint()})
-        self.name = name
         self.joints = tuple(self._tables)
         self._settings = settings
         pulses = Pulses(name, self._tables, channels_of(self._tables, settings.pins), settings.limits)
         self._pulses = pulses
-        self._board = ServoBoard(
+        board = ServoBoard(
             name,
             settings,
             context.clock,
@@ -50,16 +47,7 @@ class ArduinoServo:
             rest_us=pulses.by_channel(pulses.rest_us()),
             pulses_of=lambda angle_rad: pulses.by_channel(pulses.of(angle_rad)),
         )
-
-    def open(self) -> None:
-        """Connect; no servo gets a pulse yet.
-
-        Raises
-        ------
-        DeviceError
-            No port, no answer, other firmware, or fewer channels than joints need.
-        """
-        self._board.open()
+        super().__init__(name, settings, board)
 
     def identify(self) -> Identity:
         """Say what answered, and what stands between angle and pulse."""
@@ -79,10 +67,6 @@ class ArduinoServo:
                 f"{table.neutral_deg:g} deg), {low_us} ... {high_us} us"
             )
         return Identity("RC servos on Arduino", firmware=f"{hello.kind} {hello.firmware}", details=details)
-
-    def health(self) -> Health:
-        """Ask the board for its state; notes lines that were damaged or stayed unanswered."""
-        return self._board.health()
 
     def pose(self) -> Mapping[str, float]:
         """Return the angles that the pulses sent last ask for, rad: an RC servo does not say where it is."""
@@ -113,25 +97,3 @@ class ArduinoServo:
     def commanded_pulses(self) -> tuple[FloatArray, FloatArray]:
         """Return what was sent since the last `follow`: host times (n,), s, and pulse widths (n, joints), us."""
         return self._board.set_points()
-
-    def safe_stop(self) -> None:
-        """Have the board stop where it is, asking once more if it does not answer; no set-point follows."""
-        self._board.safe_stop()
-
-    def close(self) -> None:
-        """Stop, turn the watchdog off so that it has nothing to tell, and disconnect. The servos go on holding."""
-        self._board.close()
-
-    def examine(self) -> list[Remark]:
-        """Look at firmware, channels, rate and watchdog, for `labrun doctor --hardware`."""
-        return examine(self.name, self._board, self._settings)
-
-    @classmethod
-    def emergency_stop(cls, name: str, settings: Any) -> None:
-        """Connect from scratch and stop; raises DeviceError if the board does not answer."""
-        stop_from_scratch(name, settings.port)
-
-    @classmethod
-    def probe(cls, port: str) -> Identity | None:
-        """Tell whether a board with this firmware is at a port; takes up to 3.5 s, as boards restart when opened."""
-        return probe(port, KIND)

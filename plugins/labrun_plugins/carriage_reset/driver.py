@@ -1,18 +1,17 @@
 """A servo and pulley as the runner's carriage: it winds a line up, and pays it out."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from labrun.devices import DeviceContext, DeviceSettings, FloatArray, Health, Identity, Pacing, Remark
+from labrun.devices import DeviceContext, DeviceSettings, FloatArray, Identity, Pacing
 from labrun.errors import LimitExceededError
-from labrun_plugins.arduino_servo.examination import examine
+from labrun_plugins.arduino_servo.board_device import BoardDevice
 from labrun_plugins.arduino_servo.servo_board import ServoBoard
 from labrun_plugins.carriage_reset.line_motion import check_move, line_motion
 from labrun_plugins.carriage_reset.settings import KIND, CarriageResetSettings
-from labrun_plugins.labline.handshake import probe, stop_from_scratch
 
 
-class CarriageReset:
+class CarriageReset(BoardDevice):
     """A winch that pulls a free-swimming carriage back to its start: a `Carriage` for the runner.
 
     Its position is the length of its line as last commanded, 0 at the carriage's start: the carriage is somewhere
@@ -26,13 +25,13 @@ class CarriageReset:
     """
 
     Settings: ClassVar[type[DeviceSettings]] = CarriageResetSettings
+    kind: ClassVar[str] = KIND
 
     def __init__(self, name: str, settings: CarriageResetSettings, context: DeviceContext) -> None:
-        self.name = name
         self.travel_m = settings.travel_m
         self._settings = settings
         self._clock = context.clock
-        self._board = ServoBoard(
+        board = ServoBoard(
             name,
             settings,
             context.clock,
@@ -41,16 +40,7 @@ class CarriageReset:
             rest_us={settings.channel: round(settings.exact_pulse_us(settings.travel_m[1]))},
             pulses_of=self._pulses,
         )
-
-    def open(self) -> None:
-        """Connect; the servo gets no pulse yet.
-
-        Raises
-        ------
-        DeviceError
-            No port, no answer, or other firmware.
-        """
-        self._board.open()
+        super().__init__(name, settings, board)
 
     def identify(self) -> Identity:
         """Say what answered, and what stands between length and pulse."""
@@ -67,10 +57,6 @@ class CarriageReset:
                 "feedback": "none: positions are commanded lengths of line",
             },
         )
-
-    def health(self) -> Health:
-        """Ask the board for its state; notes lines that were damaged or stayed unanswered."""
-        return self._board.health()
 
     def position_m(self) -> float:
         """Return the length of line as last commanded, m: the carriage is no farther from its start than this."""
@@ -100,28 +86,6 @@ class CarriageReset:
     def pacing(self) -> Pacing:
         """Return how evenly set-points have gone out since `restart_pacing`, or since it was opened."""
         return self._board.timing
-
-    def safe_stop(self) -> None:
-        """Have the board stop the winch where it is, asking once more if it does not answer; nothing follows."""
-        self._board.safe_stop()
-
-    def close(self) -> None:
-        """Stop, turn the watchdog off so that it has nothing to tell, and disconnect. The winch goes on holding."""
-        self._board.close()
-
-    def examine(self) -> list[Remark]:
-        """Look at firmware, channels, rate and watchdog, for `labrun doctor --hardware`."""
-        return examine(self.name, self._board, self._settings)
-
-    @classmethod
-    def emergency_stop(cls, name: str, settings: Any) -> None:
-        """Connect from scratch and stop; raises DeviceError if the board does not answer."""
-        stop_from_scratch(name, settings.port)
-
-    @classmethod
-    def probe(cls, port: str) -> Identity | None:
-        """Tell whether a board with this firmware is at a port; takes up to 3.5 s, as boards restart when opened."""
-        return probe(port, KIND)
 
     def _pulses(self, line_m: FloatArray) -> Mapping[int, int]:
         """Return the pulse width of one set-point; LimitExceededError if it must not be sent."""

@@ -1,17 +1,16 @@
 """A servo that pulls a slider by a tendon, and two switches that say where it stands."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, FloatArray, Health, Identity, Remark
-from labrun_plugins.arduino_servo.examination import examine
+from labrun_plugins.arduino_servo.board_device import BoardDevice
 from labrun_plugins.arduino_servo.servo_board import ServoBoard
-from labrun_plugins.labline.handshake import probe, stop_from_scratch
 from labrun_plugins.tendon_slider.changeover import Changeover
 from labrun_plugins.tendon_slider.settings import KIND, SWITCHES, TendonSliderSettings
 
 
-class TendonSlider:
+class TendonSlider(BoardDevice):
     """A mechanism of two states that puts itself into that which the trial's condition names.
 
     The servo only pulls: a spring brings the slider back. A trial begins when the switch of the wanted state has closed
@@ -24,12 +23,12 @@ class TendonSlider:
     """
 
     Settings: ClassVar[type[DeviceSettings]] = TendonSliderSettings
+    kind: ClassVar[str] = KIND
 
     def __init__(self, name: str, settings: TendonSliderSettings, context: DeviceContext) -> None:
-        self.name = name
         self._settings = settings
         self._clock = context.clock
-        self._board = ServoBoard(
+        board = ServoBoard(
             name,
             settings,
             context.clock,
@@ -38,7 +37,8 @@ class TendonSlider:
             rest_us={settings.channel: settings.released_us},
             pulses_of=self._pulses,
         )
-        self._change = Changeover(name, settings, context.clock, self._switches, self._board.safe_stop)
+        super().__init__(name, settings, board)
+        self._change = Changeover(name, settings, context.clock, self._switches, board.safe_stop)
 
     def open(self) -> None:
         """Connect; the servo gets no pulse yet.
@@ -49,7 +49,7 @@ class TendonSlider:
             No port, no answer, other firmware, or a firmware without its two switches.
         """
         self._change.withdraw()
-        self._board.open()
+        super().open()
         self._switches()
 
     def identify(self) -> Identity:
@@ -68,7 +68,7 @@ class TendonSlider:
 
     def health(self) -> Health:
         """Ask the board for its state, and look whether the slider is still where it was verified to be."""
-        health = self._board.health()
+        health = super().health()
         complaint = self._change.complaint() if health.ok else None
         return health if complaint is None else Health(ok=False, notes=(*health.notes, complaint))
 
@@ -92,12 +92,12 @@ class TendonSlider:
 
     def safe_stop(self) -> None:
         """Have the board stop the servo where it is; what was asked for is no longer under way."""
-        self._board.safe_stop()
+        super().safe_stop()
         self._change.withdraw()
 
     def close(self) -> None:
         """Stop, turn the watchdog off so that it has nothing to tell, and disconnect. The servo goes on holding."""
-        self._board.close()
+        super().close()
         self._change.withdraw()
 
     def examine(self) -> list[Remark]:
@@ -112,17 +112,7 @@ class TendonSlider:
         else:
             advice = "exactly one is closed at rest: look at wiring and springs"
             switches = Remark("problem", self.name, f"switches: {said}", advice)
-        return [*examine(self.name, self._board, self._settings), switches]
-
-    @classmethod
-    def emergency_stop(cls, name: str, settings: Any) -> None:
-        """Connect from scratch and stop; raises DeviceError if the board does not answer."""
-        stop_from_scratch(name, settings.port)
-
-    @classmethod
-    def probe(cls, port: str) -> Identity | None:
-        """Tell whether a board with this firmware is at a port; takes up to 3.5 s, as boards restart when opened."""
-        return probe(port, KIND)
+        return [*super().examine(), switches]
 
     def _switches(self) -> Sequence[bool]:
         """Return which switches are closed."""
