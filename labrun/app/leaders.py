@@ -23,7 +23,7 @@ from labrun.spec import (
     load_experiment,
     loads_experiment,
 )
-from labrun.store import TrialOutcome, find_run, is_finished, open_run
+from labrun.store import TrialOutcome, find_run, is_finished, mean_truncation, open_run
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +35,9 @@ class _Values:
 
     def values(self, objective: str) -> FloatArray:
         return np.array([one.objectives[objective] for one in self.outcomes], dtype=float)
+
+    def truncation(self, objective: str) -> float:
+        return mean_truncation(self.outcomes, objective)
 
     @property
     def mountings(self) -> Sequence[int | None]:

@@ -13,7 +13,7 @@ from labrun.errors import RequestError
 from labrun.report import experiment_of
 from labrun.search import NUMBER, Cell, Column, Ranking, agreement, t_interval
 from labrun.spec import Condition, Experiment, condition_key
-from labrun.store import TrialOutcome, find_run, open_run, replace_durably
+from labrun.store import TrialOutcome, find_run, mean_truncation, open_run, replace_durably
 
 FILE = "ranking.json"
 
@@ -70,15 +70,13 @@ def rank(
     rng = np.random.default_rng(np.random.SeedSequence((seed, len(counted))))
     columns = []
     for setting in _settings(counted, experiment):
-        values = [_values(counted, gait, setting, name) for gait in gaits]
+        values = [_values(_trials(counted, gait, setting), name) for gait in gaits]
         measured = {_key(gait): one for gait, one in zip(gaits, values, strict=True) if len(one)}
         agreements = {}
         for path, lab in labs.items():
             both = [key for key in measured if key in lab]
             agreements[path] = agreement([lab[key] for key in both], [measured[key] for key in both], rng)
-        cells = tuple(
-            Cell(float(one.mean()), t_interval(one), len(one)) if len(one) else None for one in values
-        )
+        cells = tuple(_cell(_trials(counted, gait, setting), name) for gait in gaits)
         columns.append(Column(setting, cells, agreements))
     table = experiment.objectives[name]
     made = Ranking(
@@ -163,11 +161,20 @@ def _settings(counted: Sequence[TrialOutcome], experiment: Experiment) -> list[C
     return [known[key] for key in sorted(known, key=str)]
 
 
-def _values(counted: Sequence[TrialOutcome], gait: Condition, setting: Condition, name: str) -> FloatArray:
+def _trials(counted: Sequence[TrialOutcome], gait: Condition, setting: Condition) -> list[TrialOutcome]:
     wanted = condition_key({**gait, **setting})
-    return np.array(
-        [one.objectives[name] for one in counted if condition_key(one.condition) == wanted], dtype=float
-    )
+    return [one for one in counted if condition_key(one.condition) == wanted]
+
+
+def _values(trials: Sequence[TrialOutcome], name: str) -> FloatArray:
+    return np.array([one.objectives[name] for one in trials], dtype=float)
+
+
+def _cell(trials: Sequence[TrialOutcome], name: str) -> Cell | None:
+    values = _values(trials, name)
+    if not len(values):
+        return None
+    return Cell(float(values.mean()), t_interval(values, (), mean_truncation(trials, name)), len(values))
 
 
 def _means(lab: Mapping[object, FloatArray], gaits: Sequence[Condition]) -> tuple[float | None, ...]:

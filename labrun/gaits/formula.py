@@ -36,8 +36,12 @@ class FormulaGait(ExpressionGait):
 
     def period_s(self, condition: Condition) -> float | None:
         """Return the cycle that the joints' `frequency_hz` share; None where none is given."""
-        frequencies = self._frequencies(Scope(self._let, condition, ("t",)))
+        frequencies = list(self.frequencies_hz(condition).values())
         return common_period_s(frequencies) if frequencies else None
+
+    def frequencies_hz(self, condition: Condition) -> dict[str, float]:
+        """Return how often each joint repeats that says so."""
+        return self._frequencies(Scope(self._let, condition, ("t",)))
 
     def steering(self, condition: Condition, drives: Sequence[str]) -> Steering:
         """Return the angles while names of the formulas change; see `labrun.gaits.SteerableGait`."""
@@ -50,9 +54,9 @@ class FormulaGait(ExpressionGait):
         self._frequencies(scope)
         return in_columns([scope.quantity(keys.angle_deg) for keys in self._keys.values()], scope)
 
-    def _frequencies(self, scope: Scope) -> list[float]:
-        return [
-            scope.frequency(keys.frequency_hz, joint)
+    def _frequencies(self, scope: Scope) -> dict[str, float]:
+        return {
+            joint: scope.frequency(keys.frequency_hz, joint)
             for joint, keys in self._keys.items()
             if keys.frequency_hz is not None
-        ]
+        }

@@ -56,6 +56,21 @@ class SteerableGait(Protocol):
         ...
 
 
+@runtime_checkable
+class OscillatingGait(Protocol):
+    """A gait that knows how often each of its joints repeats, so that trials may be averaged over beats of them."""
+
+    def frequencies_hz(self, condition: Condition) -> Mapping[str, float]:
+        """Return the frequency of each joint that has one, Hz.
+
+        Raises
+        ------
+        SpecError
+            A frequency that is not above zero.
+        """
+        ...
+
+
 class GaitPlugin(Protocol):
     """The class an entry point of group ``labrun.gaits`` names.
 

@@ -42,10 +42,12 @@ class SineGait(ExpressionGait):
 
     def period_s(self, condition: Condition) -> float | None:
         """Return the time after which all joints repeat; None if their frequencies have no common cycle."""
+        return common_period_s(list(self.frequencies_hz(condition).values()))
+
+    def frequencies_hz(self, condition: Condition) -> dict[str, float]:
+        """Return how often each joint repeats."""
         scope = Scope(self._let, condition)
-        return common_period_s(
-            [scope.frequency(keys.frequency_hz, joint) for joint, keys in self._keys.items()]
-        )
+        return {joint: scope.frequency(keys.frequency_hz, joint) for joint, keys in self._keys.items()}
 
     def steering(self, condition: Condition, drives: Sequence[str]) -> Steering:
         """Return the angles while offset, amplitude or phase change; see `labrun.gaits.SteerableGait`."""

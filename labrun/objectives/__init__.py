@@ -1,7 +1,7 @@
 """Objectives: from the recorded signals of a trial to one number."""
 
 from labrun.objectives.asked import ASKED, Asked
-from labrun.objectives.protocol import Objective, TrialSignals, make_objective
+from labrun.objectives.protocol import Objective, TrialSignals, Truncated, make_objective
 from labrun.signals import Signal
 
 __all__ = [
@@ -10,5 +10,6 @@ __all__ = [
     "Objective",
     "Signal",
     "TrialSignals",
+    "Truncated",
     "make_objective",
 ]

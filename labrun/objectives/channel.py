@@ -12,6 +12,7 @@ from pydantic import NonNegativeFloat, PositiveFloat, model_validator
 from labrun.arrays import FloatArray
 from labrun.errors import ExperimentError, SpecError
 from labrun.objectives.protocol import TrialSignals
+from labrun.objectives.window import truncation_bound
 from labrun.signals import Signal
 from labrun.toml import Faults, Table, checked
 
@@ -129,12 +130,19 @@ class Following:
 class Mean(ReducedChannel):
     """Mean of a channel over the recording; over its whole cycles after the discarded ones if the gait has any."""
 
+    def truncation(self, signals: TrialSignals) -> float:
+        """Return a bound of what cut cycles add or take; 0 where the file does not ask for an `average`."""
+        if signals.average is None:
+            return 0.0
+        counting = self._scaled(signals.counting(self.channel))
+        return truncation_bound(counting, signals.frequencies_hz.values())
+
     def _number(self, pieces: Iterable[Signal]) -> float:
         return time_mean(pieces)
 
 
 class CycleMean(Mean):
-    """Mean of a channel over whole gait cycles after the discarded ones.
+    """Mean of a channel over whole gait cycles after the discarded ones, or over what `trial.average` says.
 
     Cut to whole cycles, so that what a symmetric gait does to and fro cancels (the source's own sanity check on side
     force); integrated over time, so that lost samples do not weight the rest of the cycle.
@@ -148,10 +156,10 @@ class CycleMean(Mean):
         ExperimentError
             The gait has no cycle, or the recording holds no whole one.
         """
-        if signals.period_s is None:
+        if signals.period_s is None and signals.average is None:
             raise ExperimentError(
                 f"{self.channel}: cycle-mean needs a gait with a cycle",
-                hint='give the gait a frequency_hz, or use plugin = "mean"',
+                hint='give the gait a frequency_hz, average over beats (trial.average), or use plugin = "mean"',
             )
         return super().__call__(signals)
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from labrun.devices import FloatArray, Trajectory
 from labrun.errors import ExperimentError, SpecError
+from labrun.objectives.window import averaging_window
 from labrun.signals import Signal
-from labrun.spec import ObjectiveTable, Value
+from labrun.spec import Averaging, ObjectiveTable, Value
 from labrun.toml import suggest
 
 
@@ -40,8 +41,14 @@ class TrialSignals:
         Length of a gait cycle; None for a motion without cycles.
     discard_cycles
         Cycles at the start that do not count.
+    counts_from_s
+        Nothing before counts: the carriage is not at its speed yet.
     condition
         Values of the trial, in the units of the file.
+    average
+        What counts where joints share no cycle; None for whole gait cycles, or everything where there are none.
+    frequencies_hz
+        Of every joint that moves, by joint; empty where nobody asked for them.
     """
 
     signals: Mapping[str, Signal]
@@ -52,6 +59,8 @@ class TrialSignals:
     discard_cycles: int = 0
     counts_from_s: float = 0.0
     condition: Mapping[str, Value] = field(default_factory=dict)
+    average: Averaging | None = None
+    frequencies_hz: Mapping[str, float] = field(default_factory=dict)
 
     def signal(self, channel: str) -> Signal:
         """Return a channel, "device.channel".
@@ -75,6 +84,8 @@ class TrialSignals:
         ExperimentError
             The recording ends before the first cycle that counts does.
         """
+        if self.average is not None:
+            return self._averaged(self.average)
         if self.period_s is None:
             return max(self.start_s, self.counts_from_s), self.end_s
         start = self.start_s + self.discard_cycles * self.period_s
@@ -90,6 +101,21 @@ class TrialSignals:
                 hint="give the trial more cycles, or discard fewer",
             )
         return start, start + whole * self.period_s
+
+    def _averaged(self, average: Averaging) -> tuple[float, float]:
+        own = None if average == "beats" else self.frequencies_hz.get(average.cycles_of)
+        slowest = min(self.frequencies_hz.values(), default=None) if own is None else own
+        start = max(self.start_s, self.counts_from_s)
+        if slowest is not None:
+            start = max(start, self.start_s + self.discard_cycles / slowest)
+        found = averaging_window(start, self.end_s, tuple(self.frequencies_hz.values()), average, own)
+        if found is None:
+            of = "the slowest joint" if average == "beats" else average.cycles_of
+            raise ExperimentError(
+                f"what counts of the recording, {start:.4g} to {self.end_s:.4g} s, holds no whole cycle of {of}",
+                hint="make the trial longer, or discard fewer cycles",
+            )
+        return found
 
     def counting(self, channel: str) -> Signal:
         """Return a channel's samples within `window`, with a sample made at either end of it.
@@ -203,11 +229,21 @@ class Objective(Protocol):
         ...
 
 
+@runtime_checkable
+class Truncated(Protocol):
+    """An objective that knows what cut cycles can do to it."""
+
+    def truncation(self, signals: TrialSignals) -> float:
+        """Return a bound of what cycles that the window cuts may have added to the number, or taken from it."""
+        ...
+
+
 class ObjectivePlugin(Protocol):
     """The class an entry point of group ``labrun.objectives`` names.
 
     It may also have `Settings` (a pydantic model of its own keys; the loader then reports errors in them with line and
-    column), `needs_channel`, and `channel_settings` (its own keys that name channels).
+    column), `needs_channel`, and `channel_settings` (its own keys that name channels). What it makes may be
+    `Truncated`.
     """
 
     def __call__(self, channel: str | None, settings: Mapping[str, Any]) -> Objective:

@@ -99,6 +99,9 @@ class _Asked:
     def values(self, objective: str) -> FloatArray:  # noqa: ARG002 (a point has one objective)
         return self.point.values
 
+    def truncation(self, objective: str) -> float:  # noqa: ARG002
+        return self.point.truncation
+
 
 def condition_results(view: RunView) -> list[ConditionResult]:
     """Return what every condition gave, in the order of `in_order`."""

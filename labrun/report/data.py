@@ -13,7 +13,7 @@ from labrun.objectives import make_objective
 from labrun.report.text import condition_text, interval_text, spaced, with_unit
 from labrun.search import Best, t_interval
 from labrun.spec import CYCLES, Experiment, FitTable, Value, condition_key, loads_experiment
-from labrun.store import Run, TrialOutcome, imported_channels
+from labrun.store import Run, TrialOutcome, imported_channels, mean_truncation
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +25,8 @@ class Point:
     trials: tuple[TrialOutcome, ...]
     at_least: bool = False
     """Whether some of the values are bounds from below: trials that went on for as long as they were allowed to."""
+    truncation: float = 0.0
+    """What cut cycles may have done to the mean."""
 
     @property
     def mean(self) -> float:
@@ -34,7 +36,7 @@ class Point:
     @property
     def ci95(self) -> tuple[float, float] | None:
         """95 % t-interval of the mean; None for a single value, and where some are only bounds."""
-        return None if self.at_least else t_interval(self.values, self.mountings)
+        return None if self.at_least else t_interval(self.values, self.mountings, self.truncation)
 
     @property
     def mountings(self) -> tuple[int | None, ...]:
@@ -165,6 +167,7 @@ class RunView:
                 np.array([trial.objectives[objective] for trial in trials]),
                 tuple(trials),
                 objective == CYCLES and any(trial.censored for trial in trials),
+                mean_truncation(trials, objective),
             )
             for trials in by_condition(counted).values()
         ]

@@ -5,10 +5,10 @@ import traceback
 from collections.abc import Iterator, Mapping
 
 from labrun.errors import LabrunError
-from labrun.objectives import Asked, Objective, TrialSignals, make_objective
+from labrun.objectives import Asked, Objective, TrialSignals, Truncated, make_objective
 from labrun.runner.motion import TrialMotion
 from labrun.signals import LongSignals, Signal, Signals
-from labrun.spec import Condition, Experiment
+from labrun.spec import Condition, Experiment, TrialTable
 
 
 class ObjectiveError(LabrunError):
@@ -29,7 +29,7 @@ class ObjectiveEvaluation:
     """Computes every objective of an experiment."""
 
     def __init__(self, experiment: Experiment) -> None:
-        self._discard = experiment.trial.discard_cycles
+        self._trial = experiment.trial
         self._tables = experiment.objectives
         self._objectives: dict[str, Objective] = {
             name: make_objective(name, table) for name, table in experiment.objectives.items()
@@ -54,7 +54,7 @@ class ObjectiveEvaluation:
         ObjectiveError
             A value is not finite, or cannot be computed; names objective, channel and cause.
         """
-        signals = trial_signals(measured, motion, condition, self._discard)
+        signals = trial_signals(measured, motion, condition, self._trial)
         values: dict[str, float] = {}
         for name, objective in self._objectives.items():
             if answers is not None and name in answers:
@@ -75,6 +75,17 @@ class ObjectiveEvaluation:
             values[name] = value
         return values
 
+    def truncation(
+        self, measured: Mapping[str, Signals | LongSignals], motion: TrialMotion, condition: Condition
+    ) -> dict[str, float]:
+        """Return what cycles that the window cuts may have done to objectives, see `Truncated`; without zeros."""
+        if self._trial.average is None:
+            return {}
+        signals = trial_signals(measured, motion, condition, self._trial)
+        known = {n: one for n, one in self._objectives.items() if isinstance(one, Truncated)}
+        found = {name: one.truncation(signals) for name, one in known.items()}
+        return {name: bound for name, bound in found.items() if bound > 0.0}
+
 
 def _place(objective: Objective, error: Exception) -> str:
     """Return file and line where a plugin raised; where it begins, if what it returned was no number."""
@@ -92,7 +103,7 @@ def trial_signals(
     measured: Mapping[str, Signals | LongSignals],
     motion: TrialMotion,
     condition: Condition,
-    discard: int,
+    trial: TrialTable,
 ) -> TrialSignals:
     """Return what objectives see: every channel by ``device.channel``, tared, in trial-relative time."""
     return TrialSignals(
@@ -101,9 +112,11 @@ def trial_signals(
         start_s=0.0,
         end_s=motion.duration_s,
         period_s=motion.period_s,
-        discard_cycles=discard,
+        discard_cycles=trial.discard_cycles,
         counts_from_s=motion.counts_from_s,
         condition=condition,
+        average=trial.average,
+        frequencies_hz=motion.frequencies_hz,
     )
 
 

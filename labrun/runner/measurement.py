@@ -10,7 +10,7 @@ import numpy as np
 from labrun.devices import FloatArray
 from labrun.errors import ExperimentError
 from labrun.spec import Condition, Outliers, RepeatRule, condition_text
-from labrun.store import Role, TrialOutcome
+from labrun.store import Role, TrialOutcome, mean_truncation
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +50,10 @@ class Measurement:
     def values(self, objective: str) -> FloatArray:
         """Return an objective's value in each accepted trial, shape (accepted,)."""
         return np.array([outcome.objectives[objective] for outcome in self.accepted], dtype=float)
+
+    def truncation(self, objective: str) -> float:
+        """Return what cut cycles may have done to the mean of an objective: they do it to every repeat alike."""
+        return mean_truncation(self.accepted, objective)
 
     def mean(self, objective: str) -> float:
         """Return the mean over the accepted trials.

@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from labrun.devices import Excess, Trajectory
 from labrun.errors import PlanError
-from labrun.gaits import make_gait
+from labrun.gaits import OscillatingGait, make_gait
 from labrun.runner.envelope import Envelope, envelope
 from labrun.spec import Condition, Experiment, condition_text
 from labrun.toml import evaluate
@@ -126,6 +126,8 @@ class TrialMotion:
         Nothing before counts: the carriage is not at its speed yet.
     most_cycles
         Of a trial that goes on until its numbers say so, which is sent in stretches of this motion; else None.
+    frequencies_hz
+        Of every joint that moves, where the file asks for an average over beats or over one joint's cycles.
     """
 
     trajectory: Trajectory
@@ -136,6 +138,7 @@ class TrialMotion:
     excess: tuple[Excess, ...] = ()
     most_cycles: int | None = None
     counts_from_s: float = 0.0
+    frequencies_hz: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def longest_s(self) -> float:
@@ -206,7 +209,43 @@ class MotionMaker:
         most = None if self._trial.until is None else self._trial.until.max_cycles
         steady_s = 0.0 if travel is None else travel.steady_from_s
         excess = (*excess, *(() if travel is None else travel.excess))
-        return TrialMotion(trajectory, duration_s, period_s, cycles, travel, excess, most, steady_s)
+        frequencies_hz, short = self._oscillations(at_start, trajectory, duration_s - steady_s)
+        excess = (*excess, *short)
+        return TrialMotion(
+            trajectory, duration_s, period_s, cycles, travel, excess, most, steady_s, frequencies_hz
+        )
+
+    def _oscillations(
+        self, condition: Condition, trajectory: Trajectory, counts_s: float
+    ) -> tuple[dict[str, float], tuple[Excess, ...]]:
+        """Return the frequency of each joint that moves, where it is asked for, and whether its cycles fit in."""
+        average = self._trial.average
+        if average is None:
+            return {}, ()
+        if not isinstance(self._gait, OscillatingGait):
+            raise PlanError(
+                f'trial.average: the gait "{self._name}" does not tell how often its joints repeat',
+                hint="give it frequencies_hz(condition), as sine has, or leave average out",
+            )
+        known = self._gait.frequencies_hz(condition)
+        own = None if average == "beats" else average.cycles_of
+        if own is not None and own not in known:
+            raise PlanError(
+                f"trial.average.cycles_of: the gait gives {own} no frequency",
+                hint=f"it gives one to {', '.join(known) or 'no joint'}",
+            )
+        moves = dict(
+            zip(trajectory.joints, np.ptp(trajectory.angle_rad, axis=0) > _NEGLIGIBLE_RAD, strict=True)
+        )
+        found = {joint: value for joint, value in known.items() if joint == own or moves.get(joint, False)}
+        slowest = own if own is not None else min(found, key=lambda joint: found[joint], default=None)
+        if slowest is None:
+            return found, ()
+        needed_s = (1 + self._trial.discard_cycles) / found[slowest]
+        if needed_s <= counts_s * (1 + _WHOLE):
+            return found, ()
+        what = f"one cycle of {slowest} after the discarded ones, against what counts of the recording,"
+        return found, (Excess(what, needed_s, max(counts_s, 0.0), "s", max(counts_s, 0.0)),)
 
     def envelope(self, condition: Condition) -> Envelope | None:
         """Return the worst that closed loops may make of a condition's motion; None without loops."""

@@ -262,6 +262,7 @@ class TrialRunner:
             if found is None:
                 signals = writer.signals(outcome.started_s, outcome.tare)
                 found = self._evaluation.evaluate(signals, motion, outcome.condition, draft.answers)
+                draft.know(truncation=self._evaluation.truncation(signals, motion, outcome.condition))
             draft.know(objectives=dict(found))
         except ObjectiveError as error:
             draft.know(status="failed", reason=str(error).splitlines()[0])

@@ -42,6 +42,10 @@ class Measured(Protocol):
         """The mounting of each accepted trial."""
         ...
 
+    def truncation(self, objective: str) -> float:
+        """Return what cut cycles may have done to the mean; 0 where none were cut."""
+        ...
+
 
 class Measures(Protocol):
     """What a search needs of a session (`labrun.runner.Session`)."""
@@ -97,15 +101,17 @@ def honest_best(
     if len(values) == 0:
         return None
     everything = np.concatenate([m.values(objective) for m in (*found, *fresh, *confirmed)])
+    truncation = confirmed[0].truncation(objective)
     luckiest = everything.max() if goal == "maximise" else everything.min()
     return Best(
         parameters=dict(winner),
         objective_name=objective,
         value=float(values.mean()),
-        ci95=t_interval(values, [number for m in confirmed for number in m.mountings]),
+        ci95=t_interval(values, [number for m in confirmed for number in m.mountings], truncation),
         unit=unit,
         luckiest=float(luckiest),
         trials=len(values),
+        truncation=truncation,
     )
 
 

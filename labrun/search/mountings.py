@@ -50,12 +50,18 @@ def mean_error(values: FloatArray, mountings: Numbers = ()) -> tuple[float, int]
     return math.sqrt(several / (several - 1) * float(sums @ sums)) / count, several - 1
 
 
-def t_interval(values: FloatArray, mountings: Numbers = ()) -> tuple[float, float] | None:
-    """Return the 95 % Student interval of the mean of repeated values, see `mean_error`; None for fewer than two."""
+def t_interval(
+    values: FloatArray, mountings: Numbers = (), truncation: float = 0.0
+) -> tuple[float, float] | None:
+    """Return the 95 % Student interval of the mean of repeated values, see `mean_error`; None for fewer than two.
+
+    `truncation` bounds what cut cycles do to every repeat alike: no number of repeats averages it out, so that it is
+    added to either side.
+    """
     error = mean_error(values, mountings)
     if error is None:
         return None
-    half, mean = float(stdtrit(error[1], 0.975)) * error[0], float(values.mean())
+    half, mean = float(stdtrit(error[1], 0.975)) * error[0] + truncation, float(values.mean())
     return mean - half, mean + half
 
 

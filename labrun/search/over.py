@@ -89,6 +89,13 @@ class Combined:
         rounds = np.stack([values[: min(map(len, each))] for values in each])
         return np.asarray(rounds.sum(axis=0) if self.combine == "sum" else rounds.mean(axis=0))
 
+    def truncation(self, objective: str) -> float:
+        """Return what cut cycles may have done to the mean of the combined value."""
+        each = [part.truncation(objective) for part in self.parts]
+        if self.combine == "worst":
+            return max(each)
+        return sum(each) if self.combine == "sum" else sum(each) / len(each)
+
     @property
     def mountings(self) -> Numbers:
         """The mounting of each round where all settings share it; None elsewhere."""

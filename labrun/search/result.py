@@ -30,6 +30,8 @@ class Best:
         The best single observation of the whole run, by chance or not: shown beside the value, never instead of it.
     trials
         Number of confirming trials behind `value`.
+    truncation
+        The part of the interval, to either side, that cycles cut by the window make; see `labrun.spec.Averaging`.
     """
 
     parameters: Mapping[str, Value]
@@ -39,6 +41,7 @@ class Best:
     unit: str
     luckiest: float
     trials: int = 0
+    truncation: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
         """Return parameters, objective with interval and unit, and the luckiest observation."""
@@ -47,6 +50,7 @@ class Best:
             "parameters": dict(self.parameters),
             "objective": {"value": self.value, "ci95": interval, "unit": self.unit},
             "luckiest": self.luckiest,
+            **({"truncation": self.truncation} if self.truncation else {}),
         }
 
     def to_record(self) -> dict[str, Any]:
@@ -66,6 +70,7 @@ class Best:
             unit=objective["unit"],
             luckiest=record["luckiest"],
             trials=record["trials"],
+            truncation=record.get("truncation", 0.0),
         )
 
 
@@ -225,8 +230,12 @@ def _best_lines(best: Best) -> list[str]:
         interval = "no interval: fewer than two confirming trials were accepted"
     else:
         interval = f"95 % interval {best.ci95[0]:.4g} to {best.ci95[1]:.4g}, {best.trials} confirming trials"
+    cut = [
+        f"          of that, {best.truncation:.2g} {best.unit} to either side for cycles that the window cuts"
+    ]
     return [
         f"best      {best.objective_name} = {best.value:.4g} {best.unit} ({interval})",
+        *(cut if best.truncation and best.ci95 is not None else []),
         f"at        {condition_text(best.parameters, digits=4)}",
         f"luckiest  {best.luckiest:.4g} {best.unit} (best single trial; not what to expect)",
     ]

@@ -41,7 +41,17 @@ from labrun.spec.search_tables import (
     Variable,
 )
 from labrun.spec.template import Kind, new_experiment
-from labrun.spec.trial_tables import CarriageMove, Outliers, Reference, RepeatRule, Settle, Tare, TrialTable
+from labrun.spec.trial_tables import (
+    Averaging,
+    CarriageMove,
+    CyclesOf,
+    Outliers,
+    Reference,
+    RepeatRule,
+    Settle,
+    Tare,
+    TrialTable,
+)
 from labrun.spec.until import CYCLES, Criterion, Until
 from labrun.spec.workspace import (
     create_workspace,
@@ -61,12 +71,14 @@ __all__ = [
     "SIMULATION",
     "SUMMARIES",
     "TIMING_CHANNELS",
+    "Averaging",
     "ByHand",
     "CarriageMove",
     "CmaEs",
     "Combine",
     "Condition",
     "Criterion",
+    "CyclesOf",
     "DamageTable",
     "Design",
     "DesignVariable",
@@ -116,7 +128,8 @@ __all__ = [
     "load_experiment",
     "load_named",
     "loads_experiment",
-    "loop_channel", "named_channels",
+    "loop_channel",
+    "named_channels",
     "new_experiment",
     "resolved",
     "resolved_settings",

@@ -144,6 +144,9 @@ def _check_references(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]
         yield from check_name(name, path, objectives, "no objective of this name", kind="objectives")
     yield from _check_device_names(trial, devices)
     joints = table(data, "gait", "joints")
+    averaged = table(trial, "average").get("cycles_of")
+    path: KeyPath = ("trial", "average", "cycles_of")
+    yield from check_name(averaged, path, joints, "no joint of the gait has this name", kind="joints")
     for name in table(trial, "within"):
         yield from check_channel(name, ("trial", "within", name), devices)
     for name in table(data, "cmaes", "guard", "limits"):

@@ -99,6 +99,15 @@ class CarriageMove(Table):
     """The order takes a moment to become motion, so that the ramp ends later than its length says."""
 
 
+class CyclesOf(Table):
+    """What counts of a recording: whole cycles of one joint, whatever the others do."""
+
+    cycles_of: str
+
+
+Averaging = Literal["beats"] | CyclesOf
+
+
 class TrialTable(Table):
     """One trial.
 
@@ -110,6 +119,8 @@ class TrialTable(Table):
     duration_s: PositiveFloat | Literal["fit"] | None = None
     until: Until | None = None
     discard_cycles: Annotated[int, Field(ge=0)] = 0
+    average: Averaging | None = None
+    """What objectives look at where joints share no cycle; what it cuts widens the intervals of means."""
     repeats: RepeatRule = RepeatRule(min=1, max=1)
     settle: Settle | None = None
     tare: Tare | None = None
@@ -124,6 +135,13 @@ class TrialTable(Table):
     retries: Annotated[int, Field(ge=0)] = 1
     max_lost_share: Annotated[float, Field(ge=0, le=1)] = 0.02
     """A recording that lost a greater share of a device's samples is rejected."""
+
+    @field_validator("average", mode="before")
+    @classmethod
+    def _beats_or_joint(cls, data: Any) -> Any:
+        if data is None or data == "beats" or isinstance(data, Mapping | CyclesOf):
+            return data
+        raise ValueError('"beats", or a joint whose whole cycles count, { cycles_of = "tail" }')
 
     @model_validator(mode="before")
     @classmethod
@@ -152,6 +170,12 @@ class TrialTable(Table):
                     "discard_cycles",
                     f"{self.discard_cycles} leaves nothing of {self.cycles} cycles",
                     of=("cycles", "discard_cycles"),
+                )
+            if self.average is not None and self.duration_s is None:
+                faults.add(
+                    "average",
+                    "is for joints that share no cycle, and so goes with duration_s; cycles count as they are",
+                    of=("average", "cycles"),
                 )
             for name in ("cycles", "duration_s"):
                 if getattr(self, name) == "fit" and self.carriage is None:

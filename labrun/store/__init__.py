@@ -32,7 +32,15 @@ from labrun.store.recording import (
 )
 from labrun.store.table import known_units
 from labrun.store.timing import JUMP_S, ClockMap, StreamReport, stream_report
-from labrun.store.trial import Role, SettleSummary, Status, TrialOutcome, json_ready, settle_curve
+from labrun.store.trial import (
+    Role,
+    SettleSummary,
+    Status,
+    TrialOutcome,
+    json_ready,
+    mean_truncation,
+    settle_curve,
+)
 from labrun.store.trial_file import COMMAND, check_columns, check_names
 from labrun.store.watching import RunWatch, SeenTrial, Trace, read_trace
 from labrun.store.writer import TrialWriter
@@ -78,6 +86,7 @@ __all__ = [
     "known_units",
     "lacking_room",
     "lock_ports",
+    "mean_truncation",
     "open_run",
     "open_target",
     "read_recording",

@@ -57,9 +57,9 @@ def variables(
     Returns
     -------
     list of Variable
-        index, conditions, repeat, status, objectives, role, reason, started_s, duration_s, how the bench settled,
-        attempt, period_s, mounting, censored, damage. A condition with words is text throughout. NaN (or empty text)
-        stands where a trial has no such value, as after a failure.
+        index, conditions, repeat, status, objectives, what cut cycles may have done to them where any were cut, role,
+        reason, started_s, duration_s, how the bench settled, attempt, period_s, mounting, censored, damage. A condition
+        with words is text throughout. NaN (or empty text) stands where a trial has no such value, as after a failure.
     """
     conditions = list(dict.fromkeys(name for outcome in outcomes for name in outcome.condition))
     objectives = list(dict.fromkeys(name for outcome in outcomes for name in outcome.objectives))
@@ -81,6 +81,15 @@ def variables(
             "objective",
         )
         for name in objectives
+    ]
+    objective_columns += [
+        Variable(
+            _free(f"{name}_truncation", "truncation", used),
+            units.get(name, ""),
+            _column([outcome.truncation.get(name) for outcome in outcomes]),
+            "trial",
+        )
+        for name in dict.fromkeys(name for outcome in outcomes for name in outcome.truncation)
     ]
     head, middle, tail = (
         [

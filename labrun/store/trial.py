@@ -1,6 +1,6 @@
 """What one trial leaves behind beside its samples: its outcome, and how the bench came to rest before it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -81,6 +81,8 @@ class TrialOutcome:
         What it did to its specimen, such as ``"broken"``; empty where that is as it was.
     mounting
         Which mounting of what is set by hand, counted over the run from 1; None where nothing is.
+    truncation
+        By objective, a bound of what cycles that its window cuts may have added to it or taken from it, in its unit.
     period_s, discard_cycles
         Length of a gait cycle, and how many of them the objectives leave out.
     """
@@ -103,6 +105,7 @@ class TrialOutcome:
     mounting: int | None = None
     censored: bool = False
     damage: str = ""
+    truncation: dict[str, float] = field(default_factory=dict)
 
     def to_record(self) -> dict[str, Any]:
         """Return the whole outcome, JSON-ready by `json_ready`; floats come back bit for bit."""
@@ -123,6 +126,11 @@ class TrialOutcome:
     def marked(self, status: Status, reason: str) -> "TrialOutcome":
         """Return the outcome with another status."""
         return replace(self, status=status, reason=reason)
+
+
+def mean_truncation(outcomes: Sequence[TrialOutcome], objective: str) -> float:
+    """Return what cut cycles may have done to the mean of an objective over trials; 0 where none were cut."""
+    return sum(one.truncation.get(objective, 0.0) for one in outcomes) / max(len(outcomes), 1)
 
 
 def settle_curve(time_s: FloatArray, spread: FloatArray, drift: FloatArray, unit: str) -> Signals:
