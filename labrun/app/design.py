@@ -25,7 +25,6 @@ from labrun.design import (
 )
 from labrun.errors import PlanError, RequestError
 from labrun.objectives import make_objective
-from labrun.report.style import as_svg, save
 from labrun.report.text import counted
 from labrun.runner import Plan, Progress, SearchSpace, SilentProgress
 from labrun.search import Best, RunResult, honest_best, read_generations, resume_line, search_by_cmaes
@@ -291,7 +290,8 @@ def _handed_on(
         written.append(("sheet", run / "dimensions.csv"))
         drawing = drawing_of(design_table, values)
         if drawing is not None:
-            from labrun.report.figures.design import draw_design
+            from labrun.report.figures.design import draw_design  # matplotlib
+            from labrun.report.style import as_svg, save
 
             figure = draw_design(drawing, experiment.units, experiment.title)
             replace_durably(run / "drawing.svg", as_svg(figure))

@@ -39,10 +39,16 @@ def test_every_command_has_json_and_an_example(name):
     assert f"Example:  labrun {name}" in shown
 
 
-def test_help_imports_nothing_heavy():
-    heavy = ["numpy", "pydantic", "numba", "scipy", "h5py", "matplotlib", "rich", "cma"]
+@pytest.mark.parametrize(
+    ("arguments", "heavy"),
+    [
+        (["--help"], ["numpy", "pydantic", "numba", "scipy", "h5py", "matplotlib", "rich", "cma"]),
+        (["check", "hinge"], ["matplotlib", "jinja2", "mujoco", "sklearn", "rosbags", "pyarrow"]),
+    ],
+)
+def test_a_command_imports_nothing_heavy_that_it_does_not_use(arguments, heavy):
     script = (
-        "import sys\nfrom labrun.cli import main\nsys.argv = ['labrun', '--help']\n"
+        f"import sys\nfrom labrun.cli import main\nsys.argv = ['labrun', *{arguments}]\n"
         "try:\n    main()\nexcept SystemExit:\n    pass\n"
         f"print([name for name in {heavy} if name in sys.modules], file=sys.stderr)"
     )
