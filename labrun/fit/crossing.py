@@ -1,0 +1,422 @@
+"""The fit ``crossing``: where two fitted curves cross, or one reaches a level, with an interval from resampled trials.
+
+Each curve is an objective of a run over one of its conditions: thrust over speed, drag over speed, torque over angle. A
+curve may come from another run (``--with``), so that what two experiments found makes one result. Trials are what is
+independent: each resample draws whole trials anew at every place of both curves, fits both, and crosses them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from labrun.arrays import FloatArray
+from labrun.errors import FitError, RequestError
+from labrun.fit.estimate import Estimate
+from labrun.fit.figure import Curve, FigureData, Panel, Stack
+from labrun.fit.method import FitJob
+from labrun.fit.result import FitSummary, FittedData, TextTable
+from labrun.spec import condition_text
+from labrun.store import TrialOutcome, is_recording, open_run
+from labrun.toml import suggest
+
+_RESAMPLES = 2000
+_GRID = 401
+_OPEN_SHARE = 0.025
+"""If more of the resamples than that do not cross, the interval has no end on that side."""
+
+
+class CurveTable(BaseModel):
+    """Keys of ``[fit.settings.one]`` and ``[fit.settings.other]``.
+
+    Attributes
+    ----------
+    objective
+        What is fitted.
+    experiment
+        Whose run it is in, where that is not the run that is fitted: give that run with ``--with``.
+    where
+        Conditions that hold for the trials that are meant.
+    powers
+        Of the condition, one a term: [0, 1, 2] is a parabola, [2] a drag that goes with the square of speed.
+    scale
+        The objective is multiplied by it first, to turn it round (-1).
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    objective: str
+    experiment: str | None = None
+    where: dict[str, float | str] = {}
+    powers: Annotated[tuple[float, ...], Field(min_length=1)] = (0, 1, 2)
+    scale: float = 1.0
+
+
+class CrossingSettings(BaseModel):
+    """Keys of ``[fit.settings]``.
+
+    Attributes
+    ----------
+    over
+        The condition along which the curves go.
+    one, other
+        The curves; without `other`, where the first one reaches `level`.
+    level
+        See `other`.
+    by
+        A condition whose levels have a crossing each; and what to call these.
+    names
+        Level -> name.
+    gain_at
+        Where along `over` the levels' first curves are compared as well.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    over: str
+    one: CurveTable
+    other: CurveTable | None = None
+    level: float = 0.0
+    by: str | None = None
+    names: dict[str, str] = {}
+    gain_at: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One curve: place along the condition and value of each trial, shape (n,)."""
+
+    x: FloatArray
+    y: FloatArray
+    powers: tuple[float, ...] = (0, 1, 2)
+
+    def terms(self, x: FloatArray) -> FloatArray:
+        """Return the terms at some places, shape (m, powers)."""
+        return np.asarray(np.power(x[:, None], np.array(self.powers)))
+
+    def coefficients(self, y: FloatArray) -> FloatArray:
+        """Return the least-squares coefficients of values at the curve's places, y of shape (..., n)."""
+        return np.asarray(y @ np.linalg.pinv(self.terms(self.x)).T)
+
+    def resampled(self, rng: np.random.Generator, count: int) -> FloatArray:
+        """Draw whole trials anew at each place, shape (count, n).
+
+        Deviations from a place's mean are stretched by sqrt(n / (n - 1)) for its n trials, as a plain bootstrap of few
+        is too narrow by that. Where places have one trial each, what resamples is how trials lie about the curve
+        (residuals, stretched for the fitted coefficients).
+        """
+        drawn = np.empty((count, len(self.y)))
+        places = [np.flatnonzero(self.x == x) for x in np.unique(self.x)]
+        if min(map(len, places)) > 1:
+            for own in places:
+                values, n = self.y[own], len(own)
+                mean, stretch = values.mean(), np.sqrt(n / (n - 1))
+                drawn[:, own] = mean + stretch * (values[rng.integers(n, size=(count, n))] - mean)
+            return drawn
+        fitted = self.terms(self.x) @ self.coefficients(self.y)
+        n, freedom = len(self.y), max(len(self.y) - len(self.powers), 1)
+        rest = (self.y - fitted) * np.sqrt(n / freedom)
+        return np.asarray(fitted + rest[rng.integers(n, size=(count, n))])
+
+
+@dataclass(frozen=True, slots=True)
+class Crossing:
+    """Where two curves cross.
+
+    Attributes
+    ----------
+    at
+        The least place at which they do.
+    ci95
+        95 % percentile interval over resampled trials; where these do not cross, an end stands at the end of what was
+        measured.
+    value
+        What both are there.
+    open
+        Share of the resamples that do not cross where there are data.
+    """
+
+    at: float
+    ci95: tuple[float, float]
+    value: float
+    open: float
+
+
+def crossing(
+    one: Measured, other: Measured | float, rng: np.random.Generator, resamples: int = _RESAMPLES
+) -> Crossing | None:
+    """Return where two fitted curves cross; None if they do not where both were measured.
+
+    Parameters
+    ----------
+    one, other
+        The curves; a number is a level.
+    rng
+        Of the resampling.
+    resamples
+        How many.
+    """
+    places = [one.x] if isinstance(other, float) else [one.x, other.x]
+    grid = np.linspace(max(x.min() for x in places), min(x.max() for x in places), _GRID)
+    if not grid[0] < grid[-1]:
+        return None
+    draws = np.vstack([one.y, one.resampled(rng, resamples)])
+    course = one.coefficients(draws) @ one.terms(grid).T
+    if isinstance(other, float):
+        difference = course - other
+    else:
+        others = np.vstack([other.y, other.resampled(rng, resamples)])
+        difference = course - other.coefficients(others) @ other.terms(grid).T
+    at = _first_zero(grid, difference)
+    if np.isnan(at[0]):
+        return None
+    # Those that do not cross: they would beyond the end towards which they come closer.
+    never = np.isnan(at)
+    nearer_end = np.abs(difference[never, -1]) < np.abs(difference[never, 0])
+    at[never] = np.where(nearer_end, grid[-1], grid[0])
+    low, high = np.percentile(at[1:], [2.5, 97.5])
+    value = other if isinstance(other, float) else float(np.interp(at[0], grid, course[0]))
+    return Crossing(float(at[0]), (float(low), float(high)), value, float(never[1:].mean()))
+
+
+def _first_zero(grid: FloatArray, difference: FloatArray) -> FloatArray:
+    """Return the first place where each row changes its sign, straight between points; NaN where it does not."""
+    signs = np.sign(difference)
+    changes = signs[:, 1:] * signs[:, :-1] <= 0
+    found = changes.any(axis=1)
+    left = np.argmax(changes, axis=1)
+    rows = np.arange(len(difference))
+    before, after = difference[rows, left], difference[rows, left + 1]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(before == after, 0.0, before / (before - after))
+    return np.where(found, grid[left] + share * (grid[left + 1] - grid[left]), np.nan)
+
+
+class CrossingFit:
+    """Where two curves cross, of every level of a factor."""
+
+    Settings: ClassVar[type[BaseModel]] = CrossingSettings
+
+    def __init__(self, settings: CrossingSettings) -> None:
+        self._settings = settings
+
+    def __call__(self, job: FitJob) -> FitSummary:
+        """Fit.
+
+        Raises
+        ------
+        RequestError
+            A recording, an objective or a condition that is not there, or a run that was not given.
+        FitError
+            Too few places for a curve, or curves that do not cross where they were measured.
+        """
+        keys, runs = self._settings, _read(job)
+        trials = _of(runs, keys.one, next(iter(runs)))
+        others = None if keys.other is None else _of(runs, keys.other, next(iter(runs)))
+        levels = _levels(trials.outcomes, keys.by)
+        parameters: dict[str, Estimate] = {}
+        findings: list[str] = []
+        warnings: list[str] = []
+        rows: list[tuple[str, ...]] = []
+        curves: list[Curve] = []
+        measured: dict[str, Measured] = {}
+        x_unit, y_unit = trials.units.get(keys.over, ""), trials.units.get(keys.one.objective, "")
+        for level in levels:
+            name = _name(level, keys.names)
+            first = _curve(trials, keys, keys.one, level)
+            measured[name] = first
+            second: Measured | float = keys.level
+            if others is not None and keys.other is not None:
+                # Another run need not know the factor: its curve then is that of all levels.
+                known = any(keys.by in one.condition for one in others.outcomes) if keys.by else False
+                second = _curve(others, keys, keys.other, level if known else None)
+            found = crossing(first, second, job.rng)
+            if found is None:
+                raise _no_crossing(name, keys, first, second, x_unit)
+            label = f"at_{name.replace(' ', '_')}" if name else "at"
+            parameters[label] = Estimate(found.at, found.ci95, x_unit)
+            against = f"{keys.level:g} {y_unit}".rstrip() if keys.other is None else keys.other.objective
+            told = f"{name}: " if name else ""
+            low, high = found.ci95
+            findings.append(
+                f"{told}{keys.one.objective} meets {against} at {keys.over} = {found.at:.4g} {x_unit} "
+                f"({low:.4g} to {high:.4g})"
+            )
+            if found.open > _OPEN_SHARE:
+                warnings.append(
+                    f"{told}{100 * found.open:.0f} % of the resamples do not cross where there are data: the interval "
+                    f"is open at an end; measure farther along {keys.over}"
+                )
+            rows.append((name or "all", f"{len(first.y)}", f"{found.at:.4g}", f"{found.value:.4g}"))
+            curves += _drawn(first, name or keys.one.objective)
+            if isinstance(second, Measured) and keys.other is not None:
+                curves += _drawn(second, f"{name} {keys.other.objective}".strip())
+        if keys.gain_at is not None and len(measured) > 1:
+            findings += _gains(measured, keys.gain_at, x_unit, keys.one.objective, job.rng)
+        if any(one.truncation.get(keys.one.objective) for one in trials.outcomes):
+            warnings.append("what cycles cut by the window may do to each value is not in these intervals")
+        used = sum(len(one.y) for one in measured.values())
+        header = (
+            keys.by or "",
+            "trials",
+            f"{keys.over}, {x_unit}".rstrip(", "),
+            f"value, {y_unit}".rstrip(", "),
+        )
+        return FitSummary(
+            method="crossing",
+            model_name="crossing",
+            data=FittedData(trials.name, "run", used, len(trials.outcomes) - used),
+            parameters=parameters,
+            tables=(TextTable("where the curves cross", header, tuple(rows)),) if len(rows) > 1 else (),
+            findings=tuple(findings),
+            warnings=tuple(warnings),
+            figure_data=lambda: _figure(trials.name, curves, keys, x_unit, y_unit),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Trials:
+    name: str
+    outcomes: tuple[TrialOutcome, ...]
+    units: Mapping[str, str]
+
+
+def _read(job: FitJob) -> dict[str, _Trials]:
+    found: dict[str, _Trials] = {}
+    for path in (job.target, *job.more):
+        if is_recording(path):
+            raise RequestError(
+                f"{path} is a recording, and has no objectives",
+                hint="crossing takes runs: labrun import makes one of a recording",
+            )
+        with open_run(path) as run:
+            counted = tuple(one for one in run.outcomes if one.status == "done" and one.role != "reference")
+            found[run.name] = _Trials(run.name, counted, run.units())
+    return found
+
+
+def _of(runs: Mapping[str, _Trials], table: CurveTable, target: str) -> _Trials:
+    name = table.experiment or target
+    if name not in runs:
+        raise RequestError(
+            f"{table.objective} is that of {name}, and only {', '.join(runs)} was given",
+            hint=f"labrun fit {target} --with {name}",
+        )
+    trials = runs[name]
+    known = dict.fromkeys(objective for one in trials.outcomes for objective in one.objectives)
+    if table.objective not in known:
+        raise RequestError(
+            f"{name} has no objective {table.objective!r}",
+            hint=suggest(table.objective, known, kind="objectives"),
+        )
+    return trials
+
+
+def _levels(trials: Sequence[TrialOutcome], by: str | None) -> list[tuple[str, float | str] | None]:
+    if by is None:
+        return [None]
+    found = dict.fromkeys(one.condition[by] for one in trials if by in one.condition)
+    if not found:
+        raise RequestError(f"no trial has the condition {by!r} of fit.settings.by")
+    return [(by, value) for value in sorted(found, key=str)]
+
+
+def _name(level: tuple[str, float | str] | None, names: Mapping[str, str]) -> str:
+    if level is None:
+        return ""
+    name = level[1] if isinstance(level[1], str) else f"{level[1]:g}"
+    return names.get(name, name)
+
+
+def _curve(
+    trials: _Trials, keys: CrossingSettings, table: CurveTable, level: tuple[str, float | str] | None
+) -> Measured:
+    wanted = {**table.where, **({} if level is None else dict([level]))}
+    own = [
+        one
+        for one in trials.outcomes
+        if all(one.condition.get(name) == value for name, value in wanted.items())
+        and table.objective in one.objectives
+    ]
+    if not own:
+        raise FitError(f"no trial of {trials.name} that counts has {condition_text(wanted)}")
+    places = [one.condition.get(keys.over) for one in own]
+    numbers = [place for place in places if isinstance(place, int | float)]
+    if len(numbers) < len(places):
+        known = dict.fromkeys(name for one in own for name in one.condition)
+        raise RequestError(
+            f"trials of {trials.name} have no number for the condition {keys.over!r}",
+            hint=f"fit.settings.over is one of {', '.join(known)}",
+        )
+    different = len(set(numbers))
+    if different < len(table.powers):
+        raise FitError(
+            f"{condition_text(wanted) or trials.name}: {different} values of {keys.over} are too few for a curve of "
+            f"{len(table.powers)} terms",
+            hint=f"measure at {len(table.powers)} or more, or give the curve fewer powers",
+        )
+    values = np.array([table.scale * one.objectives[table.objective] for one in own])
+    return Measured(np.array(numbers, dtype=float), values, table.powers)
+
+
+def _no_crossing(
+    name: str, keys: CrossingSettings, one: Measured, other: Measured | float, unit: str
+) -> FitError:
+    told = f"{name}: " if name else ""
+    against = f"{other:g}" if isinstance(other, float) else keys.other.objective if keys.other else ""
+    span = (one.x.min(), one.x.max())
+    return FitError(
+        f"{told}{keys.one.objective}, {one.y.min():.3g} to {one.y.max():.3g}, does not meet {against} where both were "
+        f"measured",
+        hint=f"measure farther: {keys.over} went from {span[0]:g} to {span[1]:g} {unit}".rstrip(),
+    )
+
+
+def _gains(
+    measured: Mapping[str, Measured], at: float, unit: str, objective: str, rng: np.random.Generator
+) -> list[str]:
+    """Say how much greater each level's curve is than the lowest one, at one place."""
+    place = np.array([at])
+    draws = {
+        name: (one.coefficients(np.vstack([one.y, one.resampled(rng, _RESAMPLES)])) @ one.terms(place).T)[
+            :, 0
+        ]
+        for name, one in measured.items()
+    }
+    lowest = min(draws, key=lambda name: float(draws[name][0]))
+    if draws[lowest][0] <= 0.0:
+        return []
+    told = []
+    for name, values in draws.items():
+        if name == lowest:
+            continue
+        ratio = 100.0 * (values / draws[lowest] - 1.0)
+        low, high = np.percentile(ratio[1:], [2.5, 97.5])
+        told.append(
+            f"at {at:g} {unit} {name} has {ratio[0]:+.0f} % {objective} against {lowest} ({low:+.0f} to {high:+.0f} %)"
+        )
+    return told
+
+
+def _drawn(curve: Measured, label: str) -> list[Curve]:
+    line = np.linspace(curve.x.min(), curve.x.max(), 80)
+    fitted = curve.terms(line) @ curve.coefficients(curve.y)
+    return [
+        Curve(curve.x, curve.y, "measured", label, kind="points"),
+        Curve(line, np.asarray(fitted), "fitted"),
+    ]
+
+
+def _figure(
+    name: str, curves: Sequence[Curve], keys: CrossingSettings, x_unit: str, y_unit: str
+) -> FigureData:
+    series = [Curve(one.x, one.y, place // 2, one.label, one.kind) for place, one in enumerate(curves)]
+    panel = Panel(
+        tuple(series),
+        x_label=f"{keys.over}, {x_unit}".rstrip(", "),
+        y_label=f"{keys.one.objective}, {y_unit}".rstrip(", "),
+        zero=keys.other is None and keys.level == 0.0,
+    )
+    return FigureData(f"Where curves of {name} cross", ((Stack((panel,), width=1.6),),), row_height_in=3.8)
