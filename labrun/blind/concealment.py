@@ -12,7 +12,6 @@ from labrun.spec import Experiment, SceneTable
 
 PARAMETER = "parameter"
 """Kind of what is hidden that is no effect: a parameter's true value."""
-NO_BENCH = 'name one: [rig] scene = "..."; what stands in for none has no physics'
 _KEYS = ("effect", "site", "kind", "values")
 
 

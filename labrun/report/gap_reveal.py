@@ -17,11 +17,6 @@ def compared_text(compared: Compared) -> str:
     )
 
 
-def revealed_text(revealed: Revealed) -> str:
-    """Return what was hidden, then what the seal says of itself."""
-    return "\n".join([*_hidden_lines(revealed), *_seal_lines(revealed)])
-
-
 def _hidden_lines(revealed: Revealed) -> list[str]:
     return [f"hidden    {one}" for one in revealed.hidden] or ["hidden    nothing"]
 

@@ -15,7 +15,6 @@ _FEW_FREEDOMS = 3
 _NEARLY_COLLINEAR = 30.0
 """Condition number of centred and scaled regressors from which coefficients trade against one another."""
 _SHOWN = 3
-_WAYS_APART = 0.01
 _NORMAL = 1.96
 _ABOVE_RELEASES = 2.0
 _BOX = 25
