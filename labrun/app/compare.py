@@ -4,6 +4,7 @@ import json
 import math
 import secrets
 import shutil
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -80,7 +81,8 @@ def compare(
         The data: an experiment's name (its latest run), a run folder, a run.h5, or a recording folder.
     other
         What is held against them, named likewise; else a model is. The same experiment's name again is the run before
-        its latest.
+        its latest. With ``design:`` and ``rig:`` before their names, what a design promised is held against what
+        its rig gave, whichever is named first.
     model
         A model file, plugin or shipped name. Else what the experiment's ``[gap]`` or ``[fit]`` names; else the
         model.toml beside the recording.
@@ -95,12 +97,13 @@ def compare(
     Raises
     ------
     RequestError
-        No such data or model; nothing that both have; a tolerance that is none.
+        No such data or model; nothing that both have; a tolerance that is none; a ``design:`` that is none.
     FitError
         The model leaves the finite numbers.
     """
     results, workspace = Path(results), Path(workspace)
     accepted = _share(tolerance)
+    target, other = _by_role(target, other, results)
     if other is not None and model is not None:
         raise RequestError(
             f"{other} and the model {model} cannot both be held against {target}",
@@ -131,6 +134,41 @@ def compare(
     record = json.dumps({**comparison_json(comparison), **sources}, indent=2)
     numbers.write_text(record + "\n", encoding="utf-8")
     return StoredComparison(comparison, numbers, figure)
+
+
+def _by_role(
+    target: str | Path, other: str | Path | None, results: Path
+) -> tuple[str | Path, str | Path | None]:
+    """Return data and prediction where they are named as ``rig:RUN`` and ``design:RUN``, in either order."""
+    named = [(one, *_role(one)) for one in (target, other) if one is not None]
+    roles = [role for _, role, _ in named]
+    if not any(roles):
+        return target, other
+    if sorted(roles) != ["design", "rig"]:
+        raise RequestError(
+            f"{' '.join(str(one) for one, _, _ in named)}: one run is the design's, one the rig's",
+            hint="labrun compare design:swimmer rig:rowing",
+        )
+    found = {role: name for _, role, name in named}
+    for role, name in found.items():
+        folder = find_data(name, results)
+        kind = (
+            ""
+            if is_recording(folder)
+            else str(tomllib.loads(open_run(folder).experiment_toml).get("kind", ""))
+        )
+        if (kind == "design") != (role == "design"):
+            said = "is a design: it was simulated" if kind == "design" else "is no design"
+            raise RequestError(
+                f"{role}:{name}: {folder} {said}", hint="labrun compare design:swimmer rig:rowing"
+            )
+    return found["rig"], found["design"]
+
+
+def _role(target: str | Path) -> tuple[str, str]:
+    """Return what a person says that a run is, "" if nothing, and its name."""
+    role, colon, name = str(target).partition(":")
+    return (role, name) if colon and role in ("design", "rig") else ("", str(target))
 
 
 def _beside_model(folder: Path, model: Model, signals: Mapping[str, str]) -> Comparison:

@@ -41,6 +41,8 @@ def compare(
     Example:  labrun compare hinge --model hinge-pendulum --tolerance 15%
 
     Example:  labrun compare hinge recordings/ring-down
+
+    Example:  labrun compare design:swimmer rig:rowing --tolerance 10%
     """
     with reported(as_json, "interrupted; no comparison was written"):
         from labrun.app.compare import compare as compare_data

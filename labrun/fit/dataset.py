@@ -211,7 +211,7 @@ def from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
         }
         trials += _run_trials(outcome, model, measured, sources, whole=bool(channels))
         inputs = tuple(_info(port, measured, sources, channels) for port in model.inputs)
-        outputs = tuple(_info(port, measured, sources, {}) for port in model.outputs)
+        outputs = tuple(_info(port, measured, sources, channels) for port in model.outputs)
     require_trials(trials, target, left_out)
     return Dataset(run.name, target, "run", inputs, outputs, tuple(trials), left_out)
 
@@ -308,7 +308,8 @@ def _info(
 ) -> SignalInfo:
     device, channel = sources[port.name]
     unit = measured[device].unit(channel)
-    return SignalInfo(port.name, unit, channels.get(channel, {}).get("between", "linear"))
+    stated = channels.get(channel, {})
+    return SignalInfo(port.name, unit, stated.get("between", "linear"), stated.get("reading_error"))
 
 
 def from_recording(

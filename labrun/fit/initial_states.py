@@ -79,9 +79,12 @@ class InitialStates:
 
     @cached_property
     def _first(self) -> list[Mapping[str, float]]:
-        """Mean of the first samples of every output, trial by trial."""
+        """Mean of the first samples of every output, and the first sample of every input, trial by trial."""
         means = [np.mean(trial.outputs[:FIRST_SAMPLES], axis=0).tolist() for trial in self.trials]
-        return [dict(zip(self._shown, mean, strict=True)) for mean in means]
+        return [
+            {**self.model.told_first(trial.inputs[0]), **dict(zip(self._shown, mean, strict=True))}
+            for trial, mean in zip(self.trials, means, strict=True)
+        ]
 
     @cached_property
     def _sigma(self) -> list[FloatArray]:

@@ -1,6 +1,6 @@
 """Repeats that one simulation predicts, averaged: what the diagnosis takes as its trials."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -41,6 +41,48 @@ def averaged(dataset: Dataset, model: Model) -> Dataset:
             found.extend(replace(trial, group=group, members=(trial.outputs,)) for trial in trials)
     labels = [condition_text(trials[0].condition) or trials[0].label for trials in groups.values()]
     return replace(dataset, trials=tuple(found), conditions=tuple(labels))
+
+
+def without_crowding(data: Dataset) -> Dataset:
+    """Return averaged data without most of what was measured once, where enough was measured repeatedly.
+
+    A search measures its candidates once and its leaders again and again: they tell the noise, and each further
+    candidate beside many says little and costs a simulation in every step of every fit. Kept are those farthest from
+    what is kept already, in numbers of the condition, each in its range.
+    """
+    counts = [
+        sum(data.trials[one].count for one in data.of_group(group)) for group in range(len(data.conditions))
+    ]
+    kept = [group for group, count in enumerate(counts) if count > 1]
+    once = [group for group, count in enumerate(counts) if count == 1]
+    freedom = sum(count - 1 for count in counts)
+    if freedom < criteria.ENOUGH_FREEDOM or len(counts) <= criteria.MOST_CONDITIONS:
+        return data
+    places = _places([data.trials[data.of_group(group)[0]].condition for group in range(len(counts))])
+    while len(kept) < criteria.MOST_CONDITIONS and once:
+        far = [float(np.min(np.linalg.norm(places[kept] - places[one], axis=1))) for one in once]
+        kept.append(once.pop(int(np.argmax(far))))
+    kept.sort()
+    number = {group: place for place, group in enumerate(kept)}
+    trials = tuple(replace(one, group=number[one.group]) for one in data.trials if one.group in number)
+    said = f"of {len(counts)} conditions {len(kept)} were looked at: all that were repeated, others far from each other"
+    labels = tuple(data.conditions[group] for group in kept)
+    return replace(data, trials=trials, conditions=labels, notes=(*data.notes, said))
+
+
+def _places(conditions: Sequence[Mapping[str, float | str]]) -> FloatArray:
+    """Return conditions as points: numbers in their range, a word as an axis of its own."""
+    columns = []
+    for name in sorted({name for one in conditions for name in one}):
+        values = [one.get(name, "") for one in conditions]
+        numbers = np.array([one if isinstance(one, float | int) else np.nan for one in values], dtype=float)
+        if np.isfinite(numbers).all():
+            columns.append((numbers - numbers.min()) / (np.ptp(numbers) or 1.0))
+        else:
+            columns += [
+                np.array([float(one == word) for one in values]) for word in sorted(set(values), key=str)
+            ]
+    return np.column_stack(columns) if columns else np.zeros((len(conditions), 1))
 
 
 def _check(trial: FitTrial, dataset: Dataset) -> None:

@@ -14,7 +14,7 @@ from labrun.gap.averaging import averaged
 from labrun.gap.candidates import Candidate, candidates, site_scales
 from labrun.gap.confidence import effect_units
 from labrun.gap.diagnosis import Estimate, Name
-from labrun.gap.noise import from_repeats, from_residual
+from labrun.gap.noise import from_reading_errors, from_repeats, from_residual
 from labrun.gap.pair import BOTH, FEWEST_PIECES, FIRST, SECOND, UNIT, Pair, both, kept_unseen, scatter
 from labrun.gap.recalibration import in_units_of, member_residuals, stated_problem
 from labrun.gap.screening import Base, refit, rough, survey
@@ -246,7 +246,9 @@ def _common(model: Model, data: Dataset, rng: np.random.Generator, note: Note) -
     problem = replace(problem, only=("",) * len(fitted)).refined(problem.begin())
     z = search(problem, rng, starts=criteria.RECALIBRATION_STARTS, note=lambda _: None)[0].z
     deviations = member_residuals(problem, z)
-    noise = from_repeats(data, deviations) or from_residual(data, deviations).plain()
+    noise = (
+        from_repeats(data, deviations) or from_reading_errors(data) or from_residual(data, deviations).plain()
+    )
     measured = in_units_of(noise, problem, z)
     return cast("Pair", measured), refit(measured, z)
 

@@ -253,7 +253,7 @@ def difference_of(search: Search) -> Difference:
     problem, z = search.recalibration.problem, search.recalibration.z
     units = range(len(problem.data.trials))
     noise = search.noise
-    if noise.basis == "residual":  # noise to tell places by: what the causes leave, with its colour
+    if not noise.known:  # noise to tell places by: what the causes leave, with its colour
         final = search.selection.final
         noise = from_residual(problem.data, member_residuals(final.problem, final.z))
     return Difference(
@@ -325,11 +325,11 @@ def conclude(
         sizes,
         search.recalibrated.gap > floor,
         fitted_excess(final.problem, final.z, noise).gap > floor,
-        noise.basis == "repeats",
+        noise.known,
         kinds.count("effect"),
         kinds.count("parameter"),
         shrunk,
-        0.0 if noise.basis == "repeats" else learnable_share(final.problem, final.z),
+        0.0 if noise.known else learnable_share(final.problem, final.z),
     )
     decided = verdict(findings)
     moved = scatter(final, search.null.draws(final))
@@ -372,7 +372,7 @@ def conclude(
             shrunk,
             nearest,
             conditions=len(search.data.conditions),
-            told_by_repeats=noise.basis == "repeats",
+            noise_known=noise.known,
             differs=differs,
         ),
         gap=sizes,
@@ -396,7 +396,7 @@ def conclude(
             *search.limitations,
         ),
         notes=(
-            *dataset.notes,
+            *search.data.notes,
             *search.notes,
             *problem.model.notes,
             *search.remarks,
@@ -406,7 +406,7 @@ def conclude(
         channels=channels,
         input_channels=tuple((one.name, one.unit) for one in dataset.inputs),
         noise={one.name: float(sd) for one, sd in zip(dataset.outputs, noise.sd, strict=True)},
-        trials=len(dataset.trials),
+        trials=sum(one.count for one in search.data.trials),
         conditions=len(search.data.conditions),
         repeats=repeats,
         missing=missing,
@@ -443,6 +443,8 @@ def _guard_words(search: Search) -> str:
     what = (
         "surrogates of the residual (its spectrum, phases at random)"
         if search.null.relative
+        else "draws of the stated reading error"
+        if search.noise.basis == "stated"
         else "draws of noise from the trials' own deviations"
     )
     told = (

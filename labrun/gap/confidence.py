@@ -29,7 +29,7 @@ def confidence(search: Search, one: Chosen) -> float:
 
 
 def ceiling(basis: Basis, conditions: int) -> float:
-    """Return how sure a diagnosis may be of a cause at most: noise not told by repeats, or nothing withheld, costs."""
+    """Return how sure a diagnosis may be of a cause at most: noise not told from gap, or nothing withheld, costs."""
     return min(
         criteria.SURE,
         criteria.SURE_WITHOUT_REPEATS if basis == "residual" else criteria.SURE,
@@ -164,7 +164,7 @@ def shrinkage(
     groups = len(then)
     sizes = np.array([len(mean) for mean, _ in then], dtype=float)
     # without repeats the question is whether anything is removed at all, of all there is
-    fresh = min(groups, criteria.NEW_CONDITIONS) if noise.basis == "repeats" else groups
+    fresh = min(groups, criteria.NEW_CONDITIONS) if noise.known else groups
     shares = []
     for _ in range(criteria.RESAMPLES):
         drawn = group_means(data, noise.draw(data, rng))

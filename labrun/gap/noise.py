@@ -1,4 +1,4 @@
-"""The noise floor: what repeats of a condition do not agree on, its size and its colour."""
+"""The noise floor: what repeats of a condition do not agree on, its size and its colour; else what is stated of it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -139,7 +139,7 @@ def _levinson(correlation: FloatArray) -> tuple[list[FloatArray], FloatArray]:
     return coefficients, np.array(variance)
 
 
-Basis = Literal["repeats", "residual"]
+Basis = Literal["repeats", "stated", "residual"]
 
 _QUANTUM = 1.0 / np.sqrt(12.0)
 
@@ -155,7 +155,7 @@ class Noise:
     whitener
         Turns noise of standard deviation 1 per channel into white noise.
     basis
-        Whether repeats told it, or what is left of the best fit did.
+        Whether repeats told it, the data state it as reading errors, or what is left of the best fit tells it.
     systematic : (m,)
         Variance that does not average out over repeats, in units of `sd` squared: the rounding of a sensor's steps,
         which every repeat suffers alike where its own noise is smaller than a step.
@@ -178,6 +178,11 @@ class Noise:
     freedom: int
     energy_freedom: float = np.inf
     innovations: bool = False
+
+    @property
+    def known(self) -> bool:
+        """Whether noise was told apart from gap by something else than what is left of a fit."""
+        return self.basis != "residual"
 
     def floor(self, group: int) -> FloatArray:
         """Return the variance of one trial's own noise in a condition, in units of `sd` squared, (m,).
@@ -269,6 +274,19 @@ def from_repeats(units: Dataset, residual: Sequence[Sequence[FloatArray]]) -> No
     whitener = fit_whitener([one / sd for one in every])
     energy = _energy_freedom(deviations, sd)
     return Noise(sd, whitener, "repeats", rounding / np.square(sd), tuple(deviations), freedom, energy)
+
+
+def from_reading_errors(units: Dataset) -> Noise | None:
+    """Return the noise that a recording states of its outputs; None where it does not.
+
+    A reading is as uncertain in one row as in the next: white, and of one size in all trials.
+    """
+    stated = [one.reading_error for one in units.outputs]
+    if not stated or any(one is None for one in stated):
+        return None
+    sd = np.array(stated, dtype=float)
+    groups: tuple[tuple[FloatArray, ...], ...] = tuple(() for _ in units.conditions)
+    return Noise(sd, white(len(sd)), "stated", np.zeros(len(sd)), groups, 0)
 
 
 def _energy_freedom(deviations: Sequence[Sequence[FloatArray]], sd: FloatArray) -> float:

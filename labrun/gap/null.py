@@ -38,13 +38,13 @@ class Null:
     @classmethod
     def of(cls, problem: Problem, noise: Noise, rng: np.random.Generator) -> "Null":
         """Take the noise of a recalibrated problem."""
-        repeated = noise_draws(problem, noise, rng) if noise.basis == "repeats" else ()
+        repeated = noise_draws(problem, noise, rng) if noise.known else ()
         return cls(noise, repeated, int(rng.integers(2**31)))
 
     @property
     def relative(self) -> bool:
         """Whether draws are surrogates of a base's own residual, of which shares count, not sizes."""
-        return self.noise.basis == "residual"
+        return not self.noise.known
 
     def draws(self, base: Base) -> Draws:
         """Return whitened residuals of every unit, for every draw."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from labrun.fit import Dataset, Each, Note, one_by_one, silent
 from labrun.gap import criteria
-from labrun.gap.averaging import averaged
+from labrun.gap.averaging import averaged, without_crowding
 from labrun.gap.candidates import Candidate, candidates, site_scales, untried
 from labrun.gap.data_checks import Checked, require_informative, with_sound_clocks
 from labrun.gap.held_out import Excess, fitted_excess, held_out_excess, not_withheld
@@ -110,10 +110,12 @@ def search_causes(
     require_informative(dataset)
     clocks = with_sound_clocks(dataset)
     data = averaged(clocks.dataset, model)
+    if model.states:
+        data = without_crowding(data)
     first = recalibrate(model, data, rng, note)
     asked = _Asked(clocks, data, withhold, full_guard, rng, each, note)
     found = _searched(asked, first)
-    if first.noise.basis == "residual" and not found.selection.chosen:
+    if not first.noise.known and not found.selection.chosen:
         # the phase of a free swing drifts, so that nothing is linear but what its own past does not predict
         note("nothing explains the residual: looking at what its own past does not predict")
         noise = replace(first.noise, innovations=True)

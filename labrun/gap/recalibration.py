@@ -11,7 +11,7 @@ from labrun.fit import Dataset, Deviation, Note, OutputNoise, Problem, minimise,
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.held_out import Excess, fitted_excess, floor_of, mean_residuals
-from labrun.gap.noise import Noise, fit_whitener, from_repeats, of_sensor
+from labrun.gap.noise import Noise, fit_whitener, from_reading_errors, from_repeats, of_sensor
 from labrun.gap.null import independent_share
 from labrun.gap.screening import refit
 from labrun.gap.trial_wise import found_in_repeats
@@ -47,7 +47,11 @@ def recalibrate(model: Model, units: Dataset, rng: np.random.Generator, note: No
         z = refit(refined, z)
     problem = refined
     found = found_in_repeats(units, member_residuals(problem, z), problem.simulated(z))
-    noise = from_repeats(units, found.residual) or of_sensor(units, mean_residuals(problem, z))
+    noise = (
+        from_repeats(units, found.residual)
+        or from_reading_errors(units)
+        or of_sensor(units, mean_residuals(problem, z))
+    )
     if found.deviations:
         note("taking apart what differs from trial to trial")
         problem, z = with_deviations(problem, z, found.deviations)
@@ -68,7 +72,7 @@ def in_noise(problem: Problem, noise: Noise, z: FloatArray) -> Recalibrated:
     """Fit once more in units of a noise."""
     measured = in_units_of(noise, problem, z)
     z = refit(measured, z)
-    for _ in range(criteria.REWEIGHED if noise.basis == "residual" else 0):  # what is left tells its own size
+    for _ in range(0 if noise.known else criteria.REWEIGHED):  # what is left tells its own size
         measured = in_units_of(noise, problem, z)
         z = refit(measured, z)
     finer = with_shorter_steps(measured, z)
@@ -93,7 +97,7 @@ def in_units_of(noise: Noise, problem: Problem, z: FloatArray) -> Problem:
     are: what is stated of the parameters then weighs as much as it does beside so many measurements.
     """
     sd = noise.sd
-    if noise.basis == "residual":
+    if not noise.known:
         residual = mean_residuals(problem, z)
         sd = np.maximum(np.sqrt(np.mean(np.square(np.concatenate(residual)), axis=0)), noise.sd)
         if noise.innovations:

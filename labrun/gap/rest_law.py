@@ -147,7 +147,7 @@ def explain_rest(
 
 def _square(noise: Noise, left: Excess) -> float:
     """Return the mean square that is left, in units of one trial's noise; less the noise where repeats tell it."""
-    return left.total if noise.basis == "repeats" else _size(noise, left.residual) ** 2
+    return left.total if noise.known else _size(noise, left.residual) ** 2
 
 
 def _size(noise: Noise, residual: Sequence[FloatArray]) -> float:

@@ -26,8 +26,8 @@ class Findings:
     ----------
     significant
         Whether the recalibrated gap is beyond what noise leaves; `remains` the same of what the causes leave.
-    told_by_repeats
-        Whether noise was told from gap by repeats.
+    noise_known
+        Whether noise is told from gap: by repeats, or by reading errors that are stated.
     learnable
         Part of the squared residual that is left, which a model without physics predicts on withheld conditions.
     effects, parameters
@@ -37,7 +37,7 @@ class Findings:
     sizes: Sizes
     significant: bool
     remains: bool
-    told_by_repeats: bool
+    noise_known: bool
     effects: int
     parameters: int
     shrinkage: Shrinkage | None
@@ -45,9 +45,9 @@ class Findings:
 
     @property
     def known_share(self) -> float:
-        """Share that the causes remove of what is known to be no noise; of all the excess where repeats tell noise."""
+        """Share that the causes remove of what is known to be no noise; of all the excess where noise is known."""
         share = 0.0 if self.shrinkage is None else self.shrinkage.value
-        if self.told_by_repeats:
+        if self.noise_known:
             return share
         left = (1.0 - share) * self.learnable
         return share / (share + left) if share + left > 0 else 0.0
@@ -58,7 +58,7 @@ class Findings:
         share = self.shrinkage
         if self.effects == 0 or share is None or share.low > 0.0:
             return False
-        return not self.told_by_repeats or share.value < criteria.PROVEN_SHARE
+        return not self.noise_known or share.value < criteria.PROVEN_SHARE
 
 
 def verdict(found: Findings) -> Verdict:
@@ -68,9 +68,9 @@ def verdict(found: Findings) -> Verdict:
             return "not-in-library"
         if _recalibration_helps(found.sizes):
             return "parameter"
-        return "no-gap" if found.told_by_repeats or not found.significant else "undecided"
+        return "no-gap" if found.noise_known or not found.significant else "undecided"
     plain = found.sizes.after >= max(criteria.FAR_ABOVE_FLOOR * found.sizes.floor, 1.0)
-    if not found.told_by_repeats:
+    if not found.noise_known:
         plain, least, whole = (
             found.learnable >= criteria.LEARNABLE,
             criteria.IMPOSTOR_SHARE,
@@ -95,7 +95,7 @@ def verdict(found: Findings) -> Verdict:
 
 def _unexplained(found: Findings) -> bool:
     """Tell whether there is a gap without a cause: plainly more than noise, or at least predictable."""
-    if not found.told_by_repeats:
+    if not found.noise_known:
         return found.learnable >= criteria.LEARNABLE and found.sizes.recalibrated >= 1.0
     floor = found.sizes.floor
     plain = max(criteria.FAR_ABOVE_FLOOR * floor, 1.0)
@@ -116,7 +116,7 @@ def sentence(
     best: Name | None,
     *,
     conditions: int,
-    told_by_repeats: bool = True,
+    noise_known: bool = True,
     differs: Sequence[str] = (),
 ) -> str:
     """Return the verdict as one sentence, behind one on what differs by trial.
@@ -130,14 +130,14 @@ def sentence(
     """
     if differs:
         rest = sentence(
-            verdict, sizes, causes, shrinkage, best, conditions=conditions, told_by_repeats=told_by_repeats
+            verdict, sizes, causes, shrinkage, best, conditions=conditions, noise_known=noise_known
         )
         return f"{_capital(' and '.join(differs))}. Beside that: {rest[:1].lower()}{rest[1:]}"
     raw, recalibrated = significant(sizes.raw), significant(sizes.recalibrated)
-    unit = "one trial's noise" if told_by_repeats else "the noise of a sample"
+    unit = "one trial's noise" if noise_known else "the noise of a sample"
     removed = "" if shrinkage is None else f" {100 * shrinkage.value:.0f} %"
     if causes:
-        return _of_causes(verdict, sizes, causes, removed, unit, conditions=conditions, sure=told_by_repeats)
+        return _of_causes(verdict, sizes, causes, removed, unit, conditions=conditions, sure=noise_known)
     if verdict == "no-gap":
         return (
             f"No gap beyond noise: what model and measurement differ by ({recalibrated} times {unit}) is what noise "
@@ -149,7 +149,7 @@ def sentence(
             "that repeats would show."
         )
     if verdict == "parameter":
-        end = "nothing is missing" if told_by_repeats else "nothing that was tried explains the rest"
+        end = "nothing is missing" if noise_known else "nothing that was tried explains the rest"
         return (
             f"Parameters explain it: recalibrated within what is known of them, the gap falls from {raw} to "
             f"{recalibrated} times {unit}, and {end}."
@@ -196,6 +196,11 @@ def limitations(*, repeats: int, conditions: int, basis: str, single_trial: bool
         found.append(
             "No condition was repeated: how much of what is left is noise is not known. A cause was believed where it "
             "explains more of the residual than anything does of the residual with its phases at random."
+        )
+    elif basis == "stated":
+        found.append(
+            "No condition was repeated: noise is the reading error that the recording states. A gap that is smaller "
+            "than that is not seen, and one that was stated too small makes noise a gap."
         )
     elif repeats < 3:
         found.append(

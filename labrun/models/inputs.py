@@ -40,6 +40,12 @@ class Drive:
     u_last: FloatArray
     substeps: int
 
+    @property
+    def first(self) -> FloatArray:
+        """Inputs at the first sample, shape (inputs,)."""
+        first: FloatArray = self.u[0, 0] if len(self.u) else self.u_last
+        return first
+
 
 def drive(time_s: FloatArray, inputs: FloatArray, between: Sequence[Between], substeps: int) -> Drive:
     """Lay the inputs of one trial on the integrator's steps.

@@ -120,7 +120,8 @@ class Model:
     sites
         The joint and body sites, in the order of `force`. See `places` for all sites.
     initial : state -> value
-        A number, the name of a condition, "first" (mean of the first samples of that output) or "free".
+        A number, the name of a condition, that of an input (its first sample), "first" (mean of the first samples of
+        that output) or "free".
     derivative, output
         The equations.
     site_values
@@ -284,7 +285,8 @@ class Model:
         condition
             The trial's.
         first
-            Mean of the first samples of each output; for states that begin with "first".
+            Mean of the first samples of each output, for states that begin with "first"; and of each input that states
+            begin at, its first sample.
         free
             Values of the states that are "free"; those not given begin at `first` if it has them, else at 0.
 
@@ -295,6 +297,10 @@ class Model:
         """
         first, free = first or {}, free or {}
         return np.array([self._start(state, condition, first, free) for state in self.states], dtype=float)
+
+    def told_first(self, row: FloatArray) -> dict[str, float]:
+        """Return the first sample of every input by name, as `initial_state` takes it."""
+        return {one.name: float(value) for one, value in zip(self.inputs, row, strict=False)}
 
     def _start(
         self, state: str, condition: Condition, first: Mapping[str, float], free: Mapping[str, float]
@@ -310,6 +316,8 @@ class Model:
                     hint=f'give initial.{state} a number, a condition\'s name or "free"',
                 )
             return first[state]
+        if isinstance(rule, str) and rule in [one.name for one in self.inputs]:
+            return first.get(rule, 0.0)
         if isinstance(rule, str):
             value = condition.get(rule)
             if value is None or isinstance(value, str):

@@ -83,7 +83,8 @@ def simulate(
     """
     condition = condition or {}
     if initial_state is None:
-        initial_state = model.initial_state(condition)
+        told = inputs.first if isinstance(inputs, Drive) else np.asarray(inputs)[0]
+        initial_state = model.initial_state(condition, first=model.told_first(told))
     if isinstance(inputs, Drive):
         driven = inputs
     else:
@@ -173,7 +174,9 @@ def suggest_substeps(
     if not model.states and not effects and not model.effects:
         return 1
     condition = condition or {}
-    start = _checked_state(model, model.initial_state(condition) if initial_state is None else initial_state)
+    if initial_state is None:
+        initial_state = model.initial_state(condition, first=model.told_first(inputs[0]))
+    start = _checked_state(model, initial_state)
     p = model.vector(parameters, condition)
     exact_within = np.array([one.exact_within for one in model.outputs])
     coarse: Simulation | None = None

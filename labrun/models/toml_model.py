@@ -110,7 +110,7 @@ def initial_of(
                 path, f'"first" is the mean of an output\'s first samples, and there is no output {state!r}'
             )
         elif isinstance(rule, str) and rule not in ("first", "free") and not is_name(rule):
-            file.note(path, 'it is neither a number, "first", "free" nor the name of a condition')
+            file.note(path, 'it is neither a number, "first", "free" nor the name of a condition or an input')
     return {state: rules.get(state, "free") for state in states}
 
 

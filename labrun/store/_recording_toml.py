@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from labrun.errors import RecordingError
 from labrun.toml import Fault, Faults, KeyPath, Places, Table, locate, mend, parsed, text_of
@@ -19,17 +19,23 @@ _LONGEST_NAME = 120
 
 
 class ChannelTable(Table):
-    """One `[channels.NAME]` table; `unit` is "1" for none."""
+    """One `[channels.NAME]` table; `unit` is "1" for none.
+
+    `reading_error` is the standard deviation of a value about the truth, in the channel's unit.
+    """
 
     kind: Literal["input", "output"]
     unit: Annotated[str, Field(pattern=r"\S")]
     between: Between = "linear"
+    reading_error: PositiveFloat | None = None
 
     @model_validator(mode="after")
-    def _between_is_of_an_input(self) -> "ChannelTable":
+    def _says_what_fits_its_kind(self) -> "ChannelTable":
         with Faults() as faults:
             if self.kind == "output" and "between" in self.model_fields_set:
                 faults.add("between", "says how an input runs between its samples; this is an output")
+            if self.kind == "input" and self.reading_error is not None:
+                faults.add("reading_error", "says how far a measured value may be off; this is an input")
         return self
 
 
@@ -79,6 +85,11 @@ class _File(Table):
                 faults.add(
                     "channels", 'no channel has kind = "output": there is nothing to compare a model with'
                 )
+            outputs = {name: one for name, one in self.channels.items() if one.kind == "output"}
+            silent = [name for name, one in outputs.items() if one.reading_error is None]
+            if 0 < len(silent) < len(outputs):
+                said = "has no reading_error, and other outputs do: state that of every output, or of none"
+                faults.add(("channels", silent[0]), said)
             if "time_s" in self.channels:
                 faults.add(("channels", "time_s"), "is the first column of every file and no channel")
             if not self.trials:

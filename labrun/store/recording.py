@@ -25,11 +25,14 @@ class SignalInfo:
     ----------
     between
         How an input runs between its samples; always "linear" for an output, where it means nothing.
+    reading_error
+        Of an output: standard deviation of a value about the truth, where the recording states it.
     """
 
     name: str
     unit: str
     between: Between = "linear"
+    reading_error: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +123,7 @@ def read_recording(folder: Path) -> Recording:
     names = list(contents.channels)
     inputs, outputs = (
         tuple(
-            SignalInfo(name, channel.unit, channel.between)
+            SignalInfo(name, channel.unit, channel.between, channel.reading_error)
             for name, channel in contents.channels.items()
             if channel.kind == kind
         )

@@ -206,3 +206,13 @@ def test_what_does_not_match_the_model_is_an_error(change, message):
     }
     with pytest.raises(ModelError, match=message):
         simulate(OSCILLATOR_MODEL, given_.pop("time_s"), given_.pop("inputs"), **given_)
+
+
+def test_a_state_begins_where_its_input_does():
+    servo = parse_model(
+        'name = "servo"\nstates = ["angle"]\ninputs = ["told"]\n[equations]\nangle = "9.0 * (told - angle)"\n'
+        '[outputs]\nangle = "angle"\n[initial]\nangle = "told"\n',
+        "servo.toml",
+    )
+    waits = simulate(servo, np.array([0.0, 1.0]), np.array([[0.7], [0.7]]))
+    assert waits.outputs[:, 0] == pytest.approx([0.7, 0.7], abs=1e-12)

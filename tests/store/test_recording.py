@@ -111,6 +111,8 @@ def test_a_bad_file_is_refused_with_its_line(tmp_path: Path, text: str, expected
         ('unit = "rad"\n', "", 'recording.toml:6:2: channels.angle: the key "unit" is missing'),
         ('between = "hold"', 'between = "held"', '(did you mean "hold"?)'),
         ('unit = "rad"', 'unit = "rad"\nbetween = "hold"', "between its samples; this is an output"),
+        ('unit = "rad"', 'unit = "rad"\nreading_error = 0', "channels.angle.reading_error = 0: expected more than 0"),
+        ("[channels.angle]", '[channels.v]\nkind="output"\nunit="1"\nreading_error=1\n[channels.angle]', "no reading"),
         ('unit = "rad"', 'unit = "rad"\nunits = "rad"', '9:1: channels.angle.units = "rad": unknown key; did you'),
         ('[channels.angle]\nkind = "output"', '[channels.angle]\nkind = "input"', "no channel has kind"),
         ('file = "b.csv"', 'file = "bb.csv"', "recording.toml:13: the file"),

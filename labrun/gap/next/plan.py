@@ -226,7 +226,8 @@ def _simulated(
     kept, outputs = [], []
     for trial in pool:
         begin = {state: trial.begin_rad if state in shown else 0.0 for state in model.states}
-        start = model.initial_state(trial.condition, first=begin, free=begin)
+        first = {**model.told_first(trial.inputs[0]), **begin}
+        start = model.initial_state(trial.condition, first=first, free=begin)
         found = simulate(model, trial.time_s, trial.inputs, condition=trial.condition, initial_state=start)
         if found.finite and np.any(np.ptp(found.outputs, axis=0) > 0):
             kept.append(trial)

@@ -59,12 +59,12 @@ class Difference:
         the same, or none could hold more of the gap than another.
         """
         sd = np.hypot(self.noise.sd, criteria.MODEL_ROUNDING * self.spread)
-        return sd if self.noise.basis == "repeats" else self._over_units(sd)
+        return sd if self.noise.known else self._over_units(sd)
 
     @cached_property
     def scale(self) -> FloatArray:
         """What residuals are measured in, shape (m,): the noise, where repeats tell it, else how much signals vary."""
-        if self.noise.basis == "repeats":
+        if self.noise.known:
             return self.noise_sd
         return np.maximum(self._over_units(self.spread), self.noise_sd * criteria.LEAST_SIGNAL)
 

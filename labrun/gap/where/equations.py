@@ -225,7 +225,7 @@ def equation_places(
         )
         return []
     r = _measurement_variance(difference)
-    told = difference.noise.basis == "repeats"
+    told = difference.noise.known
     numbers = int(_MOST_NUMBERS * min(1.0, _USUAL_STATES / size))
     number = (
         min(draws, criteria.EQUATION_DRAWS[1], max(criteria.EQUATION_DRAWS[0], numbers // sum(lengths)))
@@ -274,7 +274,7 @@ def _measurement_variance(difference: Difference) -> FloatArray:
     parts = []
     for unit, residual in zip(difference.units.trials, difference.residual, strict=True):
         variance = np.full(residual.shape[1], 1.0 / unit.count)
-        if difference.noise.basis == "residual":
+        if not difference.noise.known:
             jumps = np.diff(residual / difference.noise_sd, n=2, axis=0)
             variance = np.clip(np.mean(np.square(jumps), axis=0) / 6.0, criteria.SMOOTH_RESIDUAL**2, 1.0)
         parts.append(np.broadcast_to(variance, residual.shape))

@@ -185,7 +185,7 @@ def _subset(difference: Difference) -> Difference | None:
 
 
 def _at(difference: Difference, site: Site, place: int) -> MissingForce | None:
-    if difference.noise.basis == "residual":
+    if not difference.noise.known:
         # the colour of a residual is that of the gap: whitening by it would hide what is looked for
         difference = replace(difference, noise=difference.noise.plain())
     search = _Search(difference, site)
@@ -253,7 +253,7 @@ class _Search:
 
     def share(self, course: _Course) -> float:
         """Return the part of the excess that a course explains, less what it takes out of the noise."""
-        told = self._difference.noise.basis == "repeats"
+        told = self._difference.noise.known
         count = sum(one.size for one in self._difference.residual) - self._absorbed.rank
         excess = self._before - (count if told else 0.0)
         if excess <= 0:

@@ -122,7 +122,7 @@ def _of_signal(difference: Difference, layout: Layout, spectra: Spectra, parts: 
 
 
 def _say(difference: Difference, finding: Finding, note: Note) -> None:
-    if difference.noise.basis == "residual":
+    if not difference.noise.known:
         note(
             "Nothing was repeated, so that gap and noise cannot be told apart by their size: shares are of the whole "
             "residual, noise included, and p asks whether it lies where it does by chance."
@@ -171,7 +171,7 @@ def _channels_that_told_their_noise(difference: Difference) -> set[str]:
     """Return the channels whose noise is known from their own residual alone: they cannot stand out from that."""
     outputs = difference.model.outputs
     units = difference.output_units
-    alone = difference.noise.basis == "residual"
+    alone = not difference.noise.known
     return {one.name for one, unit in zip(outputs, units, strict=True) if alone and units.count(unit) == 1}
 
 

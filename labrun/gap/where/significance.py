@@ -172,7 +172,7 @@ def weigh(
     Where noise is only known from the residual itself, its size says nothing: shares of the whole, as log odds, then
     tell whether the residual is concentrated beyond chance.
     """
-    relative = difference.noise.basis == "residual"
+    relative = not difference.noise.known
     sums = _Sums(parts)
     found, whole = sums.of(densities(difference.scaled))
     noise, noise_whole = _null(difference, sums, densities, rng, draws)
@@ -255,7 +255,7 @@ def _freedom(difference: Difference, rng: np.random.Generator) -> FloatArray:
     are redrawn from their own deviations, whose squares scatter more than enough already.
     """
     noise, units = difference.noise, difference.units
-    if noise.basis == "residual" or noise.freedom >= criteria.ENOUGH_FREEDOM:
+    if noise.basis != "repeats" or noise.freedom >= criteria.ENOUGH_FREEDOM:
         return np.full(noise.sd.shape, _KNOWN)
     squares = [
         np.mean(np.square(one) * unit.count, axis=0) / noise.sd**2

@@ -15,7 +15,6 @@ from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import ExperimentError
 from labrun.models import Model, Stepper
-from labrun_plugins.rigs.buckling_fin.model import fin_model
 from labrun_plugins.rigs.buckling_fin.swimmers import two_fin_swimmer
 from labrun_plugins.simulated.bench import (
     Bench,
@@ -104,7 +103,7 @@ class RailRig(Bench):
         self._servo = joint_stepper(self.joints, self.step_s, joint_effects) if joint_effects else None
         self._free = Stepper(self._model, effects=[*self._rail, *swimmer_effects], step_s=self.step_s)
         values = {one.name: one.value for one in self._model.parameters}
-        held = fin_model("held-swimmer", fins=2).with_values(values)
+        held = two_fin_swimmer(held=True).with_values(values)
         on_held = [one for one in swimmer_effects if one.site != "rail"]
         self._held = Stepper(held, effects=on_held, step_s=self.step_s)
         self._outputs = [one.name for one in self._model.outputs]

@@ -1,69 +1,134 @@
 """Swimmers of two fins: free along their course, on a rail or in a design's simulation, or free in the plane.
 
-Beside the sites of `model` there is ``rail``, a joint: what a carriage's rail does to the body along x.
+Along its course a swimmer is its own mirror image: what sits at the ``hinge`` or at the ``plate`` sits at both of them.
+Beside those and ``body`` there is ``rail``, a joint: what a carriage's rail does to the body along x.
 """
 
 from dataclasses import replace
 from typing import Any
 
-from labrun.effects import Site
-from labrun.models import Model, Output, kernel, native
-from labrun_plugins.rigs.buckling_fin import model
-from labrun_plugins.rigs.buckling_fin.model import SITES, fin_model
+import numpy as np
 
-RAIL = Site("rail", "joint", "x", "speed")
+from labrun.models import Input, Model, Output, Parameter, Site, kernel, native
+from labrun_plugins.rigs.buckling_fin import model
+from labrun_plugins.rigs.buckling_fin.equations import PARAMETERS, fin, hinge_torque
+from labrun_plugins.rigs.buckling_fin.model import fin_model
+
+SITES = (
+    Site("hinge", "joint", "bend", "bend_rate", load="its torque", stiffness="stiffness"),
+    Site("plate", "body", "way of the plate along its normal", "speed of the plate along its normal"),
+    Site("body", "body", "x", "speed"),
+    Site("rail", "joint", "x", "speed"),
+)
+_ASIDE = (
+    "motor_spacing", "body_inertia", "body_side_area", "yaw_drag", "mount_stiffness", "mount_damping",
+    "yaw_stiffness", "yaw_damping",
+)  # fmt: skip
+"""Parameters that do nothing along the course."""
+_BUILT = ("link", "arm", "plate_area", "plate_mass", "added_mass", "opposite_limit", "body_mass")
+"""Those that are known of a swimmer that was built: dimensions within 0.2 mm, masses from scales; the limit in opposite
+sense is never reached."""
+_CARRIAGE = Parameter("carriage_mass", 0.3, 0.0, "kg", lower=0.0)
+"""What of the body's mass is above the sensor (chosen)."""
 
 
 _derivative, _output, _site_values = kernel(model.derivative), kernel(model.output), kernel(model.site_values)
 
 
 def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:
-    """Write the derivative of every state; the rail's force, behind those of `model`, is one along the body."""
-    _derivative(t, x, u, p, (force[0], force[1], force[2], force[3], force[4] + force[5]), dx)
+    """Write the derivative of every state of both fins and the body."""
+    _derivative(t, x, u, p, (force[0], force[0], force[1], force[1], force[2] + force[3]), dx)
 
 
 def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:
     """Write outputs: see `model.OUTPUTS`."""
-    _output(t, x, u, p, (force[0], force[1], force[2], force[3], force[4] + force[5]), y)
+    _output(t, x, u, p, (force[0], force[0], force[1], force[1], force[2] + force[3]), y)
 
 
-def sites_on_rail(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:
-    """Write what `model.site_values` does, and of the rail coordinate and rate."""
-    _site_values(t, x, u, p, force, values)
-    values[20], values[21], values[22], values[23] = x[0], x[3], 0.0, 0.0
+def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
+    """Write of one hinge and one plate, of body and rail coordinate, rate, load, stiffness."""
+    one = fin(1.0, 6, u[0], x, p, force[0], force[1])
+    values[0], values[1], values[2], values[3] = x[8], x[9], hinge_torque(x[8], p), p[0]
+    values[4], values[5], values[6], values[7] = (p[8] + p[9]) * x[6] + p[9] * x[8], one[13], 0.0, 0.0
+    for i in range(2):
+        values[8 + 4 * i], values[9 + 4 * i] = x[0], x[3]
+        values[10 + 4 * i] = values[11 + 4 * i] = 0.0
 
 
-def two_fin_swimmer() -> Model:
-    """Return the swimmer that moves along x only: both servos are told the same, and it stays on its course."""
-    made = fin_model("two-fin-swimmer", fins=2, free=("x",))
+def two_fin_swimmer(*, held: bool = False) -> Model:
+    """Return the swimmer that moves along x only, or not at all where something holds it.
+
+    Both servos are told the same, and it stays on its course.
+    """
+    made = fin_model("two-fin-swimmer", fins=2, free=() if held else ("x",))
     return replace(
         made,
-        sites=(*SITES, RAIL),
+        sites=SITES,
         derivative=native("model", derivative),
         output=native("model", output),
-        site_values=native("model", sites_on_rail),
+        site_values=native("model", site_values),
         source="a swimmer of two fins on buckling hinges",
     )
 
 
+@kernel
+def _course(x: Any, u: Any, p: Any, force: Any) -> Any:
+    """Return what one of two equal fins does, and the accelerations of body and bend."""
+    state = (x[0], 0.0, 0.0, x[1], 0.0, 0.0, x[2], x[3], x[4], x[5])
+    one = fin(1.0, 6, u[0], state, p, force[0], force[1])
+    push = 2.0 * ((one[7] - one[6]) * one[0] - one[14] * one[8] * one[3])
+    drag = -p[10] * p[14] * x[1] * abs(x[1]) + force[2] + force[3]
+    ahead = (push + drag) / (p[13] + 2.0 * one[14] * one[3] * one[3])
+    return one, ahead, (one[6] / one[14] - one[9] - one[0] * ahead) / p[9]
+
+
+def course(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
+    """Write rates of the states of a swimmer that is its own mirror image."""
+    one, ahead, bend = _course(x, u, p, force)
+    dx[0], dx[1] = x[1], ahead
+    dx[2], dx[3], dx[4], dx[5] = x[3], one[10], x[5], bend
+
+
 def seen(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
-    """Write where the body is."""
-    y[0] = x[0]
+    """Write where the body is, and what the swimmer does to the carriage above the sensor."""
+    _, ahead, _ = _course(x, u, p, force)
+    y[0], y[1] = x[0], p[23] * ahead - force[3]
+
+
+def seen_sites(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
+    """Write what `site_values` does."""
+    one, _, _ = _course(x, u, p, force)
+    values[0], values[1], values[2], values[3] = x[4], x[5], hinge_torque(x[4], p), p[0]
+    values[4], values[5], values[6], values[7] = (p[8] + p[9]) * x[2] + p[9] * x[4], one[13], 0.0, 0.0
+    for i in range(2):
+        values[8 + 4 * i], values[9 + 4 * i] = x[0], x[1]
+        values[10 + 4 * i] = values[11 + 4 * i] = 0.0
 
 
 def swimmer_on_rail() -> Model:
-    """Return the same swimmer as a person at the rig would have it: seen by cameras, the fins wherever they begin.
+    """Return the same swimmer as a person at the rig would have it: seen by cameras, on a sensor under a carriage.
 
-    The rail is taken to have no friction: what it has is to be found out.
+    Both fins are told the same and are alike, so that one is computed; they begin at rest where the command does. The
+    rail is taken to have no friction: what it has is to be found out.
     """
-    made = two_fin_swimmer()
-    begins = {"x": "first", "base_1": "free", "base_2": "free"}
-    return replace(
-        made,
+    states = ("x", "speed", "base", "base_rate", "bend", "bend_rate")
+    return Model(
         name="swimmer-on-rail",
-        outputs=(Output("x", "m"),),
+        states=states,
+        inputs=(Input("told", "rad"),),
+        outputs=(Output("x", "m"), Output("force_x", "N")),
+        parameters=(
+            *(replace(one, tolerance=0.0) if one.name in (*_ASIDE, *_BUILT) else one for one in PARAMETERS),
+            _CARRIAGE,
+        ),
+        conditions=(),
+        sites=SITES,
+        initial={**dict.fromkeys(states, 0.0), "x": "first", "base": "told"},
+        derivative=native("model", course),
         output=native("model", seen),
-        initial={**made.initial, **begins},
+        site_values=native("model", seen_sites),
+        constants=np.empty(0),
+        source="a swimmer of two fins under a carriage",
     )
 
 

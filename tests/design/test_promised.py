@@ -1,0 +1,51 @@
+"""What a design promised beside what its rig gave: who names both says which is which."""
+
+import pytest
+
+import labrun
+from labrun.app.design import design
+from labrun.errors import RequestError
+
+
+@pytest.fixture
+def designed(paddle, tmp_path):
+    """Return the run of a small design, and a table of what its rig gave: a tenth less."""
+    path = paddle(("iterations = 25", "iterations = 3"))
+    design(path, dry_run=True, seed=3, workers=1, draw=False)
+    folder = tmp_path / "measured"
+    folder.mkdir()
+    best = labrun.open("paddle").trials.sort_values("distance").iloc[-1]
+    condition = ", ".join(f"{name} = {float(best[name])!r}" for name in ("length", "stroke", "f"))
+    (folder / "1.csv").write_text(f"time_s,distance\n0,{0.9 * best.distance}\n")
+    (folder / "recording.toml").write_text(
+        '[channels.distance]\nkind = "output"\nunit = "m"\n'
+        f'[[trials]]\nfile = "1.csv"\ncondition = {{ {condition} }}\n'
+    )
+    return folder
+
+
+def test_the_promise_is_held_against_the_rig_whichever_is_named_first(designed):
+    there, back = (
+        labrun.compare(one, other, tolerance="5%")
+        for one, other in (("design:paddle", f"rig:{designed}"), (f"rig:{designed}", "design:paddle"))
+    )
+    assert (there.comparison.data, there.comparison.prediction) == ("measured", "paddle")
+    assert there.comparison.worst.relative == pytest.approx(
+        1 / 9, rel=0.05
+    )  # copies of it differ within tolerances
+    assert not there.within
+    assert back.comparison.worst == there.comparison.worst
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "said"),
+    [
+        ("design:paddle", "paddle", "one run is the design's, one the rig's"),
+        ("design:paddle", None, "one run is the design's, one the rig's"),
+        ("design:measured", "rig:paddle", "is no design"),
+    ],
+)
+def test_a_role_that_does_not_fit_is_told(designed, one, other, said):
+    one = one.replace("measured", str(designed))
+    with pytest.raises(RequestError, match=said):
+        labrun.compare(one, other)
