@@ -3,11 +3,12 @@
     python benchmarks/specimens.py                  # five seeds of each rig, run and fitted as a person would
     python benchmarks/specimens.py --draws 400      # as many batches, without the runner: benches and fits alone
     python benchmarks/specimens.py --life           # one trial of 50,000 cycles, killed on its way and resumed
+    python benchmarks/specimens.py --hidden         # causes that are drawn and sealed, and their diagnoses
 
 Each seed of the first is ``labrun run NAME --dry-run --seed S`` and ``labrun fit NAME``, in a folder that is thrown
 away: hinges of polyester only, beams bent in steps of 0.05 deg. Truth is what the benches are set to, the means of
 their populations. With --draws, benches are observed directly, without noise of the sensors, and read by the functions
-that the fits use.
+that the fits use. With --hidden, ``--hide random`` draws an effect, a site and a size for each seed, or nothing.
 """
 
 import argparse
@@ -32,6 +33,7 @@ from labrun_plugins.rigs.tensile.model import GRIPS_M, THICKNESS_M, WIDTH_M, YIE
 from labrun_plugins.rigs.tensile.scene import TensileBench
 
 import labrun
+from labrun.app.reveal import reveal
 from labrun.devices import Trajectory
 from labrun.fit import student
 from labrun.fit.life import fit_weibull, intervals
@@ -43,6 +45,17 @@ BEAMS = ",".join(
     for n in range(1, 4)
     for reach in (-28.648, 28.648)
 )
+HIDDEN = {
+    "polyester-tensile": [],
+    "hinge-tensile": [],
+    "hinge-life": ["trial.until.max_cycles=300"],
+    "hinge-repeatability": [],
+    "fin-materials": [],
+    "fin-trace": [],
+    "fin-amplitude": [],
+    "beam-buckling": [],
+}
+"""Rigs on which causes are hidden, and what of their files is changed for it."""
 CHAINS = {
     "polyester-tensile": [],
     "hinge-life": [f"run.conditions=[{POLYESTER}]"],
@@ -171,6 +184,31 @@ def life(folder: Path) -> None:
     print(f"{time.monotonic() - begin:.0f} s")
 
 
+def hidden(seeds: Sequence[int], names: Sequence[str], folder: Path) -> None:
+    """Hide what is drawn on every rig, diagnose it, open the seals, and print what was said beside what was hidden."""
+    print("| experiment | seed | hidden | said | score | processor time, s |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for name in names:
+        for seed in seeds:
+            run = labrun.run(
+                name,
+                dry_run=True,
+                seed=seed,
+                hide_seed=seed,
+                hide=["random"],
+                overrides=HIDDEN[name],
+                results=folder,
+            ).run
+            begin = time.process_time()
+            found = labrun.diagnose(run, workers=1, page=False, results=folder).diagnosis
+            spent_s = time.process_time() - begin
+            compared = reveal(run, results=folder)
+            causes = [" or ".join(map(str, (one.name, *one.indistinguishable_from))) for one in found.causes]
+            was = "; ".join(f"{one.effect} at {one.site}" for one in compared.revealed.hidden) or "nothing"
+            told = "; ".join(causes) or found.verdict
+            print(f"| {name} | {seed} | {was} | {told} | {compared.score} | {spent_s:.0f} |", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -178,6 +216,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--draws", type=int, help="batches without the runner, instead")
     parser.add_argument("--life", action="store_true", help="one trial of 50,000 cycles, instead")
+    parser.add_argument("--hidden", action="store_true", help="hidden causes, drawn by seed, instead")
+    parser.add_argument("--only", choices=HIDDEN, action="append", help="with --hidden: this rig; repeatable")
     given = parser.parse_args()
     found: dict[str, list[Interval]] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -186,6 +226,9 @@ def main() -> None:
                 [sys.executable, "-m", "labrun", "init"], cwd=folder, check=True, stdout=subprocess.DEVNULL
             )
             life(Path(folder))
+            return
+        if given.hidden:
+            hidden(range(given.seeds), given.only or list(HIDDEN), Path(folder))
             return
         for seed in range(given.draws or given.seeds):
             for name, one in drawn(seed) if given.draws else chained(seed, Path(folder)):

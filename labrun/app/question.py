@@ -132,10 +132,28 @@ def ask(
     given = load_model(model) if model is not None else None
     found, wired = held_against(target, given, workspace)
     wired = {**wired, **(signals or {})}
-    dataset = load_dataset(target, found, wired)
+    dataset = _loaded(target, found, wired)
     for other in more:
-        dataset = _joined(dataset, load_dataset(other, found, wired))
+        dataset = _joined(dataset, _loaded(other, found, wired))
     return Question(dataset, found, wired)
+
+
+def _loaded(target: Path, model: Model, signals: Mapping[str, str]) -> Dataset:
+    """Return trials whose conditions do not tell repeats apart."""
+    dataset, table = load_dataset(target, model, signals), _gap_table(target)
+    same = set(table.repeats) if table is not None else set()
+    used = {one.of or name for name, one in model.meanings.items()} | set(model.conditions)
+    known = sorted(same & used)
+    if known:
+        raise RequestError(
+            f"model {model.name} tells {', '.join(known)} apart, and [gap] repeats says that they are repeats",
+            hint="take them out of repeats, or name another model",
+        )
+    trials = [
+        replace(one, condition={key: value for key, value in one.condition.items() if key not in same})
+        for one in dataset.trials
+    ]
+    return replace(dataset, trials=tuple(trials)) if same else dataset
 
 
 def held_against(target: Path, given: Model | None, workspace: Path) -> tuple[Model, Mapping[str, str]]:

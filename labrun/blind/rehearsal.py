@@ -17,6 +17,10 @@ from labrun.spec import Experiment, Value
 
 _CONDITIONS = 3
 _RATE_HZ = 100.0
+_MOST_SAMPLES = 10_000
+"""Of one trial: one that takes longer is looked at less often."""
+_READ_S = 60.0
+"""A bench remembers two minutes: it is read in stretches of so long."""
 _QUIET_S = 20.0
 """Before a trial: for the move to where it begins, and for what the one before left behind."""
 _MOVE_RAD_S = 0.5
@@ -57,7 +61,8 @@ class Rehearsal:
         maker = MotionMaker(experiment)
         self._motions = [(dict(condition), maker.motion(condition)) for condition in chosen]
         scene = hiding_scene(experiment)
-        outputs = [output.name for output in model.outputs if output.name in scene.signals]
+        shown = {**{name: name for name in scene.signals}, **getattr(scene, "shown_by", {})}
+        outputs = [shown[output.name] for output in model.outputs if output.name in shown]
         self._signals = outputs or [name for name in scene.signals if name not in scene.joints]
         self._signals = self._signals or list(scene.signals)
         self._forces = np.array([scene.signals[name] in _FORCES for name in self._signals])
@@ -85,9 +90,19 @@ class Rehearsal:
         if not all(np.isfinite(one).all() for one in change):
             return math.inf
         sizes = np.array([np.sqrt(np.mean(column**2)) for column in self._stacked(change)])
-        if np.any(sizes[self._moves] > _SWAMPED * self._spread[self._moves]):
+        if np.any(sizes[self._moves] > _SWAMPED * self._spread[self._moves]) or self._harms(hidden):
             return math.inf
         return self._largest(_left(self._whitened(change), self._slopes))
+
+    def _harms(self, hidden: Mapping[str, Any]) -> bool:
+        """Tell whether the carriage's way back, which may be faster than the trial, would see much more than it."""
+        towed = [motion for motion in self._motions if motion[1].travel is not None]
+        if not towed:
+            return False
+        changed = concealed(self._experiment, [hidden], noise=0.0)
+        most = np.max(np.abs(np.concatenate([self._way_back(changed, *motion) for motion in towed])), axis=0)
+        usual = np.max(np.abs(np.concatenate(self._plain)), axis=0)
+        return bool(np.any((most > (1.0 + _SWAMPED) * usual)[self._moves]))
 
     def recalibrated_size(self, hidden: Mapping[str, Any]) -> float:
         """Return the same after a real recalibration: Gauss-Newton steps over a growing beginning of each trial.
@@ -177,7 +192,43 @@ class Rehearsal:
             assert scene is not None  # noqa: S101  (`hiding_scene` would have refused)
             scene.arrange(condition)
             scene.observe(self._signals, np.zeros(1))
-            return [self._trial(rig, scene, motion) for _ in range(repeats)]
+            found = [self._trial(rig, scene, motion)]
+            while len(found) < repeats:
+                if experiment.by_hand is not None:  # what a person mounts anew for every trial is not worn
+                    self._back(rig, scene, motion)
+                    getattr(scene, "mount", lambda _: None)(len(found) + 1)
+                found.append(self._trial(rig, scene, motion))
+            return found
+
+    def _way_back(
+        self, experiment: Experiment, condition: Mapping[str, Value], motion: TrialMotion
+    ) -> FloatArray:
+        """Return the signals while the carriage goes back after a trial."""
+        rig = Rig.build(experiment, clock=SimulatedClock(), seed=0, dry_run=True)
+        with rig:
+            scene = rig.scene
+            assert scene is not None  # noqa: S101  (`hiding_scene` would have refused)
+            scene.arrange(condition)
+            scene.observe(self._signals, np.zeros(1))
+            self._trial(rig, scene, motion)
+            return self._back(rig, scene, motion)
+
+    def _back(self, rig: Rig, scene: Scene, motion: TrialMotion) -> FloatArray:
+        """Bring the carriage to where the trial begins; return the signals on its way."""
+        back = motion.travel
+        if back is None:
+            return np.empty((0, len(self._signals)))
+        scene.tow(back.to_m, back.from_m, back.return_speed_m_s, rig.clock.now())
+        return self._observed(rig, scene, abs(back.to_m - back.from_m) / back.return_speed_m_s)
+
+    def _observed(self, rig: Rig, scene: Scene, duration_s: float) -> FloatArray:
+        """Return the signals of the next so many seconds, and let them pass."""
+        start_s, rate_hz = rig.clock.now(), min(_RATE_HZ, _MOST_SAMPLES / duration_s)
+        times_s = np.arange(0.0, duration_s, 1.0 / rate_hz)
+        pieces = np.split(times_s, np.searchsorted(times_s, np.arange(_READ_S, duration_s, _READ_S)))
+        found = np.concatenate([scene.observe(self._signals, start_s + one) for one in pieces])
+        rig.clock.sleep(duration_s)
+        return found
 
     def _trial(self, rig: Rig, scene: Scene, motion: TrialMotion) -> FloatArray:
         trajectory = motion.trajectory
@@ -194,8 +245,7 @@ class Rehearsal:
             travel = motion.travel
             ramps = () if travel.acceleration_m_s2 is None else (travel.acceleration_m_s2,)
             scene.tow(travel.from_m, travel.to_m, travel.speed_m_s, start_s, *ramps)
-        signals = scene.observe(self._signals, start_s + np.arange(0.0, motion.duration_s, 1 / _RATE_HZ))
-        rig.clock.sleep(motion.duration_s)
+        signals = self._observed(rig, scene, motion.duration_s)
         tared: FloatArray = signals - np.where(self._forces, before.mean(axis=0), 0.0)
         return tared
 

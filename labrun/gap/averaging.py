@@ -117,7 +117,8 @@ def _on_one_time_base(trials: Sequence[FitTrial]) -> list[FitTrial] | None:
     if _same_course(trials):
         return list(trials)
     first, step_s = trials[0], _step_s(trials[0])
-    if any(abs(len(one.time_s) - len(first.time_s)) > criteria.SAMPLES_APART for one in trials):
+    apart = max(criteria.SAMPLES_APART, criteria.SHARE_APART * len(first.time_s))
+    if any(abs(len(one.time_s) - len(first.time_s)) > apart for one in trials):
         return None
     if len(first.time_s) < criteria.FEWEST_ALIGNED_SAMPLES:
         return None

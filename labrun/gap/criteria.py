@@ -30,6 +30,8 @@ MOST_CONDITIONS = 16
 measured once beyond that is left out."""
 SAMPLES_APART = 2
 """Repeats whose numbers of samples differ by more did not take the same course."""
+SHARE_APART = 1e-3
+"""In long trials a sensor's own clock and its gaps make a difference of this share, too."""
 SAME_INPUT = 0.01
 """Inputs that differ by less than this part of their spread are one command, read at other times."""
 

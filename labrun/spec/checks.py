@@ -69,6 +69,7 @@ def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Fault
     faults += _check_references(data, devices)
     faults += _check_conditions(data, conditions)
     faults += check_by_hand(data, conditions)
+    faults += _check_repeats(data, conditions)
     faults += check_damage(data, conditions)
     faults += check_until(data)
     faults += check_track(data, devices, conditions)
@@ -96,6 +97,15 @@ def _check_fit(data: Mapping[str, Any], experiment: Path | None) -> Iterator[Fau
             yield from check_settings(plugin, {**taken, **own}, path, [])
     for owner in ("fit", "gap", "design"):
         yield from _check_model(table(data, owner).get("model"), (owner, "model"), experiment)
+
+
+def _check_repeats(data: Mapping[str, Any], conditions: list[str]) -> Iterator[Fault]:
+    """Yield what [gap] repeats names that no condition is called."""
+    given = table(data, "gap").get("repeats")
+    for number, name in enumerate(given if isinstance(given, list) else []):
+        if isinstance(name, str):
+            path: KeyPath = ("gap", "repeats", number)
+            yield from check_name(name, path, conditions, "no condition has this name", kind="names")
 
 
 def _check_model(model: object, path: KeyPath, experiment: Path | None) -> Iterator[Fault]:

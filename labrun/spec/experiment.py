@@ -84,11 +84,13 @@ class FitTable(Table):
 class GapTable(Table):
     """What a run is compared with by default: the model that a person at this bench would have.
 
-    `model` and `signals` are as in `FitTable`. ``--hide random`` draws among what this model could lack.
+    `model` and `signals` are as in `FitTable`. ``--hide random`` draws among what this model could lack. `repeats`
+    names conditions that tell repeats of one thing apart, as numbers of specimens do; a diagnosis does not.
     """
 
     model: str
     signals: dict[str, str] = Field(default_factory=dict)
+    repeats: list[str] = Field(default_factory=list)
 
 
 class Experiment(Table):

@@ -37,6 +37,20 @@ def test_repeats_sampled_at_other_instants_are_one_unit_and_their_mean_is_the_mo
     assert np.max(np.abs(unit.outputs - first.outputs)[2:-2]) < 2e-3 * amplitude
 
 
+def test_long_repeats_that_lost_a_few_samples_are_one_unit():
+    dataset = recorded(conditions=CONDITIONS[:1])
+    samples = np.arange(10_000)
+
+    def long(one, lost):
+        left = np.delete(samples, 1050 + 1000 * np.arange(lost))  # one here and there
+        inputs, outputs = (np.resize(values[:100], (10_000, 1))[left] for values in (one.inputs, one.outputs))
+        return replace(one, time_s=0.01 * left, inputs=inputs, outputs=outputs)
+
+    trials = tuple(long(one, lost) for one, lost in zip(dataset.trials, (0, 5, 8), strict=True))
+    (unit,) = averaged(replace(dataset, trials=trials), pendulum()).trials
+    assert unit.count == 3
+
+
 def test_trials_with_another_course_of_the_input_stay_apart():
     dataset = recorded(conditions=CONDITIONS[:1])
     first, second, third = dataset.trials

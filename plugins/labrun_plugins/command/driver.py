@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import shutil
 import subprocess
 import tempfile
@@ -119,8 +120,10 @@ class Command:
             self._read(self._kept)
             return
         self._kept.parent.mkdir(parents=True, exist_ok=True)
-        self._output = self._kept.with_suffix(".partial.csv").absolute()
-        self._output.unlink(missing_ok=True)
+        for left in self._kept.parent.glob(f"{self._kept.stem}.partial-*.csv"):
+            left.unlink(missing_ok=True)
+        # a program of a runner that was killed may still compute, and would write into ours
+        self._output = self._kept.with_suffix(f".partial-{os.getpid()}.csv").absolute()
         self._said = tempfile.TemporaryFile()  # noqa: SIM115  (the program writes to it until it ends)
         try:
             self._process = subprocess.Popen(

@@ -117,6 +117,8 @@ class HingeBench(Bench):
     scale = _SCALE
     joints = ("hinge",)
     sensed = ("angle",)
+    shown_by: ClassVar[Mapping[str, str]] = {"angle": "hinge"}
+    """By which signal an output of a model shows that is called otherwise."""
     signals: Mapping[str, str] = {
         "arm_x": "m", "arm_y": "m", "arm_z": "m", "arm_qx": "1", "arm_qy": "1", "arm_qz": "1", "arm_qw": "1",
         "hinge": "rad",
