@@ -5,7 +5,7 @@ import pytest
 import labrun
 from labrun.app.question import ask
 from labrun.errors import RequestError, SpecError
-from labrun.spec import loads_experiment
+from labrun.spec import loads_experiment, shipped_experiments
 
 STRIPS = ("run.conditions=[{specimen=1},{specimen=2},{specimen=3}]",)
 
@@ -33,8 +33,7 @@ def test_a_model_that_tells_repeats_apart_is_refused(run, tmp_path):
 
 
 def test_repeats_of_a_misspelt_condition_are_named():
-    experiment = (labrun.__path__[0] + "/../experiments/polyester-tensile.toml").replace("\\", "/")
-    with open(experiment, encoding="utf-8") as file:
-        text = file.read().replace('repeats = ["specimen"]', 'repeats = ["speciman"]')
+    text = (shipped_experiments() / "polyester-tensile.toml").read_text(encoding="utf-8")
+    text = text.replace('repeats = ["specimen"]', 'repeats = ["speciman"]')
     with pytest.raises(SpecError, match='did you mean "specimen"'):
         loads_experiment(text, "polyester-tensile")
