@@ -1,7 +1,7 @@
 """One sealed case: its answer, what the diagnosis said, what fresh trials showed, and what became of it."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 KINDS = ("control", "effect", "pair", "parameter", "outside")
@@ -43,13 +43,24 @@ class Cause:
         return f"{self.effect} at {self.site}" if self.kind == "effect" else f"parameter {self.effect}"
 
 
+Sizes = Mapping[str, float]
+Intervals = Mapping[str, tuple[float, float]]
+
+
 @dataclass(frozen=True, slots=True)
 class Named:
-    """One announced cause with what it could not be told from."""
+    """One announced cause with what it could not be told from.
+
+    Attributes
+    ----------
+    intervals : parameter -> ends
+        Of 95 %, of the sizes of `top`.
+    """
 
     top: Cause
     rivals: tuple[Cause, ...]
     confidence: float
+    intervals: Intervals = field(default_factory=dict)
 
     @property
     def members(self) -> tuple[Cause, ...]:
@@ -83,6 +94,8 @@ class Truth:
         What was simulated, in words.
     noise, zeros
         Colour of the noise, and whether each trial has a zero of its own.
+    sizes : per cause, parameter -> value
+        Of the form that was simulated.
     """
 
     case: str
@@ -95,6 +108,7 @@ class Truth:
     forms: tuple[str, ...]
     noise: str = ""
     zeros: bool = False
+    sizes: tuple[Sizes, ...] = ()
 
     @property
     def data(self) -> tuple[str, ...]:
@@ -118,6 +132,8 @@ class Truth:
             Cause(one.get("kind", "effect"), one["effect"], one.get("site") or "") for one in answer["causes"]
         )
         hidden = answer.get("hidden", ())
+        true = answer.get("true_parameters", {})
+        released = [{one.effect: true[one.effect]} for one in causes if one.effect in true]
         return cls(
             answer["case"],
             answer["kind"],
@@ -129,6 +145,7 @@ class Truth:
             tuple(f"{one.get('form', one.get('effect', '?'))} at {one.get('site', '?')}" for one in hidden),
             str(answer.get("noise", {}).get("colour", "")),
             bool(answer.get("noise", {}).get("zero_by_trial", 0.0)),
+            tuple(one.get("values", {}) for one in hidden) or tuple(released),
         )
 
 
@@ -247,6 +264,21 @@ def held(named: Named, truth: Truth) -> bool:
     return any(right(one, truth) for one in named.members[:2])
 
 
+def sizes_held(judged: Judged) -> list[bool]:
+    """Tell of each announced cause that is a true one whether its interval holds the size that was simulated.
+
+    It is the first parameter that has the same name in both forms; a form without one says nothing of its size.
+    """
+    truth, found = judged.truth, list[bool]()
+    for named in judged.said.announced:
+        for cause, sizes in zip(truth.causes, truth.sizes, strict=False):
+            name = next((one for one in named.intervals if one in sizes), None)
+            if named.top.same(cause) and name is not None:
+                low, high = named.intervals[name]
+                found.append(low <= sizes[name] <= high)
+    return found
+
+
 def _single(true: Cause, said: Said) -> Outcome:
     if not said.announced:
         return "said-unknown" if said.verdict == "not-in-library" else "nothing-said"
@@ -301,4 +333,5 @@ def _named(one: Mapping[str, Any]) -> Named:
         for rival in one["indistinguishable_from"]
     )
     top = Cause(one["kind"], one["effect"], one.get("site") or "")
-    return Named(top, rivals, float(one["confidence"]))
+    intervals = {name: tuple(value["ci95"]) for name, value in one.get("values", {}).items()}
+    return Named(top, rivals, float(one["confidence"]), intervals)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from labrun.blind.judging import KINDS, STRENGTHS, Judged, held
+from labrun.blind.judging import KINDS, STRENGTHS, Judged, held, sizes_held
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +166,8 @@ class Scores:
     calibration
         Confidence of every announced cause against whether it, or its first rival, was a true one, site included. Of
         one kind of case alone it says nothing about the confidence, which is one over all kinds.
+    sizes_covered
+        Sizes of announced causes that are true ones: how many are within their 95 % interval.
     by_data : kind of data -> share
         Cases that came out as one would wish, by repeats, noise and what differs by trial.
     errors
@@ -189,6 +191,7 @@ class Scores:
     extra: Share
     calibration: Reliability
     shrinkage: ShrinkageScore
+    sizes_covered: Share
     by_data: ByStrength
     seconds: Mapping[str, float]
     errors: Sequence[str]
@@ -225,6 +228,7 @@ class Scores:
                 "not_computed": difference.failed,
                 "not_predicted": difference.unpredicted,
             },
+            "sizes_covered_by_ci95": self.sizes_covered.to_json(),
             "by_data": _shares(self.by_data),
             "seconds": dict(self.seconds),
             "errors": list(self.errors),
@@ -265,6 +269,7 @@ def score(judged: Sequence[Judged]) -> Scores:
         extra=Share.among(one.extra > 0 for one in spoken),
         calibration=reliability([(named.confidence, held(named, truth)) for named, truth in announced]),
         shrinkage=shrinkage_score(judged),
+        sizes_covered=Share.among(inside for one in judged for inside in sizes_held(one)),
         by_data={
             data: Share.among(one.good for one in judged if data in one.truth.data)
             for data in sorted({data for one in judged for data in one.truth.data})

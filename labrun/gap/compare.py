@@ -12,8 +12,8 @@ from labrun.fit import Dataset, Each, Note, Problem, minimise, one_by_one, searc
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import Candidate, candidates, site_scales
-from labrun.gap.confidence import effect_units
 from labrun.gap.diagnosis import Estimate, Name
+from labrun.gap.intervals import effect_units
 from labrun.gap.noise import from_reading_errors, from_repeats, from_residual
 from labrun.gap.pair import BOTH, FEWEST_PIECES, FIRST, SECOND, UNIT, Pair, both, kept_unseen, scatter
 from labrun.gap.recalibration import in_units_of, member_residuals, stated_problem

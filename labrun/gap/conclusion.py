@@ -9,15 +9,7 @@ from labrun.arrays import FloatArray
 from labrun.fit import Dataset, Each, Note, OutputNoise, Problem, one_by_one
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate as Tried
-from labrun.gap.confidence import (
-    confidence,
-    effect_units,
-    parameter_value,
-    scatter,
-    shrinkage,
-    upper_bounds,
-    values_of,
-)
+from labrun.gap.confidence import confidence, shrinkage, upper_bounds
 from labrun.gap.diagnosis import (
     Candidate,
     CandidateVerdict,
@@ -33,6 +25,7 @@ from labrun.gap.diagnosis import (
     Verdict,
 )
 from labrun.gap.held_out import fitted_excess, floor_of, mean_residuals
+from labrun.gap.intervals import effect_units, parameter_value, scatter, values_of
 from labrun.gap.kin import family, kin
 from labrun.gap.learnable import learnable_share
 from labrun.gap.noise import from_residual
@@ -374,6 +367,7 @@ def conclude(
             conditions=len(search.data.conditions),
             noise_known=noise.known,
             differs=differs,
+            rest=decided == "explained" and findings.rest,
         ),
         gap=sizes,
         where=found,

@@ -1,12 +1,12 @@
-"""How sure a cause is, and its size: probabilities, intervals, and bounds of what is ruled out."""
+"""How sure a cause is, how much it removes, and how large what is ruled out can be."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.effects import AttachedEffect, EffectParameter, unit_of
-from labrun.fit import Dataset, Problem
+from labrun.effects import EffectParameter
+from labrun.fit import Dataset
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Estimate, Shrinkage
 from labrun.gap.held_out import Excess, group_means
@@ -14,7 +14,6 @@ from labrun.gap.noise import Basis, Noise
 from labrun.gap.pipeline import Search
 from labrun.gap.screening import Base, Screened
 from labrun.gap.selection import Chosen
-from labrun.models import Model
 
 
 def confidence(search: Search, one: Chosen) -> float:
@@ -35,85 +34,6 @@ def ceiling(basis: Basis, conditions: int) -> float:
         criteria.SURE_WITHOUT_REPEATS if basis == "residual" else criteria.SURE,
         criteria.SURE_OF_ONE_CONDITION if conditions == 1 else criteria.SURE,
     )
-
-
-_RIDGE = 1e-10
-
-
-def scatter(base: Base, draws: Sequence[Sequence[FloatArray]]) -> FloatArray:
-    """Return how the scaled shared variables move with noise drawn from whole trials, (draws, size), linearly.
-
-    What is stated of parameters is a measurement as well, as uncertain as its tolerance: it is drawn with the noise.
-    """
-    jacobian = base.nuisance.jacobian
-    size = base.problem.size
-    prior = np.diag(base.problem.priors.slope)
-    rows, noise = [], []
-    for unit, (shared, own) in enumerate(zip(jacobian.shared, jacobian.own, strict=True)):
-        stacked = np.column_stack([draw[unit] for draw in draws])
-        span = np.linalg.qr(own)[0]  # without columns where no initial state is free
-        rows.append(shared - span @ (span.T @ shared))
-        noise.append(stacked - span @ (span.T @ stacked))
-    matrix = np.concatenate([*rows, prior])
-    stated = np.random.default_rng(len(draws)).standard_normal((size, len(draws)))
-    stated[~np.isfinite(base.problem.priors.sigma)] = 0.0
-    right = np.concatenate([*noise, stated])
-    norms = np.linalg.norm(matrix, axis=0)
-    norms[norms == 0] = 1.0
-    solution = np.linalg.lstsq(matrix / norms, right, rcond=_RIDGE)[0] / norms[:, None]
-    moved: FloatArray = solution.T
-    return moved
-
-
-def values_of(
-    problem: Problem, z: FloatArray, place: int, moved: FloatArray, model: Model, dataset: Dataset
-) -> dict[str, Estimate]:
-    """Return the sizes of the effect that stands at `place` among those of the problem, with 95 % intervals."""
-    attached = problem.attached(problem.parameters(z))[place]
-    variable = problem.size - sum(
-        not one.held for other in problem.effects[place:] for one in other.effect.parameters
-    )
-    found = {}
-    units = effect_units(attached, model, dataset)
-    for parameter, value in zip(attached.effect.parameters, attached.values, strict=True):
-        if parameter.held:
-            continue
-        scale = float(problem.priors.scale[variable])
-        low, high = np.percentile(moved[:, variable], [2.5, 97.5]) * scale
-        bounds = problem.priors.lower[variable] * scale, problem.priors.upper[variable] * scale
-        found[parameter.name] = Estimate(
-            float(value),
-            float(max(value + min(low, 0.0), bounds[0])),
-            float(min(value + max(high, 0.0), bounds[1])),
-            units[parameter.name],
-        )
-        variable += 1
-    return found
-
-
-def parameter_value(
-    problem: Problem, z: FloatArray, name: str, moved: FloatArray, model: Model
-) -> dict[str, Estimate]:
-    """Return the value of a parameter with its 95 % interval."""
-    variable = problem.priors.names.index(name)
-    scale = float(problem.priors.scale[variable])
-    value = float(z[variable]) * scale
-    low, high = np.percentile(moved[:, variable], [2.5, 97.5]) * scale
-    unit = next(one.unit for one in model.parameters if one.name == name)
-    return {name: Estimate(value, value + min(float(low), 0.0), value + max(float(high), 0.0), unit)}
-
-
-def effect_units(attached: AttachedEffect, model: Model, dataset: Dataset) -> dict[str, str]:
-    """Return the units of an effect's parameters at its site."""
-    signal, coordinate = "1", "rad"
-    if attached.effect.kind in ("input", "output"):
-        signals = dataset.inputs if attached.effect.kind == "input" else dataset.outputs
-        signal = next((one.unit for one in signals if one.name == attached.site), "1")
-    else:
-        site = model.place(attached.site, attached.effect.kind)
-        # the unit of a coordinate is known where an output shows it
-        coordinate = next((one.unit for one in dataset.outputs if one.name == site.coordinate), "rad")
-    return {one.name: unit_of(one.quantity, coordinate, signal) for one in attached.effect.parameters}
 
 
 def upper_bounds(

@@ -75,6 +75,8 @@ DEVIATION_SHARE, DEVIATION_P, DEVIATION_FREEDOM = 0.3, 1e-3, 30
 the colour of the rest (a variance known as well as from so many trials) would scatter by so much this seldom."""
 MOST_DEVIATIONS, DEVIATION_DRAWS = 3, 200
 """Deviations by trial that are taken apart at most, and draws of noise that each is compared with."""
+DEVIATION_BLOCKS = 4
+"""Blocks of a trial that was never repeated, in all of which a deviation has to be the same."""
 
 # --- candidates and screening -------------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from labrun.gap import criteria
 from labrun.gap.averaging import averaged, without_crowding
 from labrun.gap.candidates import Candidate, candidates, site_scales, untried
 from labrun.gap.data_checks import Checked, require_informative, with_sound_clocks
-from labrun.gap.held_out import Excess, fitted_excess, held_out_excess, not_withheld
+from labrun.gap.held_out import Excess, fitted_excess, held_out_excess, mean_residuals, not_withheld
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import full_strictness, noise_threshold
 from labrun.gap.null import Null
@@ -22,9 +22,11 @@ from labrun.gap.recalibration import (
     recalibrate,
     unit_remarks,
     unsearched,
+    with_deviations,
 )
 from labrun.gap.screening import Base, refit, survey
 from labrun.gap.selection import Selection, Selector
+from labrun.gap.trial_wise import found_alone
 from labrun.models import Model
 
 
@@ -121,7 +123,24 @@ def search_causes(
         noise = replace(first.noise, innovations=True)
         again = _searched(asked, in_noise(first.problem, noise, first.z))
         found = _fitted_to_motion(again, first.noise) if again.selection.chosen else found
-    return found
+    return _with_own_deviations(asked, first, found)
+
+
+def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) -> Search:
+    """Return the search once more beside what differs by trial, where nothing was repeated and something does.
+
+    Causes come first: what they explain of the differences between trials is theirs.
+    """
+    if first.noise.known:
+        return found
+    final = found.selection.final
+    left = mean_residuals(final.problem, final.z)
+    deviations = found_alone(asked.data, left, final.problem.simulated(final.z))
+    if not deviations:
+        return found
+    asked.note("taking apart what differs from trial to trial, and looking for causes beside it")
+    problem, z = with_deviations(first.problem, first.z, deviations)
+    return _searched(asked, in_noise(problem, first.noise, z))
 
 
 def _fitted_to_motion(search: Search, noise: Noise) -> Search:

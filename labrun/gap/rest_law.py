@@ -13,8 +13,8 @@ from labrun.arrays import FloatArray
 from labrun.effects import Effect, Scale, Site, read_effects
 from labrun.fit import Note, Problem, silent
 from labrun.gap.candidates import site_scales
-from labrun.gap.confidence import effect_units
 from labrun.gap.held_out import Excess, held_out_excess, mean_residuals
+from labrun.gap.intervals import effect_units
 from labrun.gap.noise import Noise
 from labrun.gap.screening import Base, refit
 from labrun.gap.what_is_left import RestLaw, Term

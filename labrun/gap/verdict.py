@@ -53,6 +53,12 @@ class Findings:
         return share / (share + left) if share + left > 0 else 0.0
 
     @property
+    def rest(self) -> bool:
+        """Whether causes that explain the gap leave a rest of it that is plainly more than noise."""
+        least = max(criteria.BEYOND_FLOOR * self.sizes.floor, criteria.SMALL_GAP_UNEXPLAINED)
+        return self.noise_known and self.remains and self.sizes.after >= least
+
+    @property
     def unproven(self) -> bool:
         """Whether causes were found whose help on withheld conditions cannot be told from none at all."""
         share = self.shrinkage
@@ -118,6 +124,7 @@ def sentence(
     conditions: int,
     noise_known: bool = True,
     differs: Sequence[str] = (),
+    rest: bool = False,
 ) -> str:
     """Return the verdict as one sentence, behind one on what differs by trial.
 
@@ -127,17 +134,27 @@ def sentence(
         The candidate that removes most of the gap.
     conditions
         How many there are: of one, nothing could be withheld from the fit.
+    rest
+        Whether what the causes leave is plainly more than noise.
     """
     if differs:
-        rest = sentence(
-            verdict, sizes, causes, shrinkage, best, conditions=conditions, noise_known=noise_known
+        beside = sentence(
+            verdict,
+            sizes,
+            causes,
+            shrinkage,
+            best,
+            conditions=conditions,
+            noise_known=noise_known,
+            rest=rest,
         )
-        return f"{_capital(' and '.join(differs))}. Beside that: {rest[:1].lower()}{rest[1:]}"
+        return f"{_capital(' and '.join(differs))}. Beside that: {beside[:1].lower()}{beside[1:]}"
     raw, recalibrated = significant(sizes.raw), significant(sizes.recalibrated)
     unit = "one trial's noise" if noise_known else "the noise of a sample"
     removed = "" if shrinkage is None else f" {100 * shrinkage.value:.0f} %"
     if causes:
-        return _of_causes(verdict, sizes, causes, removed, unit, conditions=conditions, sure=noise_known)
+        said = _of_causes(verdict, sizes, causes, removed, unit, conditions=conditions, sure=noise_known)
+        return f"{said[:-1]}; that rest is more than noise: {_OTHER_FORM}." if rest else said
     if verdict == "no-gap":
         return (
             f"No gap beyond noise: what model and measurement differ by ({recalibrated} times {unit}) is what noise "
@@ -159,6 +176,9 @@ def sentence(
         f"The cause is not in the library: a gap of {recalibrated} times {unit} remains after "
         f"recalibration{nearest}."
     )
+
+
+_OTHER_FORM = "nature's form may be another one, or there is more"
 
 
 def _of_causes(

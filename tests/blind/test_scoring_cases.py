@@ -1,6 +1,6 @@
 """Scores of hand-made answers."""
 
-from labrun.blind.judging import Cause, Judged, Named, Said, Shown, Shrunk, Truth, judge
+from labrun.blind.judging import Cause, Judged, Named, Said, Shown, Shrunk, Truth, judge, sizes_held
 from labrun.blind.scoring import confusion, score
 
 COULOMB = Cause("effect", "coulomb-friction", "hinge")
@@ -243,3 +243,16 @@ def test_scores_of_nothing_say_so() -> None:
     assert found["false_alarms"] == {"share": None, "hits": 0, "of": 0, "ci95": None}
     assert found["calibration"]["expected_calibration_error"] is None
     assert found["shrinkage"]["median_difference"] is None
+
+
+def test_the_size_of_a_true_cause_is_held_against_the_one_that_was_simulated() -> None:
+    true = Truth("case-0001", "effect", (COULOMB,), 5.0, "", 3, 1, (), sizes=({"torque": 0.5, "edge": 1.0},))
+
+    def held(cause: Cause, low: float, high: float) -> list[bool]:
+        spoken = said("explained", Named(cause, (), 0.9, {"torque": (low, high)}))
+        return sizes_held(judge(true, spoken))
+
+    assert held(COULOMB, 0.4, 0.6) == [True]
+    assert held(COULOMB, 0.51, 0.6) == [False]
+    assert held(STRIBECK, 0.4, 0.6) == []
+    assert score([judge(true, said("no-gap"))]).sizes_covered.value is None

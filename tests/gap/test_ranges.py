@@ -11,9 +11,9 @@ from labrun.fit import Dataset, OutputNoise
 from labrun.fit.dataset import FitTrial
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import untried
-from labrun.gap.confidence import scatter
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Diagnosis
+from labrun.gap.intervals import scatter
 from labrun.gap.recalibration import stated, stated_problem, unit_remarks
 from labrun.gap.screening import Base
 from labrun.models import parse_model

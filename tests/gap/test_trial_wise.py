@@ -8,9 +8,9 @@ import pytest
 from labrun.fit import Dataset, Deviation
 from labrun.fit.deviations import deviated
 from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.gap.trial_wise import words
+from labrun.gap.trial_wise import found_alone, words
 
-from .benches import dry_friction, nothing, pendulum, recorded
+from .benches import FloatArray, dry_friction, nothing, pendulum, recorded
 
 QUICK = Options(places=False)
 
@@ -46,6 +46,62 @@ def test_a_bias_common_to_all_trials_stays_one() -> None:
 
 def test_noise_alone_differs_by_nothing() -> None:
     assert not diagnose_dataset(recorded(nothing), pendulum(), QUICK).differs
+
+
+def never_repeated() -> Dataset:
+    return recorded(repeats=1)
+
+
+def noise_like(data: Dataset, size: float, seed: int = 5) -> list[FloatArray]:
+    rng = np.random.default_rng(seed)
+    return [size * rng.standard_normal(one.outputs.shape) for one in data.trials]
+
+
+def test_zeros_set_anew_are_seen_without_repeats() -> None:
+    data = never_repeated()
+    simulated = [one.outputs for one in data.trials]
+    zeros = [0.01, -0.008, 0.012, -0.02, 0.004]
+    left = [one + zero for one, zero in zip(noise_like(data, 0.002), zeros, strict=True)]
+    (found,) = found_alone(data, left, simulated)
+    assert (found.kind, found.output) == ("bias", 0)
+    assert found.sd == pytest.approx(np.std(zeros, ddof=1), rel=0.05)
+
+
+def test_a_zero_that_all_trials_share_is_no_difference_between_them() -> None:
+    data = never_repeated()
+    left = [one + 0.05 for one in noise_like(data, 0.002)]
+    assert found_alone(data, left, [one.outputs for one in data.trials]) == ()
+
+
+def test_clocks_that_were_started_by_hand_are_seen_without_repeats() -> None:
+    data = never_repeated()
+    simulated = [one.outputs for one in data.trials]
+    late_s = [0.01, -0.008, 0.004, -0.006, 0.002]
+    left = [
+        noise - late * np.gradient(one.outputs, one.time_s, axis=0)
+        for noise, late, one in zip(noise_like(data, 1e-4), late_s, data.trials, strict=True)
+    ]
+    (found,) = found_alone(data, left, simulated)
+    assert found.kind == "start time"
+    assert found.sd == pytest.approx(np.std(late_s, ddof=1), rel=0.1)
+
+
+def test_what_comes_and_goes_within_a_trial_is_no_offset_of_it() -> None:
+    data = never_repeated()
+    slow = [
+        0.02 * np.sin(2 * np.pi * (0.13 + 0.02 * place) * one.time_s + place)[:, None]
+        for place, one in enumerate(data.trials)
+    ]
+    assert found_alone(data, slow, [one.outputs for one in data.trials]) == ()
+
+
+@pytest.mark.slow
+def test_friction_is_found_behind_zeros_set_anew_without_repeats() -> None:
+    data = with_zeros_set_anew(recorded(dry_friction(0.006), repeats=1), 0.03)
+    found = diagnose_dataset(data, pendulum(), QUICK)
+    assert found.differs[0].startswith("bias at angle differs by trial")
+    assert found.causes[0].name.effect == "coulomb-friction"
+    assert found.causes[0].values["torque"].value == pytest.approx(0.006, rel=0.02)
 
 
 def test_a_trial_that_began_late_is_shifted_and_a_gain_is_a_factor() -> None:

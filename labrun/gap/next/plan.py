@@ -13,8 +13,8 @@ from labrun.errors import RequestError
 from labrun.fit import Dataset, Each, Note, OutputNoise, Problem, one_by_one, silent
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, candidates, site_scales
-from labrun.gap.confidence import effect_units
 from labrun.gap.diagnosis import Estimate, Name
+from labrun.gap.intervals import effect_units
 from labrun.gap.next.proposal import experiment_text, write_experiment
 from labrun.gap.next.run_bench import RunBench
 from labrun.gap.next.trials import PlannedTrial, planned_data
