@@ -139,7 +139,10 @@ def _shape(base: Base, linear: _Linear, place: int, values: Sequence[float]) -> 
 def values_of(
     problem: Problem, z: FloatArray, place: int, moved: FloatArray, model: Model, dataset: Dataset
 ) -> dict[str, Estimate]:
-    """Return the sizes of the effect that stands at `place` among those of the problem, with 95 % intervals."""
+    """Return the sizes of the effect that stands at `place` among those of the problem, with 95 % intervals.
+
+    What vanishes at zero is a size of the form as the library has it, which is not quite nature's.
+    """
     attached = problem.attached(problem.parameters(z))[place]
     variable = problem.size - sum(
         not one.held for other in problem.effects[place:] for one in other.effect.parameters
@@ -151,11 +154,13 @@ def values_of(
             continue
         scale = float(problem.priors.scale[variable])
         low, high = np.percentile(moved[:, variable], [2.5, 97.5]) * scale
+        form = criteria.NORMAL_95 * criteria.FORM_OF_SIZES * abs(value) if parameter.neutral == 0.0 else 0.0
+        low, high = -np.hypot(min(low, 0.0), form), np.hypot(max(high, 0.0), form)
         bounds = problem.priors.lower[variable] * scale, problem.priors.upper[variable] * scale
         found[parameter.name] = Estimate(
             float(value),
-            float(max(value + min(low, 0.0), bounds[0])),
-            float(min(value + max(high, 0.0), bounds[1])),
+            float(max(value + low, bounds[0])),
+            float(min(value + high, bounds[1])),
             units[parameter.name],
         )
         variable += 1
