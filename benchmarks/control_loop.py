@@ -22,6 +22,7 @@ from labrun.learned import SlidingAffine, read_learned, to_table
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 SOURCE_HZ = 160.0
+COMPILED_HZ = 1000.0
 REPEATS = 5
 
 
@@ -35,20 +36,22 @@ def median_us(call, count):
     return statistics.median(found)
 
 
-def dry_run_us(seconds):
+def dry_run_us(seconds, rate_hz, *more):
     """Processor time of a step of the whole dry run, without what it takes to start."""
     spent = []
     with tempfile.TemporaryDirectory() as folder:
-        for duration_s in (2.0, seconds):
+        for duration_s in (2.0, 2.0, 2.0 + seconds):  # the first one compiles
             changes = [
                 f"trial.duration_s={duration_s}",
+                f"track.rate_hz={rate_hz:g}",
                 "objectives={}",
                 'track.conditions=[{controller="mlp-ik", history_s=3.125, load_g=0, load_from_s=0}]',
+                *more,
             ]
             begin = time.process_time()
             run(EXPERIMENTS / "spm-transfer.toml", dry_run=True, seed=1, overrides=changes, results=folder)
             spent.append(time.process_time() - begin)
-    return 1e6 * (spent[1] - spent[0]) / (SOURCE_HZ * (seconds - 2.0))
+    return 1e6 * (spent[2] - spent[1]) / (rate_hz * seconds)
 
 
 def main():
@@ -70,14 +73,19 @@ def main():
         solver.solved()
 
     training_us = median_us(training, 2000)
-    whole_us = dry_run_us(32.0)
+    python_us = dry_run_us(30.0, SOURCE_HZ)
+    compiled_us = dry_run_us(
+        60.0,
+        COMPILED_HZ,
+        "track.compiled=true",
+        "rig.devices.servos.command_hz=1000",
+        *(f"track.loops.pose.controllers.{name}.learn.every=1" for name in ("mlp-ik", "mlp-error")),
+    )
     print(f"network, one step                       {network_us:8.1f} us")
     print(f"training, one sample in and one out     {training_us:8.1f} us")
-    print(f"dry run of spm-transfer, one step       {whole_us:8.1f} us")
-    times = [1e6 / hz / whole_us for hz in (SOURCE_HZ, 1000.0)]
-    print(
-        f"  the bench takes {times[0]:.1f} times as long at {SOURCE_HZ:g} Hz, {times[1]:.2f} times at 1000 Hz"
-    )
+    for name, hz, us in (("in Python", SOURCE_HZ, python_us), ("compiled", COMPILED_HZ, compiled_us)):
+        print(f"dry run of spm-transfer, a step {name:9}{us:7.1f} us: {1e6 / hz / us:.1f} times faster than the bench"
+              f" at {hz:g} Hz")  # fmt: skip
     print(f"load of the machine meanwhile: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from labrun.app.design import design_plan
 from labrun.app.leaders import with_leaders
-from labrun.control import ClosedLoopRecorder
+from labrun.control import loop_recorder
 from labrun.errors import PlanError, SpecError
 from labrun.runner import ConditionExcess, MotionMaker, Plan, Planner, Rig
 from labrun.search import (
@@ -99,7 +99,7 @@ def whole_plan(
     except ConstraintError as error:
         raise SpecError(f"{loaded.place(error.key)}: {error}") from error
     if experiment.kind == "track":
-        ClosedLoopRecorder(experiment, planner.rig).require_makeable(chosen)
+        loop_recorder(experiment, planner.rig).require_makeable(chosen)
     found = _counted(planner.plan(chosen) if found is None else found, experiment, chosen, len(asked))
     reference = experiment.trial.reference
     if reference is not None:

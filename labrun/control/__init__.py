@@ -1,6 +1,7 @@
 """Closed loops: references, feedbacks and controllers, and what runs them in a trial."""
 
 from labrun.control.closed_loop import ClosedLoopRecorder
+from labrun.control.compiled.recorder import CompiledLoopRecorder, loop_recorder
 from labrun.control.feedforward import FeedforwardPid
 from labrun.control.pid import PidController
 from labrun.control.plant import TransferTable, response_table
@@ -9,6 +10,7 @@ from labrun.control.references.half_sine import HalfSineReference, HalfSineSetti
 
 __all__ = [
     "ClosedLoopRecorder",
+    "CompiledLoopRecorder",
     "FeedforwardPid",
     "HalfSineReference",
     "HalfSineSettings",
@@ -16,5 +18,6 @@ __all__ = [
     "PidController",
     "Step",
     "TransferTable",
+    "loop_recorder",
     "response_table",
 ]

@@ -21,11 +21,11 @@ class InverseController:
     several: ClassVar[bool] = True
 
     def __init__(self, settings: Mapping[str, Any], context: LoopContext) -> None:  # noqa: ARG002
-        self._inverse = load_inverse(checked(InverseSettings, settings).inverse)
+        self.inverse = load_inverse(checked(InverseSettings, settings).inverse)
 
     def update(self, step: VectorStep) -> Numbers:
         """Return the inverse of the reference."""
-        return self._inverse(step.reference)
+        return self.inverse(step.reference)
 
     def applied(self, drives: Numbers) -> None:
         """Take no note: it has no memory."""

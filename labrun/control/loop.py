@@ -56,37 +56,37 @@ class Loop:
     ) -> None:
         self.name = name
         self.variables = tuple(table.drives)
-        self._feedbacks = tuple(feedbacks)
+        self.feedbacks = tuple(feedbacks)
         self._cycle_s = cycle_s
         self._low, self._high = context.low, context.high
         self._most = math.inf if table.slew_per_s is None else table.slew_per_s * context.period_s
-        self._reference: Callable[[float], Numbers] = make_references(
+        self.reference: Callable[[float], Numbers] = make_references(
             name, table.references, condition, len(context.components)
         )
         controller = controller_of(name, table, condition)
-        self._controller = make_controllers(
+        self.controller = make_controllers(
             name, controller, table.controllers[controller], condition, context
         )
         self._more = tuple(table.shape.more)
-        self.channels = tuple(channel for one in self._feedbacks for channel in one.channels)
+        self.channels = tuple(channel for one in self.feedbacks for channel in one.channels)
         """The channels that its feedback is made of."""
-        self._seen = tuple(getattr(self._controller, "channels", ()))
+        self._seen = tuple(getattr(self.controller, "channels", ()))
 
     def begin(self) -> None:
         """Start what the controller keeps running beside the loop."""
-        getattr(self._controller, "begin", lambda: None)()
+        getattr(self.controller, "begin", lambda: None)()
 
     def ready(self) -> bool:
         """Tell whether that has come up."""
-        return bool(getattr(self._controller, "ready", lambda: True)())
+        return bool(getattr(self.controller, "ready", lambda: True)())
 
     def end(self) -> None:
         """End it."""
-        getattr(self._controller, "end", lambda: None)()
+        getattr(self.controller, "end", lambda: None)()
 
     def remarks(self) -> list[str]:
         """Return what to tell the person of this trial."""
-        return [f"loop {self.name}: {text}" for text in getattr(self._controller, "remarks", list)()]
+        return [f"loop {self.name}: {text}" for text in getattr(self.controller, "remarks", list)()]
 
     def step(self, time_s: float, dt_s: float, drives: Mapping[str, float], history: History) -> LoopRecord:
         """Take one step.
@@ -111,8 +111,8 @@ class Loop:
         ExperimentError
             The controller asks for something that is no finite number.
         """
-        reference = self._reference(time_s)
-        feedback = _flat([one(history, self._cycle_s) for one in self._feedbacks])
+        reference = self.reference(time_s)
+        feedback = _flat([one(history, self._cycle_s) for one in self.feedbacks])
         here = tuple([drives[name] for name in self.variables])
         seen = {channel: history.newest(channel) for channel in self._seen}
         step = VectorStep(
@@ -121,12 +121,12 @@ class Loop:
             reference,
             feedback,
             here,
-            self._reference,
+            self.reference,
             history.newest_s(self.channels),
             {channel: value for channel, (_, value) in seen.items()},
             {channel: at_s for channel, (at_s, _) in seen.items()},
         )
-        requested = self._controller.update(step)
+        requested = self.controller.update(step)
         for variable, value in zip(self.variables, requested, strict=True):
             if not math.isfinite(value):
                 raise ExperimentError(
@@ -140,14 +140,14 @@ class Loop:
                 for wanted, now in zip(requested, here, strict=True)
             ]
         )
-        self._controller.applied(applied)
+        self.controller.applied(applied)
         error = tuple([a - b for a, b in zip(reference, feedback, strict=True)])
         return LoopRecord(reference, feedback, error, applied, requested, self._recorded())
 
     def _recorded(self) -> Numbers:
         if not self._more:
             return ()
-        values: Mapping[str, float] = getattr(self._controller, "recorded", dict)()
+        values: Mapping[str, float] = getattr(self.controller, "recorded", dict)()
         return tuple([values.get(name, math.nan) for name in self._more])
 
 

@@ -104,12 +104,12 @@ class OneForEach:
     """A controller of one number for each component of a loop."""
 
     def __init__(self, controllers: Sequence[Controller]) -> None:
-        self._controllers = controllers
+        self.controllers = controllers
 
     def update(self, step: VectorStep) -> Numbers:
         """Ask each of them."""
         found = []
-        for number, one in enumerate(self._controllers):
+        for number, one in enumerate(self.controllers):
             single = Step(
                 step.time_s,
                 step.dt_s,
@@ -123,7 +123,7 @@ class OneForEach:
 
     def applied(self, drives: Numbers) -> None:
         """Tell each of them."""
-        for one, drive in zip(self._controllers, drives, strict=True):
+        for one, drive in zip(self.controllers, drives, strict=True):
             one.applied(drive)
 
 

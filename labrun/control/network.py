@@ -87,15 +87,16 @@ class NetworkController:
             )
         model = from_table(keys.model)
         _require_fit(model, context)
-        self._order = [context.components.index(name) for name in model.inputs]
-        self._places = [list(model.outputs).index(name) for name in context.drives]
-        self._nominal = load_inverse(model.added_to) if model.added_to else None
+        self.order = [context.components.index(name) for name in model.inputs]
+        self.places = [list(model.outputs).index(name) for name in context.drives]
+        self.nominal = load_inverse(model.added_to) if model.added_to else None
+        self.network = model.network
         self._use(model.network)
-        self._learning: _Learning | None = None
+        self.learning: _Learning | None = None
         self.channels: tuple[str, ...] = ()
         if keys.learn is not None:
-            self._learning = _Learning(keys.learn, keys.history_s, model, self._order, context)
-            self.channels = self._learning.channels
+            self.learning = _Learning(keys.learn, keys.history_s, model, self.order, context)
+            self.channels = self.learning.channels
 
     @staticmethod
     def embed(settings: Mapping[str, Any], find: FindFile) -> dict[str, Any]:
@@ -112,41 +113,41 @@ class NetworkController:
 
     def begin(self) -> None:
         """Start the learning."""
-        if self._learning is not None:
-            self._learning.learner.begin()
+        if self.learning is not None:
+            self.learning.learner.begin()
 
     def ready(self) -> bool:
         """Tell whether the learning has come up."""
-        return self._learning is None or self._learning.learner.ready()
+        return self.learning is None or self.learning.learner.ready()
 
     def end(self) -> None:
         """End it."""
-        if self._learning is not None:
-            self._learning.learner.end()
+        if self.learning is not None:
+            self.learning.learner.end()
 
     def remarks(self) -> list[str]:
         """Return what became of the learning, if it did not go as it should."""
-        return [] if self._learning is None else list(self._learning.learner.remarks)
+        return [] if self.learning is None else list(self.learning.learner.remarks)
 
     def update(self, step: VectorStep) -> Numbers:
         """Return what the network says to the reference."""
-        if self._learning is not None:
-            newest = self._learning.take(step)
+        if self.learning is not None:
+            newest = self.learning.take(step)
             if newest is not None:
                 self._use(newest)
-        values = [step.reference[place] for place in self._order]
+        values = [step.reference[place] for place in self.order]
         found = self._map(values)
-        if self._nominal is not None:
-            nominal = self._nominal(step.reference)
-            return tuple([nominal[i] + found[place] for i, place in enumerate(self._places)])
-        return tuple([found[place] for place in self._places])
+        if self.nominal is not None:
+            nominal = self.nominal(step.reference)
+            return tuple([nominal[i] + found[place] for i, place in enumerate(self.places)])
+        return tuple([found[place] for place in self.places])
 
     def applied(self, drives: Numbers) -> None:
         """Take no note."""
 
     def recorded(self) -> Mapping[str, float]:
         """Return the values of the channels of its learning."""
-        return {} if self._learning is None else self._learning.recorded()
+        return {} if self.learning is None else self.learning.recorded()
 
     def _use(self, network: Network) -> None:
         self._map = _quick(network) if network.activation == "identity" else network.point
@@ -175,13 +176,14 @@ class _Learning:
                 hint=f"look at {', '.join(sorted(strange))}",
             )
         self.channels = tuple(table.measured[name] for name in model.outputs)
-        self._factors = [np.degrees(1.0) if model.outputs[name] == "deg" else 1.0 for name in model.outputs]
-        self._order, self._every = order, table.every
+        self.factors = [np.degrees(1.0) if model.outputs[name] == "deg" else 1.0 for name in model.outputs]
+        self._order, self.every = order, table.every
         self._nominal = load_inverse(model.added_to) if model.added_to else None
         self._steps = 0
         self._recent: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=_KEPT_SAMPLES)
-        window = max(8, round(history_s / (context.period_s * table.every))) if history_s else None
-        task = LearnerTask(model.network, window, table.ridge)
+        self.ridge, self.history_s = table.ridge, history_s
+        self.window = max(8, round(history_s / (context.period_s * table.every))) if history_s else None
+        task = LearnerTask(model.network, self.window, table.ridge)
         self.learner: Learner = (
             InlineLearner(task, table.simulated_s) if context.simulated else ProcessLearner(task)
         )
@@ -194,10 +196,10 @@ class _Learning:
         self._recent.append(
             (
                 step.channels_s[self.channels[0]],
-                tuple([f * step.channels[c] for f, c in zip(self._factors, self.channels, strict=True)]),
+                tuple([f * step.channels[c] for f, c in zip(self.factors, self.channels, strict=True)]),
             )
         )
-        if self._steps % self._every == 0 and self._recent[0][0] <= step.feedback_s:
+        if self._steps % self.every == 0 and self._recent[0][0] <= step.feedback_s:
             drives = _at(self._recent, step.feedback_s)
             if self._nominal is not None:
                 drives = [a - b for a, b in zip(drives, self._nominal(step.feedback), strict=True)]

@@ -63,11 +63,11 @@ class PidController:
     Settings: ClassVar[type[Table]] = PidSettings
 
     def __init__(self, settings: Mapping[str, Any], context: LoopContext) -> None:
-        self._keys: PidSettings = self._checked(settings)
+        self.keys: PidSettings = self._checked(settings)
         self._low, self._high = context.low, context.high
-        filter_s = self._keys.filter_s
-        self._filter_s = 2.0 * context.period_s if filter_s is None else filter_s
-        self._tracking_s = self._keys.tracking_s or _integral_time_s(self._keys, context.period_s)
+        filter_s = self.keys.filter_s
+        self.filter_s = 2.0 * context.period_s if filter_s is None else filter_s
+        self.tracking_s = self.keys.tracking_s or _integral_time_s(self.keys, context.period_s)
         self._integral = 0.0
         self._rate = 0.0
         self._before: float | None = None
@@ -79,7 +79,7 @@ class PidController:
 
     def update(self, step: Step) -> float:
         """Return the output for one step; see `labrun.control.protocol.Controller`."""
-        keys = self._keys
+        keys = self.keys
         self._dt_s = step.dt_s
         base = self._feedforward(step) + keys.bias + keys.p * step.error + keys.d * self._derivative(step)
         if keys.output == "increment":
@@ -94,8 +94,8 @@ class PidController:
 
     def applied(self, drive: float) -> None:
         """Take note of what the variable was given."""
-        if self._keys.anti_windup == "back-calculation" and self._keys.i:
-            share = min(1.0, self._dt_s / self._tracking_s)
+        if self.keys.anti_windup == "back-calculation" and self.keys.i:
+            share = min(1.0, self._dt_s / self.tracking_s)
             self._integral += share * (drive - self._requested)
 
     def _feedforward(self, step: Step) -> float:  # noqa: ARG002
@@ -103,10 +103,10 @@ class PidController:
 
     def _derivative(self, step: Step) -> float:
         """Return the filtered rate of the error, or of the negative measurement; zero at the first step."""
-        signal = step.error if self._keys.derivative_on == "error" else -step.feedback
+        signal = step.error if self.keys.derivative_on == "error" else -step.feedback
         if self._before is not None:
             raw = (signal - self._before) / step.dt_s
-            self._rate += (raw - self._rate) * step.dt_s / (self._filter_s + step.dt_s)
+            self._rate += (raw - self._rate) * step.dt_s / (self.filter_s + step.dt_s)
         self._before = signal
         return self._rate
 

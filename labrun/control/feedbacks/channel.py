@@ -71,6 +71,11 @@ class ChannelFeedback(ABC):
         ]
         return found[0] if len(found) == 1 else math.hypot(*found)
 
+    @property
+    def factor(self) -> float:
+        """What a sample of its (first) channel is multiplied by."""
+        return self._factors[0]
+
     @abstractmethod
     def memory_s(self, period_s: float | None) -> float:
         """Return how far back it looks, s."""

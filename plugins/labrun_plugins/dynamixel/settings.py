@@ -74,7 +74,7 @@ limits = { angle_deg = [-90, 90], speed_deg_s = 180 }"""
     baud: PositiveInt = 1_000_000
     joints: dict[str, Joint] = Field(min_length=1)
     operating_mode: Literal["position", "extended-position"] = "position"
-    command_hz: float = Field(default=100.0, gt=0.0, le=500.0)
+    command_hz: float = Field(default=100.0, gt=0.0, le=1000.0)
     on_stop: Literal["hold", "torque-off"] = "hold"
     watchdog_ms: int = Field(default=100, ge=2 * WATCHDOG_STEP_MS, le=127 * WATCHDOG_STEP_MS)
     return_delay_us: int = Field(default=0, ge=0, le=508)

@@ -2,16 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, FloatArray, Health, Samples, Trajectory
+from labrun.devices.compiled_bench import Ahead, CompiledSensor
+from labrun.models import native
 from labrun_plugins.dynamixel.settings import DynamixelSettings
 from labrun_plugins.simulated.joints import SimulatedJoints
 from labrun_plugins.simulated.settings import SimulatedSettings
 from labrun_plugins.simulated.shaft import Shaft
-from labrun_plugins.simulated.stream import SampleStream, Timing
+from labrun_plugins.simulated.stream import Delivered, SampleStream, Timing
 
 COUNT_RAD = 2 * np.pi / 4096
 SPEED_STEP_RAD_S = 0.229 * 2 * np.pi / 60
@@ -27,6 +29,15 @@ TORQUE_N_M_A = 1.8
 _STEP_S = 0.005
 _SUBSTEP_S = 0.005
 _TIMING = Timing(latency_s=0.001, jitter_s=0.0005, clock_offset_s=12.0, clock_drift=2e-5)
+
+
+def _whole_counts(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None:  # noqa: ARG001
+    """Angles in steps of the register, as many as the first parameter says."""
+    for i in range(int(p[0])):
+        out[i] = round(x[i] / COUNT_RAD) * COUNT_RAD
+
+
+_ANGLES = native("model", _whole_counts)
 
 
 class SimulatedDynamixelSettings(DynamixelSettings, SimulatedSettings):
@@ -65,6 +76,7 @@ class SimulatedDynamixel(SimulatedJoints):
         frames = max(1, round(1.0 / (settings.command_hz * _SUBSTEP_S)))
         shaft = replace(SHAFT, frame_s=frames * _SUBSTEP_S)
         super().__init__(name, settings, context, signs, shaft)
+        self._frame_s = 1.0 / settings.command_hz
         self._turn_rad = np.pi if settings.operating_mode == "position" else 256 * 2 * np.pi
         self._neutral_rad = {j: np.radians(table.neutral_deg) for j, table in settings.joints.items()}
 
@@ -105,6 +117,7 @@ class SimulatedDynamixelWithFeedback(SimulatedDynamixel):
         self._quantities = settings.feedback
         self._stream = SampleStream(settings.feedback_hz, _TIMING)
         self._streaming = False
+        self._delivered = Delivered()
 
     def reseed(self, seed: np.random.SeedSequence) -> None:
         """Take a new generator for jitter."""
@@ -136,6 +149,8 @@ class SimulatedDynamixelWithFeedback(SimulatedDynamixel):
         self._require_answer()
         if not self._streaming:
             raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
+        if (block := self._delivered.take()) is not None:
+            return block
         arrived = self._stream.arrived(self._clock.now(), self._rng, self._faults.drop_share)
         values = np.empty((len(arrived), len(self.channels)))
         column = 0
@@ -145,6 +160,25 @@ class SimulatedDynamixelWithFeedback(SimulatedDynamixel):
                 values[:, column] = measured[quantity]
                 column += 1
         return Samples(arrived.device_time_s, arrived.host_time_s, values, lost=arrived.lost)
+
+    def compiled(self) -> CompiledSensor | str:
+        """Return its compiled form; see `labrun.devices.compiled_bench.CompiledStandIn`."""
+        if self._quantities != ("angle",):
+            return f"{self.name} streams more than angles"
+        count = np.array([float(len(self.joints))])
+        return CompiledSensor(_ANGLES.address, count, (), self.joints, len(self.joints), 0)
+
+    def ahead(self, until_s: float, draws: int) -> Ahead:
+        """Return the samples that arrive up to a time."""
+        return self._stream.ahead(until_s, self._rng, self._faults.drop_share, draws)
+
+    def completed(self, values: FloatArray) -> FloatArray:
+        """Return all channels: there are no others."""
+        return values
+
+    def deliver(self, block: Samples) -> None:
+        """Take what the next `read` returns."""
+        self._delivered.put(block)
 
     def _measured(self, joint: str, time_s: FloatArray) -> dict[str, FloatArray]:
         """Return what one servo measures, in steps of its registers."""

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from labrun.devices import DeviceContext, DeviceError, Trajectory
+from labrun.devices import DeviceContext, DeviceError, FloatArray, Trajectory
 from labrun.errors import LimitExceededError
 from labrun_plugins.simulated.bench import packed, unpacked
 from labrun_plugins.simulated.device import SimulatedDevice
@@ -41,6 +41,7 @@ class SimulatedJoints(SimulatedDevice):
         self.joints = tuple(signs)
         self._signs = dict(signs)
         self._shaft = shaft
+        self._frame_s = shaft.frame_s
         self._motion: dict[str, tuple[float, Trajectory]] = {}
         self._commanded: dict[str, tuple[float, Trajectory]] = {}
 
@@ -84,6 +85,31 @@ class SimulatedJoints(SimulatedDevice):
             motion = self._shaft.motion(joint, command, *self._state(joint, start_s))
             self._commanded[joint] = (start_s, command)
             self._move(joint, motion, start_s)
+
+    def compiled_joints(self, step_s: float) -> FloatArray:
+        """Return the shafts' numbers; see `labrun.devices.compiled_bench.CompiledJoints`."""
+        hold = max(1, round(self._frame_s / step_s))
+        return np.array([self._shaft.row(step_s, hold, self._signs[joint]) for joint in self.joints])
+
+    def joint_state(self, joint: str, time_s: float) -> tuple[float, float]:
+        """Return the shaft's angle (rad) and speed (rad/s) at a time."""
+        return self._state(joint, time_s)
+
+    def moved(self, joint: str, time_s: FloatArray, angle_rad: FloatArray, goal_rad: FloatArray) -> None:
+        """Take note of how a shaft moved, and of what it was told; it goes on to the last goal."""
+        start_s = float(time_s[0])
+        passed = time_s - start_s
+        told = Trajectory((joint,), passed, goal_rad[:, None])
+        self._commanded[joint] = (start_s, told)
+        speed = float((angle_rad[-1] - angle_rad[-2]) / (time_s[-1] - time_s[-2]))
+        last = Trajectory((joint,), np.zeros(1), goal_rad[-1:, None])
+        tail = self._shaft.motion(joint, last, float(angle_rad[-1]), speed)
+        motion = Trajectory(
+            (joint,),
+            np.concatenate([passed, passed[-1] + tail.time_s[1:]]),
+            np.concatenate([angle_rad, tail.angle_rad[1:, 0]])[:, None],
+        )
+        self._move(joint, motion, start_s)
 
     def safe_stop(self) -> None:
         """Hold every joint where it is now."""

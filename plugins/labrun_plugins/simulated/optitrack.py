@@ -1,10 +1,13 @@
 """Stand-in for OptiTrack motion capture (two Prime 17W cameras, Motive)."""
 
-from typing import ClassVar
+import math
+from typing import Any, ClassVar
 
 import numpy as np
 
 from labrun.devices import DeviceContext, DeviceSettings, FloatArray
+from labrun.devices.compiled_bench import CompiledSensor
+from labrun.models import native
 from labrun_plugins.optitrack.poses import BodyAngles, channels_of
 from labrun_plugins.optitrack.settings import OptiTrackSettings
 from labrun_plugins.simulated.sensor import SimulatedSensor
@@ -65,6 +68,18 @@ class SimulatedOptiTrack(SimulatedSensor):
         poses[:, :, :3] += _POSITION_SD_M * self._rng.standard_normal((count, len(self.bodies), 3))
         half_turn = 0.5 * _ORIENTATION_SD_RAD * self._rng.standard_normal((count, len(self.bodies), 3))
         poses[:, :, 3:] = _turned(poses[:, :, 3:], half_turn)
+        return self._completed(poses)
+
+    def _compiled(self) -> CompiledSensor:
+        bodies = np.array([float(len(self.bodies)), _POSITION_SD_M, _ORIENTATION_SD_RAD])
+        return CompiledSensor(_POSES.address, bodies, self.feels, (), len(self.feels), 6 * len(self.bodies))
+
+    def completed(self, values: FloatArray) -> FloatArray:
+        """Return poses with the angles and markers that follow from them."""
+        return self._completed(values.reshape(len(values), len(self.bodies), _POSE_CHANNELS))
+
+    def _completed(self, poses: FloatArray) -> FloatArray:
+        count = len(poses)
         angles = self._angles.of(poses[:, :, 3:])
         places = [
             poses[:, body, :3] + _turned_by(poses[:, body, 3:], offset)
@@ -72,6 +87,34 @@ class SimulatedOptiTrack(SimulatedSensor):
             for offset in marker_places(markers)
         ]
         return np.column_stack([poses.reshape(count, -1), angles, *places])
+
+
+def _noisy_poses(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None:  # noqa: ARG001
+    """Poses with noise in place and orientation: bodies, and both standard deviations."""
+    for body in range(int(p[0])):
+        at, draw = 7 * body, 6 * body
+        for i in range(3):
+            out[at + i] = x[at + i] + p[1] * u[draw + i]
+        a, b, c = (
+            0.5 * p[2] * u[draw + 3],
+            0.5 * p[2] * u[draw + 4],
+            0.5 * p[2] * u[draw + 5],
+        )
+        qx, qy, qz, qw = x[at + 3], x[at + 4], x[at + 5], x[at + 6]
+        nx = qx + qw * a + b * qz - c * qy
+        ny = qy + qw * b + c * qx - a * qz
+        nz = qz + qw * c + a * qy - b * qx
+        nw = qw - (a * qx + b * qy + c * qz)
+        length = math.sqrt(nx * nx + ny * ny + nz * nz + nw * nw)
+        out[at + 3], out[at + 4], out[at + 5], out[at + 6] = (
+            nx / length,
+            ny / length,
+            nz / length,
+            nw / length,
+        )
+
+
+_POSES = native("model", _noisy_poses)
 
 
 def marker_places(count: int) -> FloatArray:

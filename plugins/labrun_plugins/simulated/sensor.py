@@ -1,13 +1,16 @@
 """A simulated sensor: samples of scene signals with noise, quantization, range, losses and latency."""
 
+import math
 from abc import ABC, abstractmethod
+from dataclasses import replace
 
 import numpy as np
 
 from labrun.devices import Channel, DeviceContext, DeviceError, FloatArray, Samples
+from labrun.devices.compiled_bench import Ahead, CompiledSensor
 from labrun_plugins.simulated.device import SimulatedDevice
 from labrun_plugins.simulated.settings import SimulatedSettings
-from labrun_plugins.simulated.stream import Arrivals, SampleStream, Timing
+from labrun_plugins.simulated.stream import Arrivals, Delivered, SampleStream, Timing
 
 _SILENCE_S = 0.5
 """A driver takes a stream that is silent for this long as lost."""
@@ -58,6 +61,7 @@ class SimulatedSensor(SimulatedDevice, ABC):
         self._has_clock = has_clock
         self._streaming = False
         self._last_heard_s = 0.0
+        self._delivered = Delivered()
 
     def reseed(self, seed: np.random.SeedSequence) -> None:
         """Take a new generator for noise, jitter and losses."""
@@ -91,6 +95,8 @@ class SimulatedSensor(SimulatedDevice, ABC):
         self._require_open()
         if not self._streaming:
             raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
+        if (block := self._delivered.take()) is not None:
+            return block
         now = self._clock.now()
         sent_until = min(now, self._silent_from_s())
         arrivals = self._stream.arrived(sent_until, self._rng, self._faults.drop_share)
@@ -99,6 +105,29 @@ class SimulatedSensor(SimulatedDevice, ABC):
         self._last_heard_s = sent_until
         values, saturated = self.measure(arrivals.taken_s)
         return self._samples(arrivals, values, saturated)
+
+    def compiled(self) -> CompiledSensor | str:
+        """Return its compiled form, or why there is none; see `labrun.devices.compiled_bench.CompiledStandIn`."""
+        if self._disturbed or math.isfinite(self._silent_from_s()):
+            return f"{self.name} is to have faults"
+        return self._compiled() or f"{self.name} ({self.model}) has no compiled form"
+
+    def ahead(self, until_s: float, draws: int) -> Ahead:
+        """Return the samples that arrive up to a time."""
+        self._last_heard_s = until_s
+        return self._stream.ahead(until_s, self._rng, self._faults.drop_share, draws)
+
+    def completed(self, values: FloatArray) -> FloatArray:
+        """Return all channels, given those that were computed."""
+        return values
+
+    def deliver(self, block: Samples) -> None:
+        """Take what the next `read` returns."""
+        self._delivered.put(replace(block, saturated=self._clip(block.values)))
+
+    def _compiled(self) -> CompiledSensor | None:
+        """Return the compiled form of what `_measure` does; None if there is none."""
+        return None
 
     def measure(self, time_s: FloatArray) -> tuple[FloatArray, int]:
         """Return what the sensor reads at these times, shape (n, channels), and how many samples stand at its end.

@@ -37,6 +37,11 @@ class Shaft:
     natural_hz: float
     damping: float
 
+    def row(self, step_s: float, hold: int, sign: int) -> FloatArray:
+        """Return what a compiled dry run knows of it, see `labrun.devices.compiled_bench.CompiledJoints`."""
+        numbers = [self.step_rad, self.dead_band_rad, self.speed_rad_s, float(hold), float(sign)]
+        return np.array([*transition(self.natural_hz, self.damping, step_s).ravel(), *numbers])
+
     def motion(
         self, joint: str, trajectory: Trajectory, from_rad: float, from_rad_s: float = 0.0
     ) -> Trajectory:
@@ -54,7 +59,7 @@ class Shaft:
         frame_time_s = np.arange(-(-count // hold), dtype=np.float64) * self.frame_s
         command = np.interp(frame_time_s, trajectory.time_s, commanded)
         angle = _follow(
-            command, hold, count, from_rad, from_rad_s, _transition(self.natural_hz, self.damping),
+            command, hold, count, from_rad, from_rad_s, transition(self.natural_hz, self.damping, _SUBSTEP_S),
             self.step_rad, self.dead_band_rad, self.speed_rad_s,
         )  # fmt: skip
         time_s = np.arange(count, dtype=np.float64) * _SUBSTEP_S
@@ -62,17 +67,17 @@ class Shaft:
 
 
 @functools.cache
-def _transition(natural_hz: float, damping: float) -> FloatArray:
-    """Return the matrix that takes error (command - x) and speed one substep on, shape (2, 2)."""
+def transition(natural_hz: float, damping: float, step_s: float) -> FloatArray:
+    """Return the matrix that takes error (command - x) and speed one step on, shape (2, 2)."""
     natural = 2.0 * math.pi * natural_hz
     decay = damping * natural
     damped = natural * math.sqrt(1.0 - damping**2)
-    cosine, sine = math.cos(damped * _SUBSTEP_S), math.sin(damped * _SUBSTEP_S) / damped
-    transition = np.array([
+    cosine, sine = math.cos(damped * step_s), math.sin(damped * step_s) / damped
+    matrix = np.array([
         [cosine + decay * sine, -sine],
         [natural**2 * sine, cosine - decay * sine],
     ])  # fmt: skip
-    return math.exp(-decay * _SUBSTEP_S) * transition
+    return math.exp(-decay * step_s) * matrix
 
 
 @kernel

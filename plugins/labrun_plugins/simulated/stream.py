@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.devices import FloatArray
+from labrun.devices import FloatArray, Samples
+from labrun.devices.compiled_bench import Ahead
 from labrun.models import kernel
 
 IntArray = NDArray[np.int64]
@@ -96,6 +97,28 @@ class SampleStream:
         lost = last - self._last_seen - len(arrived)
         self._last_seen = last
         return Arrivals(taken, device, arrived, lost)
+
+    def ahead(self, until_s: float, rng: np.random.Generator, extra_lost_share: float, draws: int) -> Ahead:
+        """Return what arrives up to a time, with as many standard normal numbers for each sample."""
+        here = self.arrived(until_s, rng, extra_lost_share)
+        noise = rng.standard_normal((len(here), draws))
+        return Ahead(here.taken_s, here.device_time_s, here.host_time_s, noise, here.lost)
+
+
+class Delivered:
+    """A block that a compiled dry run has measured already, until it is read."""
+
+    def __init__(self) -> None:
+        self._block: Samples | None = None
+
+    def put(self, block: Samples) -> None:
+        """Keep a block for the next read."""
+        self._block = block
+
+    def take(self) -> Samples | None:
+        """Return it once; None if there is none."""
+        block, self._block = self._block, None
+        return block
 
 
 @kernel

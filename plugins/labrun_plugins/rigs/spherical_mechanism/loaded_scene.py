@@ -8,9 +8,10 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat
 
 from labrun.devices import FloatArray
+from labrun.devices.compiled_bench import CompiledScene
 from labrun.effects import Scale
 from labrun.errors import ExperimentError, SpecError
-from labrun.models import Stepper, kernel
+from labrun.models import Stepper, kernel, native
 from labrun_plugins.rigs.spherical_mechanism.loaded_model import OUTPUTS, loaded_model
 from labrun_plugins.simulated.bench import (
     Bench,
@@ -25,6 +26,7 @@ from labrun_plugins.simulated.bench import (
 
 _SCALE = Scale(coordinate=0.05, rate=1.0, acceleration=10.0, force=0.03, signal=0.4, time_s=0.5)
 _STOP_RAD = math.radians(80.0)
+_GRAVITY = 9.81
 _WANDER = 0.3
 _WANDER_HZ = 0.3
 _MOST_G = 500.0
@@ -67,7 +69,7 @@ class SpmLoad(Bench):
     """
 
     Settings: ClassVar[type[BenchSettings]] = SpmLoadSettings
-    step_s = 0.002
+    step_s = 0.001
     scale = _SCALE
     joints = _SERVOS
     sensed = OUTPUTS
@@ -133,6 +135,25 @@ class SpmLoad(Bench):
             "hidden": [described(effect) for effect in self._hidden],
         }
 
+    def compiled(self) -> CompiledScene | str:
+        """Return the bench from the last known point of its grid on; see `labrun.devices.compiled_bench`."""
+        if self._hidden:
+            return "effects that are hidden in this scene have no compiled form"
+        mounted = self._mounted
+        wander = _WANDER if mounted["moving"] and self._settings.noise else 0.0
+        numbers = [
+            self.step_s, *self._model.values, self._play, *self._offset, 1e-3 * mounted["load_g"],
+            mounted["load_from_s"], mounted["load_to_s"], self._start_s, wander, *self._phase,
+        ]  # fmt: skip
+        state = np.concatenate([self._stepper.state, self._horn, self._inputs_before[0]])
+        first = self._history.end - 1
+        return CompiledScene(_ADVANCED.address, state, np.array(numbers), first, self._history.newest)
+
+    def _adopt(self, state: FloatArray) -> None:
+        self._stepper.state = state[:4]
+        self._horn, self._inputs_before = state[4:6].copy(), state[6:11].copy()[None, :]
+        self._servos_before = np.array([self._history.newest[[9, 10]]])
+
     def _advance(self, time_s: FloatArray) -> FloatArray:
         told = np.column_stack([self._drives[joint].angles(time_s) for joint in self.joints])
         servos = told
@@ -197,6 +218,53 @@ class SpmLoad(Bench):
         if self._sight is not None:
             self._sight.restore(memory["sight"])
         self._stepper.restore(memory["stepper"])
+
+
+def _advanced(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None:  # noqa: ARG001
+    """One step of `SpmLoad._advance`, by the classical method of order 4.
+
+    State: that of the model, both horns, inputs before. Parameters: step, six of the model, play, offsets, load (kg),
+    its times, the recording's start, how far the pull wanders, its phases.
+    """
+    h = p[0]
+    now_0, now_1 = u[2] + p[8], u[3] + p[9]
+    x[4] = min(max(x[4], now_0 - p[7]), now_0 + p[7])
+    x[5] = min(max(x[5], now_1 - p[7]), now_1 + p[7])
+    since_s = t - p[13] if math.isfinite(p[13]) else 0.0
+    load = p[10] if p[11] <= since_s < p[12] else 0.0
+    turn = 2.0 * math.pi * _WANDER_HZ * t
+    pull_0, pull_1 = 1.0 + p[14] * math.sin(turn + p[15]), 1.0 + p[14] * math.sin(0.83 * turn + p[16])
+    a_0, b_0, c_0, d_0 = x[0], x[1], x[2], x[3]
+    a, b, c, d = a_0, b_0, c_0, d_0
+    sum_a, sum_b, sum_c, sum_d = 0.0, 0.0, 0.0, 0.0
+    for stage in range(4):
+        share = 0.5 * ((stage + 1) // 2)
+        horn_0, horn_1 = x[6] + share * (x[4] - x[6]), x[7] + share * (x[5] - x[7])
+        kg = x[8] + share * (load - x[8])
+        aside_0 = kg * _GRAVITY * p[6] * (x[9] + share * (pull_0 - x[9]))
+        aside_1 = kg * _GRAVITY * p[6] * (x[10] + share * (pull_1 - x[10]))
+        inertia = p[3] + kg * p[6] * p[6]
+        topple = p[4] + kg * _GRAVITY * p[5]
+        rate_b = (p[1] * (horn_0 - a) - p[2] * b + topple * math.sin(a) + aside_0) / inertia
+        rate_d = (p[1] * (horn_1 - c) - p[2] * d + topple * math.sin(c) - aside_1) / inertia
+        rate_a, rate_c = b, d
+        weight = 1.0 if stage in (0, 3) else 2.0
+        sum_a, sum_b = sum_a + weight * rate_a, sum_b + weight * rate_b
+        sum_c, sum_d = sum_c + weight * rate_c, sum_d + weight * rate_d
+        reach = 0.5 * h if stage < 2 else h
+        a, b, c, d = a_0 + reach * rate_a, b_0 + reach * rate_b, c_0 + reach * rate_c, d_0 + reach * rate_d
+    x[0], x[1] = a_0 + h / 6.0 * sum_a, b_0 + h / 6.0 * sum_b
+    x[2], x[3] = c_0 + h / 6.0 * sum_c, d_0 + h / 6.0 * sum_d
+    x[6], x[7], x[8], x[9], x[10] = x[4], x[5], load, pull_0, pull_1
+    theta_2 = x[2]
+    phi = -math.atan2(math.tan(x[0]), math.cos(theta_2))
+    cy, sy, cx, sx = math.cos(theta_2 / 2), math.sin(theta_2 / 2), math.cos(phi / 2), math.sin(phi / 2)
+    out[0], out[1], out[2] = 0.0, 0.0, 0.0
+    out[3], out[4], out[5], out[6] = cy * sx, sy * cx, -sy * sx, cy * cx
+    out[7], out[8], out[9], out[10], out[11] = x[0], x[2], u[2], u[3], load
+
+
+_ADVANCED = native("model", _advanced)
 
 
 @kernel

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationError
 
 from labrun.errors import SpecError
+from labrun.models import native
 
 
 class SpiralSettings(BaseModel):
@@ -68,3 +69,14 @@ def servo_angles_deg(orientation: Sequence[float]) -> tuple[float, float]:
     w, x, y, z = orientation
     nx, ny, nz = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
     return math.degrees(math.atan2(ny * nz, nx * nx + nz * nz)), math.degrees(math.atan2(nx, nz))
+
+
+def _compiled_angles(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None:  # noqa: ARG001
+    """Servo angles, deg, as `servo_angles_deg`, of a quaternion (w, x, y, z) at `x`."""
+    nx, ny = 2.0 * (x[1] * x[3] + x[0] * x[2]), 2.0 * (x[2] * x[3] - x[0] * x[1])
+    nz = 1.0 - 2.0 * (x[1] * x[1] + x[2] * x[2])
+    out[0] = math.degrees(math.atan2(ny * nz, nx * nx + nz * nz))
+    out[1] = math.degrees(math.atan2(nx, nz))
+
+
+servo_angles_deg.compiled = native("model", _compiled_angles)  # type: ignore[attr-defined]

@@ -42,6 +42,11 @@ class History:
         """Number of the grid point after the last one known."""
         return self._first + self._count
 
+    @property
+    def newest(self) -> FloatArray:
+        """Signals at the grid point known last, shape (signals,)."""
+        return self._rows[self._count - 1].copy()
+
     def append(self, rows: FloatArray) -> None:
         """Add the next grid points, shape (n, signals)."""
         need = self._count + len(rows)

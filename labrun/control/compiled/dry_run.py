@@ -1,0 +1,263 @@
+"""A trial of a compiled loop in simulated time: bench, sensors and loop advance together, block by block."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.control.compiled.blocks import ANGLE, Arriving, BlockBench, run_block
+from labrun.control.compiled.law import refusal
+from labrun.control.compiled.stepping import Law
+from labrun.devices import Samples
+from labrun.devices.compiled_bench import (
+    Ahead,
+    CompiledJoints,
+    CompiledScene,
+    CompiledSensor,
+    CompiledStandIn,
+)
+from labrun.runner import Rig
+
+_BLOCK_S = 0.2
+_KEPT_ROWS = 512
+"""Truth of before a block that samples still under way were made in."""
+_WHOLE = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class BlockResult:
+    """What a block brought.
+
+    Attributes
+    ----------
+    status
+        `labrun.control.compiled.stepping.GOOD`, or why a step failed.
+    records : (steps, numbers)
+        Time of the trial, time since the newest sample was made, and what `take_step` records.
+    time_s, goals : (points,), (points, joints)
+        What the joints were told, rad, from when on; by the clock.
+    """
+
+    status: int
+    records: FloatArray
+    time_s: FloatArray
+    goals: FloatArray
+
+
+@dataclass
+class _Sensor:
+    name: str
+    device: CompiledStandIn
+    form: CompiledSensor
+
+
+@dataclass
+class CompiledDryRun:
+    """A bench in simulated time from now on, for the loop of one trial.
+
+    Parameters
+    ----------
+    rig
+        Whose scene, sensors and actuators all have a compiled form.
+    law
+        The loop.
+    joints
+        Joints it moves, in the order of its gait.
+    period_s
+        Of the loop: a whole number of steps of the scene's time grid.
+
+    Raises
+    ------
+    SpecError
+        A scene or device without compiled form, or a period that does not fit.
+    """
+
+    rig: Rig
+    law: Law
+    joints: tuple[str, ...]
+    period_s: float
+    _sensors: list[_Sensor] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        require_compiled(self.rig, self.joints, self.period_s)
+        scene: Any = self.rig.scene
+        self._scene = scene
+        self._step_s = float(scene.step_s)
+        self._per_step = round(self.period_s / self._step_s)
+        for name, device in self.rig.sensors.items():
+            self._sensors.append(
+                _Sensor(name, cast("CompiledStandIn", device), cast("Any", device).compiled())
+            )
+        now = self.rig.clock.now()
+        scene.observe(list(scene.signals)[:1], np.array([now]))  # the bench as far as it has come
+        self._grid = scene.compiled().first
+        self._owner = {
+            joint: cast("CompiledJoints", device)
+            for device in self.rig.actuators.values()
+            for joint in getattr(device, "joints", ())
+            if joint in self.joints
+        }
+
+    @property
+    def now_s(self) -> float:
+        """Time that the bench has reached."""
+        return self._grid * self._step_s
+
+    def begin(self, lead_s: float, steps: int, channels: int, drives: FloatArray) -> float:
+        """Let the loop begin after `lead_s`, with `drives` where they are; return when, by the clock."""
+        self._start = self._grid + math.ceil(lead_s / self._step_s)
+        self._steps, self._done = steps, 0
+        self._drives = drives
+        self._latest = np.full(channels, np.nan)
+        self._latest_s = np.full(len(self._sensors), -np.inf)
+        return self._start * self._step_s
+
+    def take_over(self) -> None:
+        """Take the bench over from its scene, which knows by now when the recording begins."""
+        self._form: CompiledScene = self._scene.compiled()
+        self._bench = self._made_bench()
+        angle = self._bench.shafts[:, ANGLE]
+        self._truth = np.concatenate([self._form.row, angle])[None, :]
+        self._angles = angle.copy()
+
+    def block(self, until_s: float, references: Any) -> BlockResult:
+        """Run the next block, up to a time at the latest, and hand the samples to their devices.
+
+        Parameters
+        ----------
+        references
+            Returns the reference at a time of the trial.
+        """
+        points = min(round(_BLOCK_S / self._step_s), max(1, math.ceil((until_s - self.now_s) / self._step_s)))
+        last_s = (self._grid + points - 1) * self._step_s
+        ahead = [one.device.ahead(last_s, one.form.draws) for one in self._sensors]
+        arriving, order = _in_order(ahead)
+        in_block = self._steps_until(self._grid + points) - self._done
+        times = [(self._done + i) * self.period_s for i in range(in_block)]
+        wanted = np.array([references(t) for t in times], dtype=float)
+        if not in_block:
+            wanted = np.zeros((0, 1))
+        known = len(self._truth)
+        truth = np.empty((known + points, self._truth.shape[1]))
+        truth[:known] = self._truth
+        widest = max(one.form.channels for one in self._sensors)
+        measured = np.empty((len(arriving.host_s), widest))
+        width = 3 * len(self.law.wiring.channel) + 2 * len(self._drives) + 7
+        records = np.empty((in_block, width))
+        goals = np.empty((points, len(self.joints)))
+        status, taken = run_block(
+            self._bench, self.law, arriving, self._grid, truth, known, self._start, self._per_step,
+            self._steps, self._done, wanted, self._latest, self._latest_s, self._drives, self._angles,
+            measured, records, goals,
+        )  # fmt: skip
+        time_s = (self._grid + np.arange(points + 1)) * self._step_s
+        signals = self._bench.signals
+        self._scene.adopt(self._form, truth[known:, :signals])
+        for j, joint in enumerate(self.joints):
+            angle = truth[known - 1 :, signals + j]
+            told = np.concatenate([goals[:1, j], goals[:, j]])
+            self._owner[joint].moved(joint, time_s, angle, told)
+        self._hand_over(ahead, measured, order)
+        self._done += taken
+        self._grid += points
+        self._truth = truth[-_KEPT_ROWS:].copy()
+        return BlockResult(status, records[:taken], time_s[:-1], goals)
+
+    def _steps_until(self, grid: int) -> int:
+        """Return how many steps are due before a grid point."""
+        return min(max(0, -(-(grid - self._start) // self._per_step)), self._steps)
+
+    def _hand_over(
+        self, ahead: Sequence[Ahead], measured: FloatArray, order: Mapping[int, FloatArray]
+    ) -> None:
+        for number, (one, samples) in enumerate(zip(self._sensors, ahead, strict=True)):
+            rows = measured[order[number], : one.form.channels]
+            values = np.ascontiguousarray(one.device.completed(rows))
+            block = Samples(samples.device_time_s, samples.host_time_s, values, lost=samples.lost)
+            one.device.deliver(block)
+
+    def _made_bench(self) -> BlockBench:
+        scene, joints = self._scene, self.joints
+        rows, shafts = [], []
+        for joint in joints:
+            device = self._owner[joint]
+            rows.append(device.compiled_joints(self._step_s)[device.joints.index(joint)])
+            angle, speed = device.joint_state(joint, self._grid * self._step_s)
+            shafts.append([angle, angle, speed])
+        columns = {name: i for i, name in enumerate(scene.signals)}
+        feels: list[int] = []
+        feels_at, numbers_at, channels_at = [0], [], []
+        numbers: list[float] = []
+        width = 0
+        for one in self._sensors:
+            form = one.form
+            feels += [columns[name] for name in form.signals]
+            feels += [len(columns) + joints.index(name) for name in form.joints]
+            feels_at.append(len(feels))
+            numbers_at.append(len(numbers))
+            numbers += form.parameters.tolist()
+            channels_at.append(width)
+            width += form.channels
+        return BlockBench(
+            self._step_s, self._form.advance, self._form.state, self._form.parameters, len(columns),
+            np.array(rows), np.array(shafts), np.array([one.form.measure for one in self._sensors]),
+            np.array([*numbers, 0.0]), np.array(numbers_at), np.array([*feels, 0]), np.array(feels_at),
+            np.array(channels_at),
+        )  # fmt: skip
+
+
+def compiled_places(rig: Rig) -> dict[str, int]:
+    """Return where each channel that is measured in a block stands in the row of all."""
+    places: dict[str, int] = {}
+    for name, device in rig.sensors.items():
+        form = cast("Any", device).compiled()
+        for channel in device.channels[: form.channels]:
+            places[f"{name}.{channel.name}"] = len(places)
+    return places
+
+
+def require_compiled(rig: Rig, joints: Sequence[str], period_s: float) -> None:
+    """Raise SpecError unless a rig's scene and devices can take part in a compiled dry run."""
+    scene: Any = rig.scene
+    why = getattr(scene, "compiled", lambda: "this scene has no compiled form")()
+    if isinstance(why, str):
+        raise refusal(f"this bench: {why}")
+    per_step = period_s / float(scene.step_s)
+    if abs(per_step - round(per_step)) > _WHOLE or round(per_step) < 1:
+        highest = 1.0 / float(scene.step_s)
+        raise refusal(
+            f"{1.0 / period_s:g} steps a second on this scene, whose own step takes {scene.step_s:g} s: "
+            f"{highest:g} a second, or that divided by a whole number"
+        )
+    for name, device in rig.sensors.items():
+        form = getattr(device, "compiled", lambda name=name: f"{name} has no compiled form")()
+        if isinstance(form, str):
+            raise refusal(f"this rig: {form}")
+        missing = [one for one in form.joints if one not in joints]
+        if missing:
+            raise refusal(
+                f"a rig on which {name} measures {', '.join(missing)}, which the gait does not move"
+            )
+    for joint in joints:
+        owner = [one for one in rig.actuators.values() if joint in getattr(one, "joints", ())]
+        if not owner or not hasattr(owner[0], "compiled_joints"):
+            raise refusal(f"what drives {joint}")
+
+
+def _in_order(ahead: Sequence[Ahead]) -> tuple[Arriving, dict[int, FloatArray]]:
+    """Return all samples in the order in which they arrive, and the rows of each sensor's there."""
+    host_s = np.concatenate([one.host_time_s for one in ahead])
+    taken_s = np.concatenate([one.taken_s for one in ahead])
+    sensor = np.concatenate([np.full(len(one.host_time_s), i, dtype=np.int64) for i, one in enumerate(ahead)])
+    draws_at: list[FloatArray] = []
+    begin = 0
+    for one in ahead:
+        draws_at.append(begin + one.draws.shape[1] * np.arange(len(one.draws), dtype=np.int64))
+        begin += one.draws.size
+    order = np.argsort(host_s, kind="stable")
+    draws = np.concatenate([*(one.draws.ravel() for one in ahead), np.zeros(1)])
+    arriving = Arriving(host_s[order], taken_s[order], sensor[order], np.concatenate(draws_at)[order], draws)
+    return arriving, {i: np.flatnonzero(arriving.sensor == i) for i in range(len(ahead))}

@@ -1,0 +1,86 @@
+"""The loops of chapter 4 with compiled steps: what comes of them is what comes of the loops in Python."""
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from labrun.app.run import run
+from labrun.errors import LabrunError
+
+EXPERIMENTS = Path(__file__).parents[3] / "experiments"
+TRANSFER = EXPERIMENTS / "spm-transfer.toml"
+CONDITION = 'track.conditions=[{ controller = "mlp-ik", history_s = 1.0, load_g = 100, load_from_s = 1.5 }]'
+
+
+def tracked(folder, rate_hz, *changes, duration_s=3.0):
+    overrides = [
+        f"trial.duration_s={duration_s}",
+        "objectives={}",
+        CONDITION,
+        f"track.rate_hz={rate_hz}",
+        "track.compiled=true",
+        *changes,
+    ]
+    return run(TRANSFER, dry_run=True, seed=1, overrides=overrides, results=folder).run
+
+
+def columns(folder, device, *names):
+    with h5py.File(folder / "run.h5") as file:
+        return np.column_stack([file[device][name][:] for name in names])
+
+
+@pytest.mark.parametrize("controller", ["ik", "mlp-ik", "mlp-error"])
+def test_the_end_effector_goes_where_the_loop_in_python_takes_it(tmp_path, controller):
+    changes = ["trial={ duration_s = 3 }", "objectives={}", "track.rate_hz=125", "rig.scene.noise=0"]
+    names = [f"pose_feedback_{part}" for part in ("qw", "qx", "qy", "qz")]
+    ways = []
+    for way in ("true", "false"):
+        condition = f'track.conditions=[{{ controller = "{controller}", load_g = 100 }}]'
+        overrides = [*changes, condition, f"track.compiled={way}"]
+        file = EXPERIMENTS / "spm-pretrained.toml"
+        found = run(file, dry_run=True, seed=1, overrides=overrides, results=tmp_path / way)
+        ways.append(columns(found.run, "loop", *names))
+    apart_rad = 2.0 * np.abs(ways[0][60:] - ways[1][60:]).max(axis=1)
+    moved_rad = 2.0 * np.abs(ways[1][-1] - ways[1][60]).max()
+    assert np.median(apart_rad) < 0.003  # the cameras' noise is 0.0015 rad, and each way draws its own
+    assert moved_rad > 0.02
+
+
+def test_a_thousand_steps_a_second_learn_from_every_frame(tmp_path):
+    folder = tracked(
+        tmp_path, 1000, "rig.devices.servos.command_hz=1000",
+        "track.loops.pose.controllers.mlp-ik.learn.every=1", "track.loops.pose.controllers.mlp-error.learn.every=1",
+    )  # fmt: skip
+    found = columns(folder, "loop", "pose_trainings", "pose_weights_age_s", "missed", "time_s")
+    assert len(found) == 3000
+    assert np.diff(found[:, 3]) == pytest.approx(np.full(2999, 1e-3), abs=1e-9)
+    assert found[-1, 0] == pytest.approx(3.0 * 160, abs=10)
+    assert found[100:, 1].max() < 0.03
+    assert not found[:, 2].any()
+
+
+def test_the_same_seed_gives_the_same_run(tmp_path):
+    first, second = (
+        columns(tracked(tmp_path / name, 500, duration_s=1.0), "loop", "pose_drive_theta_1") for name in "ab"
+    )
+    assert (first == second).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (["track.rate_hz=160"], "160 steps a second on this scene"),
+        (['rig.devices.servos.feedback=["angle", "speed"]'], "servos streams more than angles"),
+        (["gait.joints.servo_1.angle_deg='theta_1*theta_2'"], "a gait that moves by itself, or bends"),
+        (
+            ['rig.scene={ plugin = "spm-load", hide = [{ effect = "coulomb-friction", site = "axis_1" }] }'],
+            "effects that are hidden in this scene have no compiled form",
+        ),
+    ],
+)
+def test_what_cannot_be_compiled_is_refused_before_anything_moves(tmp_path, changes, said):
+    with pytest.raises(LabrunError, match=said):
+        tracked(tmp_path, 500, *changes)
+    assert not list(tmp_path.rglob("run.h5"))
