@@ -155,8 +155,8 @@ def _check_references(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]
     yield from _check_device_names(trial, devices)
     joints = table(data, "gait", "joints")
     averaged = table(trial, "average").get("cycles_of")
-    path: KeyPath = ("trial", "average", "cycles_of")
-    yield from check_name(averaged, path, joints, "no joint of the gait has this name", kind="joints")
+    of = ("trial", "average", "cycles_of")
+    yield from check_name(averaged, of, joints, "no joint of the gait has this name", kind="joints")
     for name in table(trial, "within"):
         yield from check_channel(name, ("trial", "within", name), devices)
     for name in table(data, "cmaes", "guard", "limits"):

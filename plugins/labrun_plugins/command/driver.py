@@ -120,8 +120,8 @@ class Command:
             self._read(self._kept)
             return
         self._kept.parent.mkdir(parents=True, exist_ok=True)
-        for left in self._kept.parent.glob(f"{self._kept.stem}.partial-*.csv"):
-            left.unlink(missing_ok=True)
+        for unfinished in self._kept.parent.glob(f"{self._kept.stem}.partial-*.csv"):
+            unfinished.unlink(missing_ok=True)
         # a program of a runner that was killed may still compute, and would write into ours
         self._output = self._kept.with_suffix(f".partial-{os.getpid()}.csv").absolute()
         self._said = tempfile.TemporaryFile()  # noqa: SIM115  (the program writes to it until it ends)
