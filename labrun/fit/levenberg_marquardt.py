@@ -104,6 +104,7 @@ def minimise(
     derivatives: Jacobian | None = None,
     secant: bool = False,
     confirmed: bool = True,
+    beside: Jacobian | None = None,
 ) -> FloatArray:
     """Return the nearest minimum of the squared residuals and the prior.
 
@@ -129,6 +130,9 @@ def minimise(
         and taken anew only where that fails: one simulation of everything for a step, not one per variable.
     confirmed
         Whether a descent ends only on derivatives that were taken where it ends.
+    beside
+        Derivatives by the first shared variables and the trials' own, which change little on the way: where
+        derivatives have to be taken anew, only those by the variables behind them are, unless a step fails with these.
     """
     size = problem.size
     if len(z) == 0:
@@ -143,21 +147,25 @@ def minimise(
     damping, growth, count = _FIRST_DAMPING, 2.0, 1
     scale = np.zeros(len(z))
     moving = high[:size] > low[:size]
-    jacobian, fresh = derivatives, False
+    jacobian, fresh, partly = derivatives, False, False
     while count < evaluations and not stop(z):
         if jacobian is None:
-            jacobian, fresh = problem.jacobian(z, residual, central=central, moving=moving), True
+            partly = beside is not None and not partly
+            jacobian = problem.jacobian(
+                z, residual, central=central, moving=moving, beside=beside if partly else None
+            )
+            fresh = not partly
         jacobian = replace(jacobian, residual=residual)
         equations = NormalEquations.of(problem, z, jacobian)
         scale = np.maximum(scale, equations.diagonal)
         scale = np.maximum(scale, 1e-20 * float(np.max(scale, initial=1e-280)))
-        before, known = squares, fresh
+        before, known = squares, fresh or partly
         while count < evaluations:
             step = equations.step(damping * scale, (low[:size] - z[:size], high[:size] - z[:size]))
             moved = np.clip(z + step, low, high)
             predicted = equations.gain(moved - z)
             if predicted <= _ROUNDING * squares or damping > _MOST_DAMPING:
-                if fresh or not confirmed:
+                if known or not confirmed:
                     return z
                 jacobian = None
                 break
@@ -168,7 +176,8 @@ def minimise(
             if there < squares:
                 carried = secant and ratio > _POOR
                 jacobian = _carried_on(jacobian, moved - z, residual_there, size) if carried else None
-                z, residual, squares, fresh = moved, residual_there, there, False
+                z, residual, squares = moved, residual_there, there
+                fresh, partly = False, False
                 damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), _LEAST_DAMPING)
                 growth = 2.0
                 break

@@ -369,12 +369,21 @@ class Problem:
         *,
         central: bool = True,
         moving: NDArray[np.bool_] | None = None,
+        beside: Jacobian | None = None,
     ) -> Jacobian:
         """Return residuals (or take them as known) and their derivatives by the scaled variables.
 
         Differences to one side only cost half as much, and are good enough to find the way. Derivatives by shared
         variables that are not `moving` (all are, if None) are left at zero.
+
+        Parameters
+        ----------
+        beside
+            Derivatives near `z` by the first of the shared variables, and by the trials' own, that are taken as they
+            are: only those by the variables behind them are computed.
         """
+        if beside is not None:
+            return self._more_columns(z, self.residuals(z) if residual is None else residual, beside)
         residual = self.residuals(z) if residual is None else residual
         parameters = self.parameters(z)
         shared, own = [], []
@@ -393,6 +402,17 @@ class Problem:
             shared.append(columns(by_parameter, len(base)))
             own.append(columns(by_state, len(base)))
         return Jacobian(shared, own, residual)
+
+    def _more_columns(self, z: FloatArray, residual: list[FloatArray], beside: Jacobian) -> Jacobian:
+        parameters, shared = self.parameters(z), []
+        for index, (base, known) in enumerate(zip(residual, beside.shared, strict=True)):
+            start = self.own(z, index)
+            added = [
+                self._by_parameter(parameters, index, start, variable, base, False)
+                for variable in range(known.shape[1], self.size)
+            ]
+            shared.append(np.column_stack([known, *added]))
+        return Jacobian(shared, beside.own, residual)
 
     def guess(self, parameters: FloatArray) -> FloatArray:
         """Return free initial states, scaled, one trial after the other, from the first samples of each trial.

@@ -169,6 +169,8 @@ NOTICED_SHARE, NOTICED_OF_LEFT = 0.04, 0.5
 """The same of a cause that removes at least this part of what is left."""
 SMALL_SHARE, SMALL_OF_LEFT, SMALL_GAP = 0.005, 0.85, 2.0
 """The same of one beside a far larger one, if it removes nearly all of what is plainly left (in units of the noise)."""
+ONE_CAUSE_GAP = 0.5
+"""A smaller gap, in units of a noise that no repeats tell, is no place to look for a second cause."""
 LEAST_SHARE = 0.3
 """Part of the excess that causes must remove on withheld conditions, however well they fit those they saw."""
 TOGETHER_SHARE = 0.85

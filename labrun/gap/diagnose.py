@@ -26,6 +26,8 @@ class Options:
         Run the whole search, with all its fits, on data made from the recalibrated model and the noise.
     places
         Whether to look for where the gap is; the search for causes does not need it.
+    bounds
+        Whether what is ruled out is bounded beside the causes; otherwise it is bounded beside none.
     explain_rest
         Whether to propose a law for what the causes leave.
     """
@@ -35,6 +37,7 @@ class Options:
     full_guard: bool = False
     workers: int = 1
     places: bool = True
+    bounds: bool = True
     explain_rest: bool = False
 
 
@@ -63,6 +66,7 @@ def diagnose_dataset(
             rng,
             withhold=options.withhold,
             full_guard=options.full_guard,
+            bounds=options.bounds,
             each=each,
             note=note,
         )

@@ -11,7 +11,7 @@ from labrun.fit import Problem, minimise
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
 from labrun.gap.noise_threshold import NoiseThreshold
-from labrun.gap.screening import Base, Screened
+from labrun.gap.screening import Base, Screened, around
 
 
 def best_form(base: Base, screened: Screened, best: float, threshold: NoiseThreshold) -> Screened:
@@ -77,7 +77,13 @@ def resolved(base: Base, screened: Screened) -> Screened:
 
 def _ended(base: Base, screened: Screened, problem: Problem, start: FloatArray) -> Screened:
     z = minimise(
-        problem, start, tolerance=criteria.FIT_TOLERANCE, evaluations=criteria.FIT_EVALUATIONS, central=False
+        problem,
+        start,
+        tolerance=criteria.FIT_TOLERANCE,
+        evaluations=criteria.FIT_EVALUATIONS,
+        central=False,
+        secant=True,
+        beside=around(base, screened.candidate),
     )
     squares = problem.squares(z)
     return replace(screened, problem=problem, z=z, squares=squares, gain=max(base.squares - squares, 0.0))
@@ -100,6 +106,9 @@ def shaped(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screene
             tolerance=criteria.ROUGH_TOLERANCE,
             evaluations=criteria.ROUGH_EVALUATIONS,
             central=False,
+            secant=True,
+            confirmed=False,
+            beside=around(base, screened.candidate),
         )
         for sizes in _starts(choices, screened.sizes)
     ]

@@ -92,6 +92,7 @@ def search_causes(
     *,
     withhold: Collection[str] = (),
     full_guard: bool = False,
+    bounds: bool = True,
     each: Each = one_by_one,
     note: Note = silent,
 ) -> Search:
@@ -103,6 +104,8 @@ def search_causes(
         Ids of effects that the library is to be without.
     full_guard
         Run the whole search, with all its fits, on noise alone, too.
+    bounds
+        Try all candidates beside the causes even where none of them could be a cause, for bounds on their sizes.
 
     Raises
     ------
@@ -115,7 +118,7 @@ def search_causes(
     if model.states:
         data = without_crowding(data)
     first = recalibrate(model, data, rng, note)
-    asked = _Asked(clocks, data, withhold, full_guard, rng, each, note)
+    asked = _Asked(clocks, data, withhold, full_guard, bounds, rng, each, note)
     found = _searched(asked, first)
     if not first.noise.known and not found.selection.chosen:
         # the phase of a free swing drifts, so that nothing is linear but what its own past does not predict
@@ -166,6 +169,7 @@ class _Asked:
     data: Dataset
     withhold: Collection[str]
     full_guard: bool
+    bounds: bool
     rng: np.random.Generator
     each: Each
     note: Note
@@ -183,7 +187,7 @@ def _searched(asked: _Asked, recalibration: Recalibrated) -> Search:
         asked.note("running the whole search on noise alone, for the guard")
         linear = noise_threshold(base, asked.each(lambda one: survey(base, one), every), null)
         strictness = full_strictness(base, every, null, linear, asked.rng, asked.each)
-    selector = Selector(base, every, noise, null, held_out, strictness, asked.each, asked.note)
+    selector = Selector(base, every, noise, null, held_out, strictness, asked.each, asked.note, asked.bounds)
     limitations = (
         *unit_remarks(problem, recalibration.raw),
         *asked.clocks.limitations,

@@ -157,6 +157,14 @@ def _needed(one: Rated, left: Excess) -> float:
     return criteria.EVIDENCE_ALONE if alone else 1.0
 
 
+def room_for_more(left: Excess, reference: Excess) -> bool:
+    """Tell whether a further cause could earn its place at all: by removing everything that is left."""
+    share = left.total / reference.total if reference.total > 0 else 0.0
+    return share >= criteria.NOTICED_SHARE or (
+        share >= criteria.SMALL_SHARE and left.gap >= criteria.SMALL_GAP
+    )
+
+
 def _earns_its_place(one: Rated, left: Excess, reference: Excess) -> bool:
     """Tell whether a further cause removes enough on withheld conditions, of the whole gap or of what is left of it."""
     removed = left.total - one.held_out.total

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit import Each, Problem, minimise, one_by_one
+from labrun.fit import Each, Jacobian, Problem, minimise, one_by_one
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnosis import Name
@@ -134,7 +134,8 @@ def survey(base: Base, candidate: Candidate) -> Survey:
     """Look at what a candidate would change, at several sizes, and order its starts.
 
     A start is judged by what it would leave once parameters and initial states have adapted (linearly). One whose
-    simulation is not finite says nothing: it is left out, and the survey has no starts if all are.
+    simulation is not finite, with shorter steps either, says nothing: it is left out, and the survey has no starts if
+    all are.
     """
     problem = candidate.added_to(base.problem)
     shared, own = base.z[: base.problem.size], base.problem.own_states(base.z)
@@ -147,6 +148,11 @@ def survey(base: Base, candidate: Candidate) -> Survey:
             rated.append((0.0, number, z, change, whole))
             continue
         there = problem.finite_residuals(z)
+        if there is None and problem.substeps < criteria.FINEST:
+            # what is quick beside the integrator's steps, such as a short delay in a loop, wants shorter ones
+            finer = problem.with_substeps(criteria.FINER * problem.substeps)
+            there = finer.finite_residuals(z)
+            problem = problem if there is None else finer
         if there is None:
             continue
         parts = [after - now for after, now in zip(there, base.residual, strict=True)]
@@ -180,6 +186,8 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
     if known is not None:
         shared, own = base.z[: base.problem.size], base.problem.own_states(base.z)
         starts = [np.concatenate([shared, known, own]), *starts]
+    # parameters and initial states move little: their derivatives at the base show every start its way
+    known_part = around(base, surveyed.candidate)
     ends = [
         minimise(
             problem,
@@ -187,12 +195,21 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
             tolerance=criteria.ROUGH_TOLERANCE,
             evaluations=criteria.ROUGH_EVALUATIONS,
             central=False,
+            derivatives=None if known_part is None else problem.jacobian(z, beside=known_part),
+            secant=True,
+            confirmed=False,
+            beside=known_part,
         )
         for z in starts
     ]
     squares = [problem.squares(z) for z in ends]
     best = int(np.argmin(squares))
     return _screened(base, surveyed, ends[best], squares[best])
+
+
+def around(base: Base, candidate: Candidate) -> Jacobian | None:
+    """Return the derivatives by what a candidate is added to; None of a parameter, which is among them."""
+    return base.nuisance.jacobian if candidate.variables else None
 
 
 def follow(base: Base, begun: Screened) -> Screened:
@@ -204,6 +221,8 @@ def follow(base: Base, begun: Screened) -> Screened:
         tolerance=criteria.FIT_TOLERANCE,
         evaluations=criteria.FIT_EVALUATIONS,
         central=False,
+        secant=True,
+        beside=around(base, begun.candidate),
     )
     return _screened(base, begun.survey, z, problem.squares(z))
 

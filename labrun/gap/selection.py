@@ -15,7 +15,7 @@ from labrun.gap.held_out import Excess, held_out_excess
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import NoiseThreshold, noise_threshold
 from labrun.gap.null import Null
-from labrun.gap.rating import Rated, more_common, preferred, promising, rate, rivals_of
+from labrun.gap.rating import Rated, more_common, preferred, promising, rate, rivals_of, room_for_more
 from labrun.gap.recalibration import in_units_of
 from labrun.gap.screening import Base, Screened, ends_of, refit, screen_all, survey
 
@@ -77,7 +77,8 @@ class Selection:
     Attributes
     ----------
     rounds
-        Beside the recalibrated model, beside the first cause, and so on; the last finds nothing more.
+        Beside the recalibrated model, beside the first cause, and so on; the last finds nothing more, and is not there
+        where nothing more could be found.
     final, held_out
         The model with all causes, and what it leaves on withheld conditions.
     """
@@ -100,6 +101,8 @@ class Selector:
         What candidates have to beat.
     strictness
         Factor on the threshold that noise sets.
+    bounds
+        Whether all candidates are tried beside the causes even where none of them could be taken in.
     """
 
     base: Base
@@ -110,6 +113,7 @@ class Selector:
     strictness: float
     each: Each
     note: Note
+    bounds: bool = True
     _rounds: dict[frozenset[Name], Round] = field(default_factory=dict, repr=False)
 
     def select(self) -> Selection:
@@ -166,8 +170,23 @@ class Selector:
             self.note(f"found {one.name}; looking whether there is more")
             chosen.append(one)
             if len(chosen) < criteria.MOST_CAUSES:
-                rounds.append(self._round(one.base))
+                rounds += self._beyond(one)
+            if not self._room(one.held_out):
+                break
         return chosen, rounds
+
+    def _room(self, left: Excess) -> bool:
+        if self.null.relative and self.reference.gap < criteria.ONE_CAUSE_GAP:
+            return False
+        return room_for_more(left, self.reference)
+
+    def _beyond(self, last: Chosen) -> list[Round]:
+        """Try every candidate beside all causes: closely only where there is room for one more."""
+        if self._room(last.held_out):
+            return [self._round(last.base)]
+        names = frozenset(one.name for one in last.base.added)
+        rest = without(self.candidates, names)
+        return [self._tried(last.base, rest, closely=False)] if self.bounds else []
 
     def _exchanged(self, chosen: list[Chosen]) -> tuple[list[Chosen], list[Round]]:
         """Choose each cause again beside the others: what stood in for two of them gives way."""
@@ -185,7 +204,7 @@ class Selector:
                 break
         if len(chosen) == 1:
             chosen = [self._alone(chosen[0])]
-        return chosen, [self._round(self.base), self._round(chosen[-1].base)]
+        return chosen, [self._round(self.base), *self._beyond(chosen[-1])]
 
     def _alone(self, one: Chosen) -> Chosen:
         """Return a cause that is left alone with the rivals it has there, not those it had beside another."""
@@ -237,11 +256,19 @@ class Selector:
             self._rounds[names] = self._tried(base, without(self.candidates, names))
         return self._rounds[names]
 
-    def _tried(self, base: Base, candidates: Sequence[Candidate]) -> Round:
-        """Try candidates beside a base: fits, the threshold of noise, and the best of them on withheld conditions."""
+    def _tried(self, base: Base, candidates: Sequence[Candidate], *, closely: bool = True) -> Round:
+        """Try candidates beside a base: fits, the threshold of noise, and the best of them on withheld conditions.
+
+        Parameters
+        ----------
+        closely
+            Whether forms and withheld conditions are looked at: not where no candidate could be taken in.
+        """
         surveys = self.each(lambda one: survey(base, one), candidates)
         threshold = noise_threshold(base, surveys, self.null).times(self.strictness)
         screened = screen_all(base, surveys, threshold.gain, self.each, known=self._known())
+        if not closely:
+            return Round(base, screened, threshold, [])
         most = max((one.gain for one in screened), default=0.0)
         screened = self.each(lambda one: best_form(base, one, most, threshold), screened)
         rated = self.each(

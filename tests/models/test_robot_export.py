@@ -87,6 +87,62 @@ def test_values_and_several_effects_go_together(tmp_path):
     assert "body_mass[1] 0.3 became 0.33" in exported.written
 
 
+TWO_LINKS = """
+<mujoco model="arm"><compiler angle="radian"/><option timestep="0.001" integrator="RK4"/><worldbody>
+<body name="upper"><joint name="shoulder" axis="0 0 1" damping="0.2"/>
+<inertial pos="0.15 0 0" mass="0.6" diaginertia="1e-3 3e-3 3e-3"/>
+<body name="lower" pos="0.3 0 0"><joint name="elbow" axis="0 1 0" damping="0.1"/>
+<inertial pos="0.1 0 0" mass="0.3" diaginertia="4e-4 1e-3 1e-3"/></body></body></worldbody>
+<actuator><position name="shoulder" joint="shoulder" kp="8"/><position name="elbow" joint="elbow" kp="6"/></actuator>
+</mujoco>
+"""
+
+
+def turned(xml, roll, pitch, load):
+    """Return MuJoCo's own model of the arm on a turned base, with a ball where its last link ends."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree, spec.option.timestep = False, 0.001
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    base = spec.worldbody.add_body(name="base", euler=[roll, 0, 0]).add_body(euler=[0, pitch, 0])
+    spec.attach(mujoco.MjSpec.from_string(xml), frame=base.add_frame(), prefix="in-")
+    tip = spec.body("in-lower").add_body(pos=[0.2, 0, 0])
+    tip.mass, tip.ipos, tip.inertia, tip.explicitinertial = load, [0, 0, 0], [1e-9] * 3, True
+    return spec.compile()
+
+
+def moved(native, joints):
+    """Return the joints' angles at 100 Hz, goals as sines from rest."""
+    data, angles = mujoco.MjData(native), []
+    controls = [native.actuator(name).id for name in joints]
+    places = [native.joint(name).qposadr[0] for name in joints]
+    time_s = np.arange(0.0, 3.0, 0.01)
+    goals = np.column_stack([0.7 * np.sin(2 * np.pi * 0.7 * time_s), 0.5 * np.sin(2 * np.pi * 0.4 * time_s)])
+    for told in goals:
+        angles.append(data.qpos[places].copy())
+        data.ctrl[controls] = told
+        mujoco.mj_step(native, data, nstep=10)
+    return time_s, goals, np.array(angles)
+
+
+def test_a_tilted_base_and_a_load_are_in_the_exported_file(tmp_path):
+    (tmp_path / "arm.xml").write_text(TWO_LINKS)
+    (tmp_path / "corrected.toml").write_text(
+        'base = "arm.xml"\n[values]\nbase_roll = 0.08\nbase_pitch = -0.06\ntip_load = 0.12\n'
+    )
+    model = load_model(tmp_path / "corrected.toml")
+    exported = mjcf_of(model)
+    assert not exported.left
+    joints = ["shoulder", "elbow"]
+    time_s, goals, alone = moved(mujoco.MjModel.from_xml_string(exported.xml), joints)
+    begin = np.zeros(4)
+    own = simulate(model, time_s, goals, initial_state=begin).outputs
+    _, _, level = moved(mujoco.MjModel.from_xml_string(TWO_LINKS), joints)
+    _, _, real = moved(turned(TWO_LINKS, 0.08, -0.06, 0.12), ["in-shoulder", "in-elbow"])
+    assert np.sqrt(np.mean((level - real) ** 2, axis=0)).min() > 5 * NOISE_RAD, "both are to be seen at all"
+    assert np.sqrt(np.mean((alone - own) ** 2)) < NOISE_RAD
+    assert np.sqrt(np.mean((real - own) ** 2)) < NOISE_RAD
+
+
 def test_what_has_no_word_in_mjcf_is_listed_with_its_law(tmp_path):
     (tmp_path / "arm.xml").write_text(ARM)
     (tmp_path / "corrected.toml").write_text(

@@ -115,7 +115,7 @@ def rivals_of(search: Search) -> Rivals:
         )
     if selection.chosen:
         cause = selection.chosen[-1].rated
-        runner_up = _runner_up(search.selection.rounds[-2], cause) if len(selection.chosen) == 1 else None
+        runner_up = _runner_up(selection.rounds[0], cause) if len(selection.chosen) == 1 else None
         found = [_fitted(cause), null if runner_up is None else _fitted(runner_up)]
         why = f"The diagnosis is not in doubt: {found[0].name} is held against {_as_runner_up(found[1])}."
         return Rivals(tuple(found), null, False, why, dispersion)

@@ -17,6 +17,11 @@ from labrun.models import Model, Robot, RobotJoint, simulate, suggest_substeps
 
 OF_THE_WHOLE = ("gravity-tilt", "payload")
 """Effects that one joint shows and the whole robot has."""
+IN_THE_ROBOT: Mapping[str, Mapping[str, str]] = {
+    "gravity-tilt": {"base_roll": "roll", "base_pitch": "pitch"},
+    "payload": {"tip_load": "mass"},
+}
+"""Their parameters in the model of the whole robot, and what these are called in the effect."""
 _MOST_SUBSTEPS = 16
 
 
@@ -148,7 +153,7 @@ def diagnose_robot(
     start = time.perf_counter()
     note("finding what each joint carries along the measured motion")
     found = prescribed(robot, model, dataset)
-    alone = replace(options, workers=1, places=False)
+    alone = replace(options, workers=1, places=False, bounds=False)
     done: list[str] = []
 
     def look(place: int) -> tuple[OneJoint, Diagnosis]:
@@ -186,14 +191,21 @@ def _together(
                 if one.effect.id not in OF_THE_WHOLE:
                     left.append(f"{one.effect.id} at {one.site} is not in the corrected model: {error}")
     whole = _of_the_whole(answers)
-    left += [
-        f"{name} is told by {', '.join(joints)} and is not in the corrected model"
-        for name, joints, _ in whole
-    ]
-    errors = [
+    before, after, last = (
         _errors(found, model.with_values(values).with_effects(added))
         for values, added in (({}, ()), (recalibrated, ()), (corrected, tuple(effects)))
-    ]
+    )
+    for name, joints, values in whole:
+        put = {parameter: values[one] for parameter, one in IN_THE_ROBOT[name].items() if parameter in names}
+        with_it = _errors(found, model.with_values(corrected | put).with_effects(effects))
+        if len(put) == len(values) and np.sum(np.square(with_it / after)) < np.sum(np.square(last / after)):
+            corrected, last = corrected | put, with_it
+        else:
+            left.append(
+                f"{name} is told by {', '.join(joints)} and is not in the corrected model: with it the whole robot "
+                "is simulated no better"
+            )
+    errors = (before, after, last)
     joints = tuple(
         JointDiagnosis(one.joint, answer, *(float(error[place]) for error in errors))
         for place, (one, answer) in enumerate(answers)

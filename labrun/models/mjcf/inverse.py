@@ -85,7 +85,7 @@ def carried(xml: str, joints: list[str], motion: tuple[FloatArray, FloatArray, F
         )  # the base turns one way, gravity in it the other
         tilt.append(one.torque(gravity_only=True) - still)
     model.opt.gravity[:] = gravity
-    load = _tip_load(model, one, heavy)
+    load = _tip_load(model, one)
     return Carried(
         names, np.stack(inertia, 2), np.stack(torque, 2), slope, rate_slope, np.stack(tilt, 2), load
     )
@@ -95,14 +95,20 @@ def _moved(model: Any, body: int) -> bool:
     return bool(model.body_weldid[body] != 0)
 
 
-def _tip_load(model: Any, one: "_Pass", heavy: list[int]) -> FloatArray:
+def tip_body(model: Any) -> int:
+    """Return the last body with a mass of a robot's first chain; 0 if there is none that moves."""
+    heavy = [k for k in range(1, model.nbody) if model.body_mass[k] > 0 and _moved(model, k)]
+    if not heavy:
+        return 0
+    chain = [body for body in heavy if _root(model, body) == _root(model, heavy[0])]
+    return max(chain, key=lambda body: _depth(model, body))
+
+
+def _tip_load(model: Any, one: "_Pass") -> FloatArray:
     """Return the torque per kilogram at the far end of the last body: its centre, seen once more from its joint."""
     masses, inertias, places = model.body_mass.copy(), model.body_inertia.copy(), model.body_ipos.copy()
     frames = model.body_sameframe.copy()
-    depth = {body: _depth(model, body) for body in heavy}
-    first = heavy[0]
-    chain = [body for body in heavy if _root(model, body) == _root(model, first)]
-    last = max(chain, key=lambda body: depth[body])
+    last = tip_body(model)
     model.body_mass[:], model.body_inertia[:] = 0.0, 0.0
     model.body_mass[last] = 1.0
     model.body_inertia[last] = 1e-9

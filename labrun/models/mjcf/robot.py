@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from labrun.errors import ModelError
+from labrun.models.mjcf.around import around, heavy_bodies
 from labrun.models.mjcf.inverse import Drive as JointDrive
 from labrun.models.mjcf.inverse import robot_terms
 from labrun.models.mjcf.plant import imported
@@ -361,8 +362,13 @@ def _lines(
     for one in robot.actuators:
         between = "hold" if one.command in ("position", "velocity") else "linear"
         yield f'{one.input} = {{ mjcf = "actuator.{one.name}", unit = "{one.unit}", between = "{between}" }}'
+    more = around(robot.xml, {body: f"{identifier(body)}_mass" for body in heavy_bodies(robot.xml)})
     yield "[parameters]"
-    yield from _parameters(robot)
+    yield from _parameters(robot, more.equations)
+    yield from more.parameters
+    yield "[mjcf]"
+    for reference, equation in more.equations.items():
+        yield f'"{reference}" = "{equation}"'
     yield "[outputs]"
     for joint in (one for one in robot.joints if one.output in measured):
         yield f'{joint.output} = {{ mjcf = "joint.{joint.name}.position", unit = "{joint.unit}" }}'
@@ -401,7 +407,7 @@ def _effort(robot: Robot, joint: RobotJoint, drive: JointDrive | None) -> str:
     return f"clip({effort}, {low!r}, {high!r})" if effort and np.isfinite([low, high]).all() else effort
 
 
-def _parameters(robot: Robot) -> Iterator[str]:
+def _parameters(robot: Robot, set_elsewhere: Collection[str]) -> Iterator[str]:
     mujoco = imported()
     model = mujoco.MjModel.from_xml_string(robot.xml)
     for joint in robot.joints:
@@ -428,10 +434,9 @@ def _parameters(robot: Robot) -> Iterator[str]:
             f'unit = "{force}/{unit}", lower = 0.0 }}'
         )
         # of a servo's damping the motion shows no more than its sum with the joint's: one of them is enough to fit
-    for body in range(1, model.nbody):
-        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body)
-        if name and model.body_mass[body] > 0 and model.body_dofnum[body] > 0:
-            yield (
-                f'{identifier(name)}_mass = {{ mjcf = "body.{name}.mass", tolerance = {_MASS_TOLERANCE}, '
-                'unit = "kg", lower = 1e-6 }'
-            )
+    for name, mass in heavy_bodies(robot.xml).items():
+        place = f"body.{name}.mass"
+        value = f"value = {mass!r}" if place in set_elsewhere else f'mjcf = "{place}"'
+        yield (
+            f'{identifier(name)}_mass = {{ {value}, tolerance = {_MASS_TOLERANCE}, unit = "kg", lower = 1e-6 }}'
+        )

@@ -1,0 +1,113 @@
+"""What is true of a robot as a whole: how its base stands, and what it carries, as lines of its model file.
+
+All are zero until somebody knows better: a diagnosis writes them, and so may a person.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from labrun.models.mjcf.inverse import tip_body
+from labrun.models.mjcf.plant import imported
+
+ROLL, PITCH, LOAD = "base_roll", "base_pitch", "tip_load"
+"""Parameters of the model file: rad about x, rad about y, kg."""
+_LEAST_MASS = 0.1
+"""Part of the last body's mass that a load below zero leaves of it."""
+
+
+@dataclass(frozen=True)
+class Around:
+    """What sets numbers of the MJCF model beside the parameters of single elements.
+
+    Attributes
+    ----------
+    parameters
+        Lines of ``[parameters]``.
+    equations : reference -> equation
+        Entries of ``[mjcf]``.
+    """
+
+    parameters: tuple[str, ...]
+    equations: Mapping[str, str]
+
+
+def around(xml: str, masses: Mapping[str, str]) -> Around:
+    """Return the tilt of a robot's base and the load at its tip.
+
+    Parameters
+    ----------
+    xml
+        MJCF without other files.
+    masses : body -> parameter
+        Which parameters are masses; that of the last body is given its value here.
+    """
+    mujoco = imported()
+    model = mujoco.MjModel.from_xml_string(xml)
+    parameters: list[str] = []
+    equations: dict[str, str] = {}
+    if not np.any(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE) and np.any(model.opt.gravity):
+        parameters += [
+            f'{name} = {{ value = 0.0, tolerance = 0.0, unit = "rad", lower = -1.6, upper = 1.6 }}'
+            for name in (ROLL, PITCH)
+        ]
+        equations |= _gravity([float(one) for one in model.opt.gravity])
+    body = tip_body(model)
+    name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) if body else None
+    if name in masses:
+        mass = float(model.body_mass[body])
+        low = (_LEAST_MASS - 1.0) * mass
+        parameters.append(
+            f'{LOAD} = {{ value = 0.0, tolerance = 0.0, unit = "kg", lower = {low!r} }} # twice as far as its centre'
+        )
+        equations |= _loaded(model, body, name, masses[name])
+    return Around(tuple(parameters), equations)
+
+
+def _gravity(down: list[float]) -> dict[str, str]:
+    """Return gravity as a base sees it that is pitched about y, then rolled about x."""
+    x, y, z = (repr(one) for one in down)
+    after = f"(sin({PITCH})*({x}) + cos({PITCH})*({z}))"
+    return {
+        "option.gravity[0]": f"cos({PITCH})*({x}) - sin({PITCH})*({z})",
+        "option.gravity[1]": f"cos({ROLL})*({y}) + sin({ROLL})*{after}",
+        "option.gravity[2]": f"cos({ROLL})*{after} - sin({ROLL})*({y})",
+    }
+
+
+def _loaded(model: Any, body: int, name: str, mass: str) -> dict[str, str]:
+    """Return mass, centre and inertia of a body with a point mass where its length ends.
+
+    Parallel axes (Siciliano, Sciavicco, Villani, Oriolo, Robotics (2009), section B.2). Products of inertia in the
+    body's principal axes are left out: none arise where its centre lies on one of them.
+    """
+    mujoco = imported()
+    centre = np.array(model.body_ipos[body])
+    turned = np.empty(3)
+    back = np.empty(4)
+    mujoco.mju_negQuat(back, model.body_iquat[body])
+    mujoco.mju_rotVecQuat(turned, centre, back)
+    found = {f"body.{name}.mass": f"{mass} + {LOAD}"}
+    share = f"{LOAD}/({mass} + {LOAD})"
+    for axis in range(3):
+        if centre[axis]:
+            found[f"body.{name}.ipos[{axis}]"] = f"{float(centre[axis])!r}*(1 + {share})"
+        arm = float(centre @ centre - turned[axis] ** 2)
+        own = float(model.body_inertia[body, axis])
+        if arm > 1e-9 * float(centre @ centre):
+            found[f"body.{name}.inertia[{axis}]"] = f"{own!r} + {arm!r}*{mass}*{share}"
+    return found
+
+
+def heavy_bodies(xml: str) -> dict[str, float]:
+    """Return the masses of the bodies that hang on joints of their own, by name."""
+    mujoco = imported()
+    model = mujoco.MjModel.from_xml_string(xml)
+    names = {body: mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) for body in range(1, model.nbody)}
+    return {
+        name: float(model.body_mass[body])
+        for body, name in names.items()
+        if name and model.body_mass[body] > 0 and model.body_dofnum[body] > 0
+    }
