@@ -137,8 +137,7 @@ def minimise(
     size = problem.size
     if len(z) == 0:
         return z
-    low = np.full(len(z), -np.inf)
-    high = np.full(len(z), np.inf)
+    low, high = np.full(len(z), -np.inf), np.full(len(z), np.inf)
     low[:size] = problem.priors.lower if lower is None else lower
     high[:size] = problem.priors.upper if upper is None else upper
     z = np.clip(z, low, high)
@@ -176,8 +175,7 @@ def minimise(
             if there < squares:
                 carried = secant and ratio > _POOR
                 jacobian = _carried_on(jacobian, moved - z, residual_there, size) if carried else None
-                z, residual, squares = moved, residual_there, there
-                fresh, partly = False, False
+                z, residual, squares, fresh, partly = moved, residual_there, there, False, False
                 damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), _LEAST_DAMPING)
                 growth = 2.0
                 break

@@ -55,6 +55,8 @@ class Prescribed:
         Of every trial: coordinates, rates and accelerations of all joints.
     terms
         Of every trial: what the joints carry.
+    around
+        Of every trial, (n, joints): what a tilted base and a load ask of the joints more, where these are known.
     """
 
     robot: Robot
@@ -63,6 +65,14 @@ class Prescribed:
     motions: tuple[tuple[FloatArray, FloatArray, FloatArray], ...]
     terms: tuple[Carried, ...]
     own: RobotTerms
+    around: tuple[FloatArray, ...] = ()
+
+    def with_whole(self, roll: float, pitch: float, load_kg: float) -> "Prescribed":
+        """Return the same with a base that is tilted by these angles (rad), and a load at the tip."""
+        more = tuple(
+            roll * one.tilt[:, :, 0] + pitch * one.tilt[:, :, 1] + load_kg * one.load for one in self.terms
+        )
+        return replace(self, around=more)
 
 
 def why_not(robot: Robot, dataset: Dataset) -> str:
@@ -152,11 +162,12 @@ def _dataset(
     trials, begun = [], 0.0
     told = [tuple(sorted(trial.condition.items())) for trial in data.trials]
     in_row = len(set(told)) == len(told)
-    for trial, (q, rate, _), terms in zip(data.trials, found.motions, found.terms, strict=True):
+    around = found.around or tuple(np.zeros_like(q) for q, _, _ in found.motions)
+    for trial, (q, rate, _), terms, more in zip(data.trials, found.motions, found.terms, around, strict=True):
         columns = [] if goal is None else [trial.inputs[:, goal]]
         columns += [terms.torque[:, place, k] for k in own] + [terms.inertia[:, place, k] for k in own]
         columns += [
-            terms.torque[:, place, rest].sum(axis=1), terms.inertia[:, place, rest].sum(axis=1),
+            terms.torque[:, place, rest].sum(axis=1) + more[:, place], terms.inertia[:, place, rest].sum(axis=1),
             terms.slope[:, place], terms.rate_slope[:, place], q[:, place], rate[:, place],
         ]  # fmt: skip
         columns += [terms.tilt[:, place, 0], terms.tilt[:, place, 1]] if tilted else []

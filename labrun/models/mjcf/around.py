@@ -55,7 +55,7 @@ def around(xml: str, masses: Mapping[str, str]) -> Around:
         ]
         equations |= _gravity([float(one) for one in model.opt.gravity])
     body = tip_body(model)
-    name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) if body else None
+    name = (mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or "") if body else ""
     if name in masses:
         mass = float(model.body_mass[body])
         low = (_LEAST_MASS - 1.0) * mass

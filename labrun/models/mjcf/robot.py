@@ -408,8 +408,6 @@ def _effort(robot: Robot, joint: RobotJoint, drive: JointDrive | None) -> str:
 
 
 def _parameters(robot: Robot, set_elsewhere: Collection[str]) -> Iterator[str]:
-    mujoco = imported()
-    model = mujoco.MjModel.from_xml_string(robot.xml)
     for joint in robot.joints:
         per = "N m s/rad" if joint.unit == "rad" else "N s/m"
         yield (

@@ -1,0 +1,91 @@
+"""A diagnosed robot for other simulators: the corrected MJCF, and ranges as fields of theirs."""
+
+import json
+
+import numpy as np
+import pytest
+
+from labrun.app.simulators import export_robot
+from labrun.models import load_model, simulate
+
+mujoco = pytest.importorskip("mujoco")
+
+ARM = """
+<mujoco model="arm"><compiler angle="radian"/><worldbody><body name="upper">
+<joint name="shoulder" axis="0 1 0" damping="0.2"/>
+<inertial pos="0 0 -.1" mass="0.3" diaginertia="1e-3 1e-3 1e-3"/></body></worldbody>
+<actuator><position name="shoulder" joint="shoulder" kp="8"/></actuator></mujoco>
+"""
+MODEL = """
+name = "arm"
+mujoco = "arm.xml"
+states = { shoulder = "joint.shoulder.position", shoulder_rate = "joint.shoulder.velocity" }
+[inputs]
+goal = { mjcf = "actuator.shoulder", unit = "rad", between = "hold" }
+[parameters]
+shoulder_damping = { mjcf = "joint.shoulder.damping", tolerance = "free", unit = "N m s/rad" }
+shoulder_kp = { mjcf = "actuator.shoulder.kp", tolerance = 0.1, unit = "N m/rad" }
+upper_mass = { mjcf = "body.upper.mass", tolerance = 0.05, unit = "kg" }
+[outputs]
+shoulder = { mjcf = "joint.shoulder.position", unit = "rad" }
+[sites.shoulder]
+kind = "joint"
+joint = "shoulder"
+[initial]
+shoulder = 0.0
+shoulder_rate = 0.0
+"""
+RECORDING = """
+experiment = "arm"
+[channels.goal]
+kind = "input"
+unit = "rad"
+between = "hold"
+[channels.shoulder]
+kind = "output"
+unit = "rad"
+"""
+
+
+def diagnosed(folder):
+    """Return the diagnosis of three motions of the arm whose damping is half as large again as its file says."""
+    (folder / "arm.xml").write_text(ARM)
+    (folder / "model.toml").write_text(MODEL)
+    model, rng = (
+        load_model(folder / "model.toml").with_values({"shoulder_damping": 0.3}),
+        np.random.default_rng(1),
+    )
+    told, time_s = RECORDING, np.arange(0.0, 1.5, 0.02)
+    for number, amplitude in enumerate((0.3, 0.6, 0.9)):
+        goal = amplitude * np.sin(2 * np.pi * time_s)
+        angle = simulate(model, time_s, goal[:, None], initial_state=[0.0, 0.0]).outputs[:, 0]
+        rows = np.column_stack([time_s, goal, angle + 1e-3 * rng.standard_normal(len(angle))])
+        np.savetxt(folder / f"{number}.csv", rows, delimiter=",", header="time_s,goal,shoulder", comments="")
+        told += f'[[trials]]\nfile = "{number}.csv"\ncondition = {{ amplitude = {amplitude} }}\n'
+    (folder / "recording.toml").write_text(told)
+    stored = folder / "diagnosis.json"
+    stored.write_text(json.dumps({
+        "name": "arm", "verdict": "no-gap", "sentence": "Recalibrated.", "source": str(folder), "causes": [],
+        "model_source": str(folder / "model.toml"), "corrected": {"shoulder_damping": 0.29}, "effects": [],
+        "data": {"trials": 3, "conditions": 3},
+    }))  # fmt: skip
+    return stored
+
+
+def test_ranges_are_fields_of_isaac_lab_and_mjlab(tmp_path):
+    made = export_robot(diagnosed(tmp_path), tmp_path / "out.xml", ranges=tmp_path / "ranges.json")
+    found = json.loads(made.ranges.read_text())
+    ranges = {one["array"]: one for one in found["parameters"]}
+    assert ranges["dof_damping"]["low"] < 0.3 < ranges["dof_damping"]["high"]
+    isaac = {next(key for key in one["params"] if key.endswith("_params")): one for one in found["isaac_lab"]}
+    damping = isaac["damping_distribution_params"]
+    assert damping["func"] == "randomize_actuator_gains"
+    assert damping["params"]["joint_names"] == ["shoulder"]
+    assert damping["params"]["damping_distribution_params"] == [
+        ranges["dof_damping"]["low"], ranges["dof_damping"]["high"],
+    ]  # fmt: skip
+    assert isaac["mass_distribution_params"]["params"]["body_names"] == ["upper"]
+    mass = next(one["params"] for one in found["mjlab"] if one["params"]["field"] == "body_mass")
+    assert mass["names"] == ["upper"]
+    assert mass["operation"] == "abs"
+    assert mujoco.MjModel.from_xml_path(str(made.file)).dof_damping.ravel()[0] == pytest.approx(0.29)
