@@ -40,7 +40,7 @@ from labrun.search import (
     resume_line,
 )
 from labrun.spec import LOOP_DEVICE, Experiment, Value, condition_key
-from labrun.store import RunFolder, TrialOutcome, open_run, replace_durably, saving
+from labrun.store import RunFolder, TrialOutcome, open_run, remarks_of, replace_durably, saving
 
 FIGURE = "figure.png"
 
@@ -169,6 +169,8 @@ def finish(folder: RunFolder, answer: Answer, progress: Progress, draw: bool) ->
     if result.unsettled:
         folder.journal.append("unsettled", trials=result.unsettled, of=result.done)
         progress.note(result.unsettled_text())
+    for remark in remarks_of(folder.journal.events()):
+        progress.note(remark)
     folder.journal.append("finished", trials=record["trials"])
     return told(figure)
 

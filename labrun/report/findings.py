@@ -17,7 +17,7 @@ from labrun.report.timing import LoopHealth, StreamHealth
 from labrun.runner import unsettled
 from labrun.search import Best
 from labrun.spec import PAST, Experiment, Value, condition_text
-from labrun.store import Run, TrialOutcome, imported_channels, imported_source
+from labrun.store import Run, TrialOutcome, imported_channels, imported_source, remarks_of
 
 _MOST_CONDITIONS = 100
 _MOST_NUMBERS = 6
@@ -59,6 +59,8 @@ class Findings:
         How many conditions there are.
     damage
         What trials did to their specimens, a sentence each.
+    remarks
+        What is to be told of single trials, a sentence each.
     goal
         Objective and direction, if one has a goal.
     objective_units, condition_units
@@ -84,6 +86,7 @@ class Findings:
     streams_of: int
     faults: list[str]
     damage: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     unsettled: int = 0
     emulated: bool = False
     fits: tuple[StoredFit, ...] = ()
@@ -116,6 +119,7 @@ class Findings:
             "drift": as_json(self.drift),
             "unsettled": self.unsettled,
             "damage": list(self.damage),
+            "remarks": list(self.remarks),
             "settling": None if self.settling is None else asdict(self.settling),
             "streams": as_json(self.streams),
             "streams_from_trials": self.streams_of,
@@ -270,6 +274,7 @@ def findings(source: ReportSource) -> Findings | RecordingFindings:
         unsettled=sum(unsettled(outcome) for outcome in run.outcomes),
         loop=source.loop,
         damage=_damage(run.outcomes, experiment),
+        remarks=remarks_of(run.events),
         fits=tuple(source.fits),
         conditions=_most(conditions),
         conditions_total=len(conditions),

@@ -66,9 +66,7 @@ def _print_run(found: Findings, console: Console) -> None:
     print_conditions(found, console)
     console.print(_trials(found))
     spoiled = [f"{count} x {reason}" for reason, count in list(found.spoiled.items())[:_MOST_REASONS]]
-    more = len(found.damage) - _MOST_REASONS
-    damage = [*found.damage[:_MOST_REASONS], *([f"and {more} more; --json has all"] if more > 0 else [])]
-    for text in (*spoiled, *damage):
+    for text in (*spoiled, *_shortened(found.damage), *_shortened(found.remarks)):
         console.print(Text(f"  {text}", style="yellow"), highlight=False)
     if found.repeatability:
         console.print(_repeatability(found))
@@ -94,6 +92,12 @@ def _print_run(found: Findings, console: Console) -> None:
     for name, path in (("run", found.run), ("figure", found.figure)):
         if path is not None:
             console.print(Text(f"{name:<7} {path}"), highlight=False, soft_wrap=True)
+
+
+def _shortened(texts: Sequence[str]) -> list[str]:
+    """Return the first of these, and how many more there are."""
+    more = len(texts) - _MOST_REASONS
+    return [*texts[:_MOST_REASONS], *([f"and {more} more; --json has all"] if more > 0 else [])]
 
 
 def _print_recording(found: RecordingFindings, console: Console) -> None:

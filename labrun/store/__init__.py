@@ -6,7 +6,7 @@ from labrun.store.export import export_run
 from labrun.store.folder import RunFolder
 from labrun.store.frames import run_dataset, trial_dataset, trials_frame
 from labrun.store.importing import import_recording
-from labrun.store.journal import Journal
+from labrun.store.journal import Journal, remarks_of
 from labrun.store.locate import (
     JOURNAL,
     PACKED,
@@ -91,6 +91,7 @@ __all__ = [
     "open_target",
     "read_recording",
     "read_trace",
+    "remarks_of",
     "replace_durably",
     "require_writable",
     "run_dataset",

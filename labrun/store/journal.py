@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -126,6 +127,12 @@ class Journal:
             self.repair()
             self._descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
         return self._descriptor
+
+
+def remarks_of(events: Iterable[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Return what is to be told of single trials, a sentence each: a learner that died, a command that was bounded."""
+    found = [f"trial {event['index'] + 1}: {event['text']}" for event in events if event["event"] == "remark"]
+    return tuple(dict.fromkeys(found))
 
 
 def parse_events(content: bytes, source: str) -> list[dict[str, Any]]:

@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from labrun.arrays import FloatArray
+from labrun.arrays import FloatArray, IntArray
 from labrun.control.compiled.blocks import ANGLE, Arriving, BlockBench, run_block
 from labrun.control.compiled.law import refusal
 from labrun.control.compiled.stepping import Law
@@ -104,7 +104,7 @@ class CompiledDryRun:
     @property
     def now_s(self) -> float:
         """Time that the bench has reached."""
-        return self._grid * self._step_s
+        return float(self._grid * self._step_s)
 
     def begin(self, lead_s: float, steps: int, channels: int, drives: FloatArray) -> float:
         """Let the loop begin after `lead_s`, with `drives` where they are; return when, by the clock."""
@@ -113,7 +113,7 @@ class CompiledDryRun:
         self._drives = drives
         self._latest = np.full(channels, np.nan)
         self._latest_s = np.full(len(self._sensors), -np.inf)
-        return self._start * self._step_s
+        return float(self._start * self._step_s)
 
     def take_over(self) -> None:
         """Take the bench over from its scene, which knows by now when the recording begins."""
@@ -168,11 +168,9 @@ class CompiledDryRun:
 
     def _steps_until(self, grid: int) -> int:
         """Return how many steps are due before a grid point."""
-        return min(max(0, -(-(grid - self._start) // self._per_step)), self._steps)
+        return int(min(max(0, -(-(grid - self._start) // self._per_step)), self._steps))
 
-    def _hand_over(
-        self, ahead: Sequence[Ahead], measured: FloatArray, order: Mapping[int, FloatArray]
-    ) -> None:
+    def _hand_over(self, ahead: Sequence[Ahead], measured: FloatArray, order: Mapping[int, IntArray]) -> None:
         for number, (one, samples) in enumerate(zip(self._sensors, ahead, strict=True)):
             rows = measured[order[number], : one.form.channels]
             values = np.ascontiguousarray(one.device.completed(rows))
@@ -247,12 +245,12 @@ def require_compiled(rig: Rig, joints: Sequence[str], period_s: float) -> None:
             raise refusal(f"what drives {joint}")
 
 
-def _in_order(ahead: Sequence[Ahead]) -> tuple[Arriving, dict[int, FloatArray]]:
+def _in_order(ahead: Sequence[Ahead]) -> tuple[Arriving, dict[int, IntArray]]:
     """Return all samples in the order in which they arrive, and the rows of each sensor's there."""
     host_s = np.concatenate([one.host_time_s for one in ahead])
     taken_s = np.concatenate([one.taken_s for one in ahead])
     sensor = np.concatenate([np.full(len(one.host_time_s), i, dtype=np.int64) for i, one in enumerate(ahead)])
-    draws_at: list[FloatArray] = []
+    draws_at: list[IntArray] = []
     begin = 0
     for one in ahead:
         draws_at.append(begin + one.draws.shape[1] * np.arange(len(one.draws), dtype=np.int64))
@@ -260,4 +258,4 @@ def _in_order(ahead: Sequence[Ahead]) -> tuple[Arriving, dict[int, FloatArray]]:
     order = np.argsort(host_s, kind="stable")
     draws = np.concatenate([*(one.draws.ravel() for one in ahead), np.zeros(1)])
     arriving = Arriving(host_s[order], taken_s[order], sensor[order], np.concatenate(draws_at)[order], draws)
-    return arriving, {i: np.flatnonzero(arriving.sensor == i) for i in range(len(ahead))}
+    return arriving, {i: np.flatnonzero(arriving.sensor == i).astype(np.int64) for i in range(len(ahead))}

@@ -63,10 +63,10 @@ def law_of(
         A controller without a compiled form.
     """
     none = _affine(np.zeros((2, 1)), (), (), 1)
-    if isinstance(controller, OneForEach) and all(
-        type(one) is PidController for one in controller.controllers
-    ):
-        return Law(wiring, PID, _pid(controller.controllers), none)
+    if isinstance(controller, OneForEach):
+        plain = [one for one in controller.controllers if isinstance(one, PidController)]
+        if all(type(one) is PidController for one in controller.controllers):
+            return Law(wiring, PID, _pid(plain), none)
     no_pid = Pid(np.zeros((1, 9)), np.zeros((1, 4)), False)
     if isinstance(controller, NetworkController):
         return Law(wiring, AFFINE, no_pid, _network(controller, channels))

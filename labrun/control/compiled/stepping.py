@@ -320,7 +320,7 @@ def _windowed(law: Affine, z: FloatArray, e: FloatArray, made_s: float) -> int:
     _add(law.gram, law.moment, z, e, 1.0)
     law.counts[SAMPLES] = count + 1
     if law.history_s <= 0.0:
-        return count + 1
+        return int(count + 1)
     while oldest < count and (
         law.z_s[oldest % capacity] <= made_s - law.history_s + _SAME_S or count - oldest == capacity
     ):
@@ -333,7 +333,7 @@ def _windowed(law: Affine, z: FloatArray, e: FloatArray, made_s: float) -> int:
         law.gram[:], law.moment[:] = 0.0, 0.0
         for number in range(oldest, count + 1):
             _add(law.gram, law.moment, law.z[number % capacity], law.e[number % capacity], 1.0)
-    return count + 1 - oldest
+    return int(count + 1 - oldest)
 
 
 @kernel

@@ -1,13 +1,18 @@
 """From samples of the rig to weights, to a loop that they steer: the shipped experiments, shortened."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from labrun.app.fit import fit
 from labrun.app.run import run
+from labrun.cli.app import app
 from labrun.fit.learning import study
-from labrun.learned import read_learned
+from labrun.learned import SlidingAffine, read_learned
+from labrun.runner import SilentProgress
 from labrun.store import open_run
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
@@ -80,3 +85,35 @@ def test_the_errors_of_the_source_are_met_and_a_load_is_learned(tmp_path):
     assert off["mlp-error", 100] == pytest.approx(4.201, abs=0.5)
     learned = values("spm-transfer", "after", [])
     assert all(learned[key] < 0.3 * off[key] for key in learned)
+
+
+class Notes(SilentProgress):
+    def __init__(self):
+        self.texts = []
+
+    def note(self, text):
+        self.texts.append(text)
+
+
+class GoesAstray(SlidingAffine):
+    def solved(self):
+        found = super().solved()
+        return replace(found, biases=(np.full(2, np.nan),)) if self.count > 10 else found
+
+
+def test_a_learner_that_ended_is_told_at_the_end_of_the_run_and_whenever_it_is_shown(tmp_path, monkeypatch):
+    monkeypatch.setattr("labrun.control.learning.SlidingAffine", GoesAstray)
+    changes = [
+        "trial.duration_s=3",
+        "objectives={}",
+        "track.rate_hz=50",
+        'track.conditions=[{ controller = "mlp-ik", history_s = 1.0, load_g = 0, load_from_s = 0 }]',
+    ]
+    notes = Notes()
+    file = EXPERIMENTS / "spm-transfer.toml"
+    found = run(file, dry_run=True, seed=1, overrides=changes, results=tmp_path, progress=notes)
+    (told,) = [text for text in notes.texts if "learner" in text]
+    assert told.startswith("trial 1: loop pose: the learner ended: it returned weights that are not finite")
+    assert "the loop went on with its last weights" in told
+    shown = CliRunner().invoke(app, ["show", str(found.run)])
+    assert " ".join(told.split()) in " ".join(shown.output.split())

@@ -45,7 +45,7 @@ class History:
     @property
     def newest(self) -> FloatArray:
         """Signals at the grid point known last, shape (signals,)."""
-        return self._rows[self._count - 1].copy()
+        return np.array(self._rows[self._count - 1])
 
     def append(self, rows: FloatArray) -> None:
         """Add the next grid points, shape (n, signals)."""
