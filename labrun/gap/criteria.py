@@ -76,7 +76,8 @@ the colour of the rest (a variance known as well as from so many trials) would s
 MOST_DEVIATIONS, DEVIATION_DRAWS = 3, 200
 """Deviations by trial that are taken apart at most, and draws of noise that each is compared with."""
 DEVIATION_BLOCKS = 4
-"""Blocks of a trial that was never repeated, in all of which a deviation has to be the same."""
+"""Blocks of a trial that was never repeated, in all of which its zero has to be the same. Of start times and gains the
+same test made a start time by trial of a cubic drag, and a gain by trial of a seal under four pressures."""
 
 # --- candidates and screening -------------------------------------------------------------------------------------
 

@@ -137,8 +137,7 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) ->
     if first.noise.known:
         return found
     final = found.selection.final
-    left = mean_residuals(final.problem, final.z)
-    deviations = found_alone(asked.data, left, final.problem.simulated(final.z))
+    deviations = found_alone(asked.data, mean_residuals(final.problem, final.z))
     if not deviations:
         return found
     asked.note("taking apart what differs from trial to trial, and looking for causes beside it")

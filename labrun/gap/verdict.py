@@ -55,8 +55,10 @@ class Findings:
     @property
     def rest(self) -> bool:
         """Whether causes that explain the gap leave a rest of it that is plainly more than noise."""
+        if not self.noise_known:
+            return self.learnable >= criteria.LEARNABLE and self.sizes.after >= 1.0
         least = max(criteria.BEYOND_FLOOR * self.sizes.floor, criteria.SMALL_GAP_UNEXPLAINED)
-        return self.noise_known and self.remains and self.sizes.after >= least
+        return self.remains and self.sizes.after >= least
 
     @property
     def unproven(self) -> bool:

@@ -44,3 +44,4 @@ def test_a_rest_beyond_noise_is_said_beside_a_cause_that_explains_the_gap() -> N
     assert plain.rest
     assert not replace(plain, sizes=Sizes(12.0, 10.0, 0.12, 0.1)).rest
     assert not replace(plain, noise_known=False).rest
+    assert replace(plain, noise_known=False, learnable=0.5).rest  # what a regression predicts is no noise
