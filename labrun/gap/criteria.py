@@ -268,7 +268,7 @@ since new conditions ask for more than those between the old ones. Its 90 % held
 FORM_OF_SIZES = 0.03
 """Standard deviation that no size of an effect falls below, as a part of it: its form is not nature's. Of 41 hidden
 effects whose form has a size of the same meaning (seed 121), fitted where they are, 95 % intervals from noise and
-stated values held 17, from conditions that disagree and held shapes as well 29, with this 37."""
+stated values held 17, from conditions that disagree and held shapes as well 29, with this 36."""
 FLOOR_DRAWS, FLOOR_PERCENTILE = 200, 95.0
 """Draws of noise behind the floor, and which of the gaps that noise alone leaves is called the floor."""
 LEVELS_ALIKE = 1.03
