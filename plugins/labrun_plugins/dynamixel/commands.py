@@ -1,6 +1,6 @@
 """What may be sent: a motion as a whole before it starts, and each of its set-points right before it leaves."""
 
-from collections import deque
+import math
 
 import numpy as np
 
@@ -39,7 +39,10 @@ class CommandCheck:
         self._most_turns = 0.5 if settings.operating_mode == "position" else float(TURNS)
         self._scales = scales
         self._bounds = None if self._limits.angle_deg is None else np.radians(self._limits.angle_deg)
-        self._sent: deque[tuple[float, FloatArray]] = deque()
+        rows = 2 * math.ceil(_WINDOW_S * settings.command_hz) + 8
+        self._sent_s = np.empty(rows)
+        self._sent_rad = np.empty((rows, len(scales)))
+        self._first = self._end = 0
 
     def trajectory(self, trajectory: Trajectory, joints: tuple[str, ...]) -> Trajectory:
         """Return the motion with its columns in the order of `joints`.
@@ -116,7 +119,7 @@ class CommandCheck:
 
     def forget(self) -> None:
         """Begin anew: the next set-point is the first."""
-        self._sent.clear()
+        self._first = self._end = 0
 
     def _check_speed(self, angles_rad: FloatArray, now_s: float, most_deg_s: float) -> None:
         """Compare the way from each of the last set-points with the time since.
@@ -124,18 +127,33 @@ class CommandCheck:
         One that left late is followed by others that leave in time, so that a period more is granted each; over the
         whole window that is little.
         """
-        while self._sent and self._sent[0][0] < now_s - _WINDOW_S:
-            self._sent.popleft()
-        for sent_s, angles in self._sent:
-            passed_s = now_s - sent_s
-            most_rad = _SPEED_SLACK * np.radians(most_deg_s) * (passed_s + self._period_s) + COUNT_RAD
-            way = float(np.abs(angles_rad - angles).max())
-            if way > most_rad:
-                raise self._beyond(
-                    f"set-point {np.degrees(way):.2f} deg from the one {1e3 * passed_s:.0f} ms before exceeds "
-                    f"{most_deg_s:g} deg/s"
-                )
-        self._sent.append((now_s, np.array(angles_rad)))
+        while self._first < self._end and self._sent_s[self._first] < now_s - _WINDOW_S:
+            self._first += 1
+        recent = slice(self._first, self._end)
+        passed_s = now_s - self._sent_s[recent]
+        most_rad = _SPEED_SLACK * math.radians(most_deg_s) * (passed_s + self._period_s) + COUNT_RAD
+        way = np.abs(angles_rad - self._sent_rad[recent]).max(axis=1)
+        beyond = way > most_rad
+        if beyond.any():
+            worst = int(np.argmax(beyond))
+            raise self._beyond(
+                f"set-point {np.degrees(way[worst]):.2f} deg from the one {1e3 * passed_s[worst]:.0f} ms before "
+                f"exceeds {most_deg_s:g} deg/s"
+            )
+        self._keep(now_s, angles_rad)
+
+    def _keep(self, now_s: float, angles_rad: FloatArray) -> None:
+        """Remember a set-point; those that are too old to count make room."""
+        if self._end == len(self._sent_s):
+            kept = self._end - self._first
+            if 2 * kept > len(self._sent_s):
+                self._sent_s = np.concatenate([self._sent_s, np.empty_like(self._sent_s)])
+                self._sent_rad = np.concatenate([self._sent_rad, np.empty_like(self._sent_rad)])
+            self._sent_s[:kept] = self._sent_s[self._first : self._end].copy()
+            self._sent_rad[:kept] = self._sent_rad[self._first : self._end].copy()
+            self._first, self._end = 0, kept
+        self._sent_s[self._end], self._sent_rad[self._end] = now_s, angles_rad
+        self._end += 1
 
     def _led_back(self, motion: Trajectory) -> Trajectory:
         if self._bounds is None:

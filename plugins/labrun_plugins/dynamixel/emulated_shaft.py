@@ -9,6 +9,8 @@ from labrun.devices import Scene, Trajectory
 from labrun_plugins.simulated.dynamixel import SHAFT, motor_current_a
 
 _STEP_S = 0.005
+_EVERY_S = 0.004
+"""The scene is told of new goals no more often: it is another process, and goals may come a thousand times a second."""
 _FAR_S = 20.0
 """A shaft that spins for longer than this is driven on from where it is."""
 
@@ -37,6 +39,8 @@ class EmulatedShaft:
         self._speed_rad_s = 0.0
         self._goal_rad: float | None = None
         self._most_rad_s = SHAFT.speed_rad_s
+        self._told_s = -math.inf
+        self._untold = False
         # Compiled now, and not at the first goal: that takes seconds, in which a servo would be silent.
         SHAFT.motion(joint, Trajectory((joint,), np.zeros(1), np.zeros((1, 1))), 0.0)
 
@@ -56,9 +60,22 @@ class EmulatedShaft:
             return
         self._advance(now_s)
         self._goal_rad, self._most_rad_s = goal_rad, most_rad_s
-        shaft = replace(SHAFT, speed_rad_s=most_rad_s)
-        told = Trajectory((self._joint,), np.zeros(1), np.array([[goal_rad]]))
+        self._untold = True
+        self.tell(now_s)
+
+    def tell(self, now_s: float) -> float:
+        """Tell the scene of the newest goal, if it is time; return when to be called again."""
+        if not self._untold or self._goal_rad is None:
+            return math.inf
+        due_s = self._told_s + _EVERY_S
+        if now_s < due_s:
+            return due_s
+        self._advance(now_s)
+        shaft = replace(SHAFT, speed_rad_s=self._most_rad_s)
+        told = Trajectory((self._joint,), np.zeros(1), np.array([[self._goal_rad]]))
         self._turn(shaft.motion(self._joint, told, self._angle_rad, self._speed_rad_s), now_s)
+        self._told_s = now_s
+        return math.inf
 
     def spin(self, speed_rad_s: float, now_s: float) -> None:
         """Turn at a constant speed."""
@@ -74,6 +91,7 @@ class EmulatedShaft:
         self.spin(0.0, now_s)
 
     def _turn(self, motion: Trajectory, now_s: float) -> None:
+        self._untold = False
         if self._scene is not None:
             joint = Trajectory((self._joint,), motion.time_s, motion.angle_rad - self._neutral_rad)
             self._scene.drive(self._joint, joint, now_s)

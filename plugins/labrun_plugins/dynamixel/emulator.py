@@ -74,7 +74,9 @@ class DynamixelEmulator:
         for instruction in self._reader.feed(self._endpoint.receive()):
             self._waiting.extend(self._bus.handle(instruction, now_s))
         self._afflict(now_s)
-        watch_s = min((servo.watch(now_s) for servo in self._servos), default=math.inf)
+        watch_s = min(
+            (min(servo.watch(now_s), servo.shaft.tell(now_s)) for servo in self._servos), default=math.inf
+        )
         while self._waiting and self._waiting[0].leaves_s <= now_s:
             self._send(self._waiting.popleft(), now_s)
         next_s = self._waiting[0].leaves_s if self._waiting else math.inf
