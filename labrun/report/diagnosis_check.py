@@ -132,7 +132,7 @@ def _numbers(scores: Scores, mixed: bool) -> Iterator[str]:
         chance = scores.calibration.error_by_chance
         yield _line("error of confidence", f"{error:.3f} ({told} causes; by chance {chance:.3f})", "0.05")
     if scores.sizes_covered.of:
-        yield _line("sizes within their 95 % interval", _share_text(scores.sizes_covered), "90 to 98 %")
+        yield _line("sizes in 95 % intervals", _share_text(scores.sizes_covered), "90 to 98 %")
     shrinkage = scores.shrinkage
     if shrinkage.median_difference is not None:
         points = f"{100 * shrinkage.median_difference:.1f} points ({_count(len(shrinkage.differences))})"
