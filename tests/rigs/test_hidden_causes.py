@@ -5,6 +5,12 @@ import pytest
 import labrun
 from labrun.app.reveal import reveal
 
+BEAMS = ",".join(
+    f'{{beam="{beam}",specimen={specimen},reach={reach}}}'
+    for beam in ("long", "short")
+    for specimen in (1, 2)
+    for reach in (-28.648, 28.648)
+)
 CAUSES = {
     "polyester-tensile": (
         (),
@@ -12,7 +18,7 @@ CAUSES = {
     ),
     "hinge-tensile": (
         (),
-        ("saturation@force:level=110", "bias@force:offset=2", "coulomb-friction@strip:torque=4"),
+        ("saturation@force:level=110", "bias@force:offset=2", "cubic-stiffness@strip:coefficient=-4e6"),
     ),
     "hinge-life": (
         ("trial.until.max_cycles=300",),
@@ -39,11 +45,11 @@ CAUSES = {
         ("cross-talk@torque_x:share=-0.3", "delay@tail:delay=0.05", "drag-error@fin:coefficient=0.12"),
     ),
     "fin-amplitude": (
-        (),
+        ("trial.duration_s=50",),  # from the smallest amplitude to the greatest
         ("saturation@torque_y:level=0.2", "saturation@tail:level=0.52", "cross-talk@torque_x:share=-0.3"),
     ),
     "beam-buckling": (
-        (),
+        (f"run.conditions=[{BEAMS}]",),
         (
             "saturation@force:level=6",
             "coulomb-friction@beam:torque=0.03",
