@@ -82,7 +82,7 @@ def chained(seed: int, folder: Path) -> Iterator[tuple[str, Interval]]:
     for name, overrides in CHAINS.items():
         run = labrun.run(name, dry_run=True, seed=seed, overrides=overrides, results=folder).run
         for beam in ("long", "short") if name == "beam-buckling" else ("",):
-            found = labrun.fit(run, **({"settings": {"beam": beam}} if beam else {})).parameters
+            found = labrun.fit(run, settings={"beam": beam} if beam else None).parameters
             for key, one in found.items():
                 told = f"{key.removesuffix('_limit')} {beam}" if beam else key
                 if told in TRUTH:

@@ -75,6 +75,7 @@ print(cycles.peak_torque.values.tolist())
     assert torques[: len(before)] == pytest.approx(before)
 
 
+@pytest.mark.slow
 def test_strips_mounted_by_hand_are_the_same_strips_after_a_kill(labrun, command, tmp_path):
     (whole := tmp_path / "whole").mkdir()
     (broken := tmp_path / "broken").mkdir()
