@@ -14,8 +14,19 @@ _ACROSS = 7.07
 _WAVE_DAMPING = 0.03
 _STIRRING_S = 2.0
 _VORTEX_S = 2.0
+_FOLLOWS_S = 0.02
 
-STATES = ("stirring", "wave_x", "wave_x_rate", "wave_y", "wave_y_rate", "vortex_x", "vortex_y", "vortex_yaw")
+STATES = (
+    "stirring",
+    "wave_x",
+    "wave_x_rate",
+    "wave_y",
+    "wave_y_rate",
+    "vortex_x",
+    "vortex_y",
+    "vortex_yaw",
+    "going",
+)
 _INPUTS = (
     "fin_force_x", "fin_force_y", "fin_force_z", "fin_torque_x", "fin_torque_y", "fin_torque_z", "fin_size",
     "speed", "acceleration", "noise_x", "noise_y", "noise_yaw",
@@ -27,7 +38,7 @@ OUTPUTS = (
 
 
 def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
-    """Rates of the states: how much the water is stirred, waves along and across the tank, vortices."""
+    """Rates of the states: how much the water is stirred, waves along and across the tank, vortices, the speed."""
     dx[0] = (u[6] - x[0]) / _STIRRING_S
     dx[1] = x[2]
     dx[2] = _ALONG * _ALONG * (u[0] - x[1]) - 2.0 * _WAVE_DAMPING * _ALONG * x[2]
@@ -37,6 +48,8 @@ def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  
     dx[5] = p[3] * strength * u[9] - x[5] / _VORTEX_S
     dx[6] = p[3] * strength * u[10] - x[6] / _VORTEX_S
     dx[7] = p[4] * strength * u[11] - x[7] / _VORTEX_S
+    # The carriage's speed as a state, so that what sits at the fish feels its acceleration; held to it against drift.
+    dx[8] = u[8] + (u[7] - x[8]) / _FOLLOWS_S
 
 
 def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
@@ -54,7 +67,7 @@ def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noq
 def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
     """Site ``fish``: a body that moves through the water at the carriage's speed."""
     values[0] = 0.0
-    values[1] = u[7]
+    values[1] = x[8]
     values[2] = 0.0
     values[3] = 0.0
 
@@ -81,7 +94,7 @@ def fire_model(mount_height_m: float) -> Model:
             Parameter("mount_height", mount_height_m, unit="m"),
         ),
         conditions=(),
-        sites=(Site("fish", "body", coordinate="0", rate="speed"),),
+        sites=(Site("fish", "body", coordinate="0", rate="going"),),
         initial=dict.fromkeys(STATES, 0.0),
         derivative=native("model", derivative),
         output=native("model", output),
