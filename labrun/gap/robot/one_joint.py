@@ -246,7 +246,13 @@ def _parameters(
             _GAIN_TOLERANCE,
             f"{force}/{joint.unit}",
         )
-    yield f"{q}_armature = {{ value = {found.own.armature[place]!r}, tolerance = 0.0 }}"
+    armature = found.own.armature[place]
+    if armature:
+        # a rotor's inertia behind a gear is known no better than the masses that hang on the joint
+        inertia = "kg m^2" if joint.unit == "rad" else "kg"
+        yield _parameter(found.whole, f"{q}_armature", armature, _MASS_TOLERANCE, inertia)
+    else:
+        yield f"{q}_armature = {{ value = 0.0, tolerance = 0.0 }}"
     gains = found.own.drives.get(joint.name)
     if gains is not None and gains.kp:
         yield _parameter(found.whole, _gain(joint, drive), gains.kp, _GAIN_TOLERANCE, f"{force}/{joint.unit}")

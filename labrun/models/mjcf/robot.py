@@ -408,12 +408,19 @@ def _effort(robot: Robot, joint: RobotJoint, drive: JointDrive | None) -> str:
 
 
 def _parameters(robot: Robot, set_elsewhere: Collection[str]) -> Iterator[str]:
+    names = [one.name for one in robot.joints]
+    armature = dict(zip(names, robot_terms(robot.xml, names).armature, strict=True))
     for joint in robot.joints:
         per = "N m s/rad" if joint.unit == "rad" else "N s/m"
         yield (
             f'{joint.output}_damping = {{ mjcf = "joint.{joint.name}.damping", tolerance = {_DAMPING_TOLERANCE}, '
             f'unit = "{per}", lower = 0.0 }}'
         )
+        if armature[joint.name]:
+            yield (
+                f'{joint.output}_armature = {{ mjcf = "joint.{joint.name}.armature", tolerance = {_MASS_TOLERANCE}, '
+                f'unit = "{"kg m^2" if joint.unit == "rad" else "kg"}", lower = 0.0 }}'
+            )
         if joint.sprung:
             yield (
                 f'{joint.output}_stiffness = {{ mjcf = "joint.{joint.name}.stiffness", tolerance = {_GAIN_TOLERANCE}, '
