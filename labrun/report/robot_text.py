@@ -41,7 +41,8 @@ def robot_lines(found: RobotDiagnosis, files: Mapping[str, Path] | None = None) 
     ]
     lines += ["", *sizes] if sizes else []
     lines += found.remarks
-    lines.append(f"{len(found.joints)} joints in {short_time_text(found.seconds)}")
+    joints = "joint" if len(found.joints) == 1 else "joints"
+    lines.append(f"{len(found.joints)} {joints} in {short_time_text(found.seconds)}")
     return [*lines, *(f"{label}  {path}" for label, path in (files or {}).items())]
 
 

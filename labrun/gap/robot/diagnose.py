@@ -84,7 +84,8 @@ class RobotDiagnosis:
         ]
         unexplained = [one.joint.name for one in self.joints if one.diagnosis.verdict == "not-in-library"]
         told = "; ".join(found) if found else "nothing but recalibration is asked for at any joint"
-        count = f"{len(self.named)} of {len(self.joints)} joints lack physics: " if found else ""
+        several = found and len(self.joints) > 1
+        count = f"{len(self.named)} of {len(self.joints)} joints lack physics: " if several else ""
         rest = f"; not in the library: {', '.join(unexplained)}" if unexplained else ""
         return f"{count}{told}{rest}."
 
