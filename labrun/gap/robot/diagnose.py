@@ -258,14 +258,14 @@ def _together(
         _errors(found, model.with_values(values).with_effects(added))
         for values, added in (({}, ()), (recalibrated, ()), (corrected, tuple(effects)))
     )
-    for name, joints, values in whole:
+    for name, told_by, values in whole:
         put = {parameter: values[one] for parameter, one in IN_THE_ROBOT[name].items() if parameter in names}
         with_it = _errors(found, model.with_values(corrected | put).with_effects(effects))
         if len(put) == len(values) and np.sum(np.square(with_it / after)) < np.sum(np.square(last / after)):
             corrected, last = corrected | put, with_it
         else:
             left.append(
-                f"{name} is told by {', '.join(joints)} and is not in the corrected model: with it the whole robot "
+                f"{name} is told by {', '.join(told_by)} and is not in the corrected model: with it the whole robot "
                 "is simulated no better"
             )
     errors = (before, after, last)
