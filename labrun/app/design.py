@@ -35,6 +35,7 @@ from labrun.spec import (
     find_model_file,
     load_experiment,
     load_named,
+    shipped_experiments,
 )
 from labrun.store import RunFolder, collect, replace_durably, saving
 from labrun.workers import Pool, cores, pool
@@ -326,8 +327,8 @@ def _handed_on(
             model=str(run / modelled),
         )
         replace_durably(run / f"{name}.toml", text.encode())
-        target = workspace / f"{name}.toml"
-        if target.is_file() and not target.read_text(encoding="utf-8").startswith(MADE):
+        target, yours = _place_of(name, workspace)
+        if yours:
             progress.note(
                 f"{target} is yours and stays as it is; the experiment of this design is {run / f'{name}.toml'}"
             )
@@ -337,6 +338,20 @@ def _handed_on(
             replace_durably(target, text.encode())
         written.append(("rig", target))
     return [f"{what:<9} {path}" for what, path in written]
+
+
+def _place_of(name: str, workspace: Path) -> tuple[Path, bool]:
+    """Return where a command finds an experiment of this name, and whether what is there is a person's own.
+
+    What ``labrun init`` copied and nobody changed is no one's: the design takes its place.
+    """
+    places = [workspace / "experiments" / f"{name}.toml", workspace / f"{name}.toml"]
+    target = next((one for one in places if one.is_file()), places[-1])
+    if not target.is_file():
+        return target, False
+    text, shipped = target.read_text(encoding="utf-8"), shipped_experiments() / f"{name}.toml"
+    copied = shipped.is_file() and text == shipped.read_text(encoding="utf-8")
+    return target, not (copied or text.startswith(MADE))
 
 
 def _templates(experiment: Experiment, beside: Path, workspace: Path) -> dict[str, str]:

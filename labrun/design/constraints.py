@@ -12,7 +12,8 @@ from labrun.spec import SUMMARIES, Design
 from labrun.toml import evaluate, names_in
 
 _ACTIVE = 0.02
-"""A constraint whose sides are closer than this share of the greater one holds the design back."""
+"""A constraint whose sides are closer than this share of the greater one, or of the range that what it summarises runs
+through, holds the design back: next to a bound of 0 shares of the sides say nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,18 +26,21 @@ class Margin:
         As the file has it.
     value, bound
         Its two sides; of a constraint of more than one comparison there are none.
+    span
+        The widest range of a channel that it summarises, over the motion; 0 where it names variables only.
     """
 
     text: str
     value: float | None
     bound: float | None
+    span: float = 0.0
 
     @property
     def active(self) -> bool:
         """Whether the design stands at it."""
         if self.value is None or self.bound is None:
             return False
-        return abs(self.value - self.bound) <= _ACTIVE * max(abs(self.value), abs(self.bound))
+        return abs(self.value - self.bound) <= _ACTIVE * max(abs(self.value), abs(self.bound), self.span)
 
 
 class DesignConstraints:
@@ -72,12 +76,20 @@ class DesignConstraints:
                 texts.append(constraint.text)
         return Violations(len(sizes), float(sum(sizes)), tuple(texts))
 
-    def margins(self, names: Mapping[str, object]) -> list[Margin]:
-        """Return how a simulated design stands to every constraint, in the order of the file."""
+    def margins(self, names: Mapping[str, object], spans: Mapping[str, float]) -> list[Margin]:
+        """Return how a simulated design stands to every constraint, in the order of the file.
+
+        Parameters
+        ----------
+        spans
+            Range that every summarised channel runs through.
+        """
         found = []
         for constraint in sorted((*self.before, *self.after), key=lambda one: str(one.key)):
             value, bound = _sides(constraint.text, names) or (None, None)
-            found.append(Margin(constraint.text, value, bound))
+            channels = [name.partition("_")[2] for name in names_in(constraint.text)]
+            span = max((spans[name] for name in channels if name in spans), default=0.0)
+            found.append(Margin(constraint.text, value, bound, span))
         return found
 
 

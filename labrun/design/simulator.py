@@ -146,7 +146,7 @@ class Simulator:
             motion.period_s,
             motion.duration_s,
             signals if keep else None,
-            tuple(parts.constraints.margins(names)) if keep else (),
+            tuple(parts.constraints.margins(names, parts.spans(signals))) if keep else (),
         )
 
 
@@ -234,6 +234,11 @@ class _Parts:
             f"{kind}_{channel}": summary(kind, signals.column(channel))
             for kind, channel in sorted(self.constraints.summaries)
         }
+
+    def spans(self, signals: Signals) -> dict[str, float]:
+        """Return the range that every channel runs through of which constraints name summaries."""
+        channels = {channel for _, channel in self.constraints.summaries}
+        return {name: float(np.ptp(signals.column(name))) for name in channels}
 
 
 _PROBES = 4096

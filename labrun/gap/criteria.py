@@ -25,7 +25,7 @@ SAME_BEGINNING = 5.0
 """First samples of repeats that differ by less than this many standard deviations of the noise begin alike."""
 FEWEST_ALIGNED_SAMPLES = 8
 """Shorter repeats are not carried over to one time base, and say nothing about how they begin."""
-MOST_CONDITIONS = 16
+MOST_CONDITIONS = 8
 """Conditions that a model with states is held against, where enough of them were repeated to tell the noise: what was
 measured once beyond that is left out."""
 SAMPLES_APART = 2

@@ -8,6 +8,7 @@ import pytest
 
 import labrun
 from labrun.app.design import design
+from labrun.design.constraints import Margin
 from labrun.errors import PlanError, RequestError, SpecError
 from labrun.models import load_model
 from labrun.search import read_generations
@@ -171,3 +172,24 @@ def test_devices_and_carriages_have_no_place_in_a_design(paddle):
     path = paddle(("[trial]", '[rig.devices.a]\nplugin = "arduino-servo"\nport = "x"\n[trial]'))
     with pytest.raises(SpecError, match="a design is simulated, and has no devices"):
         found(path)
+
+
+def test_a_bound_of_zero_is_stood_at_by_what_comes_near_it_for_its_range():
+    near = Margin("min_tip > 0", 1e-4, 0.0, span=0.1)
+    far = Margin("min_tip > 0", 0.01, 0.0, span=0.1)
+    assert near.active
+    assert not far.active
+    assert not Margin("d0 > 0", 1e-4, 0.0).active  # nothing says what is near
+
+
+@pytest.mark.parametrize(("changed", "replaced"), [("", True), ("\n# mine", False)])
+def test_an_untouched_copy_gives_way_to_the_rig_of_the_design_and_a_file_of_yours_does_not(
+    tmp_path, changed, replaced
+):
+    from labrun.app.design import _place_of
+    from labrun.spec import shipped_experiments
+
+    copy = tmp_path / "experiments" / "rowing.toml"
+    copy.parent.mkdir()
+    copy.write_text((shipped_experiments() / "rowing.toml").read_text() + changed)
+    assert _place_of("rowing", tmp_path) == (copy, not replaced)

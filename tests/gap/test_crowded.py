@@ -30,12 +30,12 @@ def test_what_was_repeated_stays_and_the_rest_is_spread_over_the_range():
     releases = sorted(one.condition["release"] for one in found.trials)
     assert releases[:3] == [10.0, 11.0, 12.0]
     assert releases[-1] == 90.0
-    assert np.diff(releases[3:]).max() < 12
+    assert np.diff(releases[3:]).max() < 30
     assert sorted({one.group for one in found.trials}) == list(range(criteria.MOST_CONDITIONS))
-    assert "of 103 conditions 16 were looked at" in found.notes[-1]
+    assert "of 103 conditions 8 were looked at" in found.notes[-1]
 
 
-@pytest.mark.parametrize(("once", "repeats"), [(10, 5), (100, 1)])
+@pytest.mark.parametrize(("once", "repeats"), [(4, 5), (100, 1)])
 def test_few_conditions_and_data_without_repeats_are_taken_whole(once, repeats):
     data = searched(once, repeats)
     assert without_crowding(data) is data

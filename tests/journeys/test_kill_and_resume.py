@@ -22,6 +22,12 @@ SEARCH = (
 )  # fmt: skip
 
 
+DESIGN = (
+    "design", "swimmer", "--dry-run", "--json",
+    "--set", "design.population=20", "--set", "design.stop.iterations=8", "--set", "leaders.repeats=5",
+)  # fmt: skip
+
+
 def _run(folder: Path) -> Path | None:
     """Return the folder of the one run there is, once it is there."""
     found = list(folder.glob("results/*/*/spec.toml"))
@@ -78,6 +84,37 @@ def _kill_again_and_again(
             with h5py.File(run / "trials" / f"{index:06d}.h5") as file:
                 assert len(file) > 0
     return kills
+
+
+@pytest.mark.slow
+def test_a_design_killed_at_random_instants_is_the_same_design(labrun, command, tmp_path):
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    whole.mkdir()
+    killed.mkdir()
+    expected = labrun(*DESIGN, "--seed", "7", cwd=whole)
+    assert expected.code == 0, expected.err
+    rng = np.random.default_rng(3)
+    first, go_on = [*command, *DESIGN, "--seed", "7"], [*command, "resume"]
+    for _ in range(4):
+        run = _run(killed)
+        with subprocess.Popen(
+            first if run is None else [*go_on, str(run)],
+            cwd=killed,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        ) as process:
+            generations = len(list(killed.glob("results/*/*/search/*")))
+            while process.poll() is None and len(list(killed.glob("results/*/*/search/*"))) <= generations:
+                time.sleep(0.01)
+            time.sleep(rng.uniform(0, 0.3))
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)  # with the processes that simulate for it
+    run = _run(killed)
+    assert run is not None
+    resumed = labrun("resume", run, "--json", cwd=killed)
+    assert resumed.code == 0, resumed.err
+    assert resumed.json["best"] == expected.json["best"]
 
 
 @pytest.mark.parametrize("most", [5, pytest.param(50, marks=pytest.mark.slow)])

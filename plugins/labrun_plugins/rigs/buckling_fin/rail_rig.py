@@ -31,6 +31,8 @@ from labrun_plugins.simulated.bench import (
 _SCALE = Scale(coordinate=0.5, rate=0.3, acceleration=3.0, force=1.0, signal=0.5, time_s=2.0)
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _X, _SPEED = 0, 3
+_COUPLED = {"servo_frequency": 30.0, "servo_damping": 1.0}
+"""Links follow the servos' shafts at 30 Hz (chosen): how a shaft follows its command is the servo's own, 6 Hz here."""
 _SENSOR_SD_N = 0.02
 """Of what the water does to the sensor at random (chosen)."""
 
@@ -93,11 +95,12 @@ class RailRig(Bench):
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
         keys = self._settings
-        self._model: Model = self._with_errors(two_fin_swimmer().with_values(keys.design))
+        self._model: Model = self._with_errors(two_fin_swimmer().with_values({**_COUPLED, **keys.design}))
         on_joints = [one for one in keys.hide if one.site in self.joints]
         on_swimmer = [one for one in keys.hide if one.site not in self.joints]
         joint_effects = hidden_effects(on_joints, joint_model(self.joints), _SCALE)
-        self._rail = [] if keys.as_modelled else hidden_effects([_friction(keys)], self._model, _SCALE)
+        rubs = keys.rail_at_rest_n > 0 and not keys.as_modelled
+        self._rail = hidden_effects([_friction(keys)], self._model, _SCALE) if rubs else []
         swimmer_effects = hidden_effects(on_swimmer, self._model, _SCALE)
         self._hidden = swimmer_effects + joint_effects
         self._servo = joint_stepper(self.joints, self.step_s, joint_effects) if joint_effects else None

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from labrun.effects import Scale, load_effect
 from labrun.models import Input, Model, Output, Parameter, Site, kernel, native
 from labrun_plugins.rigs.buckling_fin import model
 from labrun_plugins.rigs.buckling_fin.equations import PARAMETERS, fin, hinge_torque
@@ -108,11 +109,13 @@ def seen_sites(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> Non
 def swimmer_on_rail() -> Model:
     """Return the same swimmer as a person at the rig would have it: seen by cameras, on a sensor under a carriage.
 
-    Both fins are told the same and are alike, so that one is computed; they begin at rest where the command does. The
-    rail is taken to have no friction: what it has is to be found out.
+    Servos of 6 Hz take note of a command every 20 ms, which makes them 15 ms late, and another 11 ms pass until the
+    links have followed their shafts. Both fins are told the same and are alike, so that one is computed; they begin at
+    rest where the command does. The rail is taken to have no friction: what it has is to be found out.
     """
     states = ("x", "speed", "base", "base_rate", "bend", "bend_rate")
-    return Model(
+    late = load_effect("delay", "input").attach("told", Scale(0.5, 0.3, 3.0, 1.0, 0.5, 2.0), delay=0.026)
+    made = Model(
         name="swimmer-on-rail",
         states=states,
         inputs=(Input("told", "rad"),),
@@ -130,6 +133,7 @@ def swimmer_on_rail() -> Model:
         constants=np.empty(0),
         source="a swimmer of two fins under a carriage",
     )
+    return made.with_effects([late])
 
 
 def free_swimmer() -> Model:
