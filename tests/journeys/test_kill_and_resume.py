@@ -28,6 +28,23 @@ DESIGN = (
 )  # fmt: skip
 
 
+OVER = (
+    "cmaes", "min-drag-pose", "--dry-run", "--json",
+    "--set", "cmaes.population=4", "--set", "cmaes.reevaluate=1", "--set", "cmaes.stop.iterations=3",
+    "--set", "leaders={count=2, repeats=2}",
+)  # fmt: skip
+EACH = (
+    "cmaes", "fire-attachment", "--dry-run", "--json",
+    "--set", 'cmaes.each.attachment=["broad", "short"]', "--set", "cmaes.population=4",
+    "--set", "cmaes.reevaluate=1", "--set", "cmaes.stop.iterations=3", "--set", "leaders={count=2, repeats=2}",
+)  # fmt: skip
+GAIT = "{alpha_1=36, alpha_2=40, beta_1=20, beta_2=-18, f=1.4, phi=60}"
+ASKED = (
+    "run", "field-turn", "--dry-run", "--json",
+    "--set", f"run.conditions=[{GAIT}]", "--set", "trial.duration_s=8",
+)  # fmt: skip
+
+
 def _run(folder: Path) -> Path | None:
     """Return the folder of the one run there is, once it is there."""
     found = list(folder.glob("results/*/*/spec.toml"))
@@ -117,8 +134,19 @@ def test_a_design_killed_at_random_instants_is_the_same_design(labrun, command, 
     assert resumed.json["best"] == expected.json["best"]
 
 
-@pytest.mark.parametrize("most", [5, pytest.param(50, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("arguments", [SWEEP, SEARCH], ids=["sweep", "search"])
+@pytest.mark.parametrize(
+    ("arguments", "most"),
+    [
+        pytest.param(SWEEP, 5, id="sweep"),
+        pytest.param(SEARCH, 5, id="search"),
+        *(
+            pytest.param(one, most, id=f"{name}-{most}", marks=pytest.mark.slow)
+            for name, one, most in (
+                ("sweep", SWEEP, 50), ("search", SEARCH, 50), ("over", OVER, 8), ("each", EACH, 8), ("asked", ASKED, 8),
+            )
+        ),
+    ],
+)  # fmt: skip
 def test_runs_killed_at_random_instants_end_with_the_same_result(arguments, most, labrun, command, tmp_path):
     whole = tmp_path / "whole"
     whole.mkdir()
