@@ -27,6 +27,10 @@ SMALLER = {
         "--set trial.repeats=1 --set trial.duration_s=20 --set objectives.first_cycle.to_s=10 "
         "--set objectives.later.from_s=10 --set objectives.later.to_s=20"
     ),
+    "tail-sweep": (
+        "--set sweep.axes.alpha=[60] --set sweep.axes.beta=[0] --set sweep.axes.f=[1.4] --set trial.repeats=3 "
+        "--set leaders={count=1,repeats=2}"
+    ),
     "swimmer": "--set design.stop.iterations=4 --set leaders={count=1,repeats=3}",
     "rowing": "--set cmaes.population=4 --set cmaes.stop.iterations=2 --set leaders={count=1,repeats=2}",
     "fin-step": "--set trial.repeats=4",
