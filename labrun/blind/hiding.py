@@ -98,14 +98,14 @@ def choose_hidden(
             hint='give its file a table [gap] with model = "..."',
         )
     scene = hiding_scene(experiment)
-    units = _units(scene, model)
+    units = _Units(scene, model)
     if NONE in wanted:
         return []
     if model is not None and RANDOM in wanted:
         rng = np.random.default_rng(secrets.randbits(128) if seed is None else seed)
-        return [_with_units(one, units) for one in _drawn(experiment, scene, model, conditions, rng)]
+        return [units.added(one) for one in _drawn(experiment, scene, model, conditions, rng)]
     return [
-        _with_units(_parsed(text, scene), units) if "@" in text else _parameter(text, scene, model)
+        units.added(_parsed(text, scene)) if "@" in text else _parameter(text, scene, model)
         for text in wanted
     ]
 
@@ -349,17 +349,24 @@ def _entry(effect: Effect, site: str, values: Mapping[str, float]) -> dict[str, 
     return {"effect": effect.id, "site": site, "kind": effect.kind, "values": dict(values)}
 
 
-def _with_units(one: dict[str, Any], signals: Mapping[str, str]) -> dict[str, Any]:
-    signal = signals.get(one["site"], "1")
-    parameters = load_effect(one["effect"], one["kind"]).parameters
-    return {**one, "units": {parameter.name: parameter.unit("rad", signal) for parameter in parameters}}
+class _Units:
+    """Units of what effects take at the sites of a bench."""
 
+    def __init__(self, scene: HidingScene, model: Model | None) -> None:
+        self._coordinates = {
+            one.name: one.unit or ("m" if one.kind == "body" else "rad") for one in scene.places
+        }
+        self._signals = dict(scene.signals)
+        if model is not None:
+            self._coordinates |= {one.name: model.coordinate_unit(one) for one in model.sites}
+            self._signals |= {one.name: one.unit for one in (*model.inputs, *model.outputs)}
 
-def _units(scene: HidingScene, model: Model | None) -> dict[str, str]:
-    units = dict(scene.signals)
-    if model is not None:
-        units |= {one.name: one.unit for one in model.inputs} | {one.name: one.unit for one in model.outputs}
-    return units
+    def added(self, hidden: dict[str, Any]) -> dict[str, Any]:
+        """Return what is hidden with the units of its values."""
+        site = hidden["site"]
+        coordinate, signal = self._coordinates.get(site, "rad"), self._signals.get(site, "1")
+        parameters = load_effect(hidden["effect"], hidden["kind"]).parameters
+        return {**hidden, "units": {one.name: one.unit(coordinate, signal) for one in parameters}}
 
 
 def _outputs(sites: Iterable[Site]) -> list[str]:

@@ -111,6 +111,8 @@ class Site:
         there is none.
     drive
         Whether the load is what the joint's own drive puts on it, through its gear.
+    unit
+        Of the coordinate, ``rad`` or ``m``; "" where nobody said it.
     """
 
     name: str
@@ -120,6 +122,7 @@ class Site:
     load: str = ""
     stiffness: str = ""
     drive: bool = False
+    unit: str = ""
 
 
 class HasSites(Protocol):

@@ -182,6 +182,30 @@ class Model:
             hint=suggest(name, known) if known else f"it has no {what} at all",
         )
 
+    def coordinate_unit(self, site: Site, output_units: Sequence[str] = ()) -> str:
+        """Return the unit of the coordinate of a joint or body site.
+
+        As the site says it; else as the output that shows the coordinate or its rate has it; else from the unit of the
+        site's stiffness ("N m/rad"). Where nothing tells, a joint turns and a body moves.
+
+        Parameters
+        ----------
+        site
+            One of `sites`.
+        output_units
+            Of the outputs as they were measured, where that is not what the model says.
+        """
+        units = {
+            one.name: unit
+            for one, unit in zip(
+                self.outputs, output_units or [one.unit for one in self.outputs], strict=True
+            )
+        }
+        shown = (units.get(name, "1").removesuffix("/s") for name in (site.coordinate, site.rate))
+        stiffness = next((one.unit for one in self.parameters if one.name == site.stiffness), "")
+        known = (site.unit, *shown, stiffness.rpartition("/")[2] if "/" in stiffness else "")
+        return next((one for one in known if one not in ("", "1")), "rad" if site.kind == "joint" else "m")
+
     @property
     def values(self) -> FloatArray:
         """Nominal parameter values, shape (parameters,)."""

@@ -168,6 +168,7 @@ class SiteTable(Table):
     load: Equation = Expression.of(0.0)
     stiffness: Equation = Expression.of(0.0)
     drive: bool = False
+    unit: Literal["", "rad", "m"] = ""
 
     def text(self, quantity: str) -> str:
         """Return one of its equations as it was typed; "" where the file has none."""

@@ -36,6 +36,7 @@ def equations_model(file: ModelFile) -> Model:
             one.text("load"),
             one.text("stiffness"),
             one.drive,
+            one.unit,
         )
         for name, one in given.sites.items()
     )

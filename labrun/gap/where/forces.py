@@ -10,7 +10,7 @@ from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, Effect, EffectParameter, force_law
 from labrun.gap import criteria
 from labrun.gap.diagnosis import MissingForce
-from labrun.gap.where.difference import Difference, coordinate_unit, force_unit, load_unit
+from labrun.gap.where.difference import Difference, force_unit, load_unit
 from labrun.gap.where.periods import find_cycle
 from labrun.gap.where.significance import Absorbed
 from labrun.models import Pointer, Simulation, Site, SiteKind, simulate, site_course
@@ -218,7 +218,7 @@ def _at(difference: Difference, site: Site, place: int) -> MissingForce | None:
         coordinate=tuple(one[:, 0] for one in motion),
         rate=tuple(one[:, 1] for one in motion),
         load=tuple(one[:, 2] for one in motion) if site.load else (),
-        coordinate_unit=coordinate_unit(difference.model, site, difference.output_units),
+        coordinate_unit=difference.model.coordinate_unit(site, difference.output_units),
         load_unit=load_unit(difference.model, site, difference.output_units),
     )
 

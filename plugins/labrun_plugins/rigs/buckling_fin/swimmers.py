@@ -19,7 +19,7 @@ SITES = (
     Site("hinge", "joint", "bend", "bend_rate", load="its torque", stiffness="stiffness"),
     Site("plate", "body", "way of the plate along its normal", "speed of the plate along its normal"),
     Site("body", "body", "x", "speed"),
-    Site("rail", "joint", "x", "speed"),
+    Site("rail", "joint", "x", "speed", unit="m"),
 )
 _ASIDE = (
     "motor_spacing", "body_inertia", "body_side_area", "yaw_drag", "mount_stiffness", "mount_damping",

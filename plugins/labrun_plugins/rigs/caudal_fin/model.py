@@ -174,7 +174,7 @@ def caudal_model() -> Model:
         conditions=(),
         sites=(
             Site("fish", "body", coordinate="0", rate="left_over"),
-            Site("fin", "body", coordinate="tip_angle", rate="tip_rate"),
+            Site("fin", "body", coordinate="tip_angle", rate="tip_rate", unit="rad"),
         ),
         initial=dict.fromkeys(STATES, 0.0),
         derivative=native("model", derivative),

@@ -75,7 +75,7 @@ def strip_model(young_pa: float, yield_pa: float, hardening: float, area_m2: flo
             Parameter("lag", LAG_S, 0.0, unit="s", lower=1e-3),
         ),
         conditions=(),
-        sites=(Site("strip", "joint", "elongation", "rate", load="load", stiffness="stiffness"),),
+        sites=(Site("strip", "joint", "elongation", "rate", load="load", stiffness="stiffness", unit="m"),),
         initial={"elongation": 0.0},
         derivative=native("model", derivative),
         output=native("model", output),
