@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 
 from labrun.gap.diagnosis import (
-    Candidate,
     Cause,
+    ComparedTrace,
     Diagnosis,
-    Estimate,
     MissingForce,
     Name,
     Place,
+    RatedCandidate,
+    ResampledNumber,
     Shrinkage,
     Sizes,
-    Trace,
 )
 
 RATE_HZ = 120.0
@@ -47,7 +47,7 @@ def trace(release_deg, seed, friction=1.5e-4):
     _, raw = swing(np.radians(release_deg), 0.0, 1.38e-2)
     _, recalibrated = swing(np.radians(release_deg), 0.0, 1.43e-2)
     noise = NOISE_RAD * rng.standard_normal((len(time_s), 1)) / np.sqrt(3)
-    return Trace(
+    return ComparedTrace(
         label=f"release = {release_deg:g}",
         condition={"release": float(release_deg)},
         repeats=3,
@@ -107,35 +107,37 @@ WHERE = (
 
 
 def bound(value, unit):
-    return Estimate(value, 0.0, value, unit)
+    return ResampledNumber(value, 0.0, value, unit)
 
 
 def ruled_out(effect, site, share, evidence, **bounds):
-    return Candidate(Name(effect, site), "ruled-out", share, evidence, upper_bound=bounds)
+    return RatedCandidate(Name(effect, site), "ruled-out", share, evidence, upper_bound=bounds)
 
 
 OTHERS = (
     ruled_out("viscous-damping", "hinge", 0.31, 0.62, coefficient=bound(1.1e-5, "N m s/rad")),
     ruled_out("quadratic-drag", "hinge", 0.12, 0.4, coefficient=bound(6e-6, "N m s^2/rad^2")),
-    ruled_out("cubic-stiffness", "hinge", 0.05, 0.2, coefficient=Estimate(0.0, -4e-4, 5e-4, "N m/rad^3")),
+    ruled_out(
+        "cubic-stiffness", "hinge", 0.05, 0.2, coefficient=ResampledNumber(0.0, -4e-4, 5e-4, "N m/rad^3")
+    ),
     ruled_out("backlash", "hinge", 0.08, 0.3, gap=bound(0.0021, "rad")),
-    ruled_out("rest-offset", "hinge", -0.02, 0.05, offset=Estimate(0.0, -0.002, 0.003, "rad")),
-    Candidate(
+    ruled_out("rest-offset", "hinge", -0.02, 0.05, offset=ResampledNumber(0.0, -0.002, 0.003, "rad")),
+    RatedCandidate(
         Name("added-inertia", "hinge"), "not-visible", None, 0.01, remark="looks like the parameter inertia"
     ),
-    Candidate(
+    RatedCandidate(
         Name("end-stop", "hinge"), "not-visible", None, 0.0, remark="the motion never comes near a stop"
     ),
-    ruled_out("saturation", "angle", 0.0, 0.02, level=Estimate(0.88, 0.88, 1.3, "rad")),
+    ruled_out("saturation", "angle", 0.0, 0.02, level=ResampledNumber(0.88, 0.88, 1.3, "rad")),
     ruled_out("lag", "angle", 0.03, 0.1, time=bound(0.0008, "s")),
     ruled_out("delay", "angle", 0.03, 0.1, time=bound(0.0007, "s")),
-    ruled_out("bias", "angle", 0.01, 0.1, bias=Estimate(0.0, -0.0004, 0.0005, "rad")),
-    Candidate(INERTIA, "ruled-out", 0.02, 0.1),
+    ruled_out("bias", "angle", 0.01, 0.1, bias=ResampledNumber(0.0, -0.0004, 0.0005, "rad")),
+    RatedCandidate(INERTIA, "ruled-out", 0.02, 0.1),
 )
 
 
 def explained():
-    friction = Estimate(1.52e-4, 1.44e-4, 1.59e-4, "N m")
+    friction = ResampledNumber(1.52e-4, 1.44e-4, 1.59e-4, "N m")
     return Diagnosis(
         name="hinge-20260714T101500Z-k3f9",
         model="hinge-pendulum",
@@ -146,7 +148,7 @@ def explained():
         where=WHERE,
         causes=(Cause(COULOMB, 0.96, {"torque": friction}),),
         differs=(),
-        candidates=(*OTHERS, Candidate(COULOMB, "cause", 0.97, 11.3, {"torque": friction})),
+        candidates=(*OTHERS, RatedCandidate(COULOMB, "cause", 0.97, 11.3, {"torque": friction})),
         shrinkage=Shrinkage(0.97, 0.94, 0.99),
         recalibration={
             "inertia": (3.9e-5, 0.03, 3.94e-5),
@@ -180,14 +182,14 @@ def explained():
 
 
 def parameter():
-    found = Estimate(5.1e-5, 5.0e-5, 5.2e-5, "kg m^2")
+    found = ResampledNumber(5.1e-5, 5.0e-5, 5.2e-5, "kg m^2")
     return replace(
         explained(),
         verdict="parameter",
         sentence="The model's form is right, its inertia is not: 1.31 times the stated value, 10 times its tolerance.",
         gap=Sizes(9.1, 4.1, 0.5, 0.8),
         causes=(Cause(INERTIA, 0.93, {"inertia": found}, (), "1.31 times the stated value"),),
-        candidates=(Candidate(INERTIA, "cause", 0.98, 9.2, {"inertia": found}), *OTHERS[:-1]),
+        candidates=(RatedCandidate(INERTIA, "cause", 0.98, 9.2, {"inertia": found}), *OTHERS[:-1]),
         recalibration={**explained().recalibration, "inertia": (3.9e-5, 0.03, 5.1e-5)},
         missing=(),
     )
@@ -218,7 +220,7 @@ def not_in_library():
         gap=Sizes(9.1, 4.2, 3.4, 0.8),
         causes=(),
         candidates=(
-            Candidate(STRIBECK, "ruled-out", 0.34, 3.1, remark="leaves 66 % of the excess"),
+            RatedCandidate(STRIBECK, "ruled-out", 0.34, 3.1, remark="leaves 66 % of the excess"),
             *OTHERS,
         ),
         shrinkage=None,
@@ -228,7 +230,10 @@ def not_in_library():
 
 
 def pair():
-    friction, lag = Estimate(1.52e-4, 1.44e-4, 1.59e-4, "N m"), Estimate(0.031, 0.027, 0.036, "s")
+    friction, lag = (
+        ResampledNumber(1.52e-4, 1.44e-4, 1.59e-4, "N m"),
+        ResampledNumber(0.031, 0.027, 0.036, "s"),
+    )
     return replace(
         explained(),
         verdict="partly-explained",
@@ -240,10 +245,10 @@ def pair():
             Cause(LAG, 0.55, {"time": lag}, (DELAY,), "at its upper bound"),
         ),
         candidates=(
-            Candidate(COULOMB, "cause", 0.62, 11.3, {"torque": friction}, same_as=(STRIBECK,)),
-            Candidate(LAG, "cause", 0.4, 6.2, {"time": lag}, same_as=(DELAY,)),
-            Candidate(STRIBECK, "indistinguishable", 0.61, 11.1, {"kinetic": friction}, same_as=(COULOMB,)),
-            Candidate(DELAY, "indistinguishable", 0.39, 6.1, {"time": lag}, same_as=(LAG,)),
+            RatedCandidate(COULOMB, "cause", 0.62, 11.3, {"torque": friction}, same_as=(STRIBECK,)),
+            RatedCandidate(LAG, "cause", 0.4, 6.2, {"time": lag}, same_as=(DELAY,)),
+            RatedCandidate(STRIBECK, "indistinguishable", 0.61, 11.1, {"kinetic": friction}, same_as=(COULOMB,)),
+            RatedCandidate(DELAY, "indistinguishable", 0.39, 6.1, {"time": lag}, same_as=(LAG,)),
             *OTHERS,
         ),
         shrinkage=Shrinkage(0.81, 0.72, 0.88),
@@ -264,7 +269,7 @@ def static():
 
     def reading(frequency_hz, measured, simulated, after):
         column = np.array([measured])
-        return Trace(
+        return ComparedTrace(
             label=f"frequency_hz = {frequency_hz:g}",
             condition={"frequency_hz": frequency_hz},
             repeats=1,
@@ -276,7 +281,7 @@ def static():
             after=np.array([after]),
         )
 
-    bound_nm = Estimate(0.31, 0.22, 0.41, "1")
+    bound_nm = ResampledNumber(0.31, 0.22, 0.41, "1")
     cause = Cause(Name("gain-error", "recovery_torque"), 0.71, {"gain": bound_nm})
     return replace(
         explained(),
@@ -301,7 +306,7 @@ def static():
             Place("condition", "frequency_hz = 0.1", 0.02, None, "at 0.1 Hz"),
         ),
         causes=(cause,),
-        candidates=(Candidate(cause.name, "cause", 0.74, 1.6, dict(cause.values)),),
+        candidates=(RatedCandidate(cause.name, "cause", 0.74, 1.6, dict(cause.values)),),
         gap=Sizes(5.1, 3.3, 0.9, 1.0),
         shrinkage=Shrinkage(0.74, 0.4, 0.9),
         recalibration={"drag": (1.2, 0.1, 1.26)},

@@ -10,9 +10,9 @@ import numpy as np
 from labrun.errors import RecordingError, RequestError
 from labrun.logs import (
     TICKS,
+    LogTable,
     Piece,
     Stream,
-    Table,
     Unit,
     Wanted,
     cut,
@@ -226,14 +226,14 @@ def _of_model(model: Model | None) -> list[Wanted]:
     return [*inputs, *(Wanted(one.name, one.unit, "output", (one.name,), measured) for one in model.outputs)]
 
 
-def _left_out(table: Table, bad: Sequence[tuple[Piece, str]]) -> list[str]:
+def _left_out(table: LogTable, bad: Sequence[tuple[Piece, str]]) -> list[str]:
     return [
         f"left out {table.time_s[piece.first]:.3f} to {table.time_s[piece.end - 1]:.3f} s: {why}"
         for piece, why in bad
     ]
 
 
-def _at_rest(table: Table, trials: Sequence[Piece]) -> bool:
+def _at_rest(table: LogTable, trials: Sequence[Piece]) -> bool:
     """Tell whether every trial begins at rest, as far as its first tenth of a second shows it through the noise."""
     period = float(np.median(np.diff(table.time_s)))
     count = max(5, round(0.1 / period))

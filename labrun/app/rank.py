@@ -11,7 +11,7 @@ from labrun.app.leaders import own_values
 from labrun.arrays import FloatArray
 from labrun.errors import RequestError
 from labrun.report import experiment_of
-from labrun.search import NUMBER, Cell, Column, Ranking, agreement, t_interval
+from labrun.search import NUMBER, Cell, FieldColumn, Ranking, agreement, t_interval
 from labrun.spec import Condition, Experiment, condition_key
 from labrun.store import TrialOutcome, find_run, mean_truncation, open_run, replace_durably
 
@@ -77,7 +77,7 @@ def rank(
             both = [key for key in measured if key in lab]
             agreements[path] = agreement([lab[key] for key in both], [measured[key] for key in both], rng)
         cells = tuple(_cell(_trials(counted, gait, setting), name) for gait in gaits)
-        columns.append(Column(setting, cells, agreements))
+        columns.append(FieldColumn(setting, cells, agreements))
     table = experiment.objectives[name]
     made = Ranking(
         told,

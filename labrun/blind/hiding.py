@@ -359,7 +359,8 @@ class _Units:
         self._signals = dict(scene.signals)
         if model is not None:
             self._coordinates |= {one.name: model.coordinate_unit(one) for one in model.sites}
-            self._signals |= {one.name: one.unit for one in (*model.inputs, *model.outputs)}
+            self._signals |= {one.name: one.unit for one in model.inputs}
+            self._signals |= {one.name: one.unit for one in model.outputs}
 
     def added(self, hidden: dict[str, Any]) -> dict[str, Any]:
         """Return what is hidden with the units of its values."""

@@ -24,18 +24,18 @@ GOOD: tuple[Outcome, ...] = ("named", "both-named", "quiet", "recognised")
 
 
 @dataclass(frozen=True, slots=True)
-class Cause:
+class CauseName:
     """An effect at a site, or a parameter (whose site says nothing)."""
 
     kind: str
     effect: str
     site: str = ""
 
-    def alike(self, other: "Cause") -> bool:
+    def alike(self, other: "CauseName") -> bool:
         """Tell whether both are the same effect or parameter, wherever it sits."""
         return self.kind == other.kind and self.effect == other.effect
 
-    def same(self, other: "Cause") -> bool:
+    def same(self, other: "CauseName") -> bool:
         """Tell whether both are the same, site included."""
         return self.alike(other) and (self.kind == "parameter" or self.site == other.site)
 
@@ -57,13 +57,13 @@ class Named:
         Of 95 %, of the sizes of `top`.
     """
 
-    top: Cause
-    rivals: tuple[Cause, ...]
+    top: CauseName
+    rivals: tuple[CauseName, ...]
     confidence: float
     intervals: Intervals = field(default_factory=dict)
 
     @property
-    def members(self) -> tuple[Cause, ...]:
+    def members(self) -> tuple[CauseName, ...]:
         """The set that is claimed to hold the true cause."""
         return (self.top, *(one for one in self.rivals if not one.same(self.top)))
 
@@ -100,7 +100,7 @@ class Truth:
 
     case: str
     kind: str
-    causes: tuple[Cause, ...]
+    causes: tuple[CauseName, ...]
     gap: float
     bench: str
     repeats: int
@@ -129,7 +129,8 @@ class Truth:
     def from_json(cls, answer: Mapping[str, Any]) -> "Truth":
         """Read an answer as the generator writes it."""
         causes = tuple(
-            Cause(one.get("kind", "effect"), one["effect"], one.get("site") or "") for one in answer["causes"]
+            CauseName(one.get("kind", "effect"), one["effect"], one.get("site") or "")
+            for one in answer["causes"]
         )
         hidden = answer.get("hidden", ())
         true = answer.get("true_parameters", {})
@@ -254,7 +255,7 @@ def judge(truth: Truth, said: Said, shown: Shown | None = None) -> Judged:
     return Judged(truth, said, shown, _control(said, effects), 0, 0, extra)
 
 
-def right(cause: Cause, truth: Truth) -> bool:
+def right(cause: CauseName, truth: Truth) -> bool:
     """Tell whether an announced cause is a true one, site included."""
     return any(cause.same(one) for one in truth.causes)
 
@@ -287,15 +288,15 @@ def sizes_held(judged: Judged) -> list[bool]:
     return found
 
 
-def _single(true: Cause, said: Said) -> Outcome:
+def _single(true: CauseName, said: Said) -> Outcome:
     if not said.announced:
         return "said-unknown" if said.verdict == "not-in-library" else "nothing-said"
     top = said.announced[0]
-    if _holds(top, true, Cause.alike):
+    if _holds(top, true, CauseName.alike):
         if len(top.members) > LARGEST_SET:
             return "set-too-large"
-        return "named" if _holds(top, true, Cause.same) else "wrong-site"
-    behind = any(_holds(one, true, Cause.alike) for one in said.announced[1:])
+        return "named" if _holds(top, true, CauseName.same) else "wrong-site"
+    behind = any(_holds(one, true, CauseName.alike) for one in said.announced[1:])
     return "not-first" if behind else "wrong-cause"
 
 
@@ -311,11 +312,11 @@ def _outside(said: Said) -> Outcome:
     return "blamed" if said.announced else "nothing-said"
 
 
-def _holds(named: Named, true: Cause, equal: Callable[[Cause, Cause], bool]) -> bool:
+def _holds(named: Named, true: CauseName, equal: Callable[[CauseName, CauseName], bool]) -> bool:
     return any(equal(one, true) for one in named.members)
 
 
-def _matched(causes: Sequence[Cause], announced: Sequence[Named]) -> tuple[int, int]:
+def _matched(causes: Sequence[CauseName], announced: Sequence[Named]) -> tuple[int, int]:
     """Return how many of two causes were named, each by a set of its own, and how many of those at their site."""
     small = [one for one in announced if len(one.members) <= LARGEST_SET]
     best = (0, 0)
@@ -326,8 +327,8 @@ def _matched(causes: Sequence[Cause], announced: Sequence[Named]) -> tuple[int, 
             pairs = [
                 (one, cause) for one, cause in zip((first, second), causes, strict=True) if one is not None
             ]
-            found = sum(_holds(one, cause, Cause.alike) for one, cause in pairs)
-            best = max(best, (found, sum(_holds(one, cause, Cause.same) for one, cause in pairs)))
+            found = sum(_holds(one, cause, CauseName.alike) for one, cause in pairs)
+            best = max(best, (found, sum(_holds(one, cause, CauseName.same) for one, cause in pairs)))
     return best
 
 
@@ -337,9 +338,9 @@ def _is_probability(value: Any) -> bool:
 
 def _named(one: Mapping[str, Any]) -> Named:
     rivals = tuple(
-        Cause(rival.get("kind", "effect"), rival["effect"], rival.get("site") or "")
+        CauseName(rival.get("kind", "effect"), rival["effect"], rival.get("site") or "")
         for rival in one["indistinguishable_from"]
     )
-    top = Cause(one["kind"], one["effect"], one.get("site") or "")
+    top = CauseName(one["kind"], one["effect"], one.get("site") or "")
     intervals = {name: tuple(value["ci95"]) for name, value in one.get("values", {}).items()}
     return Named(top, rivals, float(one["confidence"]), intervals)

@@ -23,7 +23,7 @@ gap = typer.Typer(
 )
 
 
-class Simulator(StrEnum):
+class SimulatorName(StrEnum):
     """What a diagnosis can be exported to."""
 
     MJCF = "mjcf"
@@ -397,7 +397,9 @@ def export(
             help="A run or recording that was diagnosed, a diagnosis.json, or a corrected model of MuJoCo.",
         ),
     ],
-    _to: Annotated[Simulator, typer.Option("--to", help="Of what kind the file is.")] = Simulator.MJCF,
+    _to: Annotated[
+        SimulatorName, typer.Option("--to", help="Of what kind the file is.")
+    ] = SimulatorName.MJCF,
     output: Annotated[Path, typer.Option(help="File to write.", dir_okay=False)] = Path("corrected.xml"),
     ranges: Annotated[
         Path | None,

@@ -13,7 +13,7 @@ from labrun.control.stream import channels_of, samples_of, variable_unit
 from labrun.devices import Channel, Samples
 from labrun.errors import SpecError
 from labrun.gaits import make_gait, steering_of
-from labrun.runner import LEAD_S, TAIL_S, Handle, Recording, Rig, SimulatedClock
+from labrun.runner import LEAD_S, TAIL_S, Handle, Rig, SimulatedClock, TrialRecording
 from labrun.spec import LOOP_DEVICE, Experiment, LoopTable, Track, condition_text
 
 _LOOK_S = 0.05
@@ -130,7 +130,7 @@ class ClosedLoopRecorder:
             except SpecError as error:
                 raise SpecError(f"{condition_text(condition)}: {error}") from error
 
-    def __call__(self, recording: Recording) -> None:
+    def __call__(self, recording: TrialRecording) -> None:
         """Record one trial."""
         motion = recording.motion
         period_s = 1.0 / self._track.rate_hz
@@ -168,7 +168,7 @@ class ClosedLoopRecorder:
             for remark in loop.remarks():
                 recording.remark(remark)
 
-    def _closed(self, recording: Recording, loops: list[Loop], pieces: Pieces, period_s: float) -> None:
+    def _closed(self, recording: TrialRecording, loops: list[Loop], pieces: Pieces, period_s: float) -> None:
         bench, motion, clock = recording.bench, recording.motion, recording.bench.clock
         start_s = clock.now() + LEAD_S
         history = self._history(recording.tare, start_s, motion.period_s)
@@ -189,7 +189,7 @@ class ClosedLoopRecorder:
 
     def _run(
         self,
-        recording: Recording,
+        recording: TrialRecording,
         clockwork: _Clockwork,
         loops: list[Loop],
         pieces: Pieces,
@@ -231,7 +231,7 @@ class ClosedLoopRecorder:
             self._record(recording, step)
         recording.fault = clockwork.timing.fault(self._track.max_missed_share, self._track.rate_hz)
 
-    def _record(self, recording: Recording, step: Samples) -> None:
+    def _record(self, recording: TrialRecording, step: Samples) -> None:
         recording.collector.writer.append(LOOP_DEVICE, self.channels, self._track.rate_hz, step)
 
     def _loops(self, condition: Condition, period_s: float, cycle_s: float | None) -> list[Loop]:

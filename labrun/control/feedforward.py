@@ -9,7 +9,7 @@ from labrun.control.pid import PidController, PidSettings
 from labrun.control.plant import PlantModel, read_plant
 from labrun.control.protocol import FindFile, LoopContext, Step
 from labrun.errors import SpecError
-from labrun.toml import Faults, Table, checked
+from labrun.toml import Table, TableFaults, checked
 
 
 def _form_of_model(model: object) -> str:
@@ -39,7 +39,7 @@ class FeedforwardSettings(PidSettings):
 
     @model_validator(mode="after")
     def _response_is_of_a_file(self) -> "FeedforwardSettings":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if self.response is not None and isinstance(self.model, PlantModel):
                 faults.add("response", "chooses one of a file's responses, and the model is written inline")
         return self

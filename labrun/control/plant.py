@@ -7,7 +7,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, model_validator
 
 from labrun.errors import SpecError
-from labrun.toml import Faults, KeyPath, Table, parsed, suggest, text_of
+from labrun.toml import KeyPath, Table, TableFaults, parsed, suggest, text_of
 
 _KEYS = ("gain", "lag_s", "dead_s", "numerator", "denominator")
 
@@ -35,7 +35,7 @@ class TransferTable(Table):
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
-        with Faults() as faults:
+        with TableFaults() as faults:
             if self.numerator is None and self.denominator is None:
                 if self.gain is None:
                     faults.add(None, "a model needs its gain, or numerator and denominator")
@@ -53,7 +53,7 @@ class PlantModel(TransferTable):
 
     @model_validator(mode="after")
     def _has_a_static_gain(self) -> Self:
-        with Faults() as faults:
+        with TableFaults() as faults:
             if self.gain == 0:
                 faults.add("gain", "0 cannot be inverted: the variable would have no effect")
             elif self.numerator and self.denominator and not (self.denominator[-1] and self.numerator[-1]):

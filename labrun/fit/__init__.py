@@ -3,7 +3,7 @@
 import sys
 
 from labrun import UseCasePackage
-from labrun.fit.comparison import Comparison, Pair, Point, compared, predictions
+from labrun.fit.comparison import ComparedPoint, Comparison, Pair, compared, predictions
 from labrun.fit.correlation import correlation_length
 from labrun.fit.dataset import Dataset, FitTrial, OutputsAlone, load_dataset
 from labrun.fit.deviations import Deviation, DeviationKind
@@ -29,6 +29,7 @@ __all__ = [
     "FIRST_SAMPLES",
     "GROUP",
     "LEVEL",
+    "ComparedPoint",
     "Comparison",
     "Curve",
     "Dataset",
@@ -53,7 +54,6 @@ __all__ = [
     "OutputsAlone",
     "Pair",
     "Panel",
-    "Point",
     "Problem",
     "Stack",
     "TextTable",

@@ -39,7 +39,7 @@ class Pair:
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
+class ComparedPoint:
     """How far a prediction is off in one channel under one condition.
 
     Attributes
@@ -86,13 +86,13 @@ class Comparison:
     data: str
     prediction: str
     pairs: tuple[Pair, ...]
-    points: tuple[Point, ...]
+    points: tuple[ComparedPoint, ...]
     trials: int
     tolerance: float | None = None
     notes: tuple[str, ...] = ()
 
     @property
-    def worst(self) -> Point:
+    def worst(self) -> ComparedPoint:
         """The point with the greatest relative error."""
         return self.points[0]
 
@@ -122,7 +122,7 @@ class Comparison:
         return {pair.channel: pair.unit for pair in self.pairs}
 
 
-def compared(pairs: Sequence[Pair]) -> tuple[Point, ...]:
+def compared(pairs: Sequence[Pair]) -> tuple[ComparedPoint, ...]:
     """Return a point for each channel under each condition, the worst first."""
     points = []
     for own in _by_channel(pairs).values():
@@ -135,7 +135,7 @@ def compared(pairs: Sequence[Pair]) -> tuple[Point, ...]:
     return tuple(sorted(points, key=lambda point: -point.relative))
 
 
-def _point(group: Sequence[Pair], size: float) -> Point:
+def _point(group: Sequence[Pair], size: float) -> ComparedPoint:
     first, differences = group[0], _differences(group)
     rmse = _rms(differences)
     if all(len(pair.time_s) == 1 for pair in group):
@@ -151,7 +151,7 @@ def _point(group: Sequence[Pair], size: float) -> Point:
         )
     relative = rmse / size if size > 0 else (np.inf if rmse > 0 else 0.0)
     trials = sum(pair.trials for pair in group)
-    return Point(
+    return ComparedPoint(
         first.condition, first.channel, first.unit, trials, measured, predicted, rmse, float(relative), at_s
     )
 

@@ -32,17 +32,17 @@ class Ports(Protocol):
     """What a dataset needs to know of a model: the names it wants."""
 
     @property
-    def inputs(self) -> "Sequence[Named]":
+    def inputs(self) -> "Sequence[Port]":
         """What drives it."""
         ...
 
     @property
-    def outputs(self) -> "Sequence[Named]":
+    def outputs(self) -> "Sequence[Port]":
         """What it predicts."""
         ...
 
 
-class Named(Protocol):
+class Port(Protocol):
     """An input or output of a model."""
 
     @property
@@ -60,8 +60,8 @@ class Named(Protocol):
 class OutputsAlone:
     """The ports of a fit that reads measured outputs and simulates nothing."""
 
-    outputs: "Sequence[Named]"
-    inputs: "Sequence[Named]" = ()
+    outputs: "Sequence[Port]"
+    inputs: "Sequence[Port]" = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,7 +235,7 @@ def _run_trials(
             hint="labrun show tells what was recorded; a trial without data can be marked rejected",
         )
 
-    def table(ports: Sequence[Named], at_s: FloatArray, begin_s: float) -> FloatArray:
+    def table(ports: Sequence[Port], at_s: FloatArray, begin_s: float) -> FloatArray:
         columns = []
         for port in ports:
             device, channel = sources[port.name]
@@ -273,7 +273,7 @@ def _on_base(signals: Signals, channel: str, time_s: FloatArray) -> FloatArray:
 
 
 def _find(
-    port: Named, measured: Mapping[str, Signals], signals: Mapping[str, str], target: Path
+    port: Port, measured: Mapping[str, Signals], signals: Mapping[str, str], target: Path
 ) -> tuple[str, str]:
     """Return device and channel of a port: as `signals` says, or the only channel of that name."""
     known = [f"{device}.{column}" for device, table in measured.items() for column in table.columns]
@@ -301,7 +301,7 @@ def _find(
 
 
 def _info(
-    port: Named,
+    port: Port,
     measured: Mapping[str, Signals],
     sources: Mapping[str, tuple[str, str]],
     channels: Mapping[str, Any],
@@ -345,7 +345,7 @@ def from_recording(
 
 
 def _columns(
-    ports: Sequence[Named],
+    ports: Sequence[Port],
     channels: Sequence[SignalInfo],
     kind: str,
     signals: Mapping[str, str],
@@ -376,7 +376,7 @@ def _columns(
     return found
 
 
-def _named(ports: Sequence[Named], channels: Sequence[SignalInfo]) -> tuple[SignalInfo, ...]:
+def _named(ports: Sequence[Port], channels: Sequence[SignalInfo]) -> tuple[SignalInfo, ...]:
     return tuple(replace(channel, name=port.name) for port, channel in zip(ports, channels, strict=True))
 
 

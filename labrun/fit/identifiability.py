@@ -42,7 +42,7 @@ class Curvature:
 
 
 @dataclass(frozen=True, slots=True)
-class Findings:
+class DirectionWarnings:
     """Warnings on directions, the parameters in them, and how wide their intervals are at least (relative)."""
 
     warnings: list[str]
@@ -50,7 +50,7 @@ class Findings:
     least_half_width: FloatArray
 
 
-def undetermined(curvature: Curvature) -> Findings:
+def undetermined(curvature: Curvature) -> DirectionWarnings:
     """Return the directions in parameter space along which the data do not change.
 
     A direction counts where moving every parameter of it by as much as its own value changes the outputs by less than
@@ -76,7 +76,7 @@ def undetermined(curvature: Curvature) -> Findings:
         if curvature.singular[index] < _FLAT * largest:
             # resampling cannot see a direction in which no residual pulls: ten times the value stands for "anything"
             least = np.maximum(least, 10.0 * np.abs(direction))
-    return Findings(warnings, frozenset(named), least)
+    return DirectionWarnings(warnings, frozenset(named), least)
 
 
 def _described(names: Sequence[str], direction: FloatArray) -> str:

@@ -20,7 +20,7 @@ Quantity = Callable[[Mapping[str, Any]], FloatArray | float]
 """From what the names stand for to an angle or a frequency."""
 
 
-class NoSettings(Table):
+class NoGaitKeys(Table):
     """A gait without keys of its own."""
 
 
@@ -43,13 +43,13 @@ class ExpressionGait(ABC):
     """
 
     JointKeys: ClassVar[type[Table]]
-    Settings: ClassVar[type[Table]] = NoSettings
+    Settings: ClassVar[type[Table]] = NoGaitKeys
     names: ClassVar[tuple[str, ...]] = ()
 
     def __init__(
         self, joints: Mapping[str, Mapping[str, Given]], let: Mapping[str, Given], settings: Mapping[str, Any]
     ) -> None:
-        checked(NoSettings, settings, ("gait",))
+        checked(NoGaitKeys, settings, ("gait",))
         self._keys: dict[str, Any] = {
             joint: checked(self.JointKeys, keys, ("gait", "joints", joint)) for joint, keys in joints.items()
         }

@@ -1,20 +1,20 @@
 """Where a model and measurements differ, which unmodelled effect causes it, and how far adding it closes the gap."""
 
-from labrun.gap.compare import Difference, UnitComparison, compare_units
+from labrun.gap.compare import UnitComparison, UnitDifference, compare_units
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import (
     By,
-    Candidate,
     CandidateVerdict,
     Cause,
+    ComparedTrace,
     Diagnosis,
-    Estimate,
     MissingForce,
     Name,
     Place,
+    RatedCandidate,
+    ResampledNumber,
     Shrinkage,
     Sizes,
-    Trace,
     Verdict,
 )
 from labrun.gap.fresh import FreshTest, Prediction, predict_fresh
@@ -27,12 +27,10 @@ from labrun.gap.what_is_left import RestLaw
 
 __all__ = [
     "By",
-    "Candidate",
     "CandidateVerdict",
     "Cause",
+    "ComparedTrace",
     "Diagnosis",
-    "Difference",
-    "Estimate",
     "FreshTest",
     "JointDiagnosis",
     "MissingForce",
@@ -41,12 +39,14 @@ __all__ = [
     "Place",
     "Prediction",
     "Question",
+    "RatedCandidate",
+    "ResampledNumber",
     "RestLaw",
     "RobotDiagnosis",
     "Shrinkage",
     "Sizes",
-    "Trace",
     "UnitComparison",
+    "UnitDifference",
     "Verdict",
     "compare_units",
     "diagnose_dataset",

@@ -12,10 +12,10 @@ from labrun.fit import Dataset, Each, Note, Problem, minimise, one_by_one, searc
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import Candidate, candidates, site_scales
-from labrun.gap.diagnosis import Estimate, Name
+from labrun.gap.diagnosis import Name, ResampledNumber
 from labrun.gap.intervals import effect_units
 from labrun.gap.noise import from_reading_errors, from_repeats, from_residual
-from labrun.gap.pair import BOTH, FEWEST_PIECES, FIRST, SECOND, UNIT, Pair, both, kept_unseen, scatter
+from labrun.gap.pair import BOTH, FEWEST_PIECES, FIRST, SECOND, UNIT, UnitPair, both, kept_unseen, scatter
 from labrun.gap.recalibration import in_units_of, member_residuals, stated_problem
 from labrun.gap.screening import Base, refit, rough, survey
 from labrun.models import Model
@@ -32,7 +32,7 @@ _KNOWN = 0.2
 
 
 @dataclass(frozen=True)
-class Difference:
+class UnitDifference:
     """A parameter of the model, or the size of an effect, in both units.
 
     Attributes
@@ -53,7 +53,7 @@ class Difference:
     parameter: str
     first: float
     second: float
-    change: Estimate
+    change: ResampledNumber
     verdict: str
     or_else: tuple[str, ...] = ()
 
@@ -72,12 +72,12 @@ class UnitComparison:
     second: str
     model: str
     trials: tuple[int, int]
-    differences: tuple[Difference, ...]
+    differences: tuple[UnitDifference, ...]
     share: float | None
     notes: tuple[str, ...]
 
     @property
-    def differing(self) -> tuple[Difference, ...]:
+    def differing(self) -> tuple[UnitDifference, ...]:
         """What differs beyond noise."""
         return tuple(one for one in self.differences if one.verdict == "differs")
 
@@ -115,7 +115,7 @@ class _InUnit(Candidate):
     unit: str = SECOND
 
     def added_to(self, problem: Problem) -> Problem:
-        if not isinstance(problem, Pair) or self.attached is None or self.scale is None:
+        if not isinstance(problem, UnitPair) or self.attached is None or self.scale is None:
             raise TypeError("an effect of one unit belongs in a pair of units")
         return problem.with_effect_in(self.unit, self.attached, self.scale)
 
@@ -127,7 +127,7 @@ class _Try:
     words: str
     variable: int | None
     candidate: _InUnit | None
-    problem: Pair
+    problem: UnitPair
     z: FloatArray
     gain: float
 
@@ -226,7 +226,7 @@ def _require_alike(first: Dataset, second: Dataset) -> None:
         )
 
 
-def _common(model: Model, data: Dataset, rng: np.random.Generator, note: Note) -> tuple[Pair, FloatArray]:
+def _common(model: Model, data: Dataset, rng: np.random.Generator, note: Note) -> tuple[UnitPair, FloatArray]:
     """Fit one model to both units, the sizes of the effects it carries too, in units of the noise."""
     note("fitting one model to both")
     bare = replace(model, effects=())
@@ -240,7 +240,7 @@ def _common(model: Model, data: Dataset, rng: np.random.Generator, note: Note) -
     if len(fitted) < len(model.effects):  # sizes that nothing shows stay as they are, and the model with them
         bare, fitted = model, []
     whole = stated_problem(bare, data)
-    problem: Pair = Pair(**{name: getattr(whole, name) for name in whole.__dataclass_fields__})
+    problem: UnitPair = UnitPair(**{name: getattr(whole, name) for name in whole.__dataclass_fields__})
     if fitted:
         problem = problem.with_effects([one for one, _ in fitted], [scale for _, scale in fitted])
     problem = replace(problem, only=("",) * len(fitted)).refined(problem.begin())
@@ -250,10 +250,10 @@ def _common(model: Model, data: Dataset, rng: np.random.Generator, note: Note) -
         from_repeats(data, deviations) or from_reading_errors(data) or from_residual(data, deviations).plain()
     )
     measured = in_units_of(noise, problem, z)
-    return cast("Pair", measured), refit(measured, z)
+    return cast("UnitPair", measured), refit(measured, z)
 
 
-def _library(problem: Pair, z: FloatArray) -> list[_InUnit]:
+def _library(problem: UnitPair, z: FloatArray) -> list[_InUnit]:
     """Return the effects of the library that the model has not, in either unit."""
     scales = site_scales(problem, z)
     has = {(one.effect.id, one.site) for one in (*problem.effects, *problem.model.effects)}
@@ -270,7 +270,7 @@ def _library(problem: Pair, z: FloatArray) -> list[_InUnit]:
 
 
 def _round(
-    problem: Pair,
+    problem: UnitPair,
     z: FloatArray,
     library: Sequence[_InUnit],
     chosen: Sequence[_Try],
@@ -311,8 +311,8 @@ def _fitted(base: Base, variable: int | None, surveyed: Any) -> _Try:
         unit = surveyed.candidate.unit
         words = f"{surveyed.candidate.name.words} in {'both' if unit == BOTH else f'the {unit} alone'}"
         gain = base.squares - ended.problem.squares(z)
-        return _Try(words, None, surveyed.candidate, cast("Pair", ended.problem), z, gain)
-    problem = cast("Pair", base.problem).differing(variable)
+        return _Try(words, None, surveyed.candidate, cast("UnitPair", ended.problem), z, gain)
+    problem = cast("UnitPair", base.problem).differing(variable)
     z = refit(problem, np.insert(base.z, base.problem.size, 0.0))
     return _Try(
         _named(base.problem, variable)[0].words, variable, None, problem, z, base.squares - problem.squares(z)
@@ -335,22 +335,22 @@ def _named(problem: Problem, variable: int) -> tuple[Name, str]:
     return Name(one.effect.id, one.site), parameter
 
 
-def _estimate(problem: Problem, z: FloatArray, variable: int, unit: str) -> Estimate:
+def _estimate(problem: Problem, z: FloatArray, variable: int, unit: str) -> ResampledNumber:
     deviation, freedom = scatter(problem, z)
     scale = problem.priors.scale[variable]
     half = float(student(freedom) * deviation[variable] * scale)
     value = float(z[variable] * scale)
-    return Estimate(value, value - half, value + half, unit)
+    return ResampledNumber(value, value - half, value + half, unit)
 
 
 def _told(
-    problem: Pair,
+    problem: UnitPair,
     z: FloatArray,
     chosen: Sequence[tuple[_Try, tuple[str, ...]]],
     shared: Sequence[int],
     variables: int,
     data: Dataset,
-) -> tuple[Difference, ...]:
+) -> tuple[UnitDifference, ...]:
     """Return what differs, the most telling first, then what does not, then what cannot be told."""
     found, at = [], variables
     values = problem.parameters(z)
@@ -359,15 +359,17 @@ def _told(
             name, parameter = _named(problem, one.variable)
             change = _estimate(problem, z, at, _unit(problem, one.variable, data))
             value = float(values[problem.priors.free[one.variable]])
-            found.append(Difference(name, parameter, value, value + change.value, change, "differs", rivals))
+            found.append(
+                UnitDifference(name, parameter, value, value + change.value, change, "differs", rivals)
+            )
         elif one.candidate is not None and not one.common:
             for variable in range(at, at + one.added):
                 name, parameter = _named(problem, variable)
                 size = _estimate(problem, z, variable, _unit(problem, variable, data))
                 there = (0.0, size.value) if one.candidate.unit == SECOND else (size.value, 0.0)
                 if one.candidate.unit == FIRST:
-                    size = Estimate(-size.value, -size.high, -size.low, size.unit)
-                found.append(Difference(name, parameter, *there, size, "differs", rivals))
+                    size = ResampledNumber(-size.value, -size.high, -size.low, size.unit)
+                found.append(UnitDifference(name, parameter, *there, size, "differs", rivals))
         at += one.added
     taken = {one.variable for one, _ in chosen}
     others = []
@@ -380,7 +382,9 @@ def _told(
         value = float(values[problem.priors.free[variable]])
         known = 0.5 * (change.high - change.low) <= _KNOWN * abs(value) and change.low <= 0.0 <= change.high
         verdict = "both lack" if variable >= variables else "same" if known else "open"
-        others.append(Difference(*_named(problem, variable), value, value + change.value, change, verdict))
+        others.append(
+            UnitDifference(*_named(problem, variable), value, value + change.value, change, verdict)
+        )
     order = ("both lack", "same", "open")
     return (*found, *sorted(others, key=lambda one: order.index(one.verdict)))
 
@@ -394,7 +398,7 @@ def _unit(problem: Problem, variable: int, data: Dataset) -> str:
 
 
 def _all_differing(
-    problem: Pair, z: FloatArray, shared: Sequence[int], chosen: Sequence[tuple[_Try, tuple[str, ...]]]
+    problem: UnitPair, z: FloatArray, shared: Sequence[int], chosen: Sequence[tuple[_Try, tuple[str, ...]]]
 ) -> float:
     """Return the sum of squares that is left where everything the units share may differ."""
     free, taken = problem, {one.variable for one, _ in chosen}

@@ -11,17 +11,17 @@ from labrun.gap import criteria
 from labrun.gap.candidates import Candidate as Tried
 from labrun.gap.confidence import confidence, shrinkage, upper_bounds
 from labrun.gap.diagnosis import (
-    Candidate,
     CandidateVerdict,
     Cause,
+    ComparedTrace,
     Diagnosis,
-    Estimate,
     MissingForce,
     Name,
     Place,
+    RatedCandidate,
+    ResampledNumber,
     Shrinkage,
     Sizes,
-    Trace,
     Verdict,
 )
 from labrun.gap.held_out import fitted_excess, floor_of, mean_residuals
@@ -35,7 +35,7 @@ from labrun.gap.rating import Rated
 from labrun.gap.recalibration import member_residuals
 from labrun.gap.selection import Chosen
 from labrun.gap.trial_wise import words
-from labrun.gap.verdict import Findings, limitations, sentence, significant, verdict, what_next
+from labrun.gap.verdict import VerdictBasis, limitations, sentence, significant, verdict, what_next
 from labrun.gap.what_is_left import Learnable
 from labrun.gap.where.difference import Difference
 
@@ -82,7 +82,7 @@ def _caution(one: Rated) -> str:
 
 def candidate_table(
     search: Search, dataset: Dataset, decided: Verdict, causes: tuple[Cause, ...]
-) -> tuple[Candidate, ...]:
+) -> tuple[RatedCandidate, ...]:
     """Return what was found about every candidate, the most telling first."""
     first, last = search.selection.rounds[0], search.selection.rounds[-1]
     rated = {one.candidate.name: one for one in first.rated}
@@ -103,12 +103,12 @@ def candidate_table(
         visible = screened.visible**2 if name.kind == "effect" else told[name.effect]
         seen = max(visible, early.gain) > there.threshold.gain
         judged = _judged(name, chosen, rivals, seen=seen)
-        bounds: dict[str, Estimate] = {}
+        bounds: dict[str, ResampledNumber] = {}
         if judged == "ruled-out" and candidate.attached is not None:
             units = effect_units(candidate.attached, search.model, dataset)
             bounds = upper_bounds(screened, there.base, there.threshold.dispersion, units)
         found.append(
-            Candidate(
+            RatedCandidate(
                 name,
                 judged,
                 rated[name].share if name in rated else None,
@@ -207,7 +207,7 @@ def _bound_remark(search: Search, place: int) -> str:
     return f"{' and '.join(at_bounds)} ended at a bound of what is searched: take it as a direction, not as a size"
 
 
-def traces_of(search: Search, *, with_causes: bool) -> tuple[Trace, ...]:
+def traces_of(search: Search, *, with_causes: bool) -> tuple[ComparedTrace, ...]:
     """Return measured and simulated courses of the worst unit of each of the worst conditions, the worst first."""
     recalibration = search.recalibration
     problem, final = recalibration.problem, search.selection.final
@@ -223,7 +223,7 @@ def traces_of(search: Search, *, with_causes: bool) -> tuple[Trace, ...]:
         worst.setdefault(problem.data.trials[index].group, index)
     order = list(worst.values())[: criteria.CONDITIONS_SHOWN]
     return tuple(
-        Trace(
+        ComparedTrace(
             unit.label,
             unit.condition,
             unit.count,
@@ -314,7 +314,7 @@ def conclude(
     if selection.chosen:
         shrunk = shrinkage(search.data, noise, search.held_out, selection.held_out, rng)
     kinds = [one.name.kind for one in selection.chosen]
-    findings = Findings(
+    findings = VerdictBasis(
         sizes,
         search.recalibrated.gap > floor,
         fitted_excess(final.problem, final.z, noise).gap > floor,
@@ -420,7 +420,7 @@ def _learnable(problem: Problem, z: FloatArray) -> Learnable:
     )
 
 
-def _unannounced(search: Search, found: Findings) -> tuple[str, ...]:
+def _unannounced(search: Search, found: VerdictBasis) -> tuple[str, ...]:
     """Return what is said of causes that are not announced."""
     if not found.unproven or found.shrinkage is None:
         return ()

@@ -8,8 +8,8 @@ from labrun.arrays import FloatArray
 from labrun.effects import EffectParameter
 from labrun.fit import Dataset
 from labrun.gap import criteria
-from labrun.gap.diagnosis import Estimate, Shrinkage
-from labrun.gap.held_out import Excess, group_means
+from labrun.gap.diagnosis import ResampledNumber, Shrinkage
+from labrun.gap.held_out import ExcessResidual, group_means
 from labrun.gap.noise import Basis, Noise
 from labrun.gap.pipeline import Search
 from labrun.gap.screening import Base, Screened
@@ -38,7 +38,7 @@ def ceiling(basis: Basis, conditions: int) -> float:
 
 def upper_bounds(
     screened: Screened, base: Base, dispersion: float, units: Mapping[str, str]
-) -> dict[str, Estimate]:
+) -> dict[str, ResampledNumber]:
     """Return how large an effect can be in these data (95 %), in SI: the largest size of what vanishes at zero.
 
     What cannot be negative, such as a friction, is bounded from zero up. What vanishes at infinity, such as the level
@@ -68,12 +68,12 @@ def upper_bounds(
         scale = candidate.scale.of(parameter.quantity)
         bound = min(room, max(abs(parameter.lower), abs(parameter.upper))) * scale
         low, high = max(-bound, min(parameter.lower, 0.0) * scale), min(bound, parameter.upper * scale)
-        found[parameter.name] = Estimate(bound, low, max(high, 0.0), units.get(parameter.name, "1"))
+        found[parameter.name] = ResampledNumber(bound, low, max(high, 0.0), units.get(parameter.name, "1"))
     return found | least_levels(screened, base, dispersion, units)
 
 
 def shrinkage(
-    data: Dataset, noise: Noise, before: Excess, after: Excess, rng: np.random.Generator
+    data: Dataset, noise: Noise, before: ExcessResidual, after: ExcessResidual, rng: np.random.Generator
 ) -> Shrinkage:
     """Return the share of the excess that is removed on withheld conditions, with a 90 % interval.
 
@@ -115,7 +115,7 @@ def _shaken(mean: FloatArray, drawn: FloatArray, sd: FloatArray, floor: FloatArr
 
 def least_levels(
     screened: Screened, base: Base, dispersion: float, units: Mapping[str, str]
-) -> dict[str, Estimate]:
+) -> dict[str, ResampledNumber]:
     """Return the level below which each parameter that is neutral at infinity would have shown (95 %), in SI.
 
     A level is excluded where the squared residual, with parameters and initial states following linearly, is by more
@@ -143,7 +143,9 @@ def least_levels(
         if level is not None:
             scale = candidate.scale.of(parameter.quantity)
             ends = level * scale, _far(parameter) * scale
-            found[parameter.name] = Estimate(ends[0], min(ends), max(ends), units.get(parameter.name, "1"))
+            found[parameter.name] = ResampledNumber(
+                ends[0], min(ends), max(ends), units.get(parameter.name, "1")
+            )
     return found
 
 

@@ -15,7 +15,7 @@ _SHOWN = 3
 
 
 @dataclass(frozen=True)
-class Checked:
+class CheckedTrials:
     """Trials whose clocks can be believed.
 
     Attributes
@@ -29,7 +29,7 @@ class Checked:
     notes: tuple[str, ...]
 
 
-def with_sound_clocks(dataset: Dataset) -> Checked:
+def with_sound_clocks(dataset: Dataset) -> CheckedTrials:
     """Leave out trials in which time jumps, and say where the clocks of repeats disagree.
 
     A jump is a step of more than five times the trial's median one and more than a hundredth of its duration. Shorter
@@ -82,7 +82,7 @@ def with_sound_clocks(dataset: Dataset) -> Checked:
             "not told."
         )
     dataset = replace(dataset, trials=tuple(kept))
-    return Checked(dataset, (*limitations, *_disagreeing(dataset)), tuple(notes))
+    return CheckedTrials(dataset, (*limitations, *_disagreeing(dataset)), tuple(notes))
 
 
 def _disagreeing(dataset: Dataset) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ def effect_words(effect: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class ResampledNumber:
     """A number with its 95 % interval from resampling whole trials."""
 
     value: float
@@ -118,13 +118,13 @@ class Cause:
 
     name: Name
     confidence: float
-    values: Mapping[str, Estimate]
+    values: Mapping[str, ResampledNumber]
     indistinguishable_from: tuple[Name, ...] = ()
     remark: str = ""
 
 
 @dataclass(frozen=True)
-class Candidate:
+class RatedCandidate:
     """What was found about one candidate.
 
     Attributes
@@ -148,8 +148,8 @@ class Candidate:
     verdict: CandidateVerdict
     held_out_share: float | None = None
     evidence: float = 0.0
-    values: Mapping[str, Estimate] = field(default_factory=dict)
-    upper_bound: Mapping[str, Estimate] = field(default_factory=dict)
+    values: Mapping[str, ResampledNumber] = field(default_factory=dict)
+    upper_bound: Mapping[str, ResampledNumber] = field(default_factory=dict)
     same_as: tuple[Name, ...] = ()
     remark: str = ""
 
@@ -195,7 +195,7 @@ class MissingForce:
 
 
 @dataclass(frozen=True)
-class Trace:
+class ComparedTrace:
     """Measured and simulated outputs of one unit of data, for pictures. All arrays (n, m)."""
 
     label: str
@@ -249,7 +249,7 @@ class Diagnosis:
     where: tuple[Place, ...]
     causes: tuple[Cause, ...]
     differs: tuple[str, ...]
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[RatedCandidate, ...]
     shrinkage: Shrinkage | None
     recalibration: Mapping[str, tuple[float, float | str, float]]
     corrected: Mapping[str, float]
@@ -264,7 +264,7 @@ class Diagnosis:
     conditions: int
     repeats: int
     missing: tuple[MissingForce, ...]
-    traces: tuple[Trace, ...]
+    traces: tuple[ComparedTrace, ...]
     parameter_units: Mapping[str, str]
     guard: str
     seed: int
@@ -349,7 +349,7 @@ def _cause(cause: Cause) -> dict[str, Any]:
     }
 
 
-def _candidate(candidate: Candidate) -> dict[str, Any]:
+def _candidate(candidate: RatedCandidate) -> dict[str, Any]:
     return {
         "kind": candidate.name.kind,
         "effect": candidate.name.effect,
@@ -364,7 +364,7 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
     }
 
 
-def _estimates(values: Mapping[str, Estimate], key: str) -> dict[str, Any]:
+def _estimates(values: Mapping[str, ResampledNumber], key: str) -> dict[str, Any]:
     return {
         name: {"value": one.value, key: [one.low, one.high], "unit": one.unit} for name, one in values.items()
     }

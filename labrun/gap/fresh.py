@@ -19,7 +19,7 @@ from labrun.fit import (
     resample_trials,
     silent,
 )
-from labrun.gap.diagnosis import Estimate
+from labrun.gap.diagnosis import ResampledNumber
 from labrun.gap.recalibration import stated
 from labrun.models import Model
 
@@ -48,9 +48,9 @@ class Prediction:
 
     output: str
     horizon_s: float | None
-    error: Estimate
-    before: Estimate | None
-    ratio: Estimate | None
+    error: ResampledNumber
+    before: ResampledNumber | None
+    ratio: ResampledNumber | None
     predictions: int
 
 
@@ -75,7 +75,7 @@ class FreshTest:
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap test --json`` prints."""
 
-        def told(one: Estimate | None) -> dict[str, Any] | None:
+        def told(one: ResampledNumber | None) -> dict[str, Any] | None:
             return (
                 None if one is None else {"value": one.value, "ci95": [one.low, one.high], "unit": one.unit}
             )
@@ -292,7 +292,7 @@ def _prediction(
 
 def _estimate(
     value: float, relative: FloatArray, counts: FloatArray, unit: str, rng: np.random.Generator
-) -> Estimate:
+) -> ResampledNumber:
     """Return a root mean square with its interval: whole trials resampled, in the logarithm, where it is nearest even.
 
     Parameters
@@ -302,7 +302,7 @@ def _estimate(
     counts : (T,)
     """
     if len(counts) == 1:
-        return Estimate(float(value), 0.0, np.inf, unit)
+        return ResampledNumber(float(value), 0.0, np.inf, unit)
     found = resample_trials(counts[:, None, None], relative[:, None], rng=rng)
     low, high = 0.5 * np.clip([found.low[0], found.high[0]], -600.0, 600.0)
-    return Estimate(float(value), float(value * np.exp(low)), float(value * np.exp(high)), unit)
+    return ResampledNumber(float(value), float(value * np.exp(low)), float(value * np.exp(high)), unit)

@@ -13,7 +13,7 @@ from labrun.gap.nuisance import information, unseen
 
 
 @dataclass(frozen=True)
-class Excess:
+class ExcessResidual:
     """Excess of the squared mean residual over the noise floor, condition by condition.
 
     Attributes
@@ -65,7 +65,7 @@ def group_means(units: Dataset, residual: Sequence[FloatArray]) -> list[tuple[Fl
 
 def excess(
     data: Dataset, noise: Noise, residual: Sequence[FloatArray], deviations: Sequence[float] = ()
-) -> Excess:
+) -> ExcessResidual:
     """Return the excess of mean residuals (one array per trial) over the noise floor.
 
     Parameters
@@ -83,7 +83,7 @@ def excess(
         beyond = [np.mean([deviations[index] for index in data.of_group(group)]) for group in present]
         values = [value + more for value, more in zip(values, beyond, strict=True)]
     sizes = np.array([float(len(mean)) for mean, _ in groups])
-    return Excess(np.array(values), sizes / sizes.sum(), residual)
+    return ExcessResidual(np.array(values), sizes / sizes.sum(), residual)
 
 
 def _beyond_spread(problem: Problem, trial: int, own: FloatArray) -> float:
@@ -95,7 +95,7 @@ def _beyond_spread(problem: Problem, trial: int, own: FloatArray) -> float:
     return squares / data.count / data.outputs.size
 
 
-def fitted_excess(problem: Problem, z: FloatArray, noise: Noise) -> Excess:
+def fitted_excess(problem: Problem, z: FloatArray, noise: Noise) -> ExcessResidual:
     """Return what a fit leaves of the data it has seen."""
     trials = range(len(problem.data.trials))
     beyond = [_beyond_spread(problem, index, problem.own(z, index)) for index in trials]
@@ -108,7 +108,7 @@ def floor_of(data: Dataset, noise: Noise, rng: np.random.Generator) -> float:
     return float(np.percentile(drawn, criteria.FLOOR_PERCENTILE))
 
 
-def held_out_excess(problem: Problem, z: FloatArray, noise: Noise) -> Excess:
+def held_out_excess(problem: Problem, z: FloatArray, noise: Noise) -> ExcessResidual:
     """Return what fits from `z` leave of conditions they have not seen."""
     if len(problem.data.conditions) == 1:
         return fitted_excess(problem, z, noise)

@@ -9,7 +9,7 @@ from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, unit_of
 from labrun.fit import Dataset, Problem
 from labrun.gap import criteria
-from labrun.gap.diagnosis import Estimate
+from labrun.gap.diagnosis import ResampledNumber
 from labrun.gap.screening import Base
 from labrun.models import Model
 
@@ -138,7 +138,7 @@ def _shape(base: Base, linear: _Linear, place: int, values: Sequence[float]) -> 
 
 def values_of(
     problem: Problem, z: FloatArray, place: int, moved: FloatArray, model: Model, dataset: Dataset
-) -> dict[str, Estimate]:
+) -> dict[str, ResampledNumber]:
     """Return the sizes of the effect that stands at `place` among those of the problem, with 95 % intervals.
 
     What vanishes at zero is a size of the form as the library has it, which is not quite nature's.
@@ -157,7 +157,7 @@ def values_of(
         form = criteria.NORMAL_95 * criteria.FORM_OF_SIZES * abs(value) if parameter.neutral == 0.0 else 0.0
         low, high = -np.hypot(min(low, 0.0), form), np.hypot(max(high, 0.0), form)
         bounds = problem.priors.lower[variable] * scale, problem.priors.upper[variable] * scale
-        found[parameter.name] = Estimate(
+        found[parameter.name] = ResampledNumber(
             float(value),
             float(max(value + low, bounds[0])),
             float(min(value + high, bounds[1])),
@@ -169,14 +169,14 @@ def values_of(
 
 def parameter_value(
     problem: Problem, z: FloatArray, name: str, moved: FloatArray, model: Model
-) -> dict[str, Estimate]:
+) -> dict[str, ResampledNumber]:
     """Return the value of a parameter with its 95 % interval."""
     variable = problem.priors.names.index(name)
     scale = float(problem.priors.scale[variable])
     value = float(z[variable]) * scale
     low, high = np.percentile(moved[:, variable], [2.5, 97.5]) * scale
     unit = next(one.unit for one in model.parameters if one.name == name)
-    return {name: Estimate(value, value + min(float(low), 0.0), value + max(float(high), 0.0), unit)}
+    return {name: ResampledNumber(value, value + min(float(low), 0.0), value + max(float(high), 0.0), unit)}
 
 
 def effect_units(attached: AttachedEffect, model: Model, dataset: Dataset) -> dict[str, str]:

@@ -18,7 +18,7 @@ FEWEST_PIECES = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Pair(Problem):
+class UnitPair(Problem):
     """A problem of two units: some parameters differ in the second one, some effects act in one of them only.
 
     Attributes
@@ -97,7 +97,7 @@ def both(first: Dataset, second: Dataset) -> Dataset:
 
 
 @dataclass(frozen=True)
-class Piece:
+class EliminatedTrial:
     """A trial, or a block of one, at a fit: J'J and J'r of the shared variables, its own states eliminated."""
 
     unit: str
@@ -106,11 +106,11 @@ class Piece:
     pull: FloatArray
 
 
-def _pieces(problem: Problem, z: FloatArray) -> list[Piece]:
+def _pieces(problem: Problem, z: FloatArray) -> list[EliminatedTrial]:
     """Return the trials of both units, in blocks where there are fewer than eight; a fold is a trial, or its block."""
     jacobian = problem.jacobian(z)
     units = [one.condition[UNIT] for one in problem.data.trials]
-    found: list[Piece] = []
+    found: list[EliminatedTrial] = []
     for unit in (FIRST, SECOND):
         members = [index for index, one in enumerate(units) if one == unit]
         cuts = 1 if len(members) >= FEWEST_PIECES else -(-FEWEST_PIECES // len(members))
@@ -122,7 +122,7 @@ def _pieces(problem: Problem, z: FloatArray) -> list[Piece]:
             blocks = zip(np.array_split(shared, cuts), np.array_split(residual, cuts), strict=True)
             for block, (one, part) in enumerate(blocks):
                 fold = index if len(members) > 1 else len(units) + len(found) + block
-                found.append(Piece(unit, fold, one.T @ one, one.T @ part))
+                found.append(EliminatedTrial(unit, fold, one.T @ one, one.T @ part))
     return found
 
 
@@ -160,7 +160,7 @@ def kept_unseen(problem: Problem, z: FloatArray, added: int) -> float:
     kept = np.arange(problem.size - added)
     gone = -z[problem.size - added : problem.size]
 
-    def step(chosen: Sequence[Piece], *, without: bool) -> FloatArray:
+    def step(chosen: Sequence[EliminatedTrial], *, without: bool) -> FloatArray:
         matrix = prior + sum((one.information for one in chosen), np.zeros_like(prior))
         pull = sum((one.pull for one in chosen), problem.priors.slope * problem.priors.residual(z))
         if not without:
@@ -169,7 +169,7 @@ def kept_unseen(problem: Problem, z: FloatArray, added: int) -> float:
         moved[kept] = -_inverse(matrix[np.ix_(kept, kept)]) @ (pull + matrix @ moved)[kept]
         return moved
 
-    def gain(chosen: Sequence[Piece], tested: Sequence[Piece]) -> float:
+    def gain(chosen: Sequence[EliminatedTrial], tested: Sequence[EliminatedTrial]) -> float:
         steps = [step(chosen, without=without) for without in (True, False)]
         squares = [sum(2.0 * v @ one.pull + v @ one.information @ v for one in tested) for v in steps]
         return float(squares[0] - squares[1])

@@ -9,8 +9,8 @@ from labrun.fit import Dataset, Each, Note, one_by_one, silent
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged, without_crowding
 from labrun.gap.candidates import Candidate, candidates, site_scales, untried
-from labrun.gap.data_checks import Checked, require_informative, with_sound_clocks
-from labrun.gap.held_out import Excess, fitted_excess, held_out_excess, mean_residuals, not_withheld
+from labrun.gap.data_checks import CheckedTrials, require_informative, with_sound_clocks
+from labrun.gap.held_out import ExcessResidual, fitted_excess, held_out_excess, mean_residuals, not_withheld
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import full_strictness, noise_threshold
 from labrun.gap.null import Null
@@ -54,9 +54,9 @@ class Search:
     recalibration: Recalibrated
     candidates: list[Candidate]
     null: Null
-    raw: Excess
-    recalibrated: Excess
-    held_out: Excess
+    raw: ExcessResidual
+    recalibrated: ExcessResidual
+    held_out: ExcessResidual
     selection: Selection
     full_guard: bool
     withhold: Collection[str] = ()
@@ -164,7 +164,7 @@ def _fitted_to_motion(search: Search, noise: Noise) -> Search:
 class _Asked:
     """What a search is asked, whichever way the residual is looked at."""
 
-    clocks: Checked
+    clocks: CheckedTrials
     data: Dataset
     withhold: Collection[str]
     full_guard: bool

@@ -8,7 +8,7 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
-from labrun.gap.held_out import Excess, held_out_excess
+from labrun.gap.held_out import ExcessResidual, held_out_excess
 from labrun.gap.kin import kin, rank
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import NoiseThreshold
@@ -38,7 +38,7 @@ class Rated:
     screened: Screened
     evidence: float
     score: float
-    held_out: Excess
+    held_out: ExcessResidual
     share: float
     left: float
     conditions: float
@@ -49,7 +49,9 @@ class Rated:
         return self.screened.candidate
 
 
-def rate(base: Base, screened: Screened, threshold: NoiseThreshold, noise: Noise, reference: Excess) -> Rated:
+def rate(
+    base: Base, screened: Screened, threshold: NoiseThreshold, noise: Noise, reference: ExcessResidual
+) -> Rated:
     """Test a screened candidate on conditions its fit did not see.
 
     Parameters
@@ -115,7 +117,12 @@ def weights(rated: Sequence[Rated], form_slack: float) -> FloatArray:
 
 
 def preferred(
-    rated: Sequence[Rated], left: Excess, reference: Excess, *, further: bool, relative: bool = False
+    rated: Sequence[Rated],
+    left: ExcessResidual,
+    reference: ExcessResidual,
+    *,
+    further: bool,
+    relative: bool = False,
 ) -> Rated | None:
     """Return the candidate to take in; the simplest of those that do as well as the best. None if none is needed.
 
@@ -148,7 +155,7 @@ def preferred(
     return max(alike, key=lambda one: one.score) if alike else best
 
 
-def _needed(one: Rated, left: Excess) -> float:
+def _needed(one: Rated, left: ExcessResidual) -> float:
     """Return the evidence that is asked for without repeats: more where one condition of several speaks alone.
 
     What that trial has of its own, a parameter a little off, looks like a cause there.
@@ -157,7 +164,7 @@ def _needed(one: Rated, left: Excess) -> float:
     return criteria.EVIDENCE_ALONE if alone else 1.0
 
 
-def room_for_more(left: Excess, reference: Excess) -> bool:
+def room_for_more(left: ExcessResidual, reference: ExcessResidual) -> bool:
     """Tell whether a further cause could earn its place at all: by removing everything that is left."""
     share = left.total / reference.total if reference.total > 0 else 0.0
     return share >= criteria.NOTICED_SHARE or (
@@ -165,7 +172,7 @@ def room_for_more(left: Excess, reference: Excess) -> bool:
     )
 
 
-def _earns_its_place(one: Rated, left: Excess, reference: Excess) -> bool:
+def _earns_its_place(one: Rated, left: ExcessResidual, reference: ExcessResidual) -> bool:
     """Tell whether a further cause removes enough on withheld conditions, of the whole gap or of what is left of it."""
     removed = left.total - one.held_out.total
     share = removed / reference.total

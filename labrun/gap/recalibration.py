@@ -10,7 +10,7 @@ from labrun.errors import FitError
 from labrun.fit import Dataset, Deviation, Note, OutputNoise, Problem, minimise, search
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
-from labrun.gap.held_out import Excess, fitted_excess, floor_of, mean_residuals
+from labrun.gap.held_out import ExcessResidual, fitted_excess, floor_of, mean_residuals
 from labrun.gap.noise import Noise, fit_whitener, from_reading_errors, from_repeats, of_sensor
 from labrun.gap.null import independent_share
 from labrun.gap.screening import refit
@@ -224,7 +224,7 @@ def bound_remarks(problem: Problem, z: FloatArray) -> tuple[str, ...]:
 
 def fresh_excess(
     models: Sequence[Model], dataset: Dataset, rng: np.random.Generator
-) -> tuple[list[Excess], float]:
+) -> tuple[list[ExcessResidual], float]:
     """Return what models leave of fresh trials, only initial states fitted, and the gap that noise alone shows at most.
 
     Noise is what repeats do not agree on beside the first model.

@@ -13,7 +13,7 @@ from labrun.arrays import FloatArray
 from labrun.effects import Effect, Scale, Site, read_effects
 from labrun.fit import Note, Problem, silent
 from labrun.gap.candidates import site_scales
-from labrun.gap.held_out import Excess, held_out_excess, mean_residuals
+from labrun.gap.held_out import ExcessResidual, held_out_excess, mean_residuals
 from labrun.gap.intervals import effect_units
 from labrun.gap.noise import Noise
 from labrun.gap.screening import Base, refit
@@ -145,7 +145,7 @@ def explain_rest(
     )
 
 
-def _square(noise: Noise, left: Excess) -> float:
+def _square(noise: Noise, left: ExcessResidual) -> float:
     """Return the mean square that is left, in units of one trial's noise; less the noise where repeats tell it."""
     return left.total if noise.known else _size(noise, left.residual) ** 2
 

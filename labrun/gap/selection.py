@@ -11,7 +11,7 @@ from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, without
 from labrun.gap.diagnosis import Name
 from labrun.gap.forms import best_form
-from labrun.gap.held_out import Excess, held_out_excess
+from labrun.gap.held_out import ExcessResidual, held_out_excess
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import NoiseThreshold, noise_threshold
 from labrun.gap.null import Null
@@ -62,7 +62,7 @@ class Chosen:
     rivals: tuple[tuple[Rated, float], ...]
     weight: float
     base: Base
-    held_out: Excess
+    held_out: ExcessResidual
 
     @property
     def name(self) -> Name:
@@ -86,7 +86,7 @@ class Selection:
     rounds: list[Round]
     chosen: tuple[Chosen, ...]
     final: Base
-    held_out: Excess
+    held_out: ExcessResidual
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Selector:
     candidates: Sequence[Candidate]
     noise: Noise
     null: Null
-    reference: Excess
+    reference: ExcessResidual
     strictness: float
     each: Each
     note: Note
@@ -156,7 +156,7 @@ class Selector:
             return Selection([first], (), self.base, self.reference)
         return Selection(rounds, tuple(chosen), chosen[-1].base, chosen[-1].held_out)
 
-    def _share(self, left: Excess) -> float:
+    def _share(self, left: ExcessResidual) -> float:
         return 1.0 - left.total / self.reference.total if self.reference.total > 0 else 0.0
 
     def _forward(self) -> tuple[list[Chosen], list[Round]]:
@@ -175,7 +175,7 @@ class Selector:
                 break
         return chosen, rounds
 
-    def _room(self, left: Excess) -> bool:
+    def _room(self, left: ExcessResidual) -> bool:
         if self.null.relative and self.reference.gap < criteria.ONE_CAUSE_GAP:
             return False
         return room_for_more(left, self.reference)
@@ -229,13 +229,13 @@ class Selector:
                 pair, enough = [one, other], other.held_out.total
         return self._exchanged(pair) if pair else (chosen, rounds)
 
-    def _beside(self, chosen: Sequence[Chosen], kept: Sequence[Chosen]) -> tuple[Round, Excess]:
+    def _beside(self, chosen: Sequence[Chosen], kept: Sequence[Chosen]) -> tuple[Round, ExcessResidual]:
         """Return all candidates beside some of the causes, and what these leave on withheld conditions."""
         names = frozenset(one.name for one in kept)
         found = self._rounds.get(names) or self._round(self._refitted(chosen[-1].base, names))
         return found, held_out_excess(found.base.problem, found.base.z, self.noise)
 
-    def _choose(self, current: Round, left: Excess, *, further: bool) -> Chosen | None:
+    def _choose(self, current: Round, left: ExcessResidual, *, further: bool) -> Chosen | None:
         best = preferred(current.rated, left, self.reference, further=further, relative=self.null.relative)
         if best is None:
             return None

@@ -19,7 +19,7 @@ def significant(value: float, digits: int = 2) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Findings:
+class VerdictBasis:
     """What the verdict is made from.
 
     Attributes
@@ -69,7 +69,7 @@ class Findings:
         return not self.noise_known or share.value < criteria.PROVEN_SHARE
 
 
-def verdict(found: Findings) -> Verdict:
+def verdict(found: VerdictBasis) -> Verdict:
     """Return the verdict."""
     if found.unproven or found.effects + found.parameters == 0 or found.shrinkage is None:
         if found.significant and _unexplained(found):
@@ -101,7 +101,7 @@ def verdict(found: Findings) -> Verdict:
     return "explained" if found.known_share >= whole or not found.remains else "partly-explained"
 
 
-def _unexplained(found: Findings) -> bool:
+def _unexplained(found: VerdictBasis) -> bool:
     """Tell whether there is a gap without a cause: plainly more than noise, or at least predictable."""
     if not found.noise_known:
         return found.learnable >= criteria.LEARNABLE and found.sizes.recalibrated >= 1.0

@@ -32,7 +32,7 @@ _LIVELY = 0.5
 
 
 @dataclass(frozen=True)
-class Table:
+class LogTable:
     """Inputs and outputs on one time, in the model's units.
 
     Attributes
@@ -130,7 +130,7 @@ def _refuse_short(base: Stream, count: int) -> None:
         )
 
 
-def table_of(matches: Sequence[Match]) -> tuple[Table, list[str]]:
+def table_of(matches: Sequence[Match]) -> tuple[LogTable, list[str]]:
     """Return one table on the stamps of what is measured: goals as they stood, other measurements by straight lines.
 
     Raises
@@ -195,14 +195,14 @@ def table_of(matches: Sequence[Match]) -> tuple[Table, list[str]]:
             f"stamps of {base.name} count; goals stand until the next one, other measurements run straight between "
             f"theirs: {', '.join(others)}"
         )
-    return Table(at - at[0], values, tuple(matches), broken[inside]), said
+    return LogTable(at - at[0], values, tuple(matches), broken[inside]), said
 
 
 def _measures(stream: Stream, matches: Sequence[Match]) -> bool:
     return any(one.stream is stream and one.wanted.kind == "output" for one in matches)
 
 
-def unusable(table: Table) -> Iterator[tuple[Piece, str]]:
+def unusable(table: LogTable) -> Iterator[tuple[Piece, str]]:
     """Yield what cannot be trusted: a sensor that stands still or at its end, and motion that nobody commanded."""
     period = float(np.median(np.diff(table.time_s)))
     long = max(LEAST_SAMPLES, round(STUCK_S / period))
@@ -254,7 +254,7 @@ def _runs(flags: NDArray[np.bool_]) -> list[Piece]:
     return [Piece(int(first), int(end)) for first, end in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def cut(table: Table, every_s: float | None, bad: Sequence[Piece]) -> tuple[list[Piece], str]:
+def cut(table: LogTable, every_s: float | None, bad: Sequence[Piece]) -> tuple[list[Piece], str]:
     """Return the trials, and how they were cut: at rests, or every so many seconds."""
     usable = np.ones(len(table.time_s), dtype=bool)
     for piece in bad:
@@ -283,7 +283,7 @@ def cut(table: Table, every_s: float | None, bad: Sequence[Piece]) -> tuple[list
     return _kept(table, pieces), "not at all" if len(pieces) == 1 else "where it is broken"
 
 
-def _rests(table: Table) -> list[Piece]:
+def _rests(table: LogTable) -> list[Piece]:
     """Return where nothing is told and nothing moves."""
     period = float(np.median(np.diff(table.time_s)))
     width = max(2, round(REST_S / period))
@@ -304,7 +304,7 @@ def _rests(table: Table) -> list[Piece]:
     return [piece for piece in _runs(quiet) if piece.end - piece.first >= width]
 
 
-def _between_rests(table: Table, piece: Piece, rests: Sequence[Piece]) -> list[Piece]:
+def _between_rests(table: LogTable, piece: Piece, rests: Sequence[Piece]) -> list[Piece]:
     """Cut in each rest inside, a fixed time before the next goal, so that repeats of a motion begin alike."""
     lead = max(1, round(REST_S / 2 / float(np.median(np.diff(table.time_s)))))
     inputs = [
@@ -326,14 +326,14 @@ def _between_rests(table: Table, piece: Piece, rests: Sequence[Piece]) -> list[P
     return [Piece(first, end) for first, end in pairwise(edges)]
 
 
-def _evenly(table: Table, piece: Piece, every_s: float) -> list[Piece]:
+def _evenly(table: LogTable, piece: Piece, every_s: float) -> list[Piece]:
     time_s = table.time_s[piece.first : piece.end]
     marks = np.arange(time_s[0] + every_s, time_s[-1] + 1e-9, every_s)
     edges = [piece.first, *(piece.first + np.searchsorted(time_s, marks)).tolist(), piece.end]
     return [Piece(first, end) for first, end in pairwise(edges) if end > first]
 
 
-def _kept(table: Table, pieces: Sequence[Piece]) -> list[Piece]:
+def _kept(table: LogTable, pieces: Sequence[Piece]) -> list[Piece]:
     return [
         piece
         for piece in pieces

@@ -8,7 +8,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import RequestError
-from labrun.logs.cleaning import Piece, Table
+from labrun.logs.cleaning import LogTable, Piece
 
 _ALIKE = 0.01
 """Goals that differ by less than this share of their range are the same motion, told again (root mean square)."""
@@ -17,7 +17,7 @@ _ALIKE = 0.01
 def write_recording(
     folder: Path,
     name: str,
-    table: Table,
+    table: LogTable,
     trials: Sequence[Piece],
     remarks: Sequence[str],
     files: Mapping[str, str],
@@ -61,7 +61,7 @@ def write_recording(
         raise RequestError(f"{folder} cannot be written: {error.strerror}") from error
 
 
-def _motions(table: Table, trials: Sequence[Piece]) -> tuple[list[str], list[Piece]]:
+def _motions(table: LogTable, trials: Sequence[Piece]) -> tuple[list[str], list[Piece]]:
     """Name each trial's motion; trials that are told the same are repeats of one, and end with the shortest of them."""
     inputs = [
         place

@@ -19,10 +19,10 @@ from labrun.toml import (
     Expression,
     ExpressionError,
     Fault,
-    Faults,
     KeyPath,
     Places,
     Table,
+    TableFaults,
     fault_of,
     parsed,
     refusal,
@@ -110,7 +110,7 @@ class Bounded(Table):
 
     @model_validator(mode="after")
     def _value_inside(self) -> "Bounded":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if self.value is not None and not self.lower <= self.value <= self.upper:
                 outside = (
                     f"the value {self.value:g} is outside of its bounds {self.lower:g} to {self.upper:g}"
@@ -194,7 +194,7 @@ class ConditionTable(Table):
 
     @model_validator(mode="after")
     def _default_known(self) -> "ConditionTable":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if isinstance(self.default, str) and self.default not in self.words:
                 faults.add("default", f"no number is stated for the word {self.default!r}")
         return self

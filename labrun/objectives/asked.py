@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from labrun.errors import ExperimentError, SpecError
 from labrun.objectives.protocol import TrialSignals
-from labrun.toml import Expression, ExpressionError, Faults, Table, checked
+from labrun.toml import Expression, ExpressionError, Table, TableFaults, checked
 
 ASKED = "asked"
 """The objective by name."""
@@ -45,7 +45,7 @@ class AskedSettings(Table):
 
     @model_validator(mode="after")
     def _number_or_choice(self) -> "AskedSettings":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if self.choices is not None and (self.least is not None or self.most is not None):
                 faults.add("choices", "least and most belong to a number; a choice is one of its words")
             if self.least is not None and self.most is not None and not self.least < self.most:

@@ -14,7 +14,7 @@ from labrun.errors import ExperimentError, SpecError
 from labrun.objectives.protocol import TrialSignals
 from labrun.objectives.window import truncation_bound
 from labrun.signals import Signal
-from labrun.toml import Faults, Table, checked
+from labrun.toml import Table, TableFaults, checked
 
 
 class ChannelSettings(Table):
@@ -172,7 +172,7 @@ class MeanAbsoluteSettings(ChannelSettings):
 
     @model_validator(mode="after")
     def _ordered(self) -> "MeanAbsoluteSettings":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if self.from_s is not None and self.to_s is not None and not self.from_s < self.to_s:
                 faults.add(
                     "to_s", f"{self.to_s:g} s is not after from_s = {self.from_s:g} s", of=("from_s", "to_s")

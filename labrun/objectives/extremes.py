@@ -12,7 +12,7 @@ from labrun.errors import ExperimentError
 from labrun.objectives.channel import ChannelObjective, ChannelSettings, Following, ReducedChannel
 from labrun.objectives.protocol import TrialSignals
 from labrun.signals import Signal
-from labrun.toml import Faults, checked
+from labrun.toml import TableFaults, checked
 
 
 class ExtremesSettings(ChannelSettings):
@@ -125,7 +125,7 @@ class ShareOfTimeSettings(ChannelSettings):
 
     @model_validator(mode="after")
     def _one_level(self) -> "ShareOfTimeSettings":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if (self.above is None) == (self.below is None):
                 faults.add("above", "give one of above and below", of=("above", "below"))
         return self

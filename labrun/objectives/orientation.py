@@ -9,7 +9,7 @@ from pydantic import NonNegativeFloat, PositiveFloat, model_validator
 from labrun.arrays import FloatArray
 from labrun.errors import ExperimentError
 from labrun.objectives.protocol import TrialSignals
-from labrun.toml import Faults, Table, checked
+from labrun.toml import Table, TableFaults, checked
 
 Order = Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 _PARTS = ("qw", "qx", "qy", "qz")
@@ -36,7 +36,7 @@ class EulerErrorSettings(Table):
 
     @model_validator(mode="after")
     def _ordered(self) -> "EulerErrorSettings":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if self.to_s is not None and not self.from_s < self.to_s:
                 faults.add("to_s", f"{self.to_s:g} s is not after from_s = {self.from_s:g} s")
         return self

@@ -10,7 +10,7 @@ from labrun.arrays import FloatArray
 from labrun.errors import ExperimentError
 from labrun.objectives.channel import ChannelObjective, ChannelSettings, Following
 from labrun.objectives.protocol import TrialSignals
-from labrun.toml import Faults, checked, suggest
+from labrun.toml import TableFaults, checked, suggest
 
 
 class WorkSettings(ChannelSettings):
@@ -37,7 +37,7 @@ class WorkSettings(ChannelSettings):
 
     @model_validator(mode="after")
     def _one_way(self) -> "WorkSettings":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if (self.over is None) == (self.over_command is None):
                 faults.add("over", "give one of over and over_command", of=("over", "over_command"))
         return self

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from labrun.fit import Comparison, Curve, FigureData, Pair, Panel, Point, Stack
+from labrun.fit import ComparedPoint, Comparison, Curve, FigureData, Pair, Panel, Stack
 from labrun.report.text import condition_text, counted, percent, quantity_text, spaced, value_text, with_unit
 
 _SHOWN = 12
@@ -74,17 +74,17 @@ def comparison_figure(comparison: Comparison) -> FigureData:
     return FigureData(title, rows, legend="top", row_height_in=3.0)
 
 
-def _where(point: Point) -> str:
+def _where(point: ComparedPoint) -> str:
     condition = condition_text(point.condition) or "the only condition"
     return condition if point.at_s is None else f"{condition}, at {point.at_s:.3g} s"
 
 
-def _numbers(point: Point) -> tuple[str, ...]:
+def _numbers(point: ComparedPoint) -> tuple[str, ...]:
     sizes = (point.measured, point.predicted, point.rmse)
     return (*(f"{value:.4g}" for value in sizes), _relative(point))
 
 
-def _relative(point: Point) -> str:
+def _relative(point: ComparedPoint) -> str:
     return percent(point.relative) if math.isfinite(point.relative) else "nothing but 0 measured"
 
 
@@ -118,7 +118,7 @@ def _verdict(comparison: Comparison) -> str:
     return f"{told}, beyond {limit}, as are {beyond} of {len(comparison.points)} points in all"
 
 
-def _point_json(point: Point) -> dict[str, Any]:
+def _point_json(point: ComparedPoint) -> dict[str, Any]:
     return {
         "condition": dict(point.condition),
         "channel": point.channel,

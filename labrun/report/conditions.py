@@ -6,7 +6,7 @@ from typing import Any
 
 from labrun.arrays import FloatArray
 from labrun.report.data import Point, RunView, by_condition
-from labrun.report.page import Table
+from labrun.report.page import PageTable
 from labrun.report.text import (
     counted,
     decimal_text,
@@ -200,13 +200,13 @@ def _leaders(view: RunView, name: str) -> Mapping[str, Any]:
     columns = ["", *_labels(keys, view), _quantity(name, view.unit), "standard error", "n"]
     columns += [_quantity(other, view.unit_of(other)) for other in others]
     return {
-        "table": Table(columns, rows, words=(), marked=marked),
+        "table": PageTable(columns, rows, words=(), marked=marked),
         "shown": f"The {len(leading)} most promising of {counted(len(results), 'condition')}",
         "marked": bool(marked),
     }
 
 
-def _fresh(view: RunView, name: str, direction: str) -> tuple[Table, str] | None:
+def _fresh(view: RunView, name: str, direction: str) -> tuple[PageTable, str] | None:
     points = view.points(name, roles=("fresh",))
     if len(points) < 2:
         return None
@@ -224,7 +224,7 @@ def _fresh(view: RunView, name: str, direction: str) -> tuple[Table, str] | None
     winner = None if view.best is None else condition_key(view.best.parameters)
     marked = [place for place, point in enumerate(points) if condition_key(point.condition) == winner]
     columns = [*_labels(keys, view), _quantity(name, view.unit), "standard error", "n", "95 % interval"]
-    return Table(columns, rows, words=(), marked=marked), _separation(points, direction == "maximise")
+    return PageTable(columns, rows, words=(), marked=marked), _separation(points, direction == "maximise")
 
 
 def _separation(points: Sequence[Point], maximise: bool) -> str:
@@ -268,7 +268,7 @@ def _every(view: RunView) -> Mapping[str, Any]:
         {name: value for name, value in results[0].condition.items() if name not in keys} if results else {}
     )
     return {
-        "table": Table([*columns, "accepted", "rejected or failed", "recorded (s)"], rows, words=()),
+        "table": PageTable([*columns, "accepted", "rejected or failed", "recorded (s)"], rows, words=()),
         "alike": named_condition(alike, view.experiment.units) if alike else "",
         "more": counted(left, "more condition") if left else "",
     }

@@ -1,6 +1,6 @@
 """How far a model predicts fresh data, as people read it."""
 
-from labrun.gap import Estimate, FreshTest, Prediction
+from labrun.gap import FreshTest, Prediction, ResampledNumber
 from labrun.report.text import aligned, counted, estimate_words, number, percent, spaced
 
 
@@ -26,7 +26,7 @@ def _row(one: Prediction) -> list[str]:
     return [spaced(one.output), ahead, estimate_words(one.error), before, _change(one.ratio)]
 
 
-def _change(ratio: Estimate | None) -> str:
+def _change(ratio: ResampledNumber | None) -> str:
     """Return by how much the error fell or grew, ``-80 % [-84 %, -75 %]``; that it is open where it is."""
     if ratio is None:
         return ""

@@ -4,11 +4,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from labrun.gap import Candidate, Diagnosis, MissingForce, Trace
+from labrun.gap import ComparedTrace, Diagnosis, MissingForce, RatedCandidate
 from labrun.report.figures.gap import how_far_figure, where_figure
 from labrun.report.figures.gap_traces import force_figure, shown_traces, traces_figure, worst_outputs
 from labrun.report.gap_places import hot_spots, place_words, ranked
-from labrun.report.page import Drawing, Table, drawn, render
+from labrun.report.page import PageFigure, PageTable, drawn, render
 from labrun.report.text import (
     HEADLINES,
     VERDICTS,
@@ -78,21 +78,21 @@ def diagnosis_context(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _places(diagnosis: Diagnosis) -> Table:
+def _places(diagnosis: Diagnosis) -> PageTable:
     rows = [
         [place.by, place_words(place), percent(place.share), "" if place.p is None else f"{place.p:.3g}"]
         for place in diagnosis.where
     ]
-    return Table(("by", "part", "share of the excess", "p"), rows, words=(0, 1))
+    return PageTable(("by", "part", "share of the excess", "p"), rows, words=(0, 1))
 
 
-def _traces(diagnosis: Diagnosis) -> Drawing | None:
+def _traces(diagnosis: Diagnosis) -> PageFigure | None:
     return drawn(
         lambda: traces_figure(diagnosis), "traces", "Measured and simulated outputs where they differ most"
     )
 
 
-def _chosen(diagnosis: Diagnosis, traces: Sequence[Trace]) -> str:
+def _chosen(diagnosis: Diagnosis, traces: Sequence[ComparedTrace]) -> str:
     """Return which conditions and outputs are shown, where it is not all of them."""
     if not traces:
         return ""
@@ -106,11 +106,11 @@ def _chosen(diagnosis: Diagnosis, traces: Sequence[Trace]) -> str:
     return listed(told)
 
 
-def _force(missing: MissingForce) -> Drawing | None:
+def _force(missing: MissingForce) -> PageFigure | None:
     return drawn(lambda: force_figure(missing), "force", f"What is missing at {missing.site}", points=True)
 
 
-def _tally(every: Sequence[Candidate]) -> str:
+def _tally(every: Sequence[RatedCandidate]) -> str:
     counts = {verdict: sum(one.verdict == verdict for one in every) for verdict in VERDICTS}
     words = {
         "cause": "asked for by the data",
@@ -124,7 +124,7 @@ def _tally(every: Sequence[Candidate]) -> str:
     return f"{len(every)} candidates: {listed(told)}."
 
 
-def _candidate(one: Candidate, rank: int) -> Mapping[str, Any]:
+def _candidate(one: RatedCandidate, rank: int) -> Mapping[str, Any]:
     same = listed([name.words for name in one.same_as], "or")
     parts = bound_words(one.upper_bound) if one.verdict == "ruled-out" else []
     parts = parts or ([] if one.verdict == "not-visible" else value_words(one.values))
@@ -139,7 +139,7 @@ def _candidate(one: Candidate, rank: int) -> Mapping[str, Any]:
     }
 
 
-def parameter_table(diagnosis: Diagnosis) -> Table:
+def parameter_table(diagnosis: Diagnosis) -> PageTable:
     """Return the parameters as stated and as recalibrated; without rows of a model without any that may move."""
     rows, marked = [], []
     for place, (name, (stated, tolerance, found)) in enumerate(diagnosis.recalibration.items()):
@@ -152,7 +152,7 @@ def parameter_table(diagnosis: Diagnosis) -> Table:
             [spaced(name), number(stated, 4), _tolerance(tolerance), number(found, 4), corrected, unit, told]
         )
     columns = ("parameter", "stated", "known to", "recalibrated", "with the causes", "unit", "moved by")
-    return Table(columns, rows, words=(0, 5, 6), marked=marked)
+    return PageTable(columns, rows, words=(0, 5, 6), marked=marked)
 
 
 def _tolerance(tolerance: float | str) -> str:
@@ -175,7 +175,7 @@ def _moved(stated: float, tolerance: float | str, found: float) -> tuple[str, bo
     return f"{told}, {number(steps, 2)} of its tolerances", steps >= _FAR
 
 
-def _noise(diagnosis: Diagnosis) -> Table:
+def _noise(diagnosis: Diagnosis) -> PageTable:
     units = dict(diagnosis.channels)
     rows = [[spaced(name), scatter_text(sd, units.get(name, "1"))] for name, sd in diagnosis.noise.items()]
-    return Table(("output", "noise of one trial (sd)"), rows)
+    return PageTable(("output", "noise of one trial (sd)"), rows)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from labrun.gap import By, Candidate, CandidateVerdict, Place
+from labrun.gap import By, CandidateVerdict, Place, RatedCandidate
 
 SIGNIFICANT = 0.05
 _RANK: Mapping[CandidateVerdict, int] = {"cause": 0, "indistinguishable": 1, "ruled-out": 2, "not-visible": 3}
@@ -46,7 +46,7 @@ _CUT_TWICE = " | "
 
 
 @dataclass(frozen=True, slots=True)
-class Panel:
+class PlacesPanel:
     """One way of dividing the data: its most telling parts, the largest share first. Parts may overlap.
 
     Attributes
@@ -70,7 +70,7 @@ class HotSpot:
     p: float | None
 
 
-def panels(where: Sequence[Place], most: int | None = None) -> list[Panel]:
+def panels(where: Sequence[Place], most: int | None = None) -> list[PlacesPanel]:
     """Return the ways of dividing the data, in the order in which `where` first has them: the most telling ones first.
 
     A single channel is no division.
@@ -84,7 +84,7 @@ def panels(where: Sequence[Place], most: int | None = None) -> list[Panel]:
         if by == "channel" and len(places) < 2:
             continue
         kept = sorted(places[:_MOST_BARS], key=lambda place: -place.share)
-        found.append(Panel(by, tuple(kept), len(places) - len(kept)))
+        found.append(PlacesPanel(by, tuple(kept), len(places) - len(kept)))
     return found[:most]
 
 
@@ -146,10 +146,10 @@ def located(place: Place) -> str:
     return f"in {text}" if first == "the" and place.by != "frequency" else f"{_PREPOSITIONS[place.by]} {text}"
 
 
-def ranked(candidates: Sequence[Candidate]) -> list[Candidate]:
+def ranked(candidates: Sequence[RatedCandidate]) -> list[RatedCandidate]:
     """Return candidates by verdict, then by what they remove on data their fit did not see, then by evidence."""
 
-    def key(one: Candidate) -> tuple[int, float, float]:
+    def key(one: RatedCandidate) -> tuple[int, float, float]:
         # what was not tried by itself and what makes matters worse are in order of their evidence
         return _RANK[one.verdict], -max(one.held_out_share or 0.0, 0.0), -one.evidence
 

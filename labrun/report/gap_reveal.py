@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from labrun.blind import Compared, Revealed
-from labrun.gap import Estimate, Name
+from labrun.gap import Name, ResampledNumber
 from labrun.report.text import estimate_words, listed, number, spaced
 
 
@@ -51,5 +51,5 @@ def _value(name: str, value: Mapping[str, Any]) -> str:
     low, high = value["ci95"]
     if value["value"] is None or low is None or high is None:
         return f"{spaced(name)} = {'not known' if value['value'] is None else number(value['value'])}"
-    estimate = Estimate(value["value"], low, high, value["unit"])
+    estimate = ResampledNumber(value["value"], low, high, value["unit"])
     return f"{name} = {estimate_words(estimate, prefix=False)}"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.text import Text
 
-from labrun.gap import Candidate, Diagnosis
+from labrun.gap import Diagnosis, RatedCandidate
 from labrun.report.gap_places import hot_spots, ranked
 from labrun.report.text import (
     VERDICTS,
@@ -115,7 +115,7 @@ def _which(diagnosis: Diagnosis, room: int, most: int) -> list[str]:
     return lines
 
 
-def _rival(one: Candidate, room: int) -> str:
+def _rival(one: RatedCandidate, room: int) -> str:
     text = f"{one.name.words}: {VERDICTS[one.verdict]}"
     if one.held_out_share is not None:
         removes = removes_words(one.held_out_share)

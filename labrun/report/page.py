@@ -17,7 +17,7 @@ _TEMPLATES = Path(__file__).with_name("pages")
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class PageTable:
     """A table that scrolls by itself where the screen is narrow.
 
     Attributes
@@ -42,7 +42,7 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Drawing:
+class PageFigure:
     """A figure inside a page: as SVG, which can be zoomed, as PNG in base64, or why there is none."""
 
     alt: str
@@ -51,12 +51,12 @@ class Drawing:
     fault: str = ""
 
     @classmethod
-    def of_png(cls, data: bytes, alt: str) -> "Drawing":
+    def of_png(cls, data: bytes, alt: str) -> "PageFigure":
         """Return a picture that is there already."""
         return cls(alt, png=base64.b64encode(data).decode())
 
 
-def drawn(draw: Callable[[], Any], name: str, alt: str, *, points: bool = False) -> Drawing | None:
+def drawn(draw: Callable[[], Any], name: str, alt: str, *, points: bool = False) -> PageFigure | None:
     """Return a figure for a page; None where there is nothing to draw.
 
     Parameters
@@ -77,10 +77,10 @@ def drawn(draw: Callable[[], Any], name: str, alt: str, *, points: bool = False)
         if figure is None:
             return None
         if points:
-            return Drawing.of_png(as_png(figure), alt)
-        return Drawing(alt, svg=_inline(as_svg(figure).decode(), name, alt))
+            return PageFigure.of_png(as_png(figure), alt)
+        return PageFigure(alt, svg=_inline(as_svg(figure).decode(), name, alt))
     except Exception as error:
-        return Drawing(alt, fault=f"The figure could not be drawn: {type(error).__name__}: {error}")
+        return PageFigure(alt, fault=f"The figure could not be drawn: {type(error).__name__}: {error}")
 
 
 def render(template: str, context: Mapping[str, Any]) -> str:

@@ -8,7 +8,7 @@ from labrun.report.figures.gap_traces import traces_figure
 from labrun.report.figures.robot import robot_figure
 from labrun.report.gap_page import parameter_table
 from labrun.report.gap_places import ranked
-from labrun.report.page import Table, drawn, render
+from labrun.report.page import PageTable, drawn, render
 from labrun.report.robot_text import cause_words, joint_rows
 from labrun.report.text import VERDICTS, bound_words, listed, number, percent, value_words
 
@@ -33,7 +33,7 @@ def robot_page(found: RobotDiagnosis) -> str:
             "picture": drawn(
                 lambda: robot_figure(found), "robot", "Every joint's gap before and after its causes"
             ),
-            "joints": Table(_COLUMNS, rows, words=(0, 1), marked=marked),
+            "joints": PageTable(_COLUMNS, rows, words=(0, 1), marked=marked),
             "sections": sections,
         },
     )
@@ -61,7 +61,7 @@ def _section(one: JointDiagnosis) -> Mapping[str, Any]:
         "traces": drawn(
             lambda: traces_figure(diagnosis), f"traces-{one.joint.output}", "Measured and simulated"
         ),
-        "candidates": Table(
+        "candidates": PageTable(
             ("candidate", "verdict", "removes", "evidence", "size"), candidates, words=(0, 1, 4)
         ),
         "parameters": parameter_table(diagnosis),

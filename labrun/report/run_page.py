@@ -7,7 +7,7 @@ from typing import Any
 from labrun.report.conditions import conditions_context
 from labrun.report.figures import run_figure
 from labrun.report.figures.trust import MOST_PANELS, draw_drift, draw_repeatability, draw_settling
-from labrun.report.page import Drawing, Table, drawn, render
+from labrun.report.page import PageFigure, PageTable, drawn, render
 from labrun.report.report_source import ReportSource
 from labrun.report.statistics import repeatability_columns, settling, standard_deviations
 from labrun.report.stored_fits import as_table, fit_context
@@ -76,7 +76,7 @@ def run_context(source: ReportSource) -> dict[str, Any]:
         "fits": [fit_context(fit) for fit in source.fits] or None,
         "gap": source.diagnosis,
         "provenance": {
-            "origin": Table(("", ""), _origin(run.provenance), words=(0, 1)),
+            "origin": PageTable(("", ""), _origin(run.provenance), words=(0, 1)),
             "resolved": run.experiment_toml,
             "written": run.provenance.get("experiment_text"),
         },
@@ -98,7 +98,7 @@ def run_context(source: ReportSource) -> dict[str, Any]:
     }
 
 
-def _figure(source: ReportSource) -> Drawing | None:
+def _figure(source: ReportSource) -> PageFigure | None:
     alt = f"Result of {source.experiment.title}: the numbers it shows stand in the tables below"
     return drawn(lambda: run_figure(source, source.generations), "result", alt)
 
@@ -143,7 +143,7 @@ def _repeatability(source: ReportSource) -> Mapping[str, Any] | None:
     return {
         "told": what_it_resolves(source, main),
         "figure": drawn(lambda: draw_repeatability(source, main), "repeatability", alt),
-        "table": Table(("objective", *repeatability_columns(found), "degrees of freedom"), rows),
+        "table": PageTable(("objective", *repeatability_columns(found), "degrees of freedom"), rows),
     }
 
 
@@ -217,7 +217,7 @@ def _bench(source: ReportSource) -> Mapping[str, Any] | None:
     }
 
 
-def _commands(source: ReportSource) -> Table | None:
+def _commands(source: ReportSource) -> PageTable | None:
     """Return how evenly set-points went out; None where no device tells."""
     rows = [
         [
@@ -230,10 +230,10 @@ def _commands(source: ReportSource) -> Table | None:
         for item in command_health(source.run.events)
     ]
     columns = ("device", "rate (Hz)", "sent", "skipped", "late, median (ms)", "99 % (ms)", "worst (ms)")
-    return Table(columns, rows) if rows else None
+    return PageTable(columns, rows) if rows else None
 
 
-def _streams(source: ReportSource) -> Table | None:
+def _streams(source: ReportSource) -> PageTable | None:
     if not source.streams:
         return None
     first = source.run.signals(source.run.outcomes[0].index)
@@ -256,7 +256,7 @@ def _streams(source: ReportSource) -> Table | None:
         "samples", "lost", "saturated",
     )  # fmt: skip
     marked = [place for place, item in enumerate(source.streams) if item.saturated]
-    return Table(columns, rows, words=(0, 1), marked=marked)
+    return PageTable(columns, rows, words=(0, 1), marked=marked)
 
 
 def _channels(signals: Signals | None) -> str:
@@ -298,11 +298,11 @@ def _rejected(source: ReportSource) -> Mapping[str, Any] | None:
     return {
         "total": total,
         "spoiled": len(source.spoiled),
-        "reasons": Table(("status", "reason", "trials", "share"), reasons, words=(0, 1)),
-        "trials": Table(columns, trials, words=(1, 2, 3, 4)),
+        "reasons": PageTable(("status", "reason", "trials", "share"), reasons, words=(0, 1)),
+        "trials": PageTable(columns, trials, words=(1, 2, 3, 4)),
         "folded": len(source.spoiled) > _UNFOLDED,
         "more": len(source.spoiled) - len(trials),
-        "incidents": Table(("UTC", "event", ""), incidents, words=(0, 1, 2)),
+        "incidents": PageTable(("UTC", "event", ""), incidents, words=(0, 1, 2)),
     }
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from labrun.fit import Estimate, rounded
-from labrun.report.page import Drawing, Table
+from labrun.report.page import PageFigure, PageTable
 from labrun.report.text import spaced
 
 _SHOWN_ELSEWHERE = frozenset(
@@ -109,10 +109,10 @@ def fit_context(fit: StoredFit) -> Mapping[str, Any]:
         "title": fit.title,
         "warnings": fit.sentences("warnings"),
         "findings": fit.sentences("findings"),
-        "parameters": Table(("parameter", "value", "95 % interval", "unit"), rows, words=(0, 3)),
+        "parameters": PageTable(("parameter", "value", "95 % interval", "unit"), rows, words=(0, 3)),
         "tables": [table for entry in as_list(numbers.get("tables")) if (table := _fit_table(entry))],
-        "rest": Table(("", ""), rest),
-        "figure": None if fit.picture is None else Drawing.of_png(fit.picture, alt),
+        "rest": PageTable(("", ""), rest),
+        "figure": None if fit.picture is None else PageFigure.of_png(fit.picture, alt),
     }
 
 
@@ -127,13 +127,13 @@ def _estimate(entry: Any) -> tuple[str, str, str]:
     return middle, f"{low} to {high}", unit
 
 
-def _fit_table(entry: Any) -> Table | None:
+def _fit_table(entry: Any) -> PageTable | None:
     """Return a table that a method has stored as it prints it; rows that are not whole are left out."""
     known = as_table(entry)
     header = tuple(str(one) for one in as_list(known.get("header")))
     rows = [[str(cell) for cell in row] for row in as_list(known.get("rows")) if isinstance(row, list)]
     whole = [row for row in rows if len(row) == len(header)]
-    return Table(header, whole, caption=str(known.get("title", ""))) if header and whole else None
+    return PageTable(header, whole, caption=str(known.get("title", ""))) if header and whole else None
 
 
 def _entries(name: str, value: Any, depth: int) -> list[list[str]]:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from labrun.fit import Estimate, rounded
 from labrun.gap import CandidateVerdict, Diagnosis, significant
-from labrun.gap import Estimate as GapEstimate
+from labrun.gap import ResampledNumber as GapEstimate
 from labrun.spec import Condition, Value
 from labrun.spec import condition_text as plain_condition_text
 from labrun.spec import value_text as plain_value_text

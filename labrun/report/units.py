@@ -1,6 +1,6 @@
 """What differs between two units, as people read it."""
 
-from labrun.gap import Difference, Estimate, UnitComparison
+from labrun.gap import ResampledNumber, UnitComparison, UnitDifference
 from labrun.report.text import aligned, estimate_words, listed, number, percent, spaced
 
 _HEADINGS = {
@@ -49,7 +49,7 @@ def _sentence(found: UnitComparison) -> str:
     return f"Between {found.first} and {found.second}, {named} {verb}{share}."
 
 
-def _words(one: Difference) -> str:
+def _words(one: UnitDifference) -> str:
     return (
         spaced(one.parameter)
         if one.name.kind == "parameter"
@@ -57,10 +57,10 @@ def _words(one: Difference) -> str:
     )
 
 
-def _relative(one: Difference) -> str:
+def _relative(one: UnitDifference) -> str:
     """Return the interval of the change in per cent, of what there is in the first unit to change."""
     if one.first == 0.0:
         return ""
-    ends: Estimate = one.change
+    ends: ResampledNumber = one.change
     low, high = sorted((ends.low / one.first, ends.high / one.first))
     return f"{percent(low)} to {percent(high)}"

@@ -12,7 +12,7 @@ from labrun.runner.measurement import Measurement
 from labrun.runner.motion import MotionMaker, TrialMotion, smooth_move
 from labrun.runner.plan import ConditionExcess, JointPeak, Plan, Planner, SearchSpace, SpaceBreak, percent
 from labrun.runner.progress import Progress, SilentProgress
-from labrun.runner.recording import LEAD_S, TAIL_S, Recorder, Recording, record_planned
+from labrun.runner.recording import LEAD_S, TAIL_S, Recorder, TrialRecording, record_planned
 from labrun.runner.resolve import ports_of, resolve_device
 from labrun.runner.rig import Rig
 from labrun.runner.session import Session
@@ -40,7 +40,6 @@ __all__ = [
     "Progress",
     "RealClock",
     "Recorder",
-    "Recording",
     "Rig",
     "Scripted",
     "SearchSpace",
@@ -49,6 +48,7 @@ __all__ = [
     "SimulatedClock",
     "SpaceBreak",
     "TrialMotion",
+    "TrialRecording",
     "UntilRecorder",
     "Willing",
     "Worn",

@@ -68,7 +68,7 @@ class TrialRequest:
 
 
 @dataclass
-class Recording:
+class TrialRecording:
     """One recording: what there is to do it with, and what becomes known of it on the way.
 
     Attributes
@@ -124,11 +124,11 @@ class Recording:
             self.bench.travel(travel.device, travel.to_m, travel.speed_m_s, travel.acceleration_m_s2)
 
 
-Recorder = Callable[[Recording], None]
+Recorder = Callable[[TrialRecording], None]
 """A way to record a trial: moves, waits, and hands over the samples."""
 
 
-def record_planned(recording: Recording) -> None:
+def record_planned(recording: TrialRecording) -> None:
     """Send the whole motion at once, and record from its start to its end."""
     bench, motion = recording.bench, recording.motion
     start_s = bench.clock.now() + LEAD_S

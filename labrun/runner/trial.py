@@ -14,7 +14,7 @@ from labrun.runner.damage import Damage
 from labrun.runner.evaluation import ObjectiveError, ObjectiveEvaluation
 from labrun.runner.faults import blaming
 from labrun.runner.motion import MotionMaker, TrialMotion
-from labrun.runner.recording import Recorder, Recording, SampleCollector, TrialRequest, record_planned
+from labrun.runner.recording import Recorder, SampleCollector, TrialRecording, TrialRequest, record_planned
 from labrun.runner.settle import Settled, measure_baseline, settle, tare
 from labrun.runner.settle_detector import Bounds
 from labrun.spec import Experiment, Settle, condition_text
@@ -229,7 +229,7 @@ class TrialRunner:
 
         for device in self._rig.paced.values():
             device.restart_pacing()  # what moved it here does not count
-        recording = Recording(self._bench, motion, request, draft.outcome.tare, draft.collector, begun)
+        recording = TrialRecording(self._bench, motion, request, draft.outcome.tare, draft.collector, begun)
         recording.move_speed_rad_s = self._speed_rad_s
         recording.remark = lambda text: self._journal("remark", index=request.index, text=text)
         try:

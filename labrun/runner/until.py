@@ -11,7 +11,7 @@ from labrun.objectives import make_objective
 from labrun.runner.cycle_log import CycleLog
 from labrun.runner.evaluation import ObjectiveEvaluation
 from labrun.runner.motion import TrialMotion
-from labrun.runner.recording import LEAD_S, TAIL_S, Recording
+from labrun.runner.recording import LEAD_S, TAIL_S, TrialRecording
 from labrun.runner.rig import Rig
 from labrun.signals import Signals
 from labrun.spec import CYCLES, Criterion, Experiment
@@ -94,7 +94,7 @@ class UntilRecorder:
         self._criterion = Criterion.of(until.when, list(self._tables))
         self._evaluation = ObjectiveEvaluation(experiment.model_copy(update={"objectives": self._tables}))
 
-    def __call__(self, recording: Recording) -> None:
+    def __call__(self, recording: TrialRecording) -> None:
         """Record one trial, or the rest of it."""
         motion, request = recording.motion, recording.request
         if motion.period_s is None:
@@ -110,7 +110,7 @@ class UntilRecorder:
             log.close()
         self._conclude(recording, log, motion.period_s, ended=ended)
 
-    def _take_up(self, recording: Recording, log: CycleLog) -> None:
+    def _take_up(self, recording: TrialRecording, log: CycleLog) -> None:
         """Begin, or go on with what the log holds."""
         bench, request = recording.bench, recording.request
         if self._rig.dry_run and log.head is not None:
@@ -131,7 +131,7 @@ class UntilRecorder:
             sensor = self._rig.sensors[name]
             recording.collector.writer.append(name, sensor.channels, sensor.rate_hz, samples)
 
-    def _record(self, recording: Recording, log: CycleLog, period_s: float) -> bool:
+    def _record(self, recording: TrialRecording, log: CycleLog, period_s: float) -> bool:
         """Run stretch after stretch; return whether the condition held in the end."""
         bench, until = recording.bench, self._until
         if log.cycles and self._criterion.holds(log.values):
@@ -151,7 +151,7 @@ class UntilRecorder:
         return False
 
     def _stretch(
-        self, recording: Recording, log: CycleLog, start_s: float, period_s: float, count: int
+        self, recording: TrialRecording, log: CycleLog, start_s: float, period_s: float, count: int
     ) -> bool:
         """Measure some cycles of a motion that is under way; return whether the condition holds, as soon as it does."""
         bench, collector = recording.bench, recording.collector
@@ -184,7 +184,7 @@ class UntilRecorder:
 
     def _kept(
         self,
-        recording: Recording,
+        recording: TrialRecording,
         log: CycleLog,
         signals: Mapping[str, Signals],
         begun_s: float,
@@ -205,7 +205,7 @@ class UntilRecorder:
             )
         return kept
 
-    def _conclude(self, recording: Recording, log: CycleLog, period_s: float, *, ended: bool) -> None:
+    def _conclude(self, recording: TrialRecording, log: CycleLog, period_s: float, *, ended: bool) -> None:
         assert log.head is not None  # noqa: S101  (it has begun)
         time_s = log.head["started_s"] + period_s * np.arange(1, log.cycles + 1)
         channels = tuple(Channel(name, self._unit(name)) for name in log.values)

@@ -7,7 +7,7 @@ import numpy as np
 from labrun.devices import Excess, Samples
 from labrun.errors import DeviceError
 from labrun.runner.motion import MotionMaker
-from labrun.runner.recording import Recorder, Recording, SampleCollector
+from labrun.runner.recording import Recorder, SampleCollector, TrialRecording
 from labrun.spec import Condition, Experiment
 
 Bounds = Mapping[str, Sequence[float]]
@@ -33,7 +33,7 @@ def within_bounds(recorder: Recorder, experiment: Experiment) -> Recorder:
     if not bounds_of(experiment, "measure"):
         return recorder
 
-    def record(recording: Recording) -> None:
+    def record(recording: TrialRecording) -> None:
         bounds = bounds_of(experiment, recording.request.role)
         if not bounds:
             recorder(recording)

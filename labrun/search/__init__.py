@@ -27,7 +27,7 @@ from labrun.search.over import (
     settings_of,
 )
 from labrun.search.planned import axis_values, conditions, start_of_search, sweep_conditions
-from labrun.search.ranking import NUMBER, Agreement, Cell, Column, Ranking, agreement
+from labrun.search.ranking import NUMBER, Agreement, Cell, FieldColumn, Ranking, agreement
 from labrun.search.result import (
     RESULT_FILE,
     Best,
@@ -47,11 +47,11 @@ __all__ = [
     "Agreement",
     "Best",
     "Cell",
-    "Column",
     "Combined",
     "Constraint",
     "ConstraintError",
     "Feasibility",
+    "FieldColumn",
     "Judge",
     "LimitExcesses",
     "Measured",

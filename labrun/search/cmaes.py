@@ -120,7 +120,7 @@ _SEARCH_STREAM = 2
 
 
 @dataclass(slots=True)
-class Candidate:
+class SearchCandidate:
     """A point of the search and all that was measured there."""
 
     point: FloatArray
@@ -224,7 +224,7 @@ class _Search:
         self._level = level
         self._progress = progress
         self._feasibility = feasibility
-        self._known: dict[object, Candidate] = {}
+        self._known: dict[object, SearchCandidate] = {}
         self._watch = StopWatch(self._table.stop)
         self._spreads: list[float] = []
         self._population = table.population_size
@@ -265,7 +265,7 @@ class _Search:
         rng = np.random.default_rng(np.random.SeedSequence((*self._stream, restart)))
         strategy = self._strategy(restart, rng)
         self._population, self._spreads = strategy.population, []
-        leaders: list[Candidate] = []
+        leaders: list[SearchCandidate] = []
         self._watch.restart()
         while True:
             planned = self._trials_of(strategy.population)
@@ -298,12 +298,14 @@ class _Search:
         parents = None if table.parents is None else table.parents * factor
         return Strategy(point, table.step_size, population * factor, parents, rng)
 
-    def _generation(self, strategy: Strategy, leaders: list[Candidate]) -> tuple[list[Candidate], int]:
+    def _generation(
+        self, strategy: Strategy, leaders: list[SearchCandidate]
+    ) -> tuple[list[SearchCandidate], int]:
         """Draw, measure what may run, and let the strategy learn."""
         points = strategy.ask(strategy.population - len(leaders))
         conditions = [self._condition(point) for point in points]
         drawn = [
-            self._known.setdefault(condition_key(condition), Candidate(point, condition, violations))
+            self._known.setdefault(condition_key(condition), SearchCandidate(point, condition, violations))
             for point, condition, violations in zip(
                 points, conditions, self._feasibility.of(conditions), strict=True
             )
@@ -326,7 +328,7 @@ class _Search:
         strategy.tell([*(item.point for item in leaders), *points], costs, known=len(leaders))
         return candidates, len(leaders)
 
-    def _measure(self, candidates: Sequence[Candidate]) -> None:
+    def _measure(self, candidates: Sequence[SearchCandidate]) -> None:
         distinct = list({id(item): item for item in candidates}.values())
         if not distinct:
             return
@@ -343,13 +345,13 @@ class _Search:
             condition[name] = float(min(max(value, variable.start), variable.stop))
         return condition
 
-    def _leading(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+    def _leading(self, candidates: Sequence[SearchCandidate]) -> list[SearchCandidate]:
         """Return the leaders that the next generation measures again: averaged values cannot stay lucky."""
         distinct = {id(item): item for item in candidates if item.values}
         ordered = sorted(distinct.values(), key=lambda item: item.penalised_cost)
         return ordered[: self._table.reevaluate]
 
-    def _standard_error(self, candidates: Sequence[Candidate]) -> float:
+    def _standard_error(self, candidates: Sequence[SearchCandidate]) -> float:
         """Return the standard error of one candidate's mean, pooled over the generation; 0 if nothing was repeated."""
         samples = [np.array(item.values) for item in candidates if item.values]
         variance = pooled_variance(samples)
@@ -360,11 +362,13 @@ class _Search:
     def _trials_of(self, population: int) -> int:
         return population * self._experiment.trial.repeats.min * len(settings_of(self._experiment))
 
-    def _best(self) -> Candidate | None:
+    def _best(self) -> SearchCandidate | None:
         measured = [item for item in self._known.values() if item.values]
         return min(measured, key=lambda item: self._sign * float(np.mean(item.values)), default=None)
 
-    def _keep(self, strategy: Strategy, restart: int, candidates: Sequence[Candidate], known: int) -> None:
+    def _keep(
+        self, strategy: Strategy, restart: int, candidates: Sequence[SearchCandidate], known: int
+    ) -> None:
         best = self._best()
         variables = self._table.variables
         feasible = [item.violations.feasible for item in candidates[known:]]
@@ -387,6 +391,6 @@ class _Search:
             },
         )
 
-    def _tell_progress(self, candidates: Sequence[Candidate]) -> None:
+    def _tell_progress(self, candidates: Sequence[SearchCandidate]) -> None:
         if not any(item.violations.feasible for item in candidates):
             self._progress.note(f"generation {self._watch.generation}: no candidate may run; none was run")

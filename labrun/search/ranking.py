@@ -65,7 +65,7 @@ class Cell:
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class FieldColumn:
     """One water of the field, and how far its order agrees with that of each laboratory run."""
 
     setting: Condition
@@ -102,7 +102,7 @@ class Ranking:
     maximise: bool
     gaits: tuple[Condition, ...]
     laboratory_values: Mapping[str, tuple[float | None, ...]]
-    columns: tuple[Column, ...]
+    columns: tuple[FieldColumn, ...]
     winner: int | None
     notes: tuple[str, ...]
 
@@ -134,7 +134,7 @@ class Ranking:
             "notes": list(self.notes),
         }
 
-    def bound(self, column: Column, place: int) -> float | None:
+    def bound(self, column: FieldColumn, place: int) -> float | None:
         """Return the bound of a gait's interval that is farther from the goal; None without one."""
         cell = column.cells[place]
         if cell is None or cell.ci95 is None:

@@ -3,8 +3,23 @@
 from labrun.spec.by_hand import ByHand
 from labrun.spec.condition import Condition, Number, Value, condition_key, condition_text, value_text
 from labrun.spec.damage import BROKEN, PAST, DamageTable
-from labrun.spec.design_tables import SIMULATION, SUMMARIES, Design, DesignVariable, Part, WrittenExperiment
-from labrun.spec.experiment import Experiment, FitTable, GaitTable, GapTable, ObjectiveTable, Rig, SceneTable
+from labrun.spec.design_tables import (
+    SIMULATION,
+    SUMMARIES,
+    Design,
+    DesignVariable,
+    DrawnPart,
+    WrittenExperiment,
+)
+from labrun.spec.experiment import (
+    Experiment,
+    FitTable,
+    GaitTable,
+    GapTable,
+    ObjectiveTable,
+    RigTable,
+    SceneTable,
+)
 from labrun.spec.key_reference import Key, keys_at
 from labrun.spec.loading import (
     LoadedExperiment,
@@ -36,9 +51,9 @@ from labrun.spec.search_tables import (
     Penalty,
     Range,
     RunTable,
+    SearchVariable,
     StopRules,
     Sweep,
-    Variable,
 )
 from labrun.spec.template import Kind, new_experiment
 from labrun.spec.trial_tables import (
@@ -46,7 +61,7 @@ from labrun.spec.trial_tables import (
     CarriageMove,
     CyclesOf,
     Outliers,
-    Reference,
+    ReferenceTable,
     RepeatRule,
     Settle,
     Tare,
@@ -82,6 +97,7 @@ __all__ = [
     "DamageTable",
     "Design",
     "DesignVariable",
+    "DrawnPart",
     "Experiment",
     "FitTable",
     "GaitTable",
@@ -98,14 +114,14 @@ __all__ = [
     "Number",
     "ObjectiveTable",
     "Outliers",
-    "Part",
     "Penalty",
     "Range",
-    "Reference",
+    "ReferenceTable",
     "RepeatRule",
-    "Rig",
+    "RigTable",
     "RunTable",
     "SceneTable",
+    "SearchVariable",
     "Settle",
     "StopRules",
     "Sweep",
@@ -114,7 +130,6 @@ __all__ = [
     "TrialTable",
     "Until",
     "Value",
-    "Variable",
     "WrittenExperiment",
     "apply_overrides",
     "condition_key",

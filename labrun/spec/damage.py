@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from labrun.spec.raw import check_expression, check_name, table
-from labrun.toml import Expression, ExpressionError, Fault, Faults, KeyPath, Table
+from labrun.toml import Expression, ExpressionError, Fault, KeyPath, Table, TableFaults
 
 PAST = "past its limit"
 BROKEN = "broken"
@@ -29,7 +29,7 @@ class DamageTable(Table):
 
     @model_validator(mode="after")
     def _says_something(self) -> "DamageTable":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if self.when is None and self.broken is None:
                 faults.add(None, "says nothing: give when, broken, or both", of=("when", "broken"))
         return self

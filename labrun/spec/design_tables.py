@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from labrun.spec.raw import check_expression, check_name, table, tables
-from labrun.spec.search_tables import CmaEs, Variable
+from labrun.spec.search_tables import CmaEs, SearchVariable
 from labrun.toml import Expression, Fault, KeyPath, Table
 
 SIMULATION = "simulation"
@@ -17,13 +17,13 @@ SUMMARIES = ("max", "min", "mean", "rms", "final", "peak")
 _SUMMARY = re.compile(rf"^(?:{'|'.join(SUMMARIES)})_\w+$")
 
 
-class DesignVariable(Variable):
+class DesignVariable(SearchVariable):
     """A search variable of a design; with `tolerance` a dimension, which is built to so much more or less."""
 
     tolerance: NonNegativeFloat = 0.0
 
 
-class Part(Table):
+class DrawnPart(Table):
     """A part as the drawing shows it: a rectangle about a line from `from_mm` on, turned by `angle_deg`.
 
     `mirrored` draws it on the other side of the line y = 0 as well.
@@ -65,7 +65,7 @@ class Design(CmaEs):
     channels: dict[str, Expression] = Field(default_factory=dict)
     rate_hz: PositiveFloat = 200.0
     substeps: Annotated[int, Field(ge=1, le=256)] = 2
-    parts: dict[str, Part] = Field(default_factory=dict)
+    parts: dict[str, DrawnPart] = Field(default_factory=dict)
     writes: dict[str, WrittenExperiment] = Field(default_factory=dict)
 
     @property

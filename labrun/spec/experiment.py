@@ -13,7 +13,7 @@ from labrun.spec.loop_tables import Track
 from labrun.spec.search_tables import CmaEs, Combine, Leaders, RunTable, Sweep
 from labrun.spec.trial_tables import TrialTable
 from labrun.spec.until import CYCLES
-from labrun.toml import Expression, Faults, PluginTable, Table
+from labrun.toml import Expression, PluginTable, Table, TableFaults
 
 ROBOT_FILES = (".xml", ".mjcf", ".urdf")
 ROBOT_SCENE = "robot"
@@ -31,7 +31,7 @@ def written_out(scene: str) -> dict[str, str]:
     return {"plugin": scene}
 
 
-class Rig(Table):
+class RigTable(Table):
     """The bench: what is connected, and the scene that stands in for it in a dry run."""
 
     scene: SceneTable | None = None
@@ -98,7 +98,7 @@ class Experiment(Table):
 
     title: str
     kind: Literal["run", "sweep", "cmaes", "track", "design"]
-    rig: Rig
+    rig: RigTable
     gait: GaitTable = GaitTable(plugin=STILL)
     """Without one nothing moves but, perhaps, the carriage."""
     trial: TrialTable
@@ -135,7 +135,7 @@ class Experiment(Table):
 
     @model_validator(mode="after")
     def _kind_has_its_table(self) -> "Experiment":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if getattr(self, self.kind) is None:
                 faults.add("kind", f'"{self.kind}" needs a table [{self.kind}]')
             goals = [name for name, objective in self.objectives.items() if objective.goal is not None]

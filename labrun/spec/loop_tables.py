@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Discriminator, Field, PositiveFloat, Tag, 
 from labrun import registry
 from labrun.errors import PluginError
 from labrun.spec.condition import Number, Value
-from labrun.toml import Faults, PluginTable, Table
+from labrun.toml import PluginTable, Table, TableFaults
 
 LOOP_DEVICE = "loop"
 """Stands for the loops where a channel is named: ``loop.force_error``."""
@@ -127,7 +127,7 @@ class LoopTable(Table):
     @model_validator(mode="after")
     def _range_is_one(self) -> "LoopTable":
         low, high = self.range
-        with Faults() as faults:
+        with TableFaults() as faults:
             if not low < high:
                 faults.add("range", f"[low, high], and {low:g} is not below {high:g}", of=("range",))
             elif self.initial is not None and not low <= self.initial <= high:

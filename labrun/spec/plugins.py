@@ -12,7 +12,7 @@ from labrun import registry
 from labrun.devices import DeviceContext, Limits
 from labrun.errors import PluginError
 from labrun.spec.design_tables import SIMULATION
-from labrun.spec.experiment import STILL, GaitTable, ObjectiveTable, Rig, SceneTable
+from labrun.spec.experiment import STILL, GaitTable, ObjectiveTable, RigTable, SceneTable
 from labrun.spec.loop_tables import LOOP_DEVICE, TIMING_CHANNELS, shape_of
 from labrun.spec.raw import DeviceInfo, check_channel, drives_of, one_or_several, table, tables
 from labrun.toml import Fault, KeyPath, Operand, evaluate, mend, suggest, validate
@@ -107,7 +107,7 @@ def examine(name: str, keys: Mapping[str, Any]) -> tuple[DeviceInfo, list[Fault]
     return _ask(name, plugin, checked) or _guess(name, settings, plugin), faults
 
 
-def scene_of(rig: Rig) -> SceneTable:
+def scene_of(rig: RigTable) -> SceneTable:
     """Return what stands in for a bench in a dry run: the scene it names, or the plain one, made of its devices.
 
     In the plain one joints follow their commands within their limits, and sensors read zero and their own noise.

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Discriminator, Field, PositiveFloat, PositiveInt, Tag, model_validator
 
 from labrun.spec.condition import Bounds, Number, Value
-from labrun.toml import Faults, Table
+from labrun.toml import Table, TableFaults
 
 
 class Range(Table):
@@ -19,7 +19,7 @@ class Range(Table):
 
     @model_validator(mode="after")
     def _ordered(self) -> "Range":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if self.stop < self.start:
                 faults.add("to", f"{self.stop:g} is below from = {self.start:g}")
         return self
@@ -33,7 +33,7 @@ class Interval(Table):
 
     @model_validator(mode="after")
     def _ordered(self) -> "Interval":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if not self.start < self.stop:
                 faults.add("to", f"{self.stop:g} is not above from = {self.start:g}")
         return self
@@ -51,7 +51,7 @@ class Over(Table):
 
     @model_validator(mode="after")
     def _something_to_combine(self) -> Self:
-        with Faults() as faults:
+        with TableFaults() as faults:
             if self.combine != "mean" and not self.over:
                 faults.add(
                     "combine", "there is nothing to combine: name the settings, over = { v = [0.1, 0.3] }"
@@ -129,7 +129,7 @@ class Sweep(Over):
 
     @model_validator(mode="after")
     def _design_fits_axes(self) -> "Sweep":
-        with Faults() as faults:
+        with TableFaults() as faults:
             for name, axis in self.axes.items():
                 if isinstance(axis, Interval) and self.design == "grid":
                     faults.add(("axes", name), "an axis of a grid needs a step, or is a list of values")
@@ -146,14 +146,14 @@ class Sweep(Over):
         return self
 
 
-class Variable(Interval):
+class SearchVariable(Interval):
     """A search variable: its range, and where the search starts (the middle, if not said)."""
 
     initial: Number | None = None
 
     @model_validator(mode="after")
-    def _initial_inside(self) -> "Variable":
-        with Faults() as faults:
+    def _initial_inside(self) -> "SearchVariable":
+        with TableFaults() as faults:
             if self.initial is not None and not self.start <= self.initial <= self.stop:
                 faults.add("initial", f"{self.initial:g} is outside {self.start:g} ... {self.stop:g}")
         return self
@@ -207,7 +207,7 @@ class Guard(Table):
 class CmaEs(Over):
     """Covariance matrix adaptation. `step_size` is a share of each variable's range."""
 
-    variables: dict[str, Variable] = Field(min_length=1)
+    variables: dict[str, SearchVariable] = Field(min_length=1)
     population: Annotated[int, Field(ge=4)] | None = None
     parents: PositiveInt | None = None
     step_size: PositiveFloat = 0.3
@@ -229,7 +229,7 @@ class CmaEs(Over):
     @model_validator(mode="after")
     def _sizes_fit(self) -> "CmaEs":
         population = self.population_size
-        with Faults() as faults:
+        with TableFaults() as faults:
             if len(self.variables) < 2:
                 faults.add(
                     "variables",

@@ -7,7 +7,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_v
 
 from labrun.spec.condition import Bounds, Number, Value
 from labrun.spec.until import Until
-from labrun.toml import Expression, Faults, Table
+from labrun.toml import Expression, Table, TableFaults
 
 
 class RepeatRule(Table):
@@ -37,7 +37,7 @@ class RepeatRule(Table):
 
     @model_validator(mode="after")
     def _ordered(self) -> "RepeatRule":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if self.max < self.min:
                 faults.add("max", f"{self.max} is below min = {self.min}")
         return self
@@ -75,7 +75,7 @@ class Outliers(Table):
     minimum: Annotated[int, Field(ge=3)] = 3
 
 
-class Reference(Table):
+class ReferenceTable(Table):
     """A condition measured every so many trials, so that drift of the bench is seen."""
 
     every: PositiveInt
@@ -125,7 +125,7 @@ class TrialTable(Table):
     settle: Settle | None = None
     tare: Tare | None = None
     outliers: Outliers = Outliers()
-    reference: Reference | None = None
+    reference: ReferenceTable | None = None
     carriage: CarriageMove | None = None
     within: dict[str, Bounds] = Field(default_factory=dict)
     """Channels that end a trial, rejected, when they leave their bounds."""
@@ -152,7 +152,7 @@ class TrialTable(Table):
 
     @model_validator(mode="after")
     def _one_length(self) -> "TrialTable":
-        with Faults() as faults:
+        with TableFaults() as faults:
             length = ("cycles", "duration_s", "until")
             given = [name for name in length if getattr(self, name) is not None]
             if not given:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from labrun.errors import RecordingError
-from labrun.toml import Fault, Faults, KeyPath, Places, Table, locate, mend, parsed, text_of
+from labrun.toml import Fault, KeyPath, Places, Table, TableFaults, locate, mend, parsed, text_of
 
 Between = Literal["linear", "hold", "band-limited"]
 _FOLDER_NAME = re.compile(r"(?![.\s])[^/\\\x00-\x1f\x7f]+(?<![.\s])")
@@ -31,7 +31,7 @@ class ChannelTable(Table):
 
     @model_validator(mode="after")
     def _says_what_fits_its_kind(self) -> "ChannelTable":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if self.kind == "output" and "between" in self.model_fields_set:
                 faults.add("between", "says how an input runs between its samples; this is an output")
             if self.kind == "input" and self.reading_error is not None:
@@ -59,7 +59,7 @@ class SourceTable(Table):
 
     @model_validator(mode="after")
     def _a_solver_is_named(self) -> "SourceTable":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if self.kind == "solver":
                 for key in ("program", "version", "mesh", "load"):
                     if getattr(self, key) is None:
@@ -77,7 +77,7 @@ class _File(Table):
 
     @model_validator(mode="after")
     def _says_enough(self) -> "_File":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if not self.channels:
                 said = "no channels; expected a table [channels.NAME] for each column of the CSV files"
                 faults.add("channels", said)

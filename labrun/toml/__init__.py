@@ -1,7 +1,7 @@
 """One reader for all TOML of ours: positions, validation with all faults at once, nearest names, expressions."""
 
 from labrun.toml.expressions import Expression, Operand, evaluate, fault_of, in_order, names_in, resolve
-from labrun.toml.faults import Fault, Faults, LocatedFault, dotted, refusal, shown
+from labrun.toml.faults import Fault, LocatedFault, TableFaults, dotted, refusal, shown
 from labrun.toml.grammar import CONSTANTS, FUNCTIONS, RESERVED, ExpressionError
 from labrun.toml.names import KNOWN_UNITS, UNITS, nearest, split_unit, suggest, unit_of
 from labrun.toml.positions import KeyPath, Position, Positions, locate, replaced
@@ -17,7 +17,6 @@ __all__ = [
     "Expression",
     "ExpressionError",
     "Fault",
-    "Faults",
     "KeyPath",
     "LocatedFault",
     "Operand",
@@ -25,7 +24,9 @@ __all__ = [
     "PluginTable",
     "Position",
     "Positions",
-    "Table", "checked",
+    "Table",
+    "TableFaults",
+    "checked",
     "dotted",
     "evaluate",
     "fault_of",

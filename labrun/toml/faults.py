@@ -72,7 +72,7 @@ def refusal(
     return error
 
 
-class Faults:
+class TableFaults:
     """Faults of a table that show only when several of its keys are seen together.
 
     Collects them inside a pydantic validator, and raises them together when the block ends.
@@ -92,7 +92,7 @@ class Faults:
         path = () if key is None else (key,) if isinstance(key, str) else key
         self._found.append((path, message, of))
 
-    def __enter__(self) -> "Faults":
+    def __enter__(self) -> "TableFaults":
         return self
 
     def __exit__(

@@ -15,7 +15,7 @@ from labrun.blind import Checked, check
 from labrun.blind.check_folder import SHIPPED_GENERATOR, CheckFolder, make_cases
 from labrun.blind.diagnosis_check import _diagnosed, kind_named
 from labrun.blind.jobs import fingerprint
-from labrun.blind.judging import KINDS, Cause, Named, Said, Shown, Shrunk, Truth, judge
+from labrun.blind.judging import KINDS, CauseName, Named, Said, Shown, Shrunk, Truth, judge
 from labrun.blind.robot_check import ROBOT
 from labrun.blind.scoring import score
 from labrun.errors import LabrunError, RequestError
@@ -24,8 +24,8 @@ from labrun.workers import Pool
 
 TWO_CONTROLS: dict[str, Any] = {"cases": 2, "seed": 42, "first": 4, "only": "control"}
 """A static fin and a payload arm: made within seconds."""
-LAG = Cause("effect", "lag", "torque")
-FRICTION = Cause("effect", "coulomb-friction", "hinge")
+LAG = CauseName("effect", "lag", "torque")
+FRICTION = CauseName("effect", "coulomb-friction", "hinge")
 
 
 def silent(_: str) -> None:
@@ -45,7 +45,7 @@ def checked(tmp_path_factory: pytest.TempPathFactory) -> Checked:
 
 def of_kinds(*kinds: str, said: Said | None = None, folder: Path = Path("gap-check")) -> Checked:
     """Return a check of hand-made cases of these kinds, all of them told the same."""
-    hidden = {"effect": (FRICTION,), "pair": (FRICTION, LAG), "parameter": (Cause("parameter", "mass"),)}
+    hidden = {"effect": (FRICTION,), "pair": (FRICTION, LAG), "parameter": (CauseName("parameter", "mass"),)}
     said = said or Said("", "no-gap", (), None, 1.0)
     judged = tuple(
         judge(Truth(f"case-{number:04d}", kind, hidden.get(kind, ()), 2.0, "hinge-drive", 3, 1, ()), said)

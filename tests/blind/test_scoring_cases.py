@@ -1,21 +1,21 @@
 """Scores of hand-made answers."""
 
-from labrun.blind.judging import Cause, Judged, Named, Said, Shown, Shrunk, Truth, judge, sizes_held
+from labrun.blind.judging import CauseName, Judged, Named, Said, Shown, Shrunk, Truth, judge, sizes_held
 from labrun.blind.scoring import confusion, score
 
-COULOMB = Cause("effect", "coulomb-friction", "hinge")
-STRIBECK = Cause("effect", "stribeck-friction", "hinge")
-HYSTERESIS = Cause("effect", "hysteresis", "hinge")
-ELSEWHERE = Cause("effect", "coulomb-friction", "elbow")
-LAG = Cause("effect", "lag", "torque")
-MASS = Cause("parameter", "mass")
+COULOMB = CauseName("effect", "coulomb-friction", "hinge")
+STRIBECK = CauseName("effect", "stribeck-friction", "hinge")
+HYSTERESIS = CauseName("effect", "hysteresis", "hinge")
+ELSEWHERE = CauseName("effect", "coulomb-friction", "elbow")
+LAG = CauseName("effect", "lag", "torque")
+MASS = CauseName("parameter", "mass")
 
 
-def truth(kind: str, *causes: Cause, gap: float = 5.0, case: str = "case-0001") -> Truth:
+def truth(kind: str, *causes: CauseName, gap: float = 5.0, case: str = "case-0001") -> Truth:
     return Truth(case, kind, causes, gap, "hinge-drive", 3, 1, ())
 
 
-def named(*members: Cause, confidence: float = 0.9) -> Named:
+def named(*members: CauseName, confidence: float = 0.9) -> Named:
     return Named(members[0], members[1:], confidence)
 
 
@@ -73,9 +73,9 @@ def test_causes_of_a_verdict_that_blames_nothing_do_not_count() -> None:
 
 def test_a_parameter_is_named_whatever_site_it_is_given() -> None:
     true = truth("parameter", MASS)
-    assert outcome(true, said("parameter", named(Cause("parameter", "mass", "model")))) == "named"
+    assert outcome(true, said("parameter", named(CauseName("parameter", "mass", "model")))) == "named"
     assert outcome(true, said("parameter")) == "nothing-said"
-    assert outcome(true, said("explained", named(Cause("effect", "mass", "")))) == "wrong-cause"
+    assert outcome(true, said("explained", named(CauseName("effect", "mass", "")))) == "wrong-cause"
 
 
 def test_of_a_pair_each_cause_needs_a_set_of_its_own() -> None:
@@ -248,7 +248,7 @@ def test_scores_of_nothing_say_so() -> None:
 def test_the_size_of_a_true_cause_is_held_against_the_one_that_was_simulated() -> None:
     true = Truth("case-0001", "effect", (COULOMB,), 5.0, "", 3, 1, (), sizes=({"torque": 0.5, "edge": 1.0},))
 
-    def held(cause: Cause, low: float, high: float) -> list[bool]:
+    def held(cause: CauseName, low: float, high: float) -> list[bool]:
         spoken = said("explained", Named(cause, (), 0.9, {"torque": (low, high)}))
         return sizes_held(judge(true, spoken))
 

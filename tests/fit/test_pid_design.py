@@ -24,14 +24,14 @@ from labrun.fit.result import FitSummary, FittedData
 from labrun.fit.transfer import TransferFunction
 from labrun.fit.transfer.summary import TransferSummary
 from labrun.fit.tuning.closed_loop import Gains, run_loop, steady_error
-from labrun.fit.tuning.designs import Design
+from labrun.fit.tuning.designs import ControllerDesign
 from labrun.fit.tuning.figure import shown_designs
-from labrun.fit.tuning.loop import Loop
+from labrun.fit.tuning.loop import OpenLoop
 from labrun.fit.tuning.margins import margins, ultimate
-from labrun.fit.tuning.method import Plant, plant_of, summary
-from labrun.fit.tuning.optimum import Wanted, loop_error, optimum
+from labrun.fit.tuning.method import FittedPlant, plant_of, summary
+from labrun.fit.tuning.optimum import Requirements, loop_error, optimum
 from labrun.fit.tuning.rules import Reduced, reduce_order, rules, simc
-from labrun.fit.tuning.settings import PidSettings
+from labrun.fit.tuning.settings import PidFitSettings
 from labrun.fit.tuning.study import Study, study
 from labrun.runner import SilentProgress
 from labrun.spec import load_named
@@ -41,7 +41,7 @@ GAIN = 0.00912
 UNITS = {"input_name": "a", "output_name": "force", "input_unit": "deg", "output_unit": "N"}
 MAGNITUDE = TransferFunction.first_order(GAIN, 0.34, 0.28, **UNITS)  # (5.5)
 ANGLE = TransferFunction.first_order(-0.866, 0.13, 0.12)  # (5.6)
-BENCH = Loop(MAGNITUDE, 20.0, 0.0, CYCLE_S)
+BENCH = OpenLoop(MAGNITUDE, 20.0, 0.0, CYCLE_S)
 
 
 def product(*factors):
@@ -110,7 +110,7 @@ def test_sampling_and_averaging_count_as_dead_time():
 
 def test_swinging_plants_are_refused_by_the_half_rule_and_said_so():
     with pytest.raises(FitError, match="complex poles"):
-        simc(Loop(TransferFunction((1.0,), (1.0, 0.2, 1.0)), 20.0), "PI")
+        simc(OpenLoop(TransferFunction((1.0,), (1.0, 0.2, 1.0)), 20.0), "PI")
 
 
 # --- margins
@@ -120,7 +120,7 @@ def test_swinging_plants_are_refused_by_the_half_rule_and_said_so():
 @settings(max_examples=25, deadline=None)
 def test_margins_are_those_of_python_control_without_dead_time(p, i_per_s, lag_s):
     plant = TransferFunction((3.0,), product([lag_s, 1], [0.4, 1], [0.1, 1]))
-    found = margins(Gains(p, i_per_s), Loop(plant))
+    found = margins(Gains(p, i_per_s), OpenLoop(plant))
     s = control.tf("s")
     open_loop = (p + i_per_s / s) * control.tf(plant.numerator, plant.denominator)
     gain, phase, _, omega_pc, omega_gc, _ = control.stability_margins(open_loop)
@@ -136,7 +136,7 @@ def test_margins_are_those_of_python_control_without_dead_time(p, i_per_s, lag_s
 
 def test_an_integral_on_a_dead_time_has_the_margins_of_the_closed_form():
     # L = k exp(-s)/s: crossover k, phase 90 deg - k, oscillates at pi/2 with k = pi/2
-    loop = Loop(TransferFunction((1.0,), (1.0,), 1.0))
+    loop = OpenLoop(TransferFunction((1.0,), (1.0,), 1.0))
     found = margins(Gains(0.0, 0.5), loop)
     assert found.gain == pytest.approx(math.pi, rel=1e-9)
     assert found.phase_deg == pytest.approx(90 - math.degrees(0.5), rel=1e-9)
@@ -145,15 +145,18 @@ def test_an_integral_on_a_dead_time_has_the_margins_of_the_closed_form():
 
 
 def test_ultimate_gains_of_the_fin_are_the_published_ones():
-    gain, omega = ultimate(Loop(MAGNITUDE))
+    gain, omega = ultimate(OpenLoop(MAGNITUDE))
     assert (gain, omega) == (pytest.approx(284, abs=0.5), pytest.approx(7.0, abs=0.05))
-    gain, omega = ultimate(Loop(MAGNITUDE, average_s=CYCLE_S))
+    gain, omega = ultimate(OpenLoop(MAGNITUDE, average_s=CYCLE_S))
     assert (gain, omega) == (pytest.approx(228, abs=0.5), pytest.approx(3.55, abs=0.01))
-    assert ultimate(Loop(ANGLE))[0] == pytest.approx(-2.76, abs=0.005)
+    assert ultimate(OpenLoop(ANGLE))[0] == pytest.approx(-2.76, abs=0.005)
 
 
 def test_a_fast_loop_comes_to_the_continuous_one():
-    fast, slow = ultimate(Loop(MAGNITUDE, 1000.0, 0.0, CYCLE_S)), ultimate(Loop(MAGNITUDE, average_s=CYCLE_S))
+    fast, slow = (
+        ultimate(OpenLoop(MAGNITUDE, 1000.0, 0.0, CYCLE_S)),
+        ultimate(OpenLoop(MAGNITUDE, average_s=CYCLE_S)),
+    )
     assert fast == pytest.approx(slow, rel=2e-3)
 
 
@@ -163,7 +166,7 @@ averages = st.one_of(st.just(0.0), st.floats(0.05, 1.0))
 @given(plants, st.floats(2.0, 50.0), averages, st.floats(0.0, 0.2))
 @settings(max_examples=20, deadline=None)
 def test_the_response_of_samples_is_the_sum_of_its_aliases(plant, rate_hz, average_s, compute_s):
-    loop = Loop(plant, rate_hz, compute_s, average_s)
+    loop = OpenLoop(plant, rate_hz, compute_s, average_s)
     omega = np.array([0.05, 0.3, 0.7]) * np.pi * rate_hz
     bands = omega[:, None] + 2 * np.pi * rate_hz * np.arange(-3000, 3001)
     held = np.exp(-0.5j * bands / rate_hz) * np.sinc(bands / (2 * np.pi * rate_hz))
@@ -202,8 +205,8 @@ def test_a_controller_that_drives_the_wrong_way_is_not_called_stable():
 )
 @settings(max_examples=8, deadline=None)
 def test_an_optimum_keeps_the_margins_that_were_asked_for(plant, structure, gain, phase_deg, most, average_s):
-    loop = Loop(plant, 20.0, 0.0, average_s)
-    wanted = Wanted(gain, phase_deg, most)
+    loop = OpenLoop(plant, 20.0, 0.0, average_s)
+    wanted = Requirements(gain, phase_deg, most)
     found = margins(optimum(loop, structure, wanted), loop)
     assert found.stable
     assert found.gain >= gain
@@ -212,7 +215,7 @@ def test_an_optimum_keeps_the_margins_that_were_asked_for(plant, structure, gain
 
 
 def test_an_optimum_has_less_error_than_simc_and_than_its_neighbours():
-    wanted = Wanted(2.0, 45.0)
+    wanted = Requirements(2.0, 45.0)
     best = optimum(BENCH, "PI", wanted)
     least = loop_error(BENCH, best, wanted)
     assert least < loop_error(BENCH, simc(BENCH, "PI"), wanted)
@@ -226,12 +229,12 @@ def test_the_error_of_the_optimum_is_the_one_that_a_simulation_finds():
     step = run_loop(gains, BENCH, lambda _: 1.0, 30.0)
     load = run_loop(gains, BENCH, lambda _: 0.0, 30.0, load=lambda _: 1.0 / GAIN)
     area = (np.sum(np.abs(1.0 - step.output)) + np.sum(np.abs(load.output))) * BENCH.step_s
-    assert loop_error(BENCH, gains, Wanted()) * (BENCH.delay_s + 0.34) == pytest.approx(area, rel=0.01)
+    assert loop_error(BENCH, gains, Requirements()) * (BENCH.delay_s + 0.34) == pytest.approx(area, rel=0.01)
 
 
 def test_a_plant_that_does_not_settle_is_refused():
     with pytest.raises(FitError, match="right half plane or at 0"):
-        optimum(Loop(TransferFunction((1.0,), (1.0, 0.0), 0.1), 20.0), "PI")
+        optimum(OpenLoop(TransferFunction((1.0,), (1.0, 0.0), 0.1), 20.0), "PI")
 
 
 # --- the closed loop in time
@@ -259,7 +262,7 @@ def euler_step(p, i_per_s, loop, lag_s, dead_s, gain, duration_s, h=1e-4):
 
 @pytest.mark.parametrize("average_s", [0.0, CYCLE_S])
 def test_a_predicted_step_is_that_of_an_independent_integration(average_s):
-    loop = Loop(MAGNITUDE, 20.0, 0.013, average_s)
+    loop = OpenLoop(MAGNITUDE, 20.0, 0.013, average_s)
     gains = Gains(50.0, 90.0)
     track = run_loop(gains, loop, lambda _: 1.0, 5.0)
     output, drive = euler_step(50.0, 90.0, loop, 0.34, 0.28, GAIN, 5.0)
@@ -268,7 +271,7 @@ def test_a_predicted_step_is_that_of_an_independent_integration(average_s):
 
 
 def test_the_dead_time_is_exact_to_the_sample():
-    track = run_loop(Gains(50.0), Loop(MAGNITUDE, 100.0), lambda _: 1.0, 1.0)
+    track = run_loop(Gains(50.0), OpenLoop(MAGNITUDE, 100.0), lambda _: 1.0, 1.0)
     assert np.all(track.output[track.time_s < 0.2801] == pytest.approx(0.0, abs=1e-12))
     assert track.output[29] == pytest.approx(50.0 * GAIN * (1 - math.exp(-0.01 / 0.34)), rel=1e-9)
 
@@ -285,7 +288,7 @@ def test_a_loop_that_begins_at_rest_stays_there():
 @given(plants, st.floats(0.1, 0.9))
 @settings(max_examples=15, deadline=None)
 def test_proportional_control_keeps_one_over_one_plus_the_loop_gain(plant, share):
-    loop = Loop(plant, 20.0)
+    loop = OpenLoop(plant, 20.0)
     gains = Gains(share * 0.5 * ultimate(loop)[0])
     expected = steady_error(gains, loop.gain)
     assert expected == pytest.approx(1 / (1 + gains.p * plant.gain))
@@ -303,7 +306,7 @@ def test_the_gains_of_table_5_4_do_in_the_prediction_what_the_source_says():
     factors = (0.85, 1.0, 1.15)
 
     def errors(p, i_per_s=0.0, feedforward=None):
-        return Design("x", "given", Gains(p, i_per_s, feedforward=feedforward), BENCH).errors(
+        return ControllerDesign("x", "given", Gains(p, i_per_s, feedforward=feedforward), BENCH).errors(
             reference, bounds, factors
         )
 
@@ -340,7 +343,9 @@ def pulse_response(plant, count):
 
 
 def summary_of(found: Study, others=()):
-    return summary(Plant("magnitude", MAGNITUDE, FittedData("fin-step", "run", 3), tuple(others)), found)
+    return summary(
+        FittedPlant("magnitude", MAGNITUDE, FittedData("fin-step", "run", 3), tuple(others)), found
+    )
 
 
 @pytest.fixture(scope="module")
@@ -355,7 +360,7 @@ def fin() -> Study:
         TransferFunction.first_order(GAIN * (1 + 0.02 * k), 0.34, 0.28 * (1 - 0.02 * k), **UNITS)
         for k in range(-3, 4)
     ]
-    return study(MAGNITUDE, others, PidSettings.model_validate(keys), CYCLE_S)
+    return study(MAGNITUDE, others, PidFitSettings.model_validate(keys), CYCLE_S)
 
 
 def test_chapter_fives_verdict_comes_out(fin):
@@ -402,7 +407,7 @@ def test_an_integral_per_sample_is_the_rate_th_of_one_per_second(fin):
 def test_a_margin_lost_within_the_fits_interval_is_told_and_the_design_not_taken():
     others = [TransferFunction.first_order(GAIN * factor, 0.34, 0.28) for factor in np.linspace(0.3, 3.0, 40)]
     keys = {"structure": "P", "method": "optimum", "feedforward": False}
-    found = study(MAGNITUDE, others, PidSettings.model_validate(keys), CYCLE_S)
+    found = study(MAGNITUDE, others, PidFitSettings.model_validate(keys), CYCLE_S)
     told = " ".join(summary_of(found, others).warnings)
     assert "p-optimum may lose its margin within the fit's 95 % interval" in told
     assert found.best is None
@@ -412,14 +417,14 @@ def test_a_margin_lost_within_the_fits_interval_is_told_and_the_design_not_taken
 @pytest.mark.parametrize("structure", ["P", "PI", "all"])
 @pytest.mark.parametrize("plant", [MAGNITUDE, ANGLE, TransferFunction.first_order(2.0, 3.0, 0.1)])
 def test_without_a_reference_no_design_is_taken_that_overshoots_a_step_by_a_quarter(plant, structure):
-    found = study(plant, (), PidSettings(structure=structure), CYCLE_S)
+    found = study(plant, (), PidFitSettings(structure=structure), CYCLE_S)
     # there are such designs, and the least error is that of one of them or near it
     assert any(one.figures.overshoot > 0.25 for one in found.designs) or structure != "all"
     assert found.best is None or found.named(found.best).figures.overshoot <= 0.25
 
 
 def test_where_every_design_overshoots_a_step_it_is_said_why_none_is_taken():
-    keys = PidSettings(structure="P", method="optimum", feedforward=False, gain_margin=1.5)
+    keys = PidFitSettings(structure="P", method="optimum", feedforward=False, gain_margin=1.5)
     found = study(MAGNITUDE, (), keys, CYCLE_S)
     assert found.best is None
     assert any("overshooting a step by more than 25%" in one for one in summary_of(found).warnings)
@@ -444,7 +449,7 @@ def test_the_picture_shows_the_recommended_design_those_of_the_file_and_then_the
 
 def test_an_unstable_controller_is_named_and_left_out_of_the_file():
     keys = {"structure": "PI", "method": "simc", "compare": {"wild": {"p": 400}}}
-    found = study(MAGNITUDE, (), PidSettings.model_validate(keys), CYCLE_S)
+    found = study(MAGNITUDE, (), PidFitSettings.model_validate(keys), CYCLE_S)
     result = summary_of(found)
     assert any(one.startswith("wild is unstable") for one in result.warnings)
     assert "wild" not in result.files["pid.toml"]
@@ -471,7 +476,7 @@ def test_settings_that_do_not_fit_together_are_refused():
         ({"structur": "PI"}, "structur"),
     ):
         with pytest.raises(ValidationError, match=message):
-            PidSettings.model_validate(keys)
+            PidFitSettings.model_validate(keys)
 
 
 # --- from a fit, and from a run

@@ -3,13 +3,13 @@
 import pytest
 
 from labrun.gap.diagnosis import Shrinkage, Sizes
-from labrun.gap.verdict import Findings, verdict
+from labrun.gap.verdict import VerdictBasis, verdict
 
 
 def findings(
     *, sizes=(5.0, 4.0, 0.2, 0.3), share=(0.98, 0.9, 1.0), effects=1, parameters=0, remains=False, **more
 ):
-    return Findings(
+    return VerdictBasis(
         Sizes(*sizes),
         more.get("significant", True),
         remains,

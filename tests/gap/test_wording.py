@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from labrun.gap.diagnosis import Cause, Estimate, Name, Shrinkage, Sizes
-from labrun.gap.verdict import Findings, limitations, sentence
+from labrun.gap.diagnosis import Cause, Name, ResampledNumber, Shrinkage, Sizes
+from labrun.gap.verdict import VerdictBasis, limitations, sentence
 
-CAUSES = (Cause(Name("bias", "angle"), 0.8, {"offset": Estimate(0.1, 0.0, 0.2, "rad")}),)
+CAUSES = (Cause(Name("bias", "angle"), 0.8, {"offset": ResampledNumber(0.1, 0.0, 0.2, "rad")}),)
 
 
 def said(verdict: str, conditions: int) -> str:
@@ -40,7 +40,7 @@ def test_a_rest_beyond_noise_is_said_beside_a_cause_that_explains_the_gap() -> N
     sizes = Sizes(12.0, 10.0, 1.0, 0.1)
     told = sentence("explained", sizes, CAUSES, Shrinkage(0.98, 0.9, 1.0), None, conditions=4, rest=True)
     assert told.endswith("that rest is more than noise: nature's form may be another one, or there is more.")
-    plain = Findings(sizes, True, True, True, 1, 0, Shrinkage(0.98, 0.9, 1.0))
+    plain = VerdictBasis(sizes, True, True, True, 1, 0, Shrinkage(0.98, 0.9, 1.0))
     assert plain.rest
     assert not replace(plain, sizes=Sizes(12.0, 10.0, 0.12, 0.1)).rest
     assert not replace(plain, noise_known=False).rest

@@ -6,7 +6,7 @@ import gap_examples as examples
 import numpy as np
 from hypothesis import strategies as st
 
-from labrun.gap import Candidate, Cause, Estimate, MissingForce, Name, Place, Shrinkage, Sizes
+from labrun.gap import Cause, MissingForce, Name, Place, RatedCandidate, ResampledNumber, Shrinkage, Sizes
 
 BASE = examples.static()
 numbers = st.floats(-1e9, 1e9, allow_nan=False)
@@ -15,7 +15,7 @@ shares = st.floats(-3.0, 3.0)
 words = st.text(st.characters(max_codepoint=0x17F, exclude_categories=("Cc",)), min_size=1, max_size=60)
 names = st.builds(Name, words, words, st.sampled_from(["effect", "parameter"]))
 estimates = st.builds(
-    lambda ends, unit: Estimate(ends[1], ends[0], ends[2], unit),
+    lambda ends, unit: ResampledNumber(ends[1], ends[0], ends[2], unit),
     st.tuples(numbers, numbers, numbers).map(sorted),
     st.sampled_from(["1", "N m", "s", "kg m^2", "rad"]),
 )
@@ -29,7 +29,7 @@ places = st.builds(
     words,
 )
 candidates = st.builds(
-    Candidate,
+    RatedCandidate,
     names,
     st.sampled_from(["cause", "ruled-out", "not-visible", "indistinguishable"]),
     st.none() | shares,

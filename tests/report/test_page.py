@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labrun.report.page import Drawing, Table, drawn, part
+from labrun.report.page import PageFigure, PageTable, drawn, part
 
 WORDS = st.text(alphabet=st.characters(blacklist_categories=("Cs", "Cc")), min_size=1)
 
@@ -37,14 +37,14 @@ def test_text_comes_back_as_text_whatever_it_holds(words):
 
 @given(WORDS)
 def test_an_attribute_cannot_be_left(words):
-    read = _Read(part("drawing", Drawing.of_png(b"", words)))
+    read = _Read(part("drawing", PageFigure.of_png(b"", words)))
     assert [tag for tag, _ in read.tags] == ["figure", "img"]
     assert read.tags[1][1]["alt"] == words
 
 
 @given(st.lists(st.lists(WORDS, min_size=2, max_size=2), max_size=4))
 def test_a_table_has_a_cell_for_every_value(rows):
-    read = _Read(part("table", Table(("one", "two"), rows)))
+    read = _Read(part("table", PageTable(("one", "two"), rows)))
     assert sum(tag == "td" for tag, _ in read.tags) == 2 * len(rows)
     assert "".join(read.text.split()) == "".join(
         ("onetwo" + "".join(cell for row in rows for cell in row)).split()

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from labrun.gap import Estimate, Name, significant
+from labrun.gap import Name, ResampledNumber, significant
 from labrun.report.text import (
     bound_words,
     decimal_text,
@@ -36,9 +36,9 @@ def test_numbers_of_usual_size_have_no_exponent(value, digits, text):
 
 def test_a_least_level_is_told_as_such_to_either_side():
     bounds = {
-        "upper": Estimate(1.27, 1.27, 1.74, "rad"),
-        "lower": Estimate(-1.27, -1.74, -1.27, "rad"),
-        "level": Estimate(0.0486, 0.0486, 0.0747, "N m"),
+        "upper": ResampledNumber(1.27, 1.27, 1.74, "rad"),
+        "lower": ResampledNumber(-1.27, -1.74, -1.27, "rad"),
+        "level": ResampledNumber(0.0486, 0.0486, 0.0747, "N m"),
     }
     assert bound_words(bounds) == [
         "upper at least 1.3 rad",
@@ -48,8 +48,8 @@ def test_a_least_level_is_told_as_such_to_either_side():
 
 
 def test_a_largest_size_is_told_as_such():
-    assert bound_words({"time": Estimate(8e-3, 0.0, 8e-3, "s")}) == ["time at most 0.008 s"]
-    assert bound_words({"force": Estimate(0.0, 0.0, 0.0, "N")}) == ["force at most 0 N"]
+    assert bound_words({"time": ResampledNumber(8e-3, 0.0, 8e-3, "s")}) == ["time at most 0.008 s"]
+    assert bound_words({"force": ResampledNumber(0.0, 0.0, 0.0, "N")}) == ["force at most 0 N"]
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from labrun.control.protocol import Condition
 from labrun.devices import Samples, Trajectory
 from labrun.errors import ExperimentError, SpecError
 from labrun.gaits import steering_of
-from labrun.runner import LEAD_S, TAIL_S, Recording, Rig
+from labrun.runner import LEAD_S, TAIL_S, Rig, TrialRecording
 from labrun.spec import LOOP_DEVICE, Experiment, condition_text
 
 _ON_TIME = 1e-9
@@ -63,7 +63,7 @@ class CompiledLoopRecorder(ClosedLoopRecorder):
             except SpecError as error:
                 raise SpecError(f"{condition_text(condition)}: {error}") from error
 
-    def __call__(self, recording: Recording) -> None:
+    def __call__(self, recording: TrialRecording) -> None:
         """Record one trial."""
         loop = self._made(recording.condition)
         law = self._law(recording.condition, loop, recording.tare)
@@ -100,7 +100,7 @@ class CompiledLoopRecorder(ClosedLoopRecorder):
         )  # fmt: skip
         return law_of(loop.controller, context, wiring, channels)
 
-    def _simulate(self, recording: Recording, loop: Loop, law: Law) -> None:
+    def _simulate(self, recording: TrialRecording, loop: Loop, law: Law) -> None:
         from labrun.control.compiled.dry_run import CompiledDryRun, compiled_places
 
         bench, motion, period_s = recording.bench, recording.motion, 1.0 / self._track.rate_hz
@@ -122,7 +122,7 @@ class CompiledLoopRecorder(ClosedLoopRecorder):
             if result.status != GOOD:
                 raise _failure(loop, result.status, float(len(result.records)) * period_s)
 
-    def _keep(self, recording: Recording, loop: Loop, start_s: float, records: FloatArray) -> None:
+    def _keep(self, recording: TrialRecording, loop: Loop, start_s: float, records: FloatArray) -> None:
         if not len(records):
             return
         more = len(self._track.loops[loop.name].shape.more)

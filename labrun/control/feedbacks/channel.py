@@ -14,7 +14,7 @@ from labrun.errors import SpecError
 from labrun.toml import UNITS, Table, checked
 
 
-class ChannelSettings(Table):
+class FeedbackSettings(Table):
     """Keys of a feedback from one channel, or from two.
 
     Attributes
@@ -53,7 +53,7 @@ class ChannelFeedback(ABC):
         Keys that do not hold, or a `unit` of another kind than the channel's.
     """
 
-    Settings: ClassVar[type[ChannelSettings]] = ChannelSettings
+    Settings: ClassVar[type[FeedbackSettings]] = FeedbackSettings
     channel_settings: ClassVar[tuple[str, ...]] = ("channel", "side_channel")
 
     def __init__(self, settings: Mapping[str, Any], units: Mapping[str, str]) -> None:
@@ -85,7 +85,7 @@ class ChannelFeedback(ABC):
         """Reduce a channel's samples, oldest first and at least one, to one number."""
 
 
-def _unit_and_factor(keys: ChannelSettings, channel_unit: str) -> tuple[str, float]:
+def _unit_and_factor(keys: FeedbackSettings, channel_unit: str) -> tuple[str, float]:
     """Return the feedback's unit, and what a sample is multiplied by to be in it."""
     unit, factor = channel_unit, 1.0
     if keys.divide_by_m is not None:

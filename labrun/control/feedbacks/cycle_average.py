@@ -5,13 +5,13 @@ from typing import Any, ClassVar
 
 from pydantic import PositiveFloat
 
-from labrun.control.feedbacks.channel import ChannelFeedback, ChannelSettings, mean_over
+from labrun.control.feedbacks.channel import ChannelFeedback, FeedbackSettings, mean_over
 from labrun.devices import FloatArray
 from labrun.errors import SpecError
 from labrun.toml import checked
 
 
-class CycleAverageSettings(ChannelSettings):
+class CycleAverageSettings(FeedbackSettings):
     """Keys of `cycle-average`: those of a channel, and a cycle's length where the gait has none of its own."""
 
     period_s: PositiveFloat | None = None
@@ -23,7 +23,7 @@ class CycleAverageFeedback(ChannelFeedback):
     Before one cycle is over, the mean of what there is. It lags by half a cycle.
     """
 
-    Settings: ClassVar[type[ChannelSettings]] = CycleAverageSettings
+    Settings: ClassVar[type[FeedbackSettings]] = CycleAverageSettings
 
     def __init__(self, settings: Mapping[str, Any], units: Mapping[str, str]) -> None:
         super().__init__(settings, units)

@@ -5,12 +5,12 @@ from typing import Any, ClassVar
 
 from pydantic import PositiveFloat
 
-from labrun.control.feedbacks.channel import ChannelFeedback, ChannelSettings, mean_over
+from labrun.control.feedbacks.channel import ChannelFeedback, FeedbackSettings, mean_over
 from labrun.devices import FloatArray
 from labrun.toml import checked
 
 
-class MovingAverageSettings(ChannelSettings):
+class MovingAverageSettings(FeedbackSettings):
     """Keys of `moving-average`: those of a channel, and the length of the window."""
 
     window_s: PositiveFloat
@@ -19,7 +19,7 @@ class MovingAverageSettings(ChannelSettings):
 class MovingAverageFeedback(ChannelFeedback):
     """Mean over the last `window_s`; until so much is there, of what there is. It lags by half of its window."""
 
-    Settings: ClassVar[type[ChannelSettings]] = MovingAverageSettings
+    Settings: ClassVar[type[FeedbackSettings]] = MovingAverageSettings
 
     def __init__(self, settings: Mapping[str, Any], units: Mapping[str, str]) -> None:
         super().__init__(settings, units)

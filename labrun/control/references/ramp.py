@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 from pydantic import Field, model_validator
 
 from labrun.control.protocol import Condition
-from labrun.toml import Faults, Table, checked
+from labrun.toml import Table, TableFaults, checked
 
 
 class RampSettings(Table):
@@ -19,7 +19,7 @@ class RampSettings(Table):
 
     @model_validator(mode="after")
     def _ordered(self) -> "RampSettings":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if not self.from_s < self.to_s:
                 faults.add(
                     "to_s", f"{self.to_s:g} s is not after from_s = {self.from_s:g} s", of=("from_s", "to_s")

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from labrun.control.protocol import Condition, FindFile
 from labrun.errors import SpecError
-from labrun.toml import Faults, Table, checked
+from labrun.toml import Table, TableFaults, checked
 
 
 class TableSettings(Table):
@@ -25,7 +25,7 @@ class TableSettings(Table):
 
     @model_validator(mode="after")
     def _ascends(self) -> "TableSettings":
-        with Faults() as faults:
+        with TableFaults() as faults:
             if (self.points is None) == (self.file is None):
                 faults.add(None, "give either points = [[0, 0.2], [10, 0.4]] or file")
             times = [time_s for time_s, _ in self.points or ()]

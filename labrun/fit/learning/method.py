@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFlo
 from labrun.arrays import FloatArray
 from labrun.errors import FitError
 from labrun.fit.figure import Curve, FigureData, Panel, Stack
-from labrun.fit.learning.samples import Samples, corrected, load_samples, mean_absolute, origin_of
+from labrun.fit.learning.samples import TrainingSamples, corrected, load_samples, mean_absolute, origin_of
 from labrun.fit.method import FitJob
 from labrun.fit.result import FitSummary, TextTable
 from labrun.fit.signals import SignalTable
@@ -80,7 +80,7 @@ class DataTable(BaseModel):
     rate_hz: PositiveFloat = 20.0
     withhold: Annotated[float, Field(gt=0, lt=1)] = 0.25
 
-    def load(self, job: FitJob) -> Samples:
+    def load(self, job: FitJob) -> TrainingSamples:
         """Return the samples of a run."""
         return load_samples(
             job.target,
@@ -152,7 +152,7 @@ class MlpFit:
         return _summary(settings, samples, fitted, files)
 
 
-def fit_network(samples: Samples, table: NetworkTable, seed: int) -> Fitted:
+def fit_network(samples: TrainingSamples, table: NetworkTable, seed: int) -> Fitted:
     """Train a network, and solve the affine least squares on the same samples.
 
     Raises
@@ -183,7 +183,10 @@ def fit_network(samples: Samples, table: NetworkTable, seed: int) -> Fitted:
 
 
 def _summary(
-    settings: MlpSettings, samples: Samples, fitted: Mapping[str, Fitted], files: Mapping[str, str | bytes]
+    settings: MlpSettings,
+    samples: TrainingSamples,
+    fitted: Mapping[str, Fitted],
+    files: Mapping[str, str | bytes],
 ) -> FitSummary:
     unit = settings.unit or "1"
     rows, findings = [], []
@@ -231,7 +234,7 @@ def _numbers(one: Fitted) -> dict[str, Any]:
     }
 
 
-def _figure(settings: MlpSettings, samples: Samples, fitted: Mapping[str, Fitted]) -> FigureData:
+def _figure(settings: MlpSettings, samples: TrainingSamples, fitted: Mapping[str, Fitted]) -> FigureData:
     unit = settings.unit or "1"
     rows = []
     out = samples.withheld == 1

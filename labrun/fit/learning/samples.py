@@ -23,7 +23,7 @@ _FEW_TRIALS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
+class TrainingSamples:
     """Inputs and outputs of shape (n, k), and which of them are withheld from training.
 
     Attributes
@@ -68,7 +68,7 @@ def load_samples(
     rate_hz: float,
     withhold: float,
     rng: np.random.Generator,
-) -> Samples:
+) -> TrainingSamples:
     """Load a run's samples; a share of its trials is withheld, drawn by lot.
 
     Where there are fewer than three trials, every trial is cut into ten blocks of time, and blocks are withheld.
@@ -100,7 +100,7 @@ def load_samples(
     group = np.concatenate(owner)
     names = np.unique(group)
     out = rng.permutation(names)[: min(max(1, round(withhold * len(names))), len(names) - 1)]
-    samples = Samples(
+    samples = TrainingSamples(
         np.concatenate(x),
         np.concatenate(y),
         np.isin(group, out).astype(float),
@@ -115,7 +115,7 @@ def load_samples(
     return samples
 
 
-def corrected(samples: Samples, inverse: str) -> FloatArray:
+def corrected(samples: TrainingSamples, inverse: str) -> FloatArray:
     """Return what is left of the outputs after an analytic inverse of the inputs: what error learning learns."""
     nominal = load_inverse(inverse)
     found = np.array([nominal(row) for row in samples.inputs.tolist()], dtype=np.float64)

@@ -13,7 +13,7 @@ from pydantic import BaseModel, Field, PositiveFloat, PositiveInt
 from labrun.arrays import FloatArray
 from labrun.fit.figure import Curve, FigureData, Panel, Stack
 from labrun.fit.learning.method import DataTable
-from labrun.fit.learning.samples import Samples, corrected, mean_absolute
+from labrun.fit.learning.samples import TrainingSamples, corrected, mean_absolute
 from labrun.fit.method import FitJob
 from labrun.fit.result import FitSummary, TextTable
 from labrun.learned import ACTIVATIONS, Activation, Network, Solver, Training, exact_affine, train
@@ -127,18 +127,18 @@ class MlpStudy:
         return _summary(settings, first, rows, affine)
 
 
-def _set(samples: Samples, inverse: str) -> Samples:
+def _set(samples: TrainingSamples, inverse: str) -> TrainingSamples:
     if not inverse:
         return samples
-    values = {name: getattr(samples, name) for name in Samples.__dataclass_fields__}
-    return Samples(**{**values, "outputs": corrected(samples, inverse)})
+    values = {name: getattr(samples, name) for name in TrainingSamples.__dataclass_fields__}
+    return TrainingSamples(**{**values, "outputs": corrected(samples, inverse)})
 
 
 def _row(
     settings: StudySettings,
     key: tuple[str, int, Activation, Solver],
-    first: Samples,
-    second: Samples,
+    first: TrainingSamples,
+    second: TrainingSamples,
     seed: int,
 ) -> Row:
     mode, layers, activation, solver = key
@@ -159,7 +159,7 @@ def _row(
     )  # fmt: skip
 
 
-def _error(network: Network, samples: Samples) -> float:
+def _error(network: Network, samples: TrainingSamples) -> float:
     x, y = samples.testing
     return mean_absolute(network(x) - y) if network.finite else float("inf")
 
@@ -198,7 +198,7 @@ def row_key(row: Row) -> tuple[str, int, str, str]:
 
 
 def _summary(
-    settings: StudySettings, samples: Samples, rows: Sequence[Row], affine: Mapping[str, float]
+    settings: StudySettings, samples: TrainingSamples, rows: Sequence[Row], affine: Mapping[str, float]
 ) -> FitSummary:
     unit = settings.unit or "1"
     tables, findings = [], []

@@ -197,7 +197,7 @@ def _averaged(columns: FloatArray, samples: int) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
+class CandidatePoint:
     """A candidate with its least-squares partners.
 
     Attributes
@@ -234,13 +234,13 @@ class Point:
 
 
 def transfer_of(shape: Shape, numbers: FloatArray, **names: str) -> TransferFunction:
-    """Return the transfer function that numbers as of `Point.numbers` describe."""
+    """Return the transfer function that numbers as of `CandidatePoint.numbers` describe."""
     moved, linear = numbers[: shape.moved], numbers[shape.moved :]
     numerator = tuple(float(one) for one in linear[: shape.zeros + 1][::-1])
     return TransferFunction(numerator, shape.denominator(moved), shape.dead_s(moved), **names)
 
 
-def evaluate(shape: Shape, trials: Sequence[ResponseTrial], moved: FloatArray) -> Point:
+def evaluate(shape: Shape, trials: Sequence[ResponseTrial], moved: FloatArray) -> CandidatePoint:
     """Return a candidate's best numerator, offsets and initial states."""
     answers = Answers(shape, moved)
     linear, residuals = _projected(answers, trials)
@@ -249,7 +249,7 @@ def evaluate(shape: Shape, trials: Sequence[ResponseTrial], moved: FloatArray) -
         rest = trial.measured[trial.used] - answers.shared(trial)[trial.used] @ linear
         own.append(_solved(answers.own(trial)[trial.used], rest))
     squares = sum(float(part @ part) for part in residuals)
-    return Point(shape, np.array(moved, dtype=float), linear, tuple(own), tuple(residuals), squares)
+    return CandidatePoint(shape, np.array(moved, dtype=float), linear, tuple(own), tuple(residuals), squares)
 
 
 def residuals_of(shape: Shape, trials: Sequence[ResponseTrial], moved: FloatArray) -> FloatArray:
@@ -277,7 +277,9 @@ def _solved(columns: FloatArray, aim: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.lstsq(columns / sizes, aim, rcond=_SAME_DIRECTION)[0] / sizes)
 
 
-def descend(shape: Shape, trials: Sequence[ResponseTrial], start: FloatArray, evaluations: int = 60) -> Point:
+def descend(
+    shape: Shape, trials: Sequence[ResponseTrial], start: FloatArray, evaluations: int = 60
+) -> CandidatePoint:
     """Return the minimum that a start leads to."""
     from scipy.optimize import least_squares
 
@@ -317,7 +319,7 @@ def shortest_s(trials: Sequence[ResponseTrial]) -> float:
     return float(min(trial.step_s for trial in trials) * 10.0**-_DECADES_BEYOND)
 
 
-def derivatives(point: Point, trials: Sequence[ResponseTrial]) -> list[FloatArray]:
+def derivatives(point: CandidatePoint, trials: Sequence[ResponseTrial]) -> list[FloatArray]:
     """Return d(simulated)/d(numbers) of every trial's used samples, offsets and initial states eliminated."""
     shape = point.shape
     moving = []
@@ -339,8 +341,10 @@ def derivatives(point: Point, trials: Sequence[ResponseTrial]) -> list[FloatArra
     return found
 
 
-def _answers_of(point: Point, trials: Sequence[ResponseTrial], moved: FloatArray) -> list[FloatArray]:
-    other = Point(point.shape, moved, point.linear, point.own, point.residuals, point.squares)
+def _answers_of(
+    point: CandidatePoint, trials: Sequence[ResponseTrial], moved: FloatArray
+) -> list[FloatArray]:
+    other = CandidatePoint(point.shape, moved, point.linear, point.own, point.residuals, point.squares)
     return other.simulated(trials)
 
 

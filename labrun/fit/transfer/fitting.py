@@ -13,7 +13,7 @@ from labrun.fit.estimate import Estimate
 from labrun.fit.resampling import resample_trials
 from labrun.fit.result import TextTable
 from labrun.fit.transfer.estimation import (
-    Point,
+    CandidatePoint,
     ResponseTrial,
     Shape,
     bounds,
@@ -61,7 +61,7 @@ class TransferFit:
 
     shape: Shape
     trials: tuple[ResponseTrial, ...]
-    point: Point
+    point: CandidatePoint
     transfer: TransferFunction
     draws: FloatArray
     resampled: tuple[TransferFunction, ...]
@@ -135,7 +135,7 @@ def fit_transfer(
     )
 
 
-def _scale(shape: Shape, point: Point) -> FloatArray:
+def _scale(shape: Shape, point: CandidatePoint) -> FloatArray:
     limits = np.full(len(point.numbers), np.inf)
     limits[: shape.poles] = _FARTHEST
     return limits
@@ -143,7 +143,7 @@ def _scale(shape: Shape, point: Point) -> FloatArray:
 
 def best_fit(
     shape: Shape, trials: Sequence[ResponseTrial], *, starts: int = STARTS, near: Sequence[FloatArray] = ()
-) -> Point:
+) -> CandidatePoint:
     """Return the best of the minima that the most promising starts lead to.
 
     Starts come from linear least squares on input and output filtered alike, at several speeds of the filter, which is

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
 from labrun.control import FeedforwardPid, LoopContext, PidController, Step
-from labrun.fit.tuning.loop import Loop, SampledPlant, sample_plant
+from labrun.fit.tuning.loop import OpenLoop, SampledPlant, sample_plant
 
 ComplexArray = NDArray[np.complex128]
 WIDE = 1e12
@@ -92,7 +92,7 @@ class Gains:
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class LoopResponse:
     """A closed loop over time, all of shape (n,).
 
     Attributes
@@ -154,7 +154,7 @@ class _Stepper:
 
 def run_loop(
     gains: Gains,
-    loop: Loop,
+    loop: OpenLoop,
     reference: Callable[[float], float],
     duration_s: float,
     *,
@@ -162,7 +162,7 @@ def run_loop(
     start: float = 0.0,
     load: Callable[[float], float] | None = None,
     i_per: str = "second",
-) -> Track:
+) -> LoopResponse:
     """Run a controller on the plant, from rest at the drive `start`.
 
     Parameters
@@ -196,11 +196,11 @@ def run_loop(
         controller.applied(drive)
         drives[k] = drive
         plant.drive(k, drive if load is None else drive + load(now_s))
-    return Track(time_s, wanted, plant.outputs(count), seen, drives)
+    return LoopResponse(time_s, wanted, plant.outputs(count), seen, drives)
 
 
 def make_controller(
-    gains: Gains, loop: Loop, bounds: tuple[float, float], start: float, i_per: str
+    gains: Gains, loop: OpenLoop, bounds: tuple[float, float], start: float, i_per: str
 ) -> PidController:
     """Return the controller plugin with these gains."""
     context = LoopContext(loop.step_s, bounds[0], bounds[1], start)
@@ -232,7 +232,7 @@ class StepFigures:
     peak_drive: float
 
 
-def step_figures(track: Track, steady_error: float) -> StepFigures:
+def step_figures(track: LoopResponse, steady_error: float) -> StepFigures:
     """Return the figures of a unit step's track; `steady_error` is known from the static gains."""
     end = 1.0 - steady_error
     beyond = float(np.max(track.output)) - end if end >= 0 else end - float(np.min(track.output))
@@ -256,7 +256,7 @@ def steady_error(gains: Gains, gain: float) -> float:
     return (1.0 - gain * (gains.feedforward or 0.0)) / (1.0 + gain * gains.p)
 
 
-def horizon_s(loop: Loop, gains: Gains | None = None) -> float:
+def horizon_s(loop: OpenLoop, gains: Gains | None = None) -> float:
     """Return how long a step is followed: many times what delays and lags it."""
     slow = 2.0 * loop.delay_s + float(np.sum(loop.lags_s))
     if gains is not None and gains.i_per_s:

@@ -13,18 +13,18 @@ from labrun.control import HalfSineReference, HalfSineSettings
 from labrun.errors import FitError
 from labrun.fit.tuning.closed_loop import (
     Gains,
+    LoopResponse,
     StepFigures,
-    Track,
     horizon_s,
     run_loop,
     steady_error,
     step_figures,
 )
-from labrun.fit.tuning.loop import Loop
+from labrun.fit.tuning.loop import OpenLoop
 from labrun.fit.tuning.margins import Margins, margins
-from labrun.fit.tuning.optimum import Wanted, optimum, require_stable
+from labrun.fit.tuning.optimum import Requirements, optimum, require_stable
 from labrun.fit.tuning.rules import Structure, simc
-from labrun.fit.tuning.settings import GivenTable, PidSettings
+from labrun.fit.tuning.settings import GivenTable, PidFitSettings
 
 _LONGEST = 8.0
 """A step is followed at most so many times as long as delays and lags ask for: a weak integral creeps for ever."""
@@ -58,7 +58,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Design:
+class ControllerDesign:
     """A controller in its loop.
 
     Attributes
@@ -72,7 +72,7 @@ class Design:
     name: str
     source: str
     gains: Gains
-    loop: Loop
+    loop: OpenLoop
 
     @cached_property
     def margins(self) -> Margins:
@@ -87,7 +87,7 @@ class Design:
         return "-".join(part for part in ("FF" if gains.feedforward is not None else "", letters) if part)
 
     @cached_property
-    def step(self) -> Track:
+    def step(self) -> LoopResponse:
         """A step of the reference by 1, on a drive without bounds; of an unstable loop only its beginning."""
         longest = _LONGEST * horizon_s(self.loop)
         lasts_s = min(horizon_s(self.loop, self.gains), longest, _STEPS * self.loop.step_s)
@@ -114,7 +114,7 @@ class Design:
         closed = through / (1.0 + through * self.loop.frequency_response(omega))
         return float(np.sqrt(np.mean(np.abs(closed) ** 2)))
 
-    def over(self, loops: Sequence[Loop]) -> Spread:
+    def over(self, loops: Sequence[OpenLoop]) -> Spread:
         """Return how the margins vary over loops around other plants."""
         found = [margins(self.gains, loop, refine=False) for loop in loops]
         gain = np.array([one.gain if one.stable else min(one.gain, 1.0) for one in found])
@@ -146,7 +146,9 @@ class Design:
             found[factor] = (float(np.mean(size[:half])), float(np.mean(size[half:])))
         return found
 
-    def follow(self, reference: HalfSineSettings, bounds: tuple[float, float], factor: float = 1.0) -> Track:
+    def follow(
+        self, reference: HalfSineSettings, bounds: tuple[float, float], factor: float = 1.0
+    ) -> LoopResponse:
         """Run two arches of a reference, on a plant of `factor` times the gain."""
         start = float(min(max(0.0, bounds[0]), bounds[1]))
         lasting_s = self.loop.delay_s + float(np.sum(self.loop.lags_s))
@@ -164,7 +166,7 @@ class Design:
         )
 
 
-def as_json(design: Design, rate_hz: float) -> Mapping[str, object]:
+def as_json(design: ControllerDesign, rate_hz: float) -> Mapping[str, object]:
     """Return a design's numbers, JSON-ready; None for what is infinite."""
     gains, found, figures = design.gains, design.margins, design.figures
     numbers: dict[str, float] = {
@@ -200,7 +202,7 @@ def _interval(values: FloatArray) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def design_all(loop: Loop, settings: PidSettings) -> tuple[list[Design], list[str]]:
+def design_all(loop: OpenLoop, settings: PidFitSettings) -> tuple[list[ControllerDesign], list[str]]:
     """Return the designs, those that were given last, and what to know about them.
 
     Raises
@@ -209,7 +211,7 @@ def design_all(loop: Loop, settings: PidSettings) -> tuple[list[Design], list[st
         The plant does not settle, or no design could be made.
     """
     require_stable(loop)
-    designs: list[Design] = []
+    designs: list[ControllerDesign] = []
     warnings: list[str] = []
     for structure in settings.structures:
         for rule in settings.rules:
@@ -224,9 +226,9 @@ def design_all(loop: Loop, settings: PidSettings) -> tuple[list[Design], list[st
     return designs + given(loop, settings.compare, settings.lead_s), warnings
 
 
-def wanted_of(settings: PidSettings) -> Wanted:
+def wanted_of(settings: PidFitSettings) -> Requirements:
     """Return what an optimum keeps and minimises."""
-    return Wanted(
+    return Requirements(
         settings.gain_margin,
         settings.phase_margin_deg,
         settings.max_sensitivity,
@@ -236,7 +238,7 @@ def wanted_of(settings: PidSettings) -> Wanted:
     )
 
 
-def given(loop: Loop, tables: Mapping[str, GivenTable], lead_s: float) -> list[Design]:
+def given(loop: OpenLoop, tables: Mapping[str, GivenTable], lead_s: float) -> list[ControllerDesign]:
     """Return gains that were written down as designs."""
     found = []
     for name, keys in tables.items():
@@ -250,25 +252,27 @@ def given(loop: Loop, tables: Mapping[str, GivenTable], lead_s: float) -> list[D
             1.0 / loop.gain if keys.feedforward else None,
             lead_s if keys.feedforward else 0.0,
         )
-        found.append(Design(name, "given", gains, loop))
+        found.append(ControllerDesign(name, "given", gains, loop))
     return found
 
 
-def _of(loop: Loop, settings: PidSettings, structure: Structure, rule: str) -> list[Design]:
+def _of(loop: OpenLoop, settings: PidFitSettings, structure: Structure, rule: str) -> list[ControllerDesign]:
     name = f"{structure.lower()}-{rule}"
     inverse = 1.0 / loop.gain
     # a derivative beside a feed-forward is not asked for: what it would hasten, the feed-forward does
     also = settings.feedforward and structure != "PID"
     if rule == "simc":
         gains = simc(loop, structure, tau_c_s=settings.tau_c_s, derivative_filter=settings.derivative_filter)
-        made = [Design(name, rule, gains, loop)]
+        made = [ControllerDesign(name, rule, gains, loop)]
         if also:
             made.append(
-                Design(f"ff-{name}", rule, replace(gains, feedforward=inverse, lead_s=settings.lead_s), loop)
+                ControllerDesign(
+                    f"ff-{name}", rule, replace(gains, feedforward=inverse, lead_s=settings.lead_s), loop
+                )
             )
         return made
     wanted = wanted_of(settings)
-    made = [Design(name, rule, optimum(loop, structure, wanted), loop)]
+    made = [ControllerDesign(name, rule, optimum(loop, structure, wanted), loop)]
     if also:
         gains = optimum(
             loop,
@@ -278,12 +282,12 @@ def _of(loop: Loop, settings: PidSettings, structure: Structure, rule: str) -> l
             lead_s=settings.lead_s,
             gain_error=settings.gain_error,
         )
-        made.append(Design(f"ff-{name}", rule, gains, loop))
+        made.append(ControllerDesign(f"ff-{name}", rule, gains, loop))
     return made
 
 
 def controllers_toml(
-    designs: Sequence[Design], best: str | None, i_per: str, loop_name: str, heading: str
+    designs: Sequence[ControllerDesign], best: str | None, i_per: str, loop_name: str, heading: str
 ) -> str:
     """Return tables ``[track.loops.NAME.controllers.DESIGN]``, ready to be pasted.
 
@@ -312,7 +316,7 @@ def controllers_toml(
     return "\n".join(lines) + "\n"
 
 
-def controller_table(design: Design, i_per: str) -> dict[str, Any]:
+def controller_table(design: ControllerDesign, i_per: str) -> dict[str, Any]:
     """Return the keys of a design's controller table."""
     gains = design.gains
     table = design.loop.plant.to_table()

@@ -7,7 +7,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit.figure import Curve, FigureData, Panel, Stack
-from labrun.fit.tuning.designs import Design
+from labrun.fit.tuning.designs import ControllerDesign
 from labrun.fit.tuning.study import UNBOUNDED, Study
 
 _MOST = 5
@@ -24,7 +24,7 @@ def design_figure(study: Study, title: str) -> FigureData:
     return FigureData(title, tuple(rows), legend="top", row_height_in=4.2)
 
 
-def shown_designs(study: Study) -> list[Design]:
+def shown_designs(study: Study) -> list[ControllerDesign]:
     """Return the stable designs, at most 5: the best, up to 4 that were given, and those that come next to the best."""
     stable = [one for one in study.designs if one.margins.stable]
     written = [one for one in stable if one.source == "given"][: _MOST - 1]
@@ -39,7 +39,7 @@ def shown_designs(study: Study) -> list[Design]:
 def _curve(
     study: Study,
     place: int,
-    design: Design,
+    design: ControllerDesign,
     x: FloatArray,
     y: FloatArray,
     kind: Literal["line", "steps"] = "line",
@@ -50,7 +50,7 @@ def _curve(
     return Curve(x, y, place, label, kind, bold=best, dashed=design.source == "given")
 
 
-def _step_panels(study: Study, shown: Sequence[Design]) -> tuple[Panel, Panel]:
+def _step_panels(study: Study, shown: Sequence[ControllerDesign]) -> tuple[Panel, Panel]:
     plant = study.loop.plant
     settled = [one.figures.settling_s for one in shown if np.isfinite(one.figures.settling_s)]
     # most of the designs to their end; one slow integral must not squeeze the others
@@ -86,7 +86,7 @@ def _step_panels(study: Study, shown: Sequence[Design]) -> tuple[Panel, Panel]:
     )
 
 
-def _nyquist(study: Study, shown: Sequence[Design]) -> Panel:
+def _nyquist(study: Study, shown: Sequence[ControllerDesign]) -> Panel:
     settings, loop = study.settings, study.loop
     angle = np.linspace(0, 2 * np.pi, 361)
     # what the margins that were asked for forbid
@@ -116,7 +116,7 @@ def _nyquist(study: Study, shown: Sequence[Design]) -> Panel:
     )
 
 
-def _following(study: Study, shown: Sequence[Design]) -> tuple[Panel, ...]:
+def _following(study: Study, shown: Sequence[ControllerDesign]) -> tuple[Panel, ...]:
     """Return the reference followed, and its error, on a plant whose gain is below the model's."""
     reference, plant, settings = study.settings.reference, study.loop.plant, study.settings
     if reference is None or not shown:

@@ -126,7 +126,7 @@ def _exponential(matrix: FloatArray, time_s: float) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Loop:
+class OpenLoop:
     """Everything of a loop but its controller.
 
     Attributes
@@ -167,7 +167,7 @@ class Loop:
         sizes = np.abs(np.atleast_1d(np.asarray(self.plant.poles)))
         return np.sort(1.0 / sizes[sizes > 0])[::-1]
 
-    def with_plant(self, plant: TransferFunction) -> "Loop":
+    def with_plant(self, plant: TransferFunction) -> "OpenLoop":
         """Return the same loop around another plant."""
         return replace(self, plant=plant)
 

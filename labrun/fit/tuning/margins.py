@@ -8,7 +8,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit.tuning.closed_loop import Gains
-from labrun.fit.tuning.loop import ComplexArray, Loop
+from labrun.fit.tuning.loop import ComplexArray, OpenLoop
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Margins:
     phase_crossover_rad_s: float
 
 
-def margins(gains: Gains, loop: Loop, *, refine: bool = True) -> Margins:
+def margins(gains: Gains, loop: OpenLoop, *, refine: bool = True) -> Margins:
     """Return the margins of a loop with its controller.
 
     The plant must be stable: then a loop of small gain, driving the right way, is stable, and it stays so up to the
@@ -83,7 +83,7 @@ def margins(gains: Gains, loop: Loop, *, refine: bool = True) -> Margins:
     )
 
 
-def ultimate(loop: Loop) -> tuple[float, float]:
+def ultimate(loop: OpenLoop) -> tuple[float, float]:
     """Return the gain of a proportional controller at which the loop oscillates, and the frequency, rad/s.
 
     The gain has the sign that the plant's static gain asks for; both are inf if no gain does it.

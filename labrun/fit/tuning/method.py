@@ -16,7 +16,7 @@ from labrun.fit.transfer import TransferFunction, TransferSummary
 from labrun.fit.tuning import summary as words
 from labrun.fit.tuning.designs import as_json, controllers_toml
 from labrun.fit.tuning.figure import design_figure
-from labrun.fit.tuning.settings import PidSettings
+from labrun.fit.tuning.settings import PidFitSettings
 from labrun.fit.tuning.study import Study, study
 from labrun.store import is_recording, open_run
 from labrun.toml import suggest
@@ -28,9 +28,9 @@ _LOOP_NAMES = {"magnitude": "force"}
 class PidDesign:
     """P, PI and PID, also with a feed-forward, by SIMC and by optimum under margins; predicted before they run."""
 
-    Settings: ClassVar[type[BaseModel]] = PidSettings
+    Settings: ClassVar[type[BaseModel]] = PidFitSettings
 
-    def __init__(self, settings: PidSettings) -> None:
+    def __init__(self, settings: PidFitSettings) -> None:
         self._settings = settings
 
     def __call__(self, job: FitJob) -> FitSummary:
@@ -50,7 +50,7 @@ class PidDesign:
 
 
 @dataclass(frozen=True, slots=True)
-class Plant:
+class FittedPlant:
     """A plant, and how well it is known.
 
     Attributes
@@ -80,7 +80,7 @@ class Plant:
     rmse: float | None = None
 
 
-def find_plant(job: FitJob, settings: PidSettings) -> Plant:
+def find_plant(job: FitJob, settings: PidFitSettings) -> FittedPlant:
     """Return the plant that settings name: given, or fitted by another fit, whose settings the run's experiment has.
 
     Raises
@@ -92,13 +92,15 @@ def find_plant(job: FitJob, settings: PidSettings) -> Plant:
     """
     if settings.given_plant is not None:
         transfer = TransferFunction.of(settings.given_plant)
-        return Plant(settings.response or "given", transfer, FittedData(Path(job.target).stem, "run", 0))
+        return FittedPlant(
+            settings.response or "given", transfer, FittedData(Path(job.target).stem, "run", 0)
+        )
     keys = {**job.settings_of(settings.plant), **settings.plant_settings}
     fitted = make_method(settings.plant, keys)(job)
     return plant_of(fitted, settings.response, settings.resamples)
 
 
-def plant_of(fitted: FitSummary, response: str | None, resamples: int) -> Plant:
+def plant_of(fitted: FitSummary, response: str | None, resamples: int) -> FittedPlant:
     """Return a response of a fit as a plant, with others that its data do not rule out.
 
     Parameters
@@ -128,7 +130,7 @@ def plant_of(fitted: FitSummary, response: str | None, resamples: int) -> Plant:
         told.append(
             "the fit gives no resampled plants that settle: margins are those of the fitted plant only"
         )
-    return Plant(
+    return FittedPlant(
         name,
         fitted.transfers[name],
         fitted.data,
@@ -169,7 +171,7 @@ def _settling(resampled: Sequence[TransferFunction]) -> tuple[TransferFunction, 
     return tuple(one for one in resampled if one.is_stable and one.gain and one.dead_s >= 0)
 
 
-def averaged_over(job: FitJob, settings: PidSettings) -> float:
+def averaged_over(job: FitJob, settings: PidFitSettings) -> float:
     """Return the time over which the feedback is a mean, s.
 
     Raises
@@ -190,7 +192,7 @@ def averaged_over(job: FitJob, settings: PidSettings) -> float:
     return cycle_s
 
 
-def summary(plant: Plant, found: Study) -> FitSummary:
+def summary(plant: FittedPlant, found: Study) -> FitSummary:
     """Return what is printed and stored."""
     settings = found.settings
     rate_hz = settings.rate_hz
@@ -243,7 +245,7 @@ def summary(plant: Plant, found: Study) -> FitSummary:
     )
 
 
-def _figure(plant: Plant, found: Study) -> FigureData:
+def _figure(plant: FittedPlant, found: Study) -> FigureData:
     loop = found.loop
     feedback = f"mean over {loop.average_s:.3g} s" if loop.average_s else "latest sample"
     title = (

@@ -9,7 +9,7 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.errors import FitError
 from labrun.fit.tuning.closed_loop import Gains, horizon_s
-from labrun.fit.tuning.loop import ComplexArray, Loop, sample_plant
+from labrun.fit.tuning.loop import ComplexArray, OpenLoop, sample_plant
 from labrun.fit.tuning.margins import allowed_gain, margins
 from labrun.fit.tuning.rules import Structure
 
@@ -27,7 +27,7 @@ _MOST_STEPS = 1 << 15
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class Requirements:
     """What an optimum keeps, and what it minimises.
 
     Attributes
@@ -51,9 +51,9 @@ class Wanted:
 
 
 def optimum(
-    loop: Loop,
+    loop: OpenLoop,
     structure: Structure,
-    wanted: Wanted | None = None,
+    wanted: Requirements | None = None,
     *,
     feedforward: float | None = None,
     lead_s: float = 0.0,
@@ -85,7 +85,7 @@ def optimum(
     """
     from scipy.optimize import minimize
 
-    wanted = wanted or Wanted()
+    wanted = wanted or Requirements()
     require_stable(loop)
     error = _Error(loop, wanted, feedforward, lead_s, gain_error)
     size = {"P": 1, "PI": 2, "PID": 3}[structure]
@@ -107,12 +107,12 @@ def optimum(
     return kept(error.gains(best[1]), loop, wanted, 1.0 + gain_error)
 
 
-def loop_error(loop: Loop, gains: Gains, wanted: Wanted, gain_error: float = 0.0) -> float:
+def loop_error(loop: OpenLoop, gains: Gains, wanted: Requirements, gain_error: float = 0.0) -> float:
     """Return the error that `optimum` minimises, relative to the loop's own time; the loop must be stable."""
     return _Error(loop, wanted, gains.feedforward, gains.lead_s, gain_error)(gains)
 
 
-def kept(gains: Gains, loop: Loop, wanted: Wanted, factor: float = 1.0) -> Gains:
+def kept(gains: Gains, loop: OpenLoop, wanted: Requirements, factor: float = 1.0) -> Gains:
     """Return gains made smaller until the margins are kept, between the points of the grid too.
 
     Parameters
@@ -130,7 +130,7 @@ def kept(gains: Gains, loop: Loop, wanted: Wanted, factor: float = 1.0) -> Gains
     )
 
 
-def keeps(gains: Gains, loop: Loop, wanted: Wanted) -> bool:
+def keeps(gains: Gains, loop: OpenLoop, wanted: Requirements) -> bool:
     """Tell whether a loop is stable with the margins that were asked for."""
     found = margins(gains, loop)
     return (
@@ -141,7 +141,7 @@ def keeps(gains: Gains, loop: Loop, wanted: Wanted) -> bool:
     )
 
 
-def require_stable(loop: Loop) -> None:
+def require_stable(loop: OpenLoop) -> None:
     """Raise FitError if the plant is one that no margin on its curve alone can judge."""
     poles = np.atleast_1d(np.asarray(loop.plant.poles))
     if np.any(poles.real >= 0):
@@ -169,7 +169,12 @@ class _Error:
     """Error of a loop by its frequency response; everything that does not depend on the gains is computed once."""
 
     def __init__(
-        self, loop: Loop, wanted: Wanted, feedforward: float | None, lead_s: float, gain_error: float
+        self,
+        loop: OpenLoop,
+        wanted: Requirements,
+        feedforward: float | None,
+        lead_s: float,
+        gain_error: float,
     ) -> None:
         self._loop, self._wanted = loop, wanted
         self._feedforward, self._lead_s = feedforward, lead_s
@@ -247,6 +252,6 @@ class _Error:
         """Return output over drive: what counts is the output itself, not its average."""
         loop = self._loop
         if loop.rate_hz is None:
-            return Loop(loop.plant, None, loop.compute_s).frequency_response(self._omega)
+            return OpenLoop(loop.plant, None, loop.compute_s).frequency_response(self._omega)
         sampled = sample_plant(loop.plant, loop.step_s, extra_s=loop.compute_s)
         return sampled.frequency_response(np.exp(1j * self._omega * loop.step_s))

@@ -8,7 +8,7 @@ import numpy as np
 from labrun.errors import FitError
 from labrun.fit.transfer import TransferFunction
 from labrun.fit.tuning.closed_loop import Gains
-from labrun.fit.tuning.loop import Loop
+from labrun.fit.tuning.loop import OpenLoop
 
 Structure = Literal["P", "PI", "PID"]
 _REAL = 1e-3
@@ -104,7 +104,7 @@ def _cancelled(lead_s: float, lags: list[float], delay_s: float) -> tuple[float,
 
 
 def simc(
-    loop: Loop, structure: Structure, *, tau_c_s: float | None = None, derivative_filter: float = 10.0
+    loop: OpenLoop, structure: Structure, *, tau_c_s: float | None = None, derivative_filter: float = 10.0
 ) -> Gains:
     """Return the gains for a loop, whose sampling, computation and averaging count as dead time.
 

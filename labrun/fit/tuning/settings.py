@@ -26,7 +26,7 @@ class GivenTable(_Keys):
     feedforward: bool = False
 
 
-class PidSettings(_Keys):
+class PidFitSettings(_Keys):
     """Keys of the fit ``pid``.
 
     Attributes
@@ -53,7 +53,7 @@ class PidSettings(_Keys):
     gain_margin, phase_margin_deg, max_sensitivity
         What the optimum keeps.
     criterion, load_weight
-        What it minimises: see `labrun.fit.tuning.optimum.Wanted`.
+        What it minimises: see `labrun.fit.tuning.optimum.Requirements`.
     tau_c_s
         Time constant that SIMC asks of the closed loop; the effective dead time, if not said.
     derivative_filter
@@ -99,7 +99,7 @@ class PidSettings(_Keys):
     resamples: Annotated[int, Field(ge=20, le=2000)] = 200
 
     @model_validator(mode="after")
-    def _fits_together(self) -> "PidSettings":
+    def _fits_together(self) -> "PidFitSettings":
         if self.range is not None and not self.range[0] < self.range[1]:
             raise ValueError(f"range: {self.range[0]:g} is not below {self.range[1]:g}")
         if self.feedback == "latest" and self.period_s is not None:

@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from labrun.fit.transfer import TransferFunction
-from labrun.fit.tuning.designs import Design, Spread, design_all, wanted_of
-from labrun.fit.tuning.loop import Loop
+from labrun.fit.tuning.designs import ControllerDesign, Spread, design_all, wanted_of
+from labrun.fit.tuning.loop import OpenLoop
 from labrun.fit.tuning.optimum import keeps, loop_error
-from labrun.fit.tuning.settings import PidSettings
+from labrun.fit.tuning.settings import PidFitSettings
 
 UNBOUNDED = (-1e12, 1e12)
 _NEARLY = 1.2
@@ -45,22 +45,22 @@ class Study:
         Of designs that could not be made.
     """
 
-    settings: PidSettings
-    loop: Loop
-    designs: tuple[Design, ...]
+    settings: PidFitSettings
+    loop: OpenLoop
+    designs: tuple[ControllerDesign, ...]
     spreads: Mapping[str, Spread]
     errors: Mapping[str, Errors]
     scores: Mapping[str, float]
     best: str | None
     warnings: tuple[str, ...]
 
-    def named(self, name: str) -> Design:
+    def named(self, name: str) -> ControllerDesign:
         """Return a design."""
         return next(one for one in self.designs if one.name == name)
 
 
 def study(
-    plant: TransferFunction, plants: Sequence[TransferFunction], settings: PidSettings, average_s: float
+    plant: TransferFunction, plants: Sequence[TransferFunction], settings: PidFitSettings, average_s: float
 ) -> Study:
     """Design and judge.
 
@@ -76,7 +76,7 @@ def study(
     FitError
         The plant does not settle, or no design could be made.
     """
-    loop = Loop(plant, settings.rate_hz, settings.compute_s, average_s)
+    loop = OpenLoop(plant, settings.rate_hz, settings.compute_s, average_s)
     designs, warnings = design_all(loop, settings)
     around = [loop.with_plant(one) for one in plants]
     spreads = {one.name: one.over(around) for one in designs} if around else {}
@@ -92,7 +92,7 @@ def lost(spread: Spread) -> bool:
     return spread.unstable_share > _LOST_SHARE or spread.gain[0] <= 1.0
 
 
-def _errors(designs: Sequence[Design], settings: PidSettings) -> dict[str, Errors]:
+def _errors(designs: Sequence[ControllerDesign], settings: PidFitSettings) -> dict[str, Errors]:
     if settings.reference is None:
         return {}
     off = settings.gain_error
@@ -101,17 +101,17 @@ def _errors(designs: Sequence[Design], settings: PidSettings) -> dict[str, Error
     return {one.name: one.errors(settings.reference, bounds, factors) for one in designs}
 
 
-def _score(design: Design, errors: Errors | None, settings: PidSettings) -> float:
+def _score(design: ControllerDesign, errors: Errors | None, settings: PidFitSettings) -> float:
     if errors is not None:
         return max(0.5 * (first + second) for first, second in errors.values())
     return loop_error(design.loop, design.gains, wanted_of(settings))
 
 
 def _best(
-    stable: Sequence[Design],
+    stable: Sequence[ControllerDesign],
     spreads: Mapping[str, Spread],
     scores: Mapping[str, float],
-    settings: PidSettings,
+    settings: PidFitSettings,
 ) -> str | None:
     wanted = wanted_of(settings)
     fit = [

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 from labrun.fit.result import TextTable
 from labrun.fit.tuning.closed_loop import steady_error
-from labrun.fit.tuning.designs import Design
-from labrun.fit.tuning.loop import Loop
+from labrun.fit.tuning.designs import ControllerDesign
+from labrun.fit.tuning.loop import OpenLoop
 from labrun.fit.tuning.margins import ultimate
 from labrun.fit.tuning.study import MOST_OVERSHOOT, Errors, Study, lost
 
@@ -128,7 +128,7 @@ def _tracking(study: Study) -> TextTable:
     return TextTable(title, tuple(header), tuple(rows))
 
 
-def _name(design: Design, study: Study) -> str:
+def _name(design: ControllerDesign, study: Study) -> str:
     return f"{design.name} *" if design.name == study.best else design.name
 
 
@@ -253,13 +253,13 @@ def _calmest(study: Study) -> str:
     )
 
 
-def _limits(loop: Loop, study: Study) -> Iterator[str]:
+def _limits(loop: OpenLoop, study: Study) -> Iterator[str]:
     unit = drive_per_output(study)
-    bare, bare_omega = ultimate(Loop(loop.plant))
+    bare, bare_omega = ultimate(OpenLoop(loop.plant))
     real, real_omega = ultimate(loop)
     said = f"ultimate gain of the plant alone {with_unit(f'{bare:.4g}', unit)} at {bare_omega:.3g} rad/s"
     if loop.average_s:
-        mean, mean_omega = ultimate(Loop(loop.plant, average_s=loop.average_s))
+        mean, mean_omega = ultimate(OpenLoop(loop.plant, average_s=loop.average_s))
         said += (
             f"; with the mean over {loop.average_s:.3g} s as feedback {mean:.4g} at {mean_omega:.3g} rad/s"
         )
@@ -287,7 +287,7 @@ def _proportional(study: Study) -> Iterator[str]:
     )
 
 
-def _verdict(design: Design, study: Study) -> Iterator[str]:
+def _verdict(design: ControllerDesign, study: Study) -> Iterator[str]:
     if not design.margins.stable or design.name not in study.errors or study.settings.reference is None:
         return
     unit, errors = study.loop.plant.output_unit, study.errors[design.name]

@@ -13,7 +13,7 @@ from labrun.errors import RequestError
 from labrun.fit import Dataset, Each, Note, OutputNoise, Problem, one_by_one, silent
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, candidates, site_scales
-from labrun.gap.diagnosis import Estimate, Name
+from labrun.gap.diagnosis import Name, ResampledNumber
 from labrun.gap.intervals import effect_units
 from labrun.gap.next.proposal import experiment_text, write_experiment
 from labrun.gap.next.run_bench import RunBench
@@ -58,7 +58,7 @@ class Visible:
 
     name: Name
     parameter: str
-    size: Estimate | None
+    size: ResampledNumber | None
     best: int
     why: str = ""
     alike: tuple[Name, ...] = ()
@@ -80,7 +80,7 @@ class TrialPlan:
     repeats: int
     time_s: float
     visible: tuple[Visible, ...]
-    noise: Mapping[str, Estimate]
+    noise: Mapping[str, ResampledNumber]
     looked_at: int
     notes: tuple[str, ...]
 
@@ -204,7 +204,7 @@ def plan_trials(
         write_experiment(out, experiment_text(bench, trials, remarks, None))
     units = {one.name: one.unit for one in model.outputs}
     sizes = {
-        name: Estimate(float(one), float(one), float(one), units[name])
+        name: ResampledNumber(float(one), float(one), float(one), units[name])
         for name, one in zip(units, sd, strict=True)
     }
     return TrialPlan(
@@ -448,4 +448,4 @@ def _visible(
     elif np.isfinite(main.neutral if main.neutral is not None else 0.0):
         size *= _SEEN / float(strengths[first])  # smaller than all that were tried, where effects are linear
     alone = [_strength(signatures[first], [index], information, prior) for index in chosen]
-    return Visible(one.name, main.name, Estimate(size, size, size, unit), int(np.argmax(alone)))
+    return Visible(one.name, main.name, ResampledNumber(size, size, size, unit), int(np.argmax(alone)))

@@ -112,7 +112,7 @@ def _greedy(separation: Separation, aim: _Aim, dear: float) -> Choice:
 
 
 @dataclass(frozen=True)
-class Design:
+class ProposedTrials:
     """Chosen trials and what to expect of them, before anything is written."""
 
     trials: tuple[PlannedTrial, ...]
@@ -180,12 +180,14 @@ def _was_imported(target: Path) -> bool:
     return bool(imported_channels(open_run(target).experiment_toml))
 
 
-def design(search: Search, dataset: Dataset, pool: Sequence[PlannedTrial], note: Note = silent) -> Design:
+def design(
+    search: Search, dataset: Dataset, pool: Sequence[PlannedTrial], note: Note = silent
+) -> ProposedTrials:
     """Choose from a pool the trials that best separate what a search leaves."""
     rivals = rivals_of(search)
     note(f"comparing {len(pool)} trials for {len(rivals.rivals)} explanations")
     separation = Separation(rivals, dataset, pool, criteria.NEXT_REPEATS)
-    best: Design | None = None
+    best: ProposedTrials | None = None
     for enough in criteria.EVIDENCE_AIMED_AT:
         choice = choose(separation, enough)
         trials = tuple(separation.trials[k] for k in choice.trials)
@@ -193,19 +195,19 @@ def design(search: Search, dataset: Dataset, pool: Sequence[PlannedTrial], note:
             one.sigma < criteria.VISIBLE_DIFFERENCE or one.ratio < criteria.HOPELESS_EVIDENCE
             for one in choice.evidence
         ):
-            return Design((), choice.evidence, rivals)
+            return ProposedTrials((), choice.evidence, rivals)
         if best is not None and trials == best.trials:
             break
         note("fitting every explanation to what the others predict for the chosen trials")
         fitted = rehearse(rivals, dataset, trials, criteria.NEXT_REPEATS)
         # a fit that lost its way leaves more than the first order does: the lesser of the two is to be believed
         pairs = zip(choice.evidence, fitted, strict=True)
-        found = Design(trials, tuple(min(both, key=lambda one: one.ratio) for both in pairs), rivals)
+        found = ProposedTrials(trials, tuple(min(both, key=lambda one: one.ratio) for both in pairs), rivals)
         if best is None or found.decided > best.decided:
             best = found
         if found.decided == len(found.evidence):
             break
-    return best if best is not None else Design((), (), rivals)
+    return best if best is not None else ProposedTrials((), (), rivals)
 
 
 def inside(search: Search, dataset: Dataset, pool: Sequence[PlannedTrial]) -> list[PlannedTrial]:
@@ -287,7 +289,7 @@ def _for_run(
 
 
 def _proposal(
-    found: Design,
+    found: ProposedTrials,
     file: Path | None,
     time_s: float,
     time_at_most_s: float,
@@ -305,14 +307,14 @@ def _proposal(
     )  # fmt: skip
 
 
-def _outlook(found: Design) -> tuple[Outlook, ...]:
+def _outlook(found: ProposedTrials) -> tuple[Outlook, ...]:
     return tuple(
         Outlook(truth.name, other.name, one.sigma, one.ratio)
         for (truth, other), one in zip(found.rivals.pairs, found.evidence, strict=True)
     )
 
 
-def _remarks(found: Design, time_s: float) -> list[str]:
+def _remarks(found: ProposedTrials, time_s: float) -> list[str]:
     """Return the head of the file: what it is for."""
     lines = [found.rivals.why, f"Rig time of these trials: about {spoken(time_s)}. What to expect:"]
     return [*lines, *(f"  {line}" for line in told(_outlook(found)))]

@@ -96,7 +96,7 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class Piece:
+class ConditionData:
     """All data of one condition, on the time base of its first unit.
 
     Attributes
@@ -137,9 +137,9 @@ class Piece:
         return values[self.members[0]][: self.length]
 
 
-def pieces(units: Dataset) -> tuple[Piece, ...]:
+def pieces(units: Dataset) -> tuple[ConditionData, ...]:
     """Return one piece per condition; units of a condition with another time step stay apart."""
-    found: list[Piece] = []
+    found: list[ConditionData] = []
     for group in range(len(units.conditions)):
         alike: dict[float, list[int]] = {}
         for index in units.of_group(group):
@@ -151,7 +151,7 @@ def pieces(units: Dataset) -> tuple[Piece, ...]:
             counts = np.array([units.trials[index].count for index in members], dtype=float)
             length = min(len(units.trials[index].time_s) for index in members)
             trial = units.trials[members[0]]
-            found.append(Piece(group, tuple(members), counts / counts.sum(), trial, length))
+            found.append(ConditionData(group, tuple(members), counts / counts.sum(), trial, length))
     return tuple(found)
 
 
@@ -200,7 +200,7 @@ class Mover:
         return np.asarray(0.5 * (time_s[before] + time_s[after]), dtype=float)
 
 
-def site_movers(difference: Difference, pieces: Sequence[Piece]) -> tuple[Mover, ...]:
+def site_movers(difference: Difference, pieces: Sequence[ConditionData]) -> tuple[Mover, ...]:
     """Return every joint and body site that moves, along the simulated trajectories."""
     model = difference.model
     courses = unit_courses(difference)
@@ -249,7 +249,7 @@ def unit_courses(difference: Difference) -> list[FloatArray] | None:
     return found
 
 
-def input_movers(difference: Difference, pieces: Sequence[Piece]) -> tuple[Mover, ...]:
+def input_movers(difference: Difference, pieces: Sequence[ConditionData]) -> tuple[Mover, ...]:
     """Return every input that changes within trials, or between them where a trial is one sample."""
     found = []
     for column, one in enumerate(difference.model.inputs):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from labrun.arrays import FloatArray
 from labrun.gap import criteria
 from labrun.gap.diagnosis import By
-from labrun.gap.where.difference import Difference, Mover, Piece
+from labrun.gap.where.difference import ConditionData, Difference, Mover
 from labrun.spec import Condition, condition_text, value_text
 from labrun.toml import UNITS, split_unit
 
@@ -118,10 +118,10 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Layout:
+class SampleLayout:
     """Where every piece's samples stand in a flat vector over all pieces, samples and channels."""
 
-    pieces: tuple[Piece, ...]
+    pieces: tuple[ConditionData, ...]
     channels: int
 
     @property
@@ -146,7 +146,7 @@ class Layout:
         return np.tile(mask, sum(piece.length for piece in self.pieces))
 
 
-def channel_parts(difference: Difference, layout: Layout) -> list[Part]:
+def channel_parts(difference: Difference, layout: SampleLayout) -> list[Part]:
     """Return one part per output."""
     return [
         Part("channel", one.name, channel_text(one.name), layout.channel(column))
@@ -164,7 +164,9 @@ class ConditionSet:
     single: bool
 
 
-def condition_sets(difference: Difference, pieces: Sequence[Piece], *, ranges: bool) -> list[ConditionSet]:
+def condition_sets(
+    difference: Difference, pieces: Sequence[ConditionData], *, ranges: bool
+) -> list[ConditionSet]:
     """Return every condition, every value of every condition key, and with `ranges` all values from one on.
 
     Sets that are all of the data, or that come twice, are left out.
@@ -207,7 +209,7 @@ def _keys(conditions: Sequence[Mapping[str, float | str]]) -> list[str]:
     return list(dict.fromkeys(key for one in conditions for key in one))
 
 
-def condition_parts(difference: Difference, layout: Layout) -> list[Part]:
+def condition_parts(difference: Difference, layout: SampleLayout) -> list[Part]:
     """Return the conditions; where trials are single samples, also each channel in each of them."""
     few = bool(np.median([piece.length for piece in layout.pieces]) <= criteria.FEW_SAMPLES)
     sets = condition_sets(difference, layout.pieces, ranges=few)
@@ -226,7 +228,7 @@ def condition_parts(difference: Difference, layout: Layout) -> list[Part]:
     return parts
 
 
-def in_each_condition(difference: Difference, layout: Layout, parts: Sequence[Part]) -> list[Part]:
+def in_each_condition(difference: Difference, layout: SampleLayout, parts: Sequence[Part]) -> list[Part]:
     """Return parts of the time view cut by condition; none where there are too many conditions for that, or one."""
     singles = [one for one in condition_sets(difference, layout.pieces, ranges=False) if one.single]
     if not 2 <= len(singles) <= criteria.MOST_CUT:
@@ -243,7 +245,7 @@ def in_each_condition(difference: Difference, layout: Layout, parts: Sequence[Pa
     ]
 
 
-def site_parts(mover: Mover, layout: Layout) -> list[Part]:
+def site_parts(mover: Mover, layout: SampleLayout) -> list[Part]:
     """Return the regions of a joint or body site: quadrants, ends of its travel, slow motion, thirds of its load."""
     every = np.concatenate(mover.coordinate)
     low, high = float(every.min()), float(every.max())
@@ -287,13 +289,13 @@ def site_parts(mover: Mover, layout: Layout) -> list[Part]:
     return parts
 
 
-def input_parts(mover: Mover, layout: Layout) -> list[Part]:
+def input_parts(mover: Mover, layout: SampleLayout) -> list[Part]:
     """Return the thirds of an input's range."""
     return _thirds(mover.coordinate, layout, mover.label, plain(mover.name), absolute=False)
 
 
 def _thirds(
-    values: Sequence[FloatArray], layout: Layout, at: str, what: str, *, absolute: bool
+    values: Sequence[FloatArray], layout: SampleLayout, at: str, what: str, *, absolute: bool
 ) -> list[Part]:
     sizes = [np.abs(one) if absolute else one for one in values]
     every = np.concatenate(sizes)
@@ -312,7 +314,7 @@ def _thirds(
     ]
 
 
-def reversal_parts(mover: Mover, layout: Layout) -> list[Part]:
+def reversal_parts(mover: Mover, layout: SampleLayout) -> list[Part]:
     """Return what lies within 100 ms of a reversal (less where strokes are short), and what does not."""
     turns = [mover.reversals(index, piece.time_s) for index, piece in enumerate(layout.pieces)]
     strokes = np.concatenate([np.diff(one) for one in turns])

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from labrun.arrays import FloatArray
 from labrun.gap import criteria
 from labrun.gap.verdict import significant
-from labrun.gap.where.difference import Difference, Mover, Piece
-from labrun.gap.where.parts import Layout, Part, plain
+from labrun.gap.where.difference import ConditionData, Difference, Mover
+from labrun.gap.where.parts import Part, SampleLayout, plain
 
 FREQUENCY_KEYS = ("frequency_hz", "freq_hz", "f_hz", "frequency", "freq", "f")
 PERIOD_KEYS = ("period_s", "period")
@@ -134,7 +134,7 @@ _QUARTERS = ("first", "second", "third", "last")
 
 
 def piece_cycles(
-    difference: Difference, layout: Layout, sites: Sequence[Mover], inputs: Sequence[Mover]
+    difference: Difference, layout: SampleLayout, sites: Sequence[Mover], inputs: Sequence[Mover]
 ) -> tuple[Cycle | None, ...]:
     """Return the cycle of every piece: of what drives it, else of what moves, else of its outputs."""
     found = []
@@ -146,7 +146,7 @@ def piece_cycles(
     return tuple(found)
 
 
-def stroke_parts(layout: Layout, cycles: Sequence[Cycle | None], movers: Sequence[Mover]) -> list[Part]:
+def stroke_parts(layout: SampleLayout, cycles: Sequence[Cycle | None], movers: Sequence[Mover]) -> list[Part]:
     """Return the strokes of the first site that moves, or of the first input; none where trials are not periodic.
 
     The stroke in which a site's coordinate rises is its forward stroke, the other one its recovery stroke.
@@ -172,7 +172,7 @@ def stroke_parts(layout: Layout, cycles: Sequence[Cycle | None], movers: Sequenc
     return [Part("phase", names[0], texts[0], members), Part("phase", names[1], texts[1], ~members)]
 
 
-def quarter_parts(layout: Layout, cycles: Sequence[Cycle | None]) -> list[Part]:
+def quarter_parts(layout: SampleLayout, cycles: Sequence[Cycle | None]) -> list[Part]:
     """Return the quarters of the cycle; none where trials are not periodic."""
     if any(cycle is None for cycle in cycles):
         return []
@@ -199,10 +199,10 @@ class Spectra:
     Pieces that are too short or unevenly sampled have none.
     """
 
-    layout: Layout
+    layout: SampleLayout
 
     @property
-    def possible(self) -> tuple[Piece, ...]:
+    def possible(self) -> tuple[ConditionData, ...]:
         """The pieces that have a spectrum."""
         return tuple(piece for piece in self.layout.pieces if _even(piece))
 
@@ -219,13 +219,13 @@ class Spectra:
             found.append(power.ravel())
         return np.concatenate(found) if found else np.empty(0)
 
-    def frequency_hz(self, piece: Piece) -> FloatArray:
+    def frequency_hz(self, piece: ConditionData) -> FloatArray:
         """Return the frequencies of a piece's spectrum."""
         step = float(piece.time_s[-1] - piece.time_s[0]) / (piece.length - 1)
         return np.asarray(np.fft.rfftfreq(piece.length, step), dtype=float)
 
 
-def _even(piece: Piece) -> bool:
+def _even(piece: ConditionData) -> bool:
     if piece.length < criteria.FEWEST_SPECTRUM_SAMPLES:
         return False
     steps = np.diff(piece.time_s)
@@ -313,7 +313,7 @@ def _absolute(spectra: Spectra, simulated: Sequence[FloatArray]) -> list[Part]:
     return parts
 
 
-def _mask(spectra: Spectra, piece: Piece, begin: float, end: float) -> NDArray[np.bool_]:
+def _mask(spectra: Spectra, piece: ConditionData, begin: float, end: float) -> NDArray[np.bool_]:
     frequency = spectra.frequency_hz(piece)
     return np.repeat((frequency >= begin) & (frequency < end), spectra.layout.channels)
 

@@ -12,8 +12,8 @@ from labrun.gap.diagnosis import By, Place
 from labrun.gap.where.difference import Difference, Mover, input_movers, pieces, site_movers
 from labrun.gap.where.parts import (
     JOINT,
-    Layout,
     Part,
+    SampleLayout,
     channel_parts,
     condition_parts,
     in_each_condition,
@@ -63,7 +63,7 @@ def find_places(
         cent is wrong where the signal is. Parts that are cut by condition too have a bar in their name,
         ``"recovery stroke | frequency_hz = 0.3"``, and come behind those that are not.
     """
-    layout = Layout(pieces(difference.units), len(difference.model.outputs))
+    layout = SampleLayout(pieces(difference.units), len(difference.model.outputs))
     spectra = Spectra(layout)
     parts = _distinct(_parts(difference, layout, spectra))
 
@@ -81,7 +81,7 @@ def find_places(
     return (*_placed(difference, parts, finding, makes_up, equations),)
 
 
-def _parts(difference: Difference, layout: Layout, spectra: Spectra) -> list[Part]:
+def _parts(difference: Difference, layout: SampleLayout, spectra: Spectra) -> list[Part]:
     sites, inputs = site_movers(difference, layout.pieces), input_movers(difference, layout.pieces)
     parts = [*channel_parts(difference, layout), *condition_parts(difference, layout)]
     for mover in inputs:
@@ -107,7 +107,9 @@ def _distinct(parts: Sequence[Part]) -> list[Part]:
     ]
 
 
-def _of_signal(difference: Difference, layout: Layout, spectra: Spectra, parts: Sequence[Part]) -> FloatArray:
+def _of_signal(
+    difference: Difference, layout: SampleLayout, spectra: Spectra, parts: Sequence[Part]
+) -> FloatArray:
     """Return the part of the simulated signals' power, about their means, that bands of frequencies hold; else 0."""
     simulated = [piece.first(difference.simulated) for piece in layout.pieces]
     power = spectra.power([(one - one.mean(axis=0)) / difference.scale for one in simulated])

@@ -74,7 +74,7 @@ class JointTable(Table):
     guess_rad: Finite = 0.0
 
 
-class LoopTable(Table):
+class ChainLoopTable(Table):
     """The loop.
 
     Attributes
@@ -97,5 +97,5 @@ class ChainFile(SystemFile):
     parameters: dict[Name, Annotated[ParameterTable, alone("value")]] = {}
     bodies: dict[Name, BodyTable]
     joints: Annotated[dict[Name, JointTable], Field(min_length=1)]
-    loop: LoopTable | None = None
+    loop: ChainLoopTable | None = None
     outputs: Annotated[dict[Name, Annotated[OutputTable, alone("equation")]], Field(min_length=1)]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from labrun.models.mjcf.plant import Place, imported
+from labrun.models.mjcf.plant import MemoryPlace, imported
 from labrun.toml import suggest
 
 SETTABLE = {
@@ -139,7 +139,7 @@ class Elements:
             raise ReferenceProblem(f"joint {name!r} is a ball or free joint: it has no one coordinate")
         return int(self.model.jnt_qposadr[joint]), int(self.model.jnt_dofadr[joint])
 
-    def settable(self, text: str) -> tuple[Place, ...]:
+    def settable(self, text: str) -> tuple[MemoryPlace, ...]:
         """Return the numbers that an attribute of an element is in the compiled model."""
         kind, rest, index = _parts(text, (*SETTABLE, "option"))
         if kind == "option":
@@ -158,37 +158,37 @@ class Elements:
         if attribute == "ipos":
             self._refuse_balanced(element, name)
         rows = self._rows(kind, element, arrays[attribute])
-        return tuple(Place("model", arrays[attribute], row * width + column) for row in rows)
+        return tuple(MemoryPlace("model", arrays[attribute], row * width + column) for row in rows)
 
-    def driven(self, text: str) -> Place:
+    def driven(self, text: str) -> MemoryPlace:
         """Return the number that an input is: a control, a generalized force, a force on a body, a position."""
         kind, rest, index = _parts(text, ("actuator", "joint", "body", "mocap"))
         if kind == "actuator":
-            return Place("data", "ctrl", self._index(kind, rest))
+            return MemoryPlace("data", "ctrl", self._index(kind, rest))
         if kind == "joint":
-            return Place("data", "qfrc_applied", self.one_joint(rest)[1])
+            return MemoryPlace("data", "qfrc_applied", self.one_joint(rest)[1])
         name, attribute = _named(kind, rest, index)
         element = self._index(kind, name)
         if kind == "mocap":
             axes = ("x", "y", "z")
             if attribute not in axes:
                 raise ReferenceProblem(f"a mocap body has no {attribute!r} to drive", "x, y or z")
-            return Place(
+            return MemoryPlace(
                 "data", "mocap_pos", 3 * int(self.model.body_mocapid[element]) + axes.index(attribute)
             )
         if attribute not in ("force", "torque"):
             raise ReferenceProblem(f"a body has no {attribute!r} to drive", "force[0], torque[2] ...")
         column = _component(text, 3, index, first=False) + (3 if attribute == "torque" else 0)
-        return Place("data", "xfrc_applied", 6 * element + column)
+        return MemoryPlace("data", "xfrc_applied", 6 * element + column)
 
-    def shown(self, text: str) -> Place:
+    def shown(self, text: str) -> MemoryPlace:
         """Return the number that an output is."""
         kind, rest, index = _parts(text, ("joint", "sensor", "actuator", "tendon", "body", "site"))
         if kind == "sensor":
             sensor = self._index(kind, rest)
             width = int(self.model.sensor_dim[sensor])
             column = _component(f"sensor.{rest}", width, index, first=False)
-            return Place("data", "sensordata", int(self.model.sensor_adr[sensor]) + column)
+            return MemoryPlace("data", "sensordata", int(self.model.sensor_adr[sensor]) + column)
         name, attribute = _named(kind, rest, index)
         if kind == "joint":
             return self.moving(name, attribute)
@@ -197,19 +197,21 @@ class Elements:
             raise ReferenceProblem(f"a {kind} shows no {attribute!r}", suggest(attribute, list(arrays)))
         width = {"position": 3, "orientation": 4}.get(attribute, 1)
         column = _component(text, width, index, first=False)
-        return Place("data", arrays[attribute], element * width + column)
+        return MemoryPlace("data", arrays[attribute], element * width + column)
 
-    def moving(self, name: str, quantity: str) -> Place:
+    def moving(self, name: str, quantity: str) -> MemoryPlace:
         """Return a position, velocity or acceleration of a joint."""
         joint = self._index("joint", name)
         positions, velocities, accelerations = self.joint_quantities(joint)
         if quantity in positions:
-            return Place("data", "qpos", int(self.model.jnt_qposadr[joint]) + list(positions).index(quantity))
+            return MemoryPlace(
+                "data", "qpos", int(self.model.jnt_qposadr[joint]) + list(positions).index(quantity)
+            )
         dof = int(self.model.jnt_dofadr[joint])
         if quantity in velocities:
-            return Place("data", "qvel", dof + list(velocities).index(quantity))
+            return MemoryPlace("data", "qvel", dof + list(velocities).index(quantity))
         if quantity in accelerations:
-            return Place("data", "qacc", dof)
+            return MemoryPlace("data", "qacc", dof)
         known = [*positions, *velocities, *accelerations]
         raise ReferenceProblem(f"joint {name!r} has no {quantity!r}", suggest(quantity, known))
 
@@ -234,7 +236,7 @@ class Elements:
         first = int(self.model.jnt_dofadr[element])
         return range(first, first + len(velocities))
 
-    def _servo(self, actuator: int, name: str, gain: str) -> tuple[Place, ...]:
+    def _servo(self, actuator: int, name: str, gain: str) -> tuple[MemoryPlace, ...]:
         bias = self.model.actuator_biasprm[actuator]
         if self.model.actuator_biastype[actuator] == 0 or bias[1] == 0.0:
             raise ReferenceProblem(
@@ -243,14 +245,14 @@ class Elements:
             )
         width = self.model.actuator_gainprm.shape[1]
         return tuple(
-            Place("model", f"actuator_{array}", actuator * width + column, factor)
+            MemoryPlace("model", f"actuator_{array}", actuator * width + column, factor)
             for array, column, factor in SERVO[gain]
         )
 
-    def _option(self, name: str, index: int | None) -> Place:
+    def _option(self, name: str, index: int | None) -> MemoryPlace:
         if name not in OPTIONS:
             raise ReferenceProblem(f"there is no option {name!r} to set", suggest(name, list(OPTIONS)))
-        return Place("option", name, _component(f"option.{name}", OPTIONS[name], index, first=False))
+        return MemoryPlace("option", name, _component(f"option.{name}", OPTIONS[name], index, first=False))
 
     def _refuse_balanced(self, body: int, name: str) -> None:
         # MuJoCo stores no coupling terms for a body that turns about its centre of mass, and cannot be given any later

@@ -16,7 +16,7 @@ from labrun.errors import ModelError
 from labrun.models.attaching import read_effects
 from labrun.models.mjcf.elements import Elements, ReferenceProblem
 from labrun.models.mjcf.model import MujocoModel, functions
-from labrun.models.mjcf.plant import Layout, Place, imported, pack
+from labrun.models.mjcf.plant import MemoryPlace, MjcfLayout, imported, pack
 from labrun.models.mjcf.robot import robot_spec
 from labrun.models.model import Output, Parameter
 from labrun.models.tables import ModelFile, MujocoFile
@@ -51,12 +51,12 @@ class States:
     """
 
     names: tuple[str, ...]
-    places: tuple[Place, ...]
-    rates: tuple[Place | None, ...]
-    quaternions: tuple[tuple[int, Place], ...]
+    places: tuple[MemoryPlace, ...]
+    rates: tuple[MemoryPlace | None, ...]
+    quaternions: tuple[tuple[int, MemoryPlace], ...]
     reference: tuple[float, ...]
 
-    def named(self, place: Place) -> str:
+    def named(self, place: MemoryPlace) -> str:
         """Return the name of the state at a place."""
         return self.names[self.places.index(place)]
 
@@ -90,8 +90,8 @@ def mujoco_model(file: ModelFile) -> MujocoModel:
         Site(
             name,
             one.kind,
-            states.named(Place("data", "qpos", position)),
-            states.named(Place("data", "qvel", dof)),
+            states.named(MemoryPlace("data", "qpos", position)),
+            states.named(MemoryPlace("data", "qvel", dof)),
             one.load.text if "load" in one.model_fields_set else "",
             one.stiffness,
             one.drive,
@@ -121,7 +121,7 @@ def mujoco_model(file: ModelFile) -> MujocoModel:
         places,
         at,
     )
-    layout = Layout(
+    layout = MjcfLayout(
         binary=pack(native),
         key="",
         at=at,
@@ -129,7 +129,7 @@ def mujoco_model(file: ModelFile) -> MujocoModel:
         rates=states.rates,
         quaternions=states.quaternions,
         inputs=driven,
-        sites=tuple(Place("data", "qfrc_applied", dof) for _, dof in dofs),
+        sites=tuple(MemoryPlace("data", "qfrc_applied", dof) for _, dof in dofs),
         values=len(settings),
         settings=tuple(
             (index, place) for index, (_, targets) in enumerate(settings.values()) for place in targets
@@ -216,7 +216,7 @@ def _resolved(
     return tuple(one for one in found if one is not None)
 
 
-Settings = dict[KeyPath, tuple[Expression, tuple[Place, ...]]]
+Settings = dict[KeyPath, tuple[Expression, tuple[MemoryPlace, ...]]]
 """By the key that declares it: the value, and where it is written."""
 
 
@@ -229,7 +229,7 @@ def _settings(file: ModelFile, given: MujocoFile, elements: Elements) -> Setting
     }
     asked |= {("mjcf", reference): (reference, equation) for reference, equation in given.mjcf.items()}
     settings: Settings = {}
-    taken: dict[Place, KeyPath] = {}
+    taken: dict[MemoryPlace, KeyPath] = {}
     for path, (reference, expression) in asked.items():
         targets = _resolve(file, path, elements.settable, reference)
         if targets is None:
@@ -303,9 +303,9 @@ def _states(file: ModelFile, elements: Elements, renamed: Mapping[str, str]) -> 
     """
     model = elements.model
     names: list[str] = []
-    places: list[Place] = []
-    rates: list[Place | None] = []
-    quaternions: list[tuple[int, Place]] = []
+    places: list[MemoryPlace] = []
+    rates: list[MemoryPlace | None] = []
+    quaternions: list[tuple[int, MemoryPlace]] = []
     joints = elements.joints()
     for joint, label in enumerate(joints):
         positions, _, _ = elements.joint_quantities(joint)
@@ -313,27 +313,31 @@ def _states(file: ModelFile, elements: Elements, renamed: Mapping[str, str]) -> 
         for index, quantity in enumerate(positions):
             turning = quantity.startswith("q")
             if quantity == "qw":
-                quaternions.append((len(names), Place("data", "qvel", dof + index)))
+                quaternions.append((len(names), MemoryPlace("data", "qvel", dof + index)))
             names.append(_name(label, quantity))
-            places.append(Place("data", "qpos", first + index))
-            rates.append(None if turning else Place("data", "qvel", dof + index))
+            places.append(MemoryPlace("data", "qpos", first + index))
+            rates.append(None if turning else MemoryPlace("data", "qvel", dof + index))
     for joint, label in enumerate(joints):
         for index, quantity in enumerate(elements.joint_quantities(joint)[1]):
             dof = int(model.jnt_dofadr[joint]) + index
             names.append(_name(label, quantity))
-            places.append(Place("data", "qvel", dof))
-            rates.append(Place("data", "qacc", dof))
+            places.append(MemoryPlace("data", "qvel", dof))
+            rates.append(MemoryPlace("data", "qacc", dof))
     for index, label in enumerate(elements.activations()):
         names.append(_name(label, "activation"))
-        places.append(Place("data", "act", index))
-        rates.append(Place("data", "act_dot", index))
+        places.append(MemoryPlace("data", "act", index))
+        rates.append(MemoryPlace("data", "act_dot", index))
     _rename(file, elements, renamed, names, places)
     reference = (*(float(one) for one in model.qpos0), *[0.0] * (model.nv + model.na))
     return States(tuple(names), tuple(places), tuple(rates), tuple(quaternions), reference)
 
 
 def _rename(
-    file: ModelFile, elements: Elements, renamed: Mapping[str, str], names: list[str], places: list[Place]
+    file: ModelFile,
+    elements: Elements,
+    renamed: Mapping[str, str],
+    names: list[str],
+    places: list[MemoryPlace],
 ) -> None:
     for name, text in renamed.items():
         joint, _, quantity = text.removeprefix("joint.").rpartition(".")

@@ -208,7 +208,7 @@ class _Pass:
 
 
 @dataclass(frozen=True)
-class Drive:
+class JointDrive:
     """The drive of one joint: ``clip(kp (goal - q) - kv q')``, ``kp (goal - q')``, or ``gear u``.
 
     Attributes
@@ -242,7 +242,7 @@ class RobotTerms:
     armature: tuple[float, ...]
     friction: tuple[float, ...]
     rest: tuple[float, ...]
-    drives: dict[str, Drive]
+    drives: dict[str, JointDrive]
     coupled: str
 
 
@@ -270,7 +270,7 @@ def robot_terms(xml: str, joints: list[str]) -> RobotTerms:
         gain, bias = model.actuator_gainprm[k], model.actuator_biasprm[k]
         servo = model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_AFFINE
         kp = float(gain[0]) * gear**2 if servo else 0.0
-        drives[joint] = Drive(
+        drives[joint] = JointDrive(
             kp, -float(bias[2]) * gear**2 if servo else 0.0, gear * float(gain[0]), (low, high)
         )
     coupled = ""

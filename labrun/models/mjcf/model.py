@@ -8,7 +8,7 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.compiled import NativeFunction, ThroughAddresses, equations, generated
 from labrun.errors import ModelError
-from labrun.models.mjcf.plant import Layout, plant
+from labrun.models.mjcf.plant import MjcfLayout, plant
 from labrun.models.model import Condition, Model
 from labrun.toml import Expression
 
@@ -66,7 +66,7 @@ class MujocoModel(Model):
         The path of its MJCF file, or the file's text.
     """
 
-    layout: Layout = field(kw_only=True, repr=False)
+    layout: MjcfLayout = field(kw_only=True, repr=False)
     mjcf: str = field(kw_only=True, repr=False, default="")
 
     def vector(self, parameters: FloatArray | Mapping[str, float] | None, condition: Condition) -> FloatArray:

@@ -36,7 +36,7 @@ _WARNINGS = ("mjWARN_INERTIA", "mjWARN_CONTACTFULL", "mjWARN_CNSTRFULL")
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class MemoryPlace:
     """One number in MuJoCo's memory, told by name so that it means the same in another process.
 
     Attributes
@@ -77,7 +77,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Layout:
+class MjcfLayout:
     """A compiled MJCF model and where in it everything is; means the same in every process.
 
     Attributes
@@ -107,14 +107,14 @@ class Layout:
     binary: bytes
     key: str
     at: int
-    states: tuple[Place, ...]
-    rates: tuple[Place | None, ...]
-    quaternions: tuple[tuple[int, Place], ...]
-    inputs: tuple[Place, ...]
-    sites: tuple[Place, ...]
+    states: tuple[MemoryPlace, ...]
+    rates: tuple[MemoryPlace | None, ...]
+    quaternions: tuple[tuple[int, MemoryPlace], ...]
+    inputs: tuple[MemoryPlace, ...]
+    sites: tuple[MemoryPlace, ...]
     values: int
-    settings: tuple[tuple[int, Place], ...]
-    outputs: tuple[Place, ...]
+    settings: tuple[tuple[int, MemoryPlace], ...]
+    outputs: tuple[MemoryPlace, ...]
 
 
 def imported() -> Any:
@@ -140,19 +140,19 @@ def pack(model: Any) -> bytes:
     return buffer.tobytes()
 
 
-def plant(layout: Layout) -> "Plant":
+def plant(layout: MjcfLayout) -> "MujocoPlant":
     """Return the simulation of a layout that belongs to this thread."""
     # numba's code runs without the GIL: two threads in one simulation would write over one another
     key = (layout.key, threading.get_ident())
     if key not in _PLANTS:
-        _PLANTS[key] = Plant(layout)
+        _PLANTS[key] = MujocoPlant(layout)
     return _PLANTS[key]
 
 
-class Plant:
+class MujocoPlant:
     """The memory of one simulation; nothing of it outlasts a call but which parameters were set last."""
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: MjcfLayout) -> None:
         mujoco = imported()
         self.model = mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": layout.binary})
         self.data = mujoco.MjData(self.model)
@@ -189,7 +189,7 @@ class Plant:
             return 0
         return 1
 
-    def _loosen(self, changed: list[Place]) -> None:
+    def _loosen(self, changed: list[MemoryPlace]) -> None:
         """Undo the shortcuts MuJoCo takes for frames that coincide, where they may cease to."""
         model = self.model
         for body in _moved_bodies(model, changed):
@@ -197,11 +197,11 @@ class Plant:
             model.geom_sameframe[model.geom_bodyid == body] = 0
             model.site_sameframe[model.site_bodyid == body] = 0
 
-    def _filled(self, layout: Layout) -> NDArray[np.int64]:
+    def _filled(self, layout: MjcfLayout) -> NDArray[np.int64]:
         model, data = self.model, self.data
         table = np.zeros(SIZE, dtype=np.int64)
 
-        def addresses(places: Sequence[Place | None]) -> int:
+        def addresses(places: Sequence[MemoryPlace | None]) -> int:
             return array([0 if one is None else one.address(model, data) for one in places])
 
         def array(values: Any, kind: type = np.int64) -> int:
@@ -238,7 +238,7 @@ def _function(name: str) -> int:
     return int(ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0)
 
 
-def _moved_bodies(model: Any, places: Sequence[Place]) -> set[int]:
+def _moved_bodies(model: Any, places: Sequence[MemoryPlace]) -> set[int]:
     """Return the bodies whose own frame or mass some of the places change."""
     widths = {"body_mass": 1, "body_inertia": 3, "body_ipos": 3, "body_pos": 3}
     bodies = {one.index // widths[one.array] for one in places if one.array in widths}
@@ -259,5 +259,5 @@ def _hush() -> None:
 
 
 _LISTENER = ctypes.CFUNCTYPE(None, ctypes.c_char_p)(lambda _message: None)
-_PLANTS: dict[tuple[str, int], Plant] = {}
+_PLANTS: dict[tuple[str, int], MujocoPlant] = {}
 """Kept for the life of the process: compiled code holds addresses into them."""

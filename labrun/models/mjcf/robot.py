@@ -10,8 +10,7 @@ import numpy as np
 
 from labrun.errors import ModelError
 from labrun.models.mjcf.around import around, heavy_bodies
-from labrun.models.mjcf.inverse import Drive as JointDrive
-from labrun.models.mjcf.inverse import robot_terms
+from labrun.models.mjcf.inverse import JointDrive, robot_terms
 from labrun.models.mjcf.plant import imported
 
 SUFFIXES = (".xml", ".mjcf", ".urdf")

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from labrun.gap import By, Diagnosis, Place
-from labrun.report.gap_places import Panel, beyond_chance, panels, place_words
+from labrun.report.gap_places import PlacesPanel, beyond_chance, panels, place_words
 from labrun.report.style import COLOURS, INK, heading, new_figure, plain_numbers
 from labrun.report.text import data_words, listed, never_seen, p_words, percent, times_noise
 
@@ -68,12 +68,12 @@ def where_figure(diagnosis: Diagnosis) -> Figure | None:
     return figure
 
 
-def height_in(shown: Sequence[Panel]) -> float:
+def height_in(shown: Sequence[PlacesPanel]) -> float:
     """Return how high the panels are together."""
     return sum(_heights(shown))
 
 
-def draw_where(figure: Any, shown: Sequence[Panel]) -> None:
+def draw_where(figure: Any, shown: Sequence[PlacesPanel]) -> None:
     """Draw the panels, two side by side, into a figure or a part of one."""
     rows = -(-len(shown) // _ACROSS)
     across = min(len(shown), _ACROSS)
@@ -89,14 +89,14 @@ def draw_where(figure: Any, shown: Sequence[Panel]) -> None:
             axes.set_xlabel("share of the excess over the noise")
 
 
-def _heights(shown: Sequence[Panel]) -> list[float]:
+def _heights(shown: Sequence[PlacesPanel]) -> list[float]:
     return [
         _PANEL_IN + _BAR_IN * max(len(panel.places) for panel in shown[start : start + _ACROSS])
         for start in range(0, len(shown), _ACROSS)
     ]
 
 
-def _draw(axes: Axes, panel: Panel, slots: int) -> None:
+def _draw(axes: Axes, panel: PlacesPanel, slots: int) -> None:
     labels = [_label(place_words(place)) for place in panel.places]
     shares = [place.share for place in panel.places]
     colours = [_colour(place) for place in panel.places]

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from labrun.arrays import FloatArray
-from labrun.gap import Diagnosis, MissingForce, Trace
+from labrun.gap import ComparedTrace, Diagnosis, MissingForce
 from labrun.report.figures.gap import AFTER, RECALIBRATED, STATED
 from labrun.report.style import COLOURS, FAINT, INK, new_figure, zero_line
 from labrun.report.text import listed, spaced, with_unit
@@ -33,7 +33,7 @@ def traces_figure(diagnosis: Diagnosis) -> Figure | None:
     return _points_figure(diagnosis, traces) if points else _courses_figure(diagnosis, traces)
 
 
-def shown_traces(diagnosis: Diagnosis) -> list[Trace]:
+def shown_traces(diagnosis: Diagnosis) -> list[ComparedTrace]:
     """Return the traces that are drawn."""
     traces = [trace for trace in diagnosis.traces if trace.measured.size]
     if all(len(trace.time_s) < _LINE_SAMPLES for trace in traces):
@@ -41,9 +41,9 @@ def shown_traces(diagnosis: Diagnosis) -> list[Trace]:
     return _various([one for one in traces if len(one.time_s) >= _LINE_SAMPLES])
 
 
-def _various(traces: Sequence[Trace]) -> list[Trace]:
+def _various(traces: Sequence[ComparedTrace]) -> list[ComparedTrace]:
     """Return a few traces, of as many different conditions as there are."""
-    first: dict[object, Trace] = {}
+    first: dict[object, ComparedTrace] = {}
     for trace in traces:
         first.setdefault(condition_key(trace.condition), trace)
     chosen = list(first.values())
@@ -51,13 +51,13 @@ def _various(traces: Sequence[Trace]) -> list[Trace]:
     return [*chosen, *again][:_MOST_UNITS]
 
 
-def _order(trace: Trace) -> tuple[tuple[float, str], ...]:
+def _order(trace: ComparedTrace) -> tuple[tuple[float, str], ...]:
     """Return what readings are sorted by: their condition."""
     values = trace.condition.values()
     return tuple((0.0, value) if isinstance(value, str) else (value, "") for value in values)
 
 
-def _courses_figure(diagnosis: Diagnosis, traces: Sequence[Trace]) -> Figure:
+def _courses_figure(diagnosis: Diagnosis, traces: Sequence[ComparedTrace]) -> Figure:
     outputs = worst_outputs(diagnosis, traces)
     with new_figure(9.4, 0.75 + 2.6 * len(outputs)) as figure:
         grid = figure.subplots(
@@ -84,7 +84,7 @@ def _courses_figure(diagnosis: Diagnosis, traces: Sequence[Trace]) -> Figure:
     return figure
 
 
-def _window(diagnosis: Diagnosis, trace: Trace, outputs: Sequence[int]) -> slice:
+def _window(diagnosis: Diagnosis, trace: ComparedTrace, outputs: Sequence[int]) -> slice:
     """Return the samples to be shown large: by the output that is farthest off."""
     rest = (trace.measured - trace.recalibrated) / _sd(diagnosis, trace.measured.shape[1])
     worst = max(outputs, key=lambda output: float(np.mean(np.square(rest[:, output]))))
@@ -95,7 +95,7 @@ def _sd(diagnosis: Diagnosis, outputs: int) -> FloatArray:
     return np.array([diagnosis.noise.get(name) or 1.0 for name, _ in diagnosis.channels[:outputs]])
 
 
-def _draw_course(axes: Axes, diagnosis: Diagnosis, trace: Trace, output: int, shown: slice) -> None:
+def _draw_course(axes: Axes, diagnosis: Diagnosis, trace: ComparedTrace, output: int, shown: slice) -> None:
     kept = _thinned(shown)
     time_s = trace.time_s[kept]
     lines: list[tuple[str, FloatArray, dict[str, Any]]] = [
@@ -111,7 +111,7 @@ def _draw_course(axes: Axes, diagnosis: Diagnosis, trace: Trace, output: int, sh
     axes.margins(x=0.0)
 
 
-def _draw_rest(axes: Axes, diagnosis: Diagnosis, trace: Trace, output: int, shown: slice) -> None:
+def _draw_rest(axes: Axes, diagnosis: Diagnosis, trace: ComparedTrace, output: int, shown: slice) -> None:
     kept = _thinned(slice(0, len(trace.time_s)))
     time_s, measured = trace.time_s[kept], trace.measured[kept, output]
     sd = diagnosis.noise.get(diagnosis.channels[output][0])
@@ -129,7 +129,7 @@ def _draw_rest(axes: Axes, diagnosis: Diagnosis, trace: Trace, output: int, show
     axes.margins(x=0.0)
 
 
-def _points_figure(diagnosis: Diagnosis, traces: Sequence[Trace]) -> Figure:
+def _points_figure(diagnosis: Diagnosis, traces: Sequence[ComparedTrace]) -> Figure:
     """Draw readings without a course in time, beside each other."""
     outputs = worst_outputs(diagnosis, traces)
     places = np.arange(len(traces), dtype=float)
@@ -169,7 +169,7 @@ def _points_figure(diagnosis: Diagnosis, traces: Sequence[Trace]) -> Figure:
     return figure
 
 
-def worst_outputs(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[int]:
+def worst_outputs(diagnosis: Diagnosis, traces: Sequence[ComparedTrace]) -> list[int]:
     """Return the outputs that are farthest off after recalibration, in units of noise, in the model's order."""
     known = min(len(diagnosis.channels), *(one.measured.shape[1] for one in traces))
     sd = _sd(diagnosis, known)
@@ -191,7 +191,7 @@ def _with(diagnosis: Diagnosis) -> str:
     return f"with {names}" if len(names) <= 2 * _NARROW else "with all causes"
 
 
-def _title(trace: Trace, beside: int) -> str:
+def _title(trace: ComparedTrace, beside: int) -> str:
     width = max(90 // beside, 12)
     times = f" ({trace.repeats} repeats)" if trace.repeats > 1 else ""
     return "\n".join(textwrap.wrap(trace.label + times, width, max_lines=3, placeholder=" \u2026"))
