@@ -76,14 +76,15 @@ def resolved(base: Base, screened: Screened) -> Screened:
 
 
 def _ended(base: Base, screened: Screened, problem: Problem, start: FloatArray) -> Screened:
+    beside = around(base, screened.candidate)
     z = minimise(
         problem,
         start,
         tolerance=criteria.FIT_TOLERANCE,
         evaluations=criteria.FIT_EVALUATIONS,
         central=False,
-        secant=True,
-        beside=around(base, screened.candidate),
+        secant=beside is not None,
+        beside=beside,
     )
     squares = problem.squares(z)
     return replace(screened, problem=problem, z=z, squares=squares, gain=max(base.squares - squares, 0.0))
@@ -99,6 +100,7 @@ def shaped(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screene
     problem = candidate.added_to(base.problem).with_substeps(screened.problem.substeps)
     size = base.problem.size
     shared, own = screened.z[:size], screened.problem.own_states(screened.z)
+    beside = around(base, screened.candidate)
     ends = [
         minimise(
             problem,
@@ -106,9 +108,9 @@ def shaped(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screene
             tolerance=criteria.ROUGH_TOLERANCE,
             evaluations=criteria.ROUGH_EVALUATIONS,
             central=False,
-            secant=True,
-            confirmed=False,
-            beside=around(base, screened.candidate),
+            secant=beside is not None,
+            confirmed=beside is None,
+            beside=beside,
         )
         for sizes in _starts(choices, screened.sizes)
     ]

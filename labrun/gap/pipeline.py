@@ -92,7 +92,7 @@ def search_causes(
     *,
     withhold: Collection[str] = (),
     full_guard: bool = False,
-    bounds: bool = True,
+    brisk: bool = False,
     each: Each = one_by_one,
     note: Note = silent,
 ) -> Search:
@@ -104,8 +104,8 @@ def search_causes(
         Ids of effects that the library is to be without.
     full_guard
         Run the whole search, with all its fits, on noise alone, too.
-    bounds
-        Try all candidates beside the causes even where none of them could be a cause, for bounds on their sizes.
+    brisk
+        See `labrun.gap.Options`.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def search_causes(
     if model.states:
         data = without_crowding(data)
     first = recalibrate(model, data, rng, note)
-    asked = _Asked(clocks, data, withhold, full_guard, bounds, rng, each, note)
+    asked = _Asked(clocks, data, withhold, full_guard, brisk, rng, each, note)
     found = _searched(asked, first)
     if not first.noise.known and not found.selection.chosen:
         # the phase of a free swing drifts, so that nothing is linear but what its own past does not predict
@@ -155,7 +155,7 @@ def _fitted_to_motion(search: Search, noise: Noise) -> Search:
     for _ in range(criteria.REWEIGHED):
         problem = in_units_of(noise, problem, z)
         z = refit(problem, z)
-    final = Base.of(problem, z, final.added)
+    final = Base.of(problem, z, final.added, brisk=final.brisk)
     selection = replace(search.selection, final=final, held_out=held_out_excess(problem, z, noise))
     return replace(search, selection=selection)
 
@@ -168,7 +168,7 @@ class _Asked:
     data: Dataset
     withhold: Collection[str]
     full_guard: bool
-    bounds: bool
+    brisk: bool
     rng: np.random.Generator
     each: Each
     note: Note
@@ -180,13 +180,13 @@ def _searched(asked: _Asked, recalibration: Recalibrated) -> Search:
     asked.note(f"trying {len(every)} candidates")
     null = Null.of(problem, noise, asked.rng)
     held_out = held_out_excess(problem, z, noise)
-    base = Base.of(problem, z)
+    base = Base.of(problem, z, brisk=asked.brisk)
     strictness = 1.0
     if asked.full_guard:
         asked.note("running the whole search on noise alone, for the guard")
         linear = noise_threshold(base, asked.each(lambda one: survey(base, one), every), null)
         strictness = full_strictness(base, every, null, linear, asked.rng, asked.each)
-    selector = Selector(base, every, noise, null, held_out, strictness, asked.each, asked.note, asked.bounds)
+    selector = Selector(base, every, noise, null, held_out, strictness, asked.each, asked.note)
     limitations = (
         *unit_remarks(problem, recalibration.raw),
         *asked.clocks.limitations,

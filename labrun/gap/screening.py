@@ -25,6 +25,8 @@ class Base:
         Sum of squared residuals, prior included.
     nuisance
         What its variables can imitate.
+    brisk
+        Whether fits of candidates carry derivatives over: see `labrun.gap.Options`.
     """
 
     problem: Problem
@@ -33,13 +35,16 @@ class Base:
     squares: float
     nuisance: NuisanceProjection
     added: tuple[Candidate, ...] = ()
+    brisk: bool = False
 
     @classmethod
-    def of(cls, problem: Problem, z: FloatArray, added: tuple[Candidate, ...] = ()) -> "Base":
+    def of(
+        cls, problem: Problem, z: FloatArray, added: tuple[Candidate, ...] = (), *, brisk: bool = False
+    ) -> "Base":
         """Take the state of a problem at `z`."""
         residual, prior = problem.residuals(z), problem.priors.residual(z)
         squares = float(prior @ prior) + sum(float(part @ part) for part in residual)
-        return cls(problem, z, residual, squares, NuisanceProjection(problem, z, residual), added)
+        return cls(problem, z, residual, squares, NuisanceProjection(problem, z, residual), added, brisk)
 
 
 @dataclass(frozen=True)
@@ -186,8 +191,7 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
     if known is not None:
         shared, own = base.z[: base.problem.size], base.problem.own_states(base.z)
         starts = [np.concatenate([shared, known, own]), *starts]
-    # parameters and initial states move little: their derivatives at the base show every start its way
-    known_part = around(base, surveyed.candidate)
+    beside = around(base, surveyed.candidate)
     ends = [
         minimise(
             problem,
@@ -195,10 +199,10 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
             tolerance=criteria.ROUGH_TOLERANCE,
             evaluations=criteria.ROUGH_EVALUATIONS,
             central=False,
-            derivatives=None if known_part is None else problem.jacobian(z, beside=known_part),
-            secant=True,
-            confirmed=False,
-            beside=known_part,
+            derivatives=None if beside is None else problem.jacobian(z, beside=beside),
+            secant=beside is not None,
+            confirmed=beside is None,
+            beside=beside,
         )
         for z in starts
     ]
@@ -208,21 +212,24 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
 
 
 def around(base: Base, candidate: Candidate) -> Jacobian | None:
-    """Return the derivatives by what a candidate is added to; None of a parameter, which is among them."""
-    return base.nuisance.jacobian if candidate.variables else None
+    """Return the derivatives that brisk fits carry over: by what a candidate is added to, whose variables move little.
+
+    None where fits are not brisk, and of a parameter, which is among them.
+    """
+    return base.nuisance.jacobian if base.brisk and candidate.variables else None
 
 
 def follow(base: Base, begun: Screened) -> Screened:
     """Fit all variables to the end, from where a rough fit ended."""
-    problem = begun.problem
+    problem, beside = begun.problem, around(base, begun.candidate)
     z = minimise(
         problem,
         begun.z,
         tolerance=criteria.FIT_TOLERANCE,
         evaluations=criteria.FIT_EVALUATIONS,
         central=False,
-        secant=True,
-        beside=around(base, begun.candidate),
+        secant=beside is not None,
+        beside=beside,
     )
     return _screened(base, begun.survey, z, problem.squares(z))
 

@@ -101,8 +101,6 @@ class Selector:
         What candidates have to beat.
     strictness
         Factor on the threshold that noise sets.
-    bounds
-        Whether all candidates are tried beside the causes even where none of them could be taken in.
     """
 
     base: Base
@@ -113,7 +111,6 @@ class Selector:
     strictness: float
     each: Each
     note: Note
-    bounds: bool = True
     _rounds: dict[frozenset[Name], Round] = field(default_factory=dict, repr=False)
 
     def select(self) -> Selection:
@@ -186,7 +183,7 @@ class Selector:
             return [self._round(last.base)]
         names = frozenset(one.name for one in last.base.added)
         rest = without(self.candidates, names)
-        return [self._tried(last.base, rest, closely=False)] if self.bounds else []
+        return [] if self.base.brisk else [self._tried(last.base, rest, closely=False)]
 
     def _exchanged(self, chosen: list[Chosen]) -> tuple[list[Chosen], list[Round]]:
         """Choose each cause again beside the others: what stood in for two of them gives way."""
@@ -246,7 +243,7 @@ class Selector:
         for _ in range(criteria.REWEIGHED if self.null.relative else 1):
             problem = in_units_of(self.noise, problem, z)
             z = refit(problem, z)
-        base = Base.of(problem, z, (*current.base.added, best.candidate))
+        base = Base.of(problem, z, (*current.base.added, best.candidate), brisk=self.base.brisk)
         return Chosen(best, rivals, weight, base, best.held_out)
 
     def _round(self, base: Base) -> Round:
@@ -304,4 +301,4 @@ class Selector:
         problem = problem.with_substeps(last.problem.substeps)
         z = refit(problem, np.concatenate([*parts, last.problem.own_states(last.z)]))
         problem = in_units_of(self.noise, problem, z)
-        return Base.of(problem, z, tuple(kept))
+        return Base.of(problem, z, tuple(kept), brisk=self.base.brisk)

@@ -156,7 +156,7 @@ def diagnose_robot(
     start = time.perf_counter()
     note("finding what each joint carries along the measured motion")
     found = prescribed(robot, model, dataset)
-    alone = replace(options, workers=1, places=False, bounds=False)
+    alone = replace(options, workers=1, places=False, brisk=True)
     done: list[str] = []
 
     def look(place: int, found: Prescribed = found) -> tuple[OneJoint, Diagnosis]:
