@@ -33,10 +33,6 @@ class Jacobian:
         """Return the derivatives of some of the trials."""
         return Jacobian(*([of[index] for index in chosen] for of in (self.shared, self.own, self.residual)))
 
-    def leading(self, count: int) -> "Jacobian":
-        """Return the derivatives by the first of the shared variables, and by the own."""
-        return Jacobian([one[:, :count] for one in self.shared], self.own, self.residual)
-
 
 def difference_quotient(
     residual: Callable[[float], FloatArray | None],

@@ -182,11 +182,6 @@ def _own(problem: Problem, z: FloatArray, chosen: Sequence[int]) -> FloatArray:
     return own[list(chosen)].ravel()
 
 
-def _sizes(problem: Problem) -> int:
-    """Return how many variables are sizes of effects."""
-    return sum(not one.held for attached in problem.effects for one in attached.effect.parameters)
-
-
 def _trained(
     problem: Problem, z: FloatArray, train: Sequence[int], jacobian: Jacobian, known: FloatArray
 ) -> FloatArray:
@@ -194,7 +189,7 @@ def _trained(
     start = np.concatenate([z[: problem.size], _own(problem, z, train)])
     seen = jacobian.part(train)
     stays = unseen(problem, known, information(part, start, seen))
-    shared, sizes = z[: problem.size], _sizes(problem)
+    shared = z[: problem.size]
     end = minimise(
         part,
         start,
@@ -206,7 +201,6 @@ def _trained(
         derivatives=seen,
         secant=True,
         confirmed=False,
-        beside=seen.leading(problem.size - sizes) if sizes else None,
     )
     return end[: problem.size]
 
