@@ -203,7 +203,8 @@ class Model:
         }
         shown = (units.get(name, "1").removesuffix("/s") for name in (site.coordinate, site.rate))
         stiffness = next((one.unit for one in self.parameters if one.name == site.stiffness), "")
-        known = (site.unit, *shown, stiffness.rpartition("/")[2] if "/" in stiffness else "")
+        sprung = [one for one in ("rad", "m") if stiffness.endswith(f"/{one}")]
+        known = (site.unit, *shown, *sprung)
         return next((one for one in known if one not in ("", "1")), "rad" if site.kind == "joint" else "m")
 
     @property
