@@ -56,8 +56,13 @@ class Axis:
 
     @property
     def count_mm(self) -> float:
-        """Where it believes to be."""
+        """Where it believes to be: the last whole step."""
         return round((self.true_mm - self._count_from_mm) * STEPS_PER_MM) / STEPS_PER_MM
+
+    @property
+    def between_mm(self) -> float:
+        """Where it believes to be between two steps, by the phase of its step clock."""
+        return self._count() if self.moving else self.count_mm
 
     @property
     def moving(self) -> bool:

@@ -126,7 +126,7 @@ class LinearStageEmulator(EmulatedBoard):
         self.send(
             self.machine.sample(
                 str(self._n), str((self.machine.micros(ready_s) + self._micros_ahead) % 2**32),
-                f"{self._axis.count_mm:.4f}", str(self._counts), str(self._flags()),
+                f"{self._axis.between_mm:.5f}", str(self._counts), str(self._flags()),
             )
         )  # fmt: skip
 
@@ -233,7 +233,7 @@ class LinearStageEmulator(EmulatedBoard):
         return ()
 
     def _state(self, _args: Sequence[str], now_s: float) -> Sequence[str]:
-        position = f"{self._axis.count_mm:.4f}"
+        position = f"{self._axis.count_mm:.5f}"
         return (str(self._flags()), position, str(self._counts), str(self.machine.millis(now_s)))
 
     def _require_homed(self) -> None:

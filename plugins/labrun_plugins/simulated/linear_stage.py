@@ -14,8 +14,8 @@ from labrun_plugins.simulated.sensor import SimulatedSensor
 from labrun_plugins.simulated.settings import SimulatedSettings
 from labrun_plugins.simulated.stream import Timing
 
-STEPS_PER_MM = 1600.0
-"""200 steps a turn, 16 microsteps, a screw of 2 mm lead (chosen)."""
+_PLACES_M = 1e-8
+"""Last digit of a position on the line: the board tells where between two steps it is."""
 _HOMING_M_S = 0.005
 _NOISE_COUNTS = {80.0: 60.0, 10.0: 20.0}
 """Noise (sd) at 80 and at 10 samples/s: 0.3 and 0.1 mN (chosen: some 17 free bits, as gain 128 allows)."""
@@ -182,9 +182,8 @@ class SimulatedLinearStage(SimulatedSensor):
 
     def _measure(self, time_s: FloatArray) -> FloatArray:
         position_m, force_n = self.scene.observe(("position", "force"), time_s).T
-        steps = np.round(1e3 * position_m * STEPS_PER_MM)
         counts = self._cell.counts(force_n, self._rng)
-        columns = [1e-3 * steps / STEPS_PER_MM, counts]
+        columns = [_PLACES_M * np.round(position_m / _PLACES_M), counts]
         if self._calibrated:
             columns.insert(1, self._cell.line.force_n(counts))
         return np.column_stack(columns)

@@ -64,9 +64,10 @@ volatile Which stoppedBy = NONE;   // reported by the loop, after the stop
 volatile bool edge = false;        // the amplifier is ready: the two below were latched with it
 volatile uint32_t edgeMicros = 0;
 volatile int32_t edgePosition = 0;
+volatile int32_t edgePhase = 0;    // of the way to the next step, signed, out of ONE_STEP
 volatile bool reading = false;     // its data line toggles while it is read
 
-int32_t phase = 0;
+volatile int32_t phase = 0;  // of the way to the next step, out of ONE_STEP
 uint8_t rampTick = 0;
 
 int32_t magnitude(int32_t value) { return value < 0 ? -value : value; }
@@ -84,6 +85,9 @@ void stepPin(bool level) { digitalWrite(PIN_STEP, level ? HIGH : LOW); }
 
 bool atLow() { return lowPressed() || (homed && position < softLow); }
 bool atHigh() { return highPressed() || (homed && position > softHigh); }
+
+// With microsteps the screw turns evenly from step to step: the phase of the step clock tells where it is between two.
+int32_t signedPhase() { return speed < 0 ? -phase : phase; }
 
 // ---- step interrupt -----------------------------------------------------------------------------------------------
 void halt() {
@@ -172,6 +176,7 @@ void ready() {
   if (reading || edge) return;
   edgeMicros = micros();
   edgePosition = position;
+  edgePhase = signedPhase();
   edge = true;
 }
 
@@ -204,14 +209,14 @@ struct Text {
     if (value < 0) add('-');
     add((uint32_t)magnitude(value));
   }
-  void addPosition(int32_t steps) {  // mm with four decimals
-    const int32_t tenths = (int32_t)((int64_t)steps * 10000 / STEPS_PER_MM);
-    if (tenths < 0) add('-');
-    uint32_t rest = magnitude(tenths);
-    add(rest / 10000);
+  void addPosition(int32_t steps, int32_t parts) {  // mm with five decimals; parts of a step are out of ONE_STEP
+    const int32_t small = (int32_t)(((int64_t)steps * ONE_STEP + parts) * 100000 / STEPS_PER_MM / ONE_STEP);
+    if (small < 0) add('-');
+    uint32_t rest = magnitude(small);
+    add(rest / 100000);
     add('.');
-    rest %= 10000;
-    for (uint32_t place = 1000; place; place /= 10) add((char)('0' + rest / place % 10));
+    rest %= 100000;
+    for (uint32_t place = 10000; place; place /= 10) add((char)('0' + rest / place % 10));
   }
 };
 
@@ -259,7 +264,7 @@ uint8_t flags() {
   return found | (counts >= MOST_COUNTS || counts <= LEAST_COUNTS) << 5 | notReady << 6 | tripped << 7;
 }
 
-void sample(uint32_t atMicros, int32_t atPosition) {
+void sample(uint32_t atMicros, int32_t atPosition, int32_t atPhase) {
   sampleNumber++;  // also of one that finds no room: the host sees the gap
   Text text;
   text.add("0,S,");
@@ -267,7 +272,7 @@ void sample(uint32_t atMicros, int32_t atPosition) {
   text.add(',');
   text.add(atMicros);
   text.add(',');
-  text.addPosition(atPosition);
+  text.addPosition(atPosition, atPhase);
   text.add(',');
   text.addSigned(counts);
   text.add(',');
@@ -294,6 +299,7 @@ void convert() {
     noInterrupts();
     edgeMicros = micros();
     edgePosition = position;
+    edgePhase = signedPhase();
     edge = true;
     interrupts();
   }
@@ -304,14 +310,14 @@ void convert() {
     counts = latest;
     if (forceLimit && magnitude(latest) <= mostCounts) forceLimit = false;
     const uint32_t atMicros = edgeMicros;
-    const int32_t atPosition = edgePosition;
+    const int32_t atPosition = edgePosition, atPhase = edgePhase;
     edge = false;
     interrupts();
     lastReady = millis();
     notReady = false;
     if (everySample && ++conversion >= everySample) {
       conversion = 0;
-      sample(atMicros, atPosition);
+      sample(atMicros, atPosition, atPhase);
     }
   } else if (millis() - lastReady > 3000UL / SAMPLES_HZ) {
     lastReady = millis();
@@ -322,7 +328,7 @@ void convert() {
       stoppedBy = CELL;
     }
     interrupts();
-    if (everySample) sample(micros(), position);
+    if (everySample) sample(micros(), position, 0);
   }
 }
 
@@ -442,7 +448,7 @@ const char *doState(Text &answer) {
   answer.add(',');
   answer.add((uint32_t)flags());
   answer.add(',');
-  answer.addPosition(here);
+  answer.addPosition(here, 0);
   answer.add(',');
   answer.addSigned(counts);
   answer.add(',');
