@@ -11,14 +11,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from labrun.app.question import find_data, held_against
+from labrun.app.question import find_data, held_against, load_held
 from labrun.errors import RequestError
 from labrun.fit import (
     Comparison,
     Note,
     Pair,
     compared,
-    load_dataset,
     paired,
     predicted_numbers,
     predictions,
@@ -178,7 +177,7 @@ def _beside_model(folder: Path, model: Model, signals: Mapping[str, str]) -> Com
             if numbers is not None:
                 return _made(data.name, _other_than(data.name, model.name), numbers, ())
     _require_signals(folder, model)
-    dataset = load_dataset(folder, model, signals)
+    dataset = load_held(folder, model, signals)
     pairs, notes = predictions(model, dataset)
     return _made(dataset.name, _other_than(dataset.name, model.name), pairs, (*dataset.notes, *notes))
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from labrun.errors import RequestError
-from labrun.fit import Dataset, FitPlan, load_dataset
+from labrun.fit import Dataset, FitPlan, load_dataset, until_peak
 from labrun.gap import Question
 from labrun.models import Model, load_model
 from labrun.spec import FitTable, GapTable, find_model_file, loads_experiment, shipped_experiments
 from labrun.store import all_runs, find_run, imported_channels, is_recording, open_run
-from labrun.toml import nearest
+from labrun.toml import nearest, suggest
 
 
 def find_data(target: str | Path, results: Path) -> Path:
@@ -140,7 +140,7 @@ def ask(
 
 def _loaded(target: Path, model: Model, signals: Mapping[str, str]) -> Dataset:
     """Return trials whose conditions do not tell repeats apart."""
-    dataset, table = load_dataset(target, model, signals), _gap_table(target)
+    dataset, table = load_held(target, model, signals), _gap_table(target)
     same = set(table.repeats) if table is not None else set()
     used = {one.of or name for name, one in model.meanings.items()} | set(model.conditions)
     known = sorted(same & used)
@@ -154,6 +154,26 @@ def _loaded(target: Path, model: Model, signals: Mapping[str, str]) -> Dataset:
         for one in dataset.trials
     ]
     return replace(dataset, trials=tuple(trials)) if same else dataset
+
+
+def load_held(target: Path, model: Model, signals: Mapping[str, str]) -> Dataset:
+    """Return the trials that a model is held against, as far as the experiment says that they count.
+
+    Raises
+    ------
+    RequestError
+        Its ``[gap]`` names an output that the model does not have.
+    """
+    dataset, table = load_dataset(target, model, signals), _gap_table(target)
+    if table is None or table.until_peak is None:
+        return dataset
+    names = [one.name for one in dataset.outputs]
+    if table.until_peak not in names:
+        raise RequestError(
+            f"[gap] until_peak: model {model.name} has no output {table.until_peak!r}",
+            hint=suggest(table.until_peak, names, kind="outputs"),
+        )
+    return until_peak(dataset, names.index(table.until_peak))
 
 
 def held_against(target: Path, given: Model | None, workspace: Path) -> tuple[Model, Mapping[str, str]]:

@@ -5,7 +5,7 @@ import sys
 from labrun import UseCasePackage
 from labrun.fit.comparison import ComparedPoint, Comparison, Pair, compared, predictions
 from labrun.fit.correlation import correlation_length
-from labrun.fit.dataset import Dataset, FitTrial, OutputsAlone, load_dataset
+from labrun.fit.dataset import Dataset, FitTrial, OutputsAlone, load_dataset, until_peak
 from labrun.fit.deviations import Deviation, DeviationKind
 from labrun.fit.estimate import Estimate, rounded
 from labrun.fit.figure import Curve, FigureData, Panel, Stack
@@ -76,6 +76,7 @@ __all__ = [
     "silent",
     "student",
     "told_apart",
+    "until_peak",
     "workers",
 ]
 

@@ -159,8 +159,8 @@ def _point(group: Sequence[Pair], size: float) -> ComparedPoint:
 def predictions(model: Model, data: Dataset) -> tuple[list[Pair], tuple[str, ...]]:
     """Simulate every trial with the parameters as the model states them.
 
-    A state that the model lets begin "free" is taken from the first samples of the trial: it belongs to the trial, and
-    the second result says so.
+    A state that the model lets begin "free" is taken from the first samples of the trial, or from the whole of it if it
+    never changes: it belongs to the trial, and the second result says so.
 
     Raises
     ------
@@ -182,10 +182,17 @@ def predictions(model: Model, data: Dataset) -> tuple[list[Pair], tuple[str, ...
         for trial, outputs in zip(data.trials, simulated, strict=True)
         for column, output in enumerate(data.outputs)
     ]
-    free = [model.states[place] for place in problem.states.free]
-    if not free:
-        return pairs, ()
-    return pairs, (f"the start of {' and '.join(free)} was read from the first samples of each trial",)
+    constant = problem.constant_states
+    free = [model.states[state] for state in problem.states.free]
+    first = [name for place, name in enumerate(free) if place not in constant]
+    whole = [name for place, name in enumerate(free) if place in constant]
+    notes = (
+        f"the start of {' and '.join(first)} was read from the first samples of each trial" if first else "",
+        f"{' and '.join(whole)}, which does not change in a trial, was read from the whole of it, each on its own"
+        if whole
+        else "",
+    )
+    return pairs, tuple(filter(None, notes))
 
 
 def _differences(pairs: Sequence[Pair]) -> FloatArray:

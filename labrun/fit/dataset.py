@@ -24,6 +24,8 @@ from labrun.store import (
     read_recording,
 )
 
+_AT_THE_END = 50
+"""A peak in the last of so many parts of a trial is where it ends, not where something broke."""
 CYCLE = "cycle"
 """Condition that numbers the kept cycles of a trial which went on until something happened."""
 
@@ -214,6 +216,21 @@ def from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
         outputs = tuple(_info(port, measured, sources, channels) for port in model.outputs)
     require_trials(trials, target, left_out)
     return Dataset(run.name, target, "run", inputs, outputs, tuple(trials), left_out)
+
+
+def until_peak(data: Dataset, output: int) -> Dataset:
+    """Return trials up to where an output is greatest; those that end there count whole."""
+    trials, short = [], 0
+    for trial in data.trials:
+        samples = int(np.argmax(trial.outputs[:, output])) + 1
+        broke = len(trial.time_s) - samples > samples // _AT_THE_END
+        short += broke
+        trials.append(trial.first(samples) if broke and samples > 1 else trial)
+    if not short:
+        return data
+    counted = "1 trial counts" if short == 1 else f"{short} trials count"
+    note = f"{counted} up to where {data.outputs[output].name} is greatest only"
+    return replace(data, trials=tuple(trials), notes=(*data.notes, note))
 
 
 def _run_trials(

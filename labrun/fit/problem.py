@@ -29,6 +29,8 @@ _GUESS_ROUNDS = 3
 _MOST_SUBSTEPS = 64
 _PROBED_TRIALS = 3
 _READ = 0.01
+_AWAY = 1e-3
+"""Scaled, where free states are put to see which of them change."""
 """Part of an output's spread that a state read from its first samples is taken to be uncertain by, noise unknown."""
 
 
@@ -417,26 +419,60 @@ class Problem:
     def guess(self, parameters: FloatArray) -> FloatArray:
         """Return free initial states, scaled, one trial after the other, from the first samples of each trial.
 
-        A few Gauss-Newton steps on a short beginning, where a trial depends almost linearly on how it begins.
+        A few Gauss-Newton steps on a short beginning, where a trial depends almost linearly on how it begins. A state
+        that never changes is no beginning but something that the trial has of its own: the whole of it tells.
         """
-        short = self.beginning(0.0)
+        short, constant = self.beginning(0.0), self.constant_states
+        moving = [place for place in range(len(self.states.free)) if place not in constant]
         guesses = []
         for index, trial in enumerate(short.data.trials):
             own = np.zeros(self.own_size)
             for place, state in enumerate(self.states.free):
                 column = self.states.output_of(state)
                 own[place] = 0.0 if column is None else trial.outputs[0, column] / self.states.scale[place]
-            free = len(self.states.free)
-            for _ in range(_GUESS_ROUNDS if free else 0):
+            for _ in range(_GUESS_ROUNDS if moving else 0):
                 base = short.trial_residual(parameters, index, own)
                 if base is None:
                     break
-                slopes = [
-                    short._by_state(parameters, index, own, place, base, False) for place in range(free)
-                ]
-                own[:free] -= np.linalg.lstsq(np.column_stack(slopes), base, rcond=1e-8)[0]
-            guesses.append(own)
+                slopes = [short._by_state(parameters, index, own, place, base, False) for place in moving]
+                own[moving] -= np.linalg.lstsq(np.column_stack(slopes), base, rcond=1e-8)[0]
+            guesses.append(self._with_constant(parameters, index, own) if constant else own)
         return np.concatenate(guesses) if guesses else np.empty(0)
+
+    @cached_property
+    def constant_states(self) -> tuple[int, ...]:
+        """Places, among the free initial states, of those that never change."""
+        if not self.states.free:
+            return ()
+        parameters, away = self.priors.values, np.full(self.own_size, _AWAY)
+        course = simulate(
+            self.model,
+            self.data.trials[0].time_s,
+            self.drives[0],
+            parameters=parameters[: len(self.model.parameters)],
+            condition=self.data.trials[0].condition,
+            initial_state=self.initial_state(0, away),
+        ).states[:, list(self.states.free)]
+        return tuple(np.flatnonzero(np.all(course == course[0], axis=0)).tolist())
+
+    def _with_constant(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray:
+        """Return a trial's own variables with those that never change as the whole trial has them."""
+        from scipy.optimize import least_squares
+
+        places = list(self.constant_states)
+
+        def changed(values: FloatArray) -> FloatArray:
+            copy = own.copy()
+            copy[places] = values
+            return copy
+
+        def residual(values: FloatArray) -> FloatArray:
+            found = self.trial_residual(parameters, trial, changed(values))
+            return np.full(self.data.trials[trial].outputs.size, self._huge) if found is None else found
+
+        if self.trial_residual(parameters, trial, own) is None:
+            return own
+        return changed(least_squares(residual, own[places]).x)
 
     def _by_parameter(
         self,

@@ -85,12 +85,14 @@ class GapTable(Table):
     """What a run is compared with by default: the model that a person at this bench would have.
 
     `model` and `signals` are as in `FitTable`. ``--hide random`` draws among what this model could lack. `repeats`
-    names conditions that tell repeats of one thing apart, as numbers of specimens do; a diagnosis does not.
+    names conditions that tell repeats of one thing apart, as numbers of specimens do; a diagnosis does not. A trial
+    counts up to where the output `until_peak` of the model is greatest: what breaks there is another thing afterwards.
     """
 
     model: str
     signals: dict[str, str] = Field(default_factory=dict)
     repeats: list[str] = Field(default_factory=list)
+    until_peak: str | None = None
 
 
 class Experiment(Table):

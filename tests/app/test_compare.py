@@ -190,3 +190,40 @@ def test_a_misspelt_recording_is_told_its_name():
     with pytest.raises(RequestError) as told:
         labrun.compare("tabel-5-2")
     assert told.value.hint == "did you mean the recording 'table-5-2'?"
+
+
+PULLED = """
+name = "slack-spring"
+states = ["slack"]
+[inputs]
+pulled = { unit = "m" }
+[parameters]
+stiffness = { value = 100.0, tolerance = 0.1, unit = "N/m" }
+[equations]
+slack = "0"
+[outputs.force]
+equation = "stiffness*max(pulled - slack, 0)"
+unit = "N"
+[initial]
+slack = "free"
+"""
+
+
+def test_slack_that_first_samples_do_not_tell_is_read_from_the_whole_trial(tmp_path):
+    folder, slack_m = tmp_path / "strips", (0.02, 0.05)
+    folder.mkdir()
+    toml = ['experiment = "strips"', "[channels.pulled]", 'kind = "input"', 'unit = "m"']
+    toml += ["[channels.force]", 'kind = "output"', 'unit = "N"']
+    pulled = np.linspace(0.0, 0.2, 81)
+    for number, slack in enumerate(slack_m):
+        force = 105.0 * np.maximum(pulled - slack, 0.0)  # 5 % stiffer than stated
+        rows = [
+            f"{0.1 * place},{one},{two}" for place, (one, two) in enumerate(zip(pulled, force, strict=True))
+        ]
+        (folder / f"{number}.csv").write_text("\n".join(["time_s,pulled,force", *rows]) + "\n")
+        toml += ["[[trials]]", f'file = "{number}.csv"', f"condition = {{ specimen = {number} }}"]
+    (folder / "recording.toml").write_text("\n".join(toml) + "\n")
+    (folder / "model.toml").write_text(PULLED)
+    comparison = labrun.compare(folder, results=tmp_path / "results").comparison
+    assert 0.005 < comparison.worst.relative < 0.05
+    assert "slack, which does not change in a trial, was read from the whole of it" in comparison.notes[0]

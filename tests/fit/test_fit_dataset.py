@@ -1,5 +1,6 @@
 """Measured trials reach a model under its own names, on the time base of its outputs."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 
 from labrun.devices import Channel, Samples, Trajectory
 from labrun.errors import FitError, RequestError
-from labrun.fit.dataset import load_dataset, resample
+from labrun.fit.dataset import load_dataset, resample, until_peak
 from labrun.models import Model, parse_model
 from labrun.store import RunFolder, TrialOutcome, import_recording
 
@@ -187,3 +188,16 @@ def test_signals_run_between_samples_as_they_say() -> None:
 def test_resampling_onto_its_own_times_changes_nothing(values: list[float], between: str) -> None:
     time_s = np.arange(len(values)) * 0.1
     np.testing.assert_array_equal(resample(time_s, np.array(values), time_s.copy(), between), values)  # type: ignore[arg-type]
+
+
+def test_a_trial_counts_up_to_where_a_signal_is_greatest_if_something_breaks_there(
+    recording: Path, model: Model
+) -> None:
+    dataset = load_dataset(recording, model)
+    assert until_peak(dataset, 0) is dataset  # it rises to the end
+    broken = replace(
+        dataset.trials[0], outputs=np.where(np.arange(12) < 8, dataset.trials[0].outputs.T, 0.0).T
+    )
+    found = until_peak(replace(dataset, trials=(broken, dataset.trials[1])), 0)
+    assert [len(trial.time_s) for trial in found.trials] == [8, 12]
+    assert found.notes == ("1 trial counts up to where angle is greatest only",)

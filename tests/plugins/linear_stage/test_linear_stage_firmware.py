@@ -90,7 +90,9 @@ def test_a_move_ends_where_it_was_sent_in_the_time_it_was_given(board):
         (b.position_mm - a.position_mm) / (1e-6 * (b.micros - a.micros)) for a, b in itertools.pairwise(found)
     ]
     assert sorted(speeds)[len(speeds) // 2] == pytest.approx(2.0, rel=0.004)
-    assert max(speeds) < 2.0 * 1.007  # between two steps, too: a twentieth of one, of the 40 between two samples, and jitter
+    assert (
+        max(speeds) < 2.0 * 1.007
+    )  # it tells where between two steps it is, of the 40 from sample to sample
     assert [one.n for one in found] == list(range(1, len(found) + 1))
     assert {b.micros - a.micros for a, b in itertools.pairwise(found)} <= set(range(12440, 12561, 20))
 
