@@ -37,10 +37,7 @@ SMALLER = {
     "level": "--set trial.duration_s=18",
     "stabilise": "--set trial.duration_s=5 --set trial.repeats=1",
 }
-HIDING = (
-    "--set trial.repeats=3 --set trial.duration_s=5 "
-    "--set run.conditions=[{release=15},{release=25},{release=35},{release=50}]"
-)
+HIDING = "--set trial.repeats=2 --set trial.duration_s=3 --set run.conditions=[{release=20},{release=45}]"
 """Fewer and shorter trials of `hinge` for what a page hides at random: a diagnosis follows."""
 ENDINGS = {
     "labrun: no trial was accepted": 1,
