@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import tempfile
@@ -61,6 +62,7 @@ class Command:
         self._clock: Clock = context.clock
         self._process: subprocess.Popen[bytes] | None = None
         self._said: Any = None
+        self._line = ""
         self._output = Path()
         self._kept = Path()
         self._began_s = 0.0
@@ -113,6 +115,7 @@ class Command:
                 f"{left[0]!r} names what the condition does not have; it has {', '.join(words) or 'no names'}",
                 hint="run takes {name} of the condition, and {output}",
             )
+        self._line = shlex.join(_filled(part, {"output": "output.csv"}) for part in plain)
         about = [plain, self._settings.time, sorted(self._settings.channels)]
         digest = hashlib.blake2b(json.dumps(about).encode(), digest_size=8).hexdigest()
         self._kept = Path(self._settings.keep) / f"{self.name}-{digest}.csv"
@@ -155,7 +158,7 @@ class Command:
                 self._end()
                 self._fail(
                     f"took longer than timeout_s = {self._settings.timeout_s:g} s and was ended",
-                    "give it more time, or a coarser mesh",
+                    f"give it more time, or a coarser mesh. By hand: {self._line}",
                 )
             return False
         self._process = None
@@ -165,7 +168,7 @@ class Command:
                 self.name, "was stopped while it computed", hint="labrun resume computes it anew"
             )
         if process.returncode != 0:
-            self._fail(f"ended with code {process.returncode}", "run it by hand with these arguments")
+            self._fail(f"ended with code {process.returncode}", f"by hand: {self._line}")
         self._read(self._output)
         self._output.replace(self._kept)
         return True
@@ -221,7 +224,8 @@ class Command:
             rows, times = read_table(path, list(self._settings.channels), self._settings.time)
         except TableError as error:
             self._fail(
-                str(error), "the program has to write a header and rows of numbers, separated by commas"
+                str(error),
+                f"it has to write a header and rows of numbers, separated by commas. By hand: {self._line}",
             )
         self._rows = rows
         self._times_s = np.arange(len(rows)) / self.rate_hz if times is None else times

@@ -48,7 +48,7 @@ def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  
 
 def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
     """Output: force (N)."""
-    y[0] = _load(x[0], u, p) - force[0]
+    y[0] = _load(x[0], u, p) - u[3] * force[0]
 
 
 def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001

@@ -84,7 +84,7 @@ class TensileBench(Bench):
     twentieth of E from there; a strip unloads straight, and is longer for good. It breaks at a force, and bears none
     then. E and yield stress are the source's means (section 3.1); everything else is chosen, see `model`. A condition
     ``specimen`` names another strip of the same sheet; mounting it anew gives another slack. A person clamps a strip
-    when the grip is back at zero. With `as_modelled` specimens do not scatter, slack is 0.25 %,
+    when the grip stands still at zero. With `as_modelled` specimens do not scatter, slack is 0.25 %,
     and nothing breaks.
 
     The joint ``pusher`` is driven in metres. Signals: ``force`` (N) and ``position`` of the grip (m).
@@ -168,26 +168,36 @@ class TensileBench(Bench):
     def _advance(self, time_s: FloatArray) -> FloatArray:
         told = self._drives["pusher"].angles(time_s)
         moved = through(self._grip, self._told_before, told)
-        held = np.full(len(moved), self._clamped)
-        if not self._clamped:
-            held = np.logical_or.accumulate(moved <= _AT_ZERO_M)
-            self._clamped = bool(held[-1])
-        farthest = np.maximum.accumulate(np.append(self._farthest, np.where(held, moved, -np.inf)))[1:]
-        force = self._pulled(moved, farthest, held * float(self._whole))
+        first = 0 if self._clamped else self._clamps_at(told)
+        if not self._clamped and first < len(told):
+            self._clamped = True
+            self._stepper = Stepper(self._model, effects=self._hidden, step_s=self.step_s)
+            self._stepper.state = (float(moved[first]),)
+            self._inputs_before = np.array([[moved[first], self._slack, moved[first], 1.0]])
+        force = np.zeros(len(moved))
+        if first < len(moved):
+            farthest = np.maximum.accumulate(np.append(self._farthest, moved[first:]))
+            force[first:] = self._pulled(moved[first:], farthest[1:])
+            self._farthest = float(farthest[-1])
         breaks = np.flatnonzero(force >= self._breaks_n)
         if self._whole and len(breaks):
             self._whole = False
             force[breaks[0] :] = 0.0
-        self._farthest = float(farthest[-1])
         felt = through(self._cell, self._force_before, force)
         self._told_before, self._force_before = told[-1:].copy(), force[-1:].copy()
         if not self._stepper.finite:
             raise ExperimentError("the simulated tensile bench blew up", hint="hide a weaker effect, or none")
         return np.column_stack([felt, moved])
 
-    def _pulled(self, moved: FloatArray, farthest: FloatArray, whole: FloatArray) -> FloatArray:
-        """Return the force while the grip moves."""
-        slack = np.full(len(moved), self._slack)
+    def _clamps_at(self, told: FloatArray) -> int:
+        """Return the first moment at which the stage stands still at zero; the number of moments if it never does."""
+        still = np.diff(told, prepend=self._told_before) == 0.0
+        found = np.flatnonzero(still & (np.abs(told) <= _AT_ZERO_M))
+        return int(found[0]) if len(found) else len(told)
+
+    def _pulled(self, moved: FloatArray, farthest: FloatArray) -> FloatArray:
+        """Return the force of a clamped strip while the grip moves."""
+        slack, whole = np.full(len(moved), self._slack), np.full(len(moved), float(self._whole))
         inputs = np.column_stack([moved, slack, np.maximum(farthest, moved), whole])
         force = self._stepper.advance(np.concatenate([self._inputs_before, inputs]))[:, 0]
         self._inputs_before = inputs[-1:].copy()
