@@ -22,7 +22,8 @@ import numpy as np
 
 from labrun.app.question import ask
 from labrun.gap import Options, diagnose_dataset, predict_fresh
-from labrun.report.text import percent, value_words
+from labrun.report.gap_words import value_words
+from labrun.report.text import percent
 
 PUBLISHED = {
     "emps": "Coulomb friction 20.3 N and a constant force (Janot et al. 2019)",

@@ -13,7 +13,6 @@ from typing import Any, Literal, Self
 
 from labrun.app.answer import Answer, measure_all, search_folder
 from labrun.app.worn import worn_specimens
-from labrun.control import loop_recorder
 from labrun.errors import ExperimentError, LabrunError, PlanError
 from labrun.objectives import make_objective
 from labrun.report import RunView, experiment_of
@@ -125,6 +124,8 @@ def require_answer(result: RunResult, experiment: Experiment) -> RunResult:
 def _recorder(experiment: Experiment, rig: Rig, folder: RunFolder, seed: int, progress: Progress) -> Recorder:
     """Return how trials are recorded: with the loops closed, or cycle by cycle until an end, where asked for."""
     if experiment.kind == "track":
+        from labrun.control import loop_recorder  # compiled loops
+
         return loop_recorder(experiment, rig)
     if experiment.trial.until is not None:
         return UntilRecorder(experiment, rig, folder, seed=seed, phase=progress.phase)
@@ -138,6 +139,8 @@ def objective_unit(experiment: Experiment, rig: Rig, name: str) -> str:
     sensor = rig.sensors.get(device)
     units = {item.name: item.unit for item in sensor.channels} if sensor is not None else {}
     if device == LOOP_DEVICE and experiment.kind == "track":
+        from labrun.control import loop_recorder  # compiled loops
+
         units = {item.name: item.unit for item in loop_recorder(experiment, rig).channels}
     return make_objective(name, table).unit(units.get(channel, ""))
 

@@ -4,9 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from labrun.app.design import design_plan
 from labrun.app.leaders import with_leaders
-from labrun.control import loop_recorder
 from labrun.errors import PlanError, SpecError
 from labrun.runner import ConditionExcess, MotionMaker, Plan, Planner, Rig
 from labrun.search import (
@@ -71,6 +69,8 @@ def check(
     else:
         loaded = load_named(str(experiment), Path(workspace), overrides)
     if loaded.experiment.kind == "design":
+        from labrun.app.design import design_plan
+
         return design_plan(loaded)
     loaded = with_leaders(loaded, Path(results), planned=True)
     plan = whole_plan(loaded, seed, None)
@@ -99,6 +99,8 @@ def whole_plan(
     except ConstraintError as error:
         raise SpecError(f"{loaded.place(error.key)}: {error}") from error
     if experiment.kind == "track":
+        from labrun.control import loop_recorder  # compiled loops
+
         loop_recorder(experiment, planner.rig).require_makeable(chosen)
     found = _counted(planner.plan(chosen) if found is None else found, experiment, chosen, len(asked))
     reference = experiment.trial.reference

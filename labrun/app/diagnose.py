@@ -1,17 +1,16 @@
 """A diagnosis: which data, against which model, and where its answer is kept."""
 
 import json
-import secrets
 import shutil
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from rich.text import Text
 
+from labrun.app.kept_diagnosis import FIGURE, NUMBERS, PAGE, diagnosis_folder, put_aside, read_stored
 from labrun.app.question import ask, find_data
 from labrun.errors import RequestError, StoreError
 from labrun.fit import Note, silent
@@ -19,14 +18,10 @@ from labrun.gap import Diagnosis, Options, diagnose_dataset, recalibrated_only, 
 from labrun.gap import save_model as write_model
 from labrun.json_numbers import finite
 from labrun.notebook import as_html
-from labrun.report import gap_lines
-from labrun.store import find_run, is_recording, replace_durably, require_writable
+from labrun.report.gap_text import gap_lines
+from labrun.store import find_run, replace_durably, require_writable
 from labrun.workers import cores
 
-FOLDER = "gap"
-NUMBERS = "diagnosis.json"
-PAGE = "gap.html"
-FIGURE = "gap_figure.png"
 LAW, LAW_MODEL = "rest-law.toml", "rest-model.toml"
 
 
@@ -223,7 +218,7 @@ def store(
     folder = diagnosis_folder(target, results)
     numbers = folder / NUMBERS
     try:
-        _put_aside(folder)
+        put_aside(folder)
         folder.mkdir(parents=True, exist_ok=True)
         numbers_of = finite(diagnosis.to_json())
         if source is not None:
@@ -234,7 +229,7 @@ def store(
         if not page:
             return StoredDiagnosis(diagnosis, numbers)
         # matplotlib
-        from labrun.report.figures import diagnosis_figure
+        from labrun.report.figures.gap import diagnosis_figure
         from labrun.report.gap_page import diagnosis_page
         from labrun.report.style import save
 
@@ -243,46 +238,6 @@ def store(
     except OSError as error:
         raise StoreError(f"{folder} cannot be written to: {error.strerror}") from error
     return StoredDiagnosis(diagnosis, numbers, folder / PAGE, figure)
-
-
-def read_stored(run: Path) -> Mapping[str, Any]:
-    """Return the diagnosis that is kept with a run, as ``--json`` printed it.
-
-    Raises
-    ------
-    RequestError
-        The run has none, or it cannot be read.
-    """
-    folder = run.parent if run.is_file() else run
-    path = folder / FOLDER / NUMBERS
-    hint = f"labrun gap diagnose {folder} makes one"
-    try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise RequestError(f"{folder.name} has no diagnosis yet", hint=hint) from None
-    except (OSError, ValueError) as error:
-        raise RequestError(f"{path} cannot be read: {error}", hint=hint) from None
-    if not isinstance(stored, dict) or "verdict" not in stored:
-        raise RequestError(f"{path} is no diagnosis", hint=hint)
-    return stored
-
-
-def diagnosis_folder(target: Path, results: Path) -> Path:
-    """Return where the diagnosis of a run or a recording is kept."""
-    if is_recording(target):
-        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-        return results / target.resolve().name / f"gap-{stamp}-{secrets.token_hex(2)}"
-    return (target.parent if target.is_file() else target) / FOLDER
-
-
-def _put_aside(folder: Path) -> None:
-    """Keep an earlier diagnosis under the next free number."""
-    if not (folder / NUMBERS).exists():
-        return
-    number = 1
-    while folder.with_name(f"{FOLDER}-{number}").exists():
-        number += 1
-    folder.rename(folder.with_name(f"{FOLDER}-{number}"))
 
 
 def _warning(model: Path, diagnosis: Mapping[str, Any]) -> str:

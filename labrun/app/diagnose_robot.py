@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from labrun.app.diagnose import FIGURE, NUMBERS, PAGE, diagnosis_folder
+from labrun.app.kept_diagnosis import FIGURE, NUMBERS, PAGE, diagnosis_folder
 from labrun.app.question import ask, find_data
 from labrun.errors import StoreError
 from labrun.fit import Note, silent

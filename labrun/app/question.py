@@ -9,7 +9,7 @@ from labrun.fit import Dataset, FitPlan, load_dataset, until_peak
 from labrun.gap import Question
 from labrun.models import Model, load_model
 from labrun.spec import FitTable, GapTable, find_model_file, loads_experiment, shipped_experiments
-from labrun.store import all_runs, find_run, imported_channels, is_recording, open_run
+from labrun.store import find_run, imported_channels, is_recording, open_run
 from labrun.toml import nearest, suggest
 
 
@@ -44,25 +44,6 @@ def find_data(target: str | Path, results: Path) -> Path:
         if near is None or str(error.hint).startswith("did you mean"):
             raise
         raise RequestError(str(error.args[0]), hint=f"did you mean the recording {near!r}?") from None
-
-
-def find_run_or_latest(target: str | Path | None, results: Path) -> Path:
-    """Return the run a person means, or the latest of all where nobody names one.
-
-    Raises
-    ------
-    RequestError
-        There is none.
-    """
-    if target is not None:
-        return find_run(str(target), results)
-    runs = all_runs(results)
-    if not runs:
-        raise RequestError(
-            f"there is no run yet in {results}",
-            hint="labrun run hinge --dry-run makes one; labrun list shows more",
-        )
-    return runs[-1]
 
 
 def fit_plan(target: Path, workspace: Path, *, need_model: bool = True) -> FitPlan:

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from labrun.app.diagnose import FOLDER as GAP_FOLDER
-from labrun.app.diagnose import PAGE, read_stored
-from labrun.app.question import find_run_or_latest
+from labrun.app.kept_diagnosis import FOLDER as GAP_FOLDER
+from labrun.app.kept_diagnosis import PAGE, read_stored
 from labrun.errors import RequestError, StoreError
 from labrun.report import (
     Findings,
@@ -22,7 +21,7 @@ from labrun.report import (
     findings,
 )
 from labrun.search import Best, read_generations, stored_result
-from labrun.store import SPEC, Run, is_recording, open_target, replace_durably
+from labrun.store import SPEC, Run, find_run, is_recording, open_target, replace_durably
 
 REPORT = "report.html"
 
@@ -63,7 +62,7 @@ def show(
 
 
 def _named(target: str | Path | None, results: str | Path) -> str:
-    return str(find_run_or_latest(None, Path(results)) if target is None else target)
+    return str(find_run(None, Path(results)) if target is None else target)
 
 
 def write_report(run: Run, output: Path | None = None) -> Path:

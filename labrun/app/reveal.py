@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from labrun.app.diagnose import read_stored
+from labrun.app.kept_diagnosis import read_stored
 from labrun.blind import Compared
 from labrun.blind import reveal as open_seal
 from labrun.store import find_run

@@ -8,10 +8,8 @@ import numpy as np
 
 from labrun.app.carry_out import carry_out
 from labrun.app.check import NO_SCENE, require_room, whole_plan
-from labrun.app.design import design
 from labrun.app.leaders import with_leaders
 from labrun.app.origin import source_of
-from labrun.blind import SEALED, hidden_bench, redacted, write_seal
 from labrun.devices import NoTerminalError, Terminal
 from labrun.errors import RequestError
 from labrun.objectives import ASKED
@@ -89,6 +87,8 @@ def run(
         )
     loaded = load_named(str(experiment), Path(workspace), overrides, kind=kind)
     if loaded.experiment.kind == "design":
+        from labrun.app.design import design
+
         return design(
             experiment, dry_run=dry_run and not hide, overrides=overrides, seed=seed, limit=limit,
             results=results, workspace=workspace, progress=progress,
@@ -191,6 +191,13 @@ def execute(
     """
     on_bench, seal = loaded.experiment, None
     if hide:
+        from labrun.blind import (  # brings effects, fits, the diagnosis
+            SEALED,
+            hidden_bench,
+            redacted,
+            write_seal,
+        )
+
         bench = hidden_bench(loaded, hide, seed=hide_seed, simulated=dry_run or emulate, results=results)
         on_bench, seal = bench.experiment, bench.seal
         seed = bench.seed if seed is None else seed

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from labrun.app.diagnose import NUMBERS, read_stored
 from labrun.app.fit import fit
+from labrun.app.kept_diagnosis import NUMBERS, read_stored
 from labrun.errors import RequestError
 from labrun.fit import Note, silent
 from labrun.gap import require_new

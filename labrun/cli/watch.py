@@ -29,14 +29,14 @@ def watch(
     with reported(as_json):
         from rich.console import Console
 
-        from labrun.app.question import find_run_or_latest
         from labrun.app.watch import Watcher
         from labrun.report import render
         from labrun.report import watch as show_live
         from labrun.runner import RealClock
+        from labrun.store import find_run
 
         clock = RealClock()
-        watcher = Watcher(find_run_or_latest(target, results), clock, channel)
+        watcher = Watcher(find_run(target, results), clock, channel)
         if as_json:
             print_json(watcher.look().to_json())
             return

@@ -3,11 +3,11 @@
 import sys
 
 from labrun import UseCasePackage
+from labrun.estimate import Estimate, rounded
 from labrun.fit.comparison import ComparedPoint, Comparison, Pair, compared, predictions
 from labrun.fit.correlation import correlation_length
 from labrun.fit.dataset import Dataset, FitTrial, OutputsAlone, load_dataset, until_peak
 from labrun.fit.deviations import Deviation, DeviationKind
-from labrun.fit.estimate import Estimate, rounded
 from labrun.fit.figure import Curve, FigureData, Panel, Stack
 from labrun.fit.initial_states import FIRST_SAMPLES
 from labrun.fit.jacobian import Jacobian

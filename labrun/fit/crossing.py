@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
-from labrun.fit.estimate import Estimate
+from labrun.estimate import Estimate
 from labrun.fit.figure import Curve, FigureData, Panel, Stack
 from labrun.fit.method import FitJob
 from labrun.fit.result import FitSummary, FittedData, TextTable

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit.estimate import Estimate, rounded
+from labrun.estimate import Estimate, rounded
 from labrun.fit.problem import Problem
 from labrun.fit.result import StartOutcome
 

@@ -10,9 +10,9 @@ from pydantic import BaseModel
 from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect
 from labrun.errors import FitError, RequestError
+from labrun.estimate import Estimate
 from labrun.fit.correlation import correlation_length
 from labrun.fit.dataset import Dataset, load_dataset
-from labrun.fit.estimate import Estimate
 from labrun.fit.identifiability import (
     Curvature,
     interval_warnings,

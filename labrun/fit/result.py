@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from labrun.arrays import FloatArray
+from labrun.estimate import Estimate, parameters_json, rounded
 from labrun.fit.dataset import Dataset
-from labrun.fit.estimate import Estimate, parameters_json, rounded
 from labrun.fit.figure import FigureData
 from labrun.notebook import as_html
 

@@ -22,7 +22,6 @@ from labrun.gap.question import Question
 from labrun.gap.recalibration import fresh_excess
 from labrun.gap.robot import JointDiagnosis, RobotDiagnosis, diagnose_robot, why_not
 from labrun.gap.saving import recalibrated_only, require_new, save_model, save_with_law
-from labrun.gap.verdict import significant
 from labrun.gap.what_is_left import RestLaw
 
 __all__ = [
@@ -57,6 +56,5 @@ __all__ = [
     "require_new",
     "save_model",
     "save_with_law",
-    "significant",
     "why_not",
 ]

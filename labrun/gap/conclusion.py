@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.estimate import significant
 from labrun.fit import Dataset, Each, Note, OutputNoise, Problem, one_by_one
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate as Tried
@@ -35,7 +36,7 @@ from labrun.gap.rating import Rated
 from labrun.gap.recalibration import member_residuals
 from labrun.gap.selection import Chosen
 from labrun.gap.trial_wise import words
-from labrun.gap.verdict import VerdictBasis, limitations, sentence, significant, verdict, what_next
+from labrun.gap.verdict import VerdictBasis, limitations, sentence, verdict, what_next
 from labrun.gap.what_is_left import Learnable
 from labrun.gap.where.difference import Difference
 

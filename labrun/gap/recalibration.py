@@ -7,6 +7,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError
+from labrun.estimate import significant
 from labrun.fit import Dataset, Deviation, Note, OutputNoise, Problem, minimise, search
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged
@@ -15,7 +16,6 @@ from labrun.gap.noise import Noise, fit_whitener, from_reading_errors, from_repe
 from labrun.gap.null import independent_share
 from labrun.gap.screening import refit
 from labrun.gap.trial_wise import found_in_repeats
-from labrun.gap.verdict import significant
 from labrun.models import Model
 
 

@@ -1,21 +1,11 @@
 """The verdict: no gap, explained by parameters, by causes, in part, or not by anything in the library; in words."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from labrun.estimate import significant
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Cause, Name, Shrinkage, Sizes, Verdict
-
-_PLAIN = (1e-4, 1e7)
-
-
-def significant(value: float, digits: int = 2) -> str:
-    """Return a number with so many significant digits, without an exponent where it is of usual size: 8000, 0.012."""
-    text = f"{value:.{digits}g}"
-    if not math.isfinite(value) or not _PLAIN[0] <= abs(value) < _PLAIN[1]:
-        return text
-    return f"{float(text):.0f}" if "e" in text else text
 
 
 @dataclass(frozen=True, slots=True)

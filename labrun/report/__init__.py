@@ -9,7 +9,6 @@ import sys
 from labrun import UseCasePackage
 from labrun.report.data import RunView, experiment_of
 from labrun.report.findings import Findings, RecordingFindings, findings
-from labrun.report.gap_text import gap_lines
 from labrun.report.live import LiveProgress, PlainProgress, render, watch
 from labrun.report.ranking import ranking_text
 from labrun.report.report_source import ReportSource, StoredGap
@@ -22,7 +21,7 @@ from labrun.report.text import duration_text, interval_text
 __all__ = [
     "BestYet", "Drift", "Findings", "LiveProgress", "PlainProgress", "RecordingFindings", "ReportSource", "RunView",
     "Snapshot", "State", "StoredFit", "StoredGap", "drift_of", "duration_text", "event_text", "experiment_of",
-    "findings", "gap_lines", "interval_text", "keys_text", "plan_text", "print_findings", "ranking_text", "remark_text",
+    "findings", "interval_text", "keys_text", "plan_text", "print_findings", "ranking_text", "remark_text",
     "render",
      "watch", "without_drift",
 ]  # fmt: skip

@@ -1,7 +1,8 @@
 """How far a model predicts fresh data, as people read it."""
 
 from labrun.gap import FreshTest, Prediction, ResampledNumber
-from labrun.report.text import aligned, counted, estimate_words, number, percent, spaced
+from labrun.report.gap_words import estimate_words
+from labrun.report.text import aligned, counted, number, percent, spaced
 
 
 def fresh_text(found: FreshTest) -> str:

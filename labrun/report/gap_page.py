@@ -5,23 +5,20 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from labrun.gap import ComparedTrace, Diagnosis, MissingForce, RatedCandidate
+from labrun.report import gap_words
 from labrun.report.figures.gap import how_far_figure, where_figure
 from labrun.report.figures.gap_traces import force_figure, shown_traces, traces_figure, worst_outputs
-from labrun.report.gap_places import hot_spots, place_words, ranked
-from labrun.report.page import PageFigure, PageTable, drawn, render
-from labrun.report.text import (
+from labrun.report.gap_words import (
     HEADLINES,
     VERDICTS,
     bound_words,
-    listed,
-    number,
-    percent,
-    scatter_text,
-    spaced,
-    unit_text,
+    hot_spots,
+    place_words,
+    ranked,
     value_words,
-    with_unit,
 )
+from labrun.report.page import PageFigure, PageTable, drawn, render
+from labrun.report.text import listed, number, percent, scatter_text, spaced, unit_text, with_unit
 from labrun.spec import condition_key
 
 _SHOWN = 10
@@ -52,6 +49,7 @@ def diagnosis_context(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "title": f"{diagnosis.name} against {diagnosis.model}",
         "d": diagnosis,
+        "words": gap_words,
         "headline": HEADLINES[diagnosis.verdict],
         "links": [(anchor, name) for anchor, name in links if name],
         "hot_spots": hot_spots(diagnosis.where),

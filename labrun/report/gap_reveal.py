@@ -5,7 +5,8 @@ from typing import Any
 
 from labrun.blind import Compared, Revealed
 from labrun.gap import Name, ResampledNumber
-from labrun.report.text import estimate_words, listed, number, spaced
+from labrun.report.gap_words import estimate_words
+from labrun.report.text import listed, number, spaced
 
 
 def compared_text(compared: Compared) -> str:

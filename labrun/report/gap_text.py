@@ -7,19 +7,17 @@ from pathlib import Path
 from rich.text import Text
 
 from labrun.gap import Diagnosis, RatedCandidate
-from labrun.report.gap_places import hot_spots, ranked
-from labrun.report.text import (
+from labrun.report.gap_words import (
     VERDICTS,
     bound_words,
     data_words,
-    listed,
-    p_words,
-    percent,
+    hot_spots,
+    ranked,
     removes_words,
-    short_time_text,
     times_noise,
     value_words,
 )
+from labrun.report.text import listed, p_words, percent, short_time_text
 
 MOST_LINES = 20
 _MARGIN = 9

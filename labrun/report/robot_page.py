@@ -7,10 +7,10 @@ from labrun.gap import JointDiagnosis, RobotDiagnosis
 from labrun.report.figures.gap_traces import traces_figure
 from labrun.report.figures.robot import robot_figure
 from labrun.report.gap_page import parameter_table
-from labrun.report.gap_places import ranked
+from labrun.report.gap_words import VERDICTS, bound_words, ranked, value_words
 from labrun.report.page import PageTable, drawn, render
 from labrun.report.robot_text import cause_words, joint_rows
-from labrun.report.text import VERDICTS, bound_words, listed, number, percent, value_words
+from labrun.report.text import listed, number, percent
 
 _SHOWN = 12
 _COLUMNS = (

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from labrun.gap import Cause, RobotDiagnosis
-from labrun.report.text import HEADLINES, listed, number, percent, short_time_text, times_noise, value_words
+from labrun.report.gap_words import HEADLINES, times_noise, value_words
+from labrun.report.text import listed, number, percent, short_time_text
 
 
 def cause_words(cause: Cause) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from labrun.fit import Estimate, rounded
+from labrun.estimate import Estimate, rounded
 from labrun.report.page import PageFigure, PageTable
 from labrun.report.text import spaced
 

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from labrun.devices import Remark
-from labrun.fit import rounded
+from labrun.estimate import rounded
 from labrun.report.conditions import ConditionResult, standard_error, varying
 from labrun.report.findings import Findings, RecordingFindings
 from labrun.report.statistics import repeatability_columns, standard_deviations

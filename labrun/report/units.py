@@ -1,7 +1,8 @@
 """What differs between two units, as people read it."""
 
 from labrun.gap import ResampledNumber, UnitComparison, UnitDifference
-from labrun.report.text import aligned, estimate_words, listed, number, percent, spaced
+from labrun.report.gap_words import estimate_words
+from labrun.report.text import aligned, listed, number, percent, spaced
 
 _HEADINGS = {
     "differs": "differs",

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from scipy.stats import t
+from scipy.special import stdtrit
 
 from labrun.report.conditions import varying
 from labrun.report.report_source import ReportSource
@@ -286,7 +286,7 @@ def what_it_resolves(source: ReportSource, item: Repeatability) -> str:
     """Return how noisy a trial is, and how far apart two conditions must be to differ beyond chance."""
     means, sds, counts = spreads(source, item.objective)
     repeats = round(float(sorted(counts.tolist())[len(counts) // 2]))
-    least = float(t.ppf(0.975, item.degrees_of_freedom)) * item.sd * math.sqrt(2 / repeats)
+    least = float(stdtrit(item.degrees_of_freedom, 0.975)) * item.sd * math.sqrt(2 / repeats)
     text = (
         f"A single trial of {spaced(item.objective)} scatters by {scatter_text(item.sd, item.unit)} (sd, pooled over "
         f"{counted(len(means), 'condition')}), a mean of {repeats} by "

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit  # scipy.stats takes half a second to import
 
 from labrun.arrays import FloatArray
 
@@ -61,6 +60,8 @@ def t_interval(
     error = mean_error(values, mountings)
     if error is None:
         return None
+    from scipy.special import stdtrit  # a tenth of a second
+
     half, mean = float(stdtrit(error[1], 0.975)) * error[0] + truncation, float(values.mean())
     return mean - half, mean + half
 

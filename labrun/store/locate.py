@@ -14,13 +14,14 @@ TRIALS = "trials"
 PACKED = "run.h5"
 
 
-def find_run(target: str, results: Path) -> Path:
+def find_run(target: str | Path | None, results: Path) -> Path:
     """Return the run a person means.
 
     Parameters
     ----------
     target
-        An experiment's name (its latest run), a run folder, a ``run.h5``, or a run's own name or its four letters.
+        An experiment's name (its latest run), a run folder, a ``run.h5``, or a run's own name or its four letters; the
+        latest run of all if None.
     results
         Where runs are.
 
@@ -34,6 +35,9 @@ def find_run(target: str, results: Path) -> Path:
     RequestError
         There is none; names what is nearest, or how to make one.
     """
+    if target is None:
+        return _latest(results)
+    target = str(target)
     given = Path(target).expanduser()
     if given.is_file():
         return given
@@ -47,6 +51,16 @@ def find_run(target: str, results: Path) -> Path:
     if own:
         return own[-1]
     raise _unknown(target, results)
+
+
+def _latest(results: Path) -> Path:
+    runs = all_runs(results)
+    if not runs:
+        raise RequestError(
+            f"there is no run yet in {results}",
+            hint="labrun run hinge --dry-run makes one; labrun list shows more",
+        )
+    return runs[-1]
 
 
 def find_unfinished(target: str | None, results: Path) -> Path:

@@ -19,7 +19,7 @@ from labrun.control.feedforward import FeedforwardPid
 from labrun.control.pid import PidController
 from labrun.control.protocol import LoopContext, Step
 from labrun.errors import FitError, RequestError
-from labrun.fit.estimate import Estimate
+from labrun.estimate import Estimate
 from labrun.fit.result import FitSummary, FittedData
 from labrun.fit.transfer import TransferFunction
 from labrun.fit.transfer.summary import TransferSummary

@@ -9,7 +9,7 @@ from swings import dataset_of, swing
 
 from labrun.app.fit import fit
 from labrun.errors import RequestError
-from labrun.fit.estimate import Estimate, rounded
+from labrun.estimate import Estimate, rounded
 from labrun.fit.result import FitSummary, FittedData
 from labrun.store import import_recording
 

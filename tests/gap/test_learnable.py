@@ -12,7 +12,7 @@ from labrun.gap.learnable import learnable_share
 from labrun.gap.recalibration import recalibrate
 from labrun.gap.what_is_left import Learnable
 from labrun.models import load_model
-from labrun.report import gap_lines
+from labrun.report.gap_text import gap_lines
 
 
 def left_by(sensor):

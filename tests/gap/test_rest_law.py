@@ -12,7 +12,7 @@ from labrun.gap.averaging import averaged
 from labrun.gap.recalibration import recalibrate
 from labrun.gap.rest_law import explain_rest
 from labrun.models import load_model, parse_model
-from labrun.report import gap_lines
+from labrun.report.gap_text import gap_lines
 
 
 def law_of(extra, trials=4):

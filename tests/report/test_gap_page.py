@@ -9,7 +9,7 @@ import pytest
 from gap_strategies import diagnoses
 from hypothesis import HealthCheck, given, settings
 
-from labrun.report.figures import diagnosis_figure
+from labrun.report.figures.gap import diagnosis_figure
 from labrun.report.gap_page import diagnosis_page
 from labrun.report.style import as_png
 

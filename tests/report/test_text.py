@@ -4,16 +4,10 @@ import math
 
 import pytest
 
-from labrun.gap import Name, ResampledNumber, significant
-from labrun.report.text import (
-    bound_words,
-    decimal_text,
-    decimals_for,
-    duration_text,
-    label,
-    removes_words,
-    share_text,
-)
+from labrun.estimate import significant
+from labrun.gap import Name, ResampledNumber
+from labrun.report.gap_words import bound_words, removes_words
+from labrun.report.text import decimal_text, decimals_for, duration_text, label, share_text
 
 
 @pytest.mark.parametrize(

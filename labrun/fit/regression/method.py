@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFlo
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
-from labrun.fit.estimate import Estimate
+from labrun.estimate import Estimate
 from labrun.fit.figure import Curve, FigureData, Panel, Role, Stack
 from labrun.fit.method import FitJob
 from labrun.fit.regression.least_squares import (

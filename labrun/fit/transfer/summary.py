@@ -7,8 +7,8 @@ import numpy as np
 import tomli_w
 
 from labrun.arrays import FloatArray
+from labrun.estimate import Estimate, rounded
 from labrun.fit.correlation import correlation_length
-from labrun.fit.estimate import Estimate, rounded
 from labrun.fit.result import FitSummary, FittedData, TextTable
 from labrun.fit.signals import SignalSet
 from labrun.fit.transfer.figure import response_figure

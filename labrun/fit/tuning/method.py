@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from pydantic import BaseModel
 
 from labrun.errors import FitError, RequestError
-from labrun.fit.estimate import Estimate
+from labrun.estimate import Estimate
 from labrun.fit.figure import FigureData
 from labrun.fit.method import FitJob, make_method
 from labrun.fit.result import FitSummary, FittedData

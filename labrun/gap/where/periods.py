@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
+from labrun.estimate import significant
 from labrun.gap import criteria
-from labrun.gap.verdict import significant
 from labrun.gap.where.difference import ConditionData, Difference, Mover
 from labrun.gap.where.parts import Part, SampleLayout, plain
 

@@ -6,13 +6,12 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from labrun.report.data import RunView
-from labrun.report.figures.gap import diagnosis_figure
 from labrun.report.figures.runs import draw_plain_run
 from labrun.report.figures.search import draw_search
 from labrun.report.figures.sweep import draw_sweep
 from labrun.report.figures.track import draw_track
 
-__all__ = ["diagnosis_figure", "run_figure"]
+__all__ = ["run_figure"]
 
 
 def run_figure(view: RunView, generations: Sequence[Mapping[str, Any]] = ()) -> Figure | None:

@@ -9,9 +9,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from labrun.gap import By, Diagnosis, Place
-from labrun.report.gap_places import PlacesPanel, beyond_chance, panels, place_words
+from labrun.report.gap_words import (
+    PlacesPanel,
+    beyond_chance,
+    data_words,
+    never_seen,
+    panels,
+    place_words,
+    times_noise,
+)
 from labrun.report.style import COLOURS, INK, heading, new_figure, plain_numbers
-from labrun.report.text import data_words, listed, never_seen, p_words, percent, times_noise
+from labrun.report.text import listed, p_words, percent
 
 _HOW_FAR_IN = 2.2
 _HEADING_IN = 0.95

@@ -1,10 +1,30 @@
-"""Which parts of the data tell where the gap is: chosen from all that were looked at, and put into words."""
+"""What a diagnosis found, in words: verdicts, sizes, values, and which parts of the data tell where the gap is."""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from labrun.gap import By, CandidateVerdict, Place, RatedCandidate
+from labrun.estimate import Estimate, rounded
+from labrun.gap import By, CandidateVerdict, Diagnosis, Place, RatedCandidate, ResampledNumber
+from labrun.report.text import counted, number, percent, spaced, unit_text
+
+VERDICTS: Mapping[CandidateVerdict, str] = {
+    "cause": "cause",
+    "indistinguishable": "explains these data as well",
+    "ruled-out": "ruled out",
+    "not-visible": "not visible in these data",
+}
+HEADLINES = {
+    "no-gap": "no gap",
+    "undecided": "gap or noise",
+    "parameter": "a parameter",
+    "explained": "explained",
+    "partly-explained": "explained in part",
+    "not-in-library": "not in the library",
+}
+_TAKE_PREFIX = ("N", "m", "s", "rad", "V", "A", "W", "Pa")
+_SMALL = 2e-3
+_WORSE = 0.005
 
 SIGNIFICANT = 0.05
 _RANK: Mapping[CandidateVerdict, int] = {"cause": 0, "indistinguishable": 1, "ruled-out": 2, "not-visible": 3}
@@ -154,3 +174,83 @@ def ranked(candidates: Sequence[RatedCandidate]) -> list[RatedCandidate]:
         return _RANK[one.verdict], -max(one.held_out_share or 0.0, 0.0), -one.evidence
 
     return sorted(candidates, key=key)
+
+
+def times_noise(value: float) -> str:
+    """Return a size in units of one trial's noise: one decimal where that is enough, more where it is small."""
+    if not math.isfinite(value):
+        return number(value)
+    if value == 0.0 or abs(value) >= 10:
+        return f"{value:.0f}" if abs(value) < 1e5 else f"{value:.2g}"
+    return f"{value:.1f}" if abs(value) >= 0.95 else f"{value:.2g}" if abs(value) >= 0.01 else f"{value:.1g}"
+
+
+def removes_words(share: float) -> str:
+    """Return how much of the excess a candidate removes, ``97 %``; of one that adds to it, that it does."""
+    return "makes it worse" if share <= -_WORSE else percent(max(min(share, 1.0), 0.0))
+
+
+def estimate_words(estimate: ResampledNumber, *, prefix: bool = True) -> str:
+    """Return ``0.0120 [0.0110, 0.0130] N m``, with the digits that the interval supports.
+
+    A small number is given in thousandths or millionths of its unit, unless without a `prefix`.
+    """
+    factor, unit = _prefixed(estimate) if prefix else (1.0, _after(estimate.unit))
+    value, low, high = (factor * end for end in (estimate.value, estimate.low, estimate.high))
+    if not all(math.isfinite(end) for end in (value, low, high)):
+        return f"{number(value)} [{number(low)}, {number(high)}]{unit}"
+    middle, least, most = rounded(Estimate(value, (low, high), estimate.unit))
+    return f"{middle} [{least}, {most}]{unit}"
+
+
+def value_words(values: Mapping[str, ResampledNumber]) -> list[str]:
+    """Return ``torque 0.0120 [0.0110, 0.0130] N m`` of every value."""
+    return [f"{spaced(name)} {estimate_words(estimate)}" for name, estimate in values.items()]
+
+
+def bound_words(bounds: Mapping[str, ResampledNumber]) -> list[str]:
+    """Return ``torque at most 0.0012 N m`` of every bound; one with different ends to either side says both.
+
+    A least level, whose value is its near end, says ``level at least 0.8 N m``.
+    """
+    found = []
+    for name, bound in bounds.items():
+        factor, unit = _prefixed(bound)
+        value, low, high = (factor * end for end in (bound.value, bound.low, bound.high))
+        if value == low < high or not (low < 0 < high != -low or math.isfinite(high)):
+            told = f"at least {number(low, 2)}"
+        elif low < 0 < high != -low:
+            told = f"between {number(low, 2)} and {number(high, 2)}"
+        else:
+            told = f"at most {number(max(value, high), 2)}"
+        found.append(f"{spaced(name)} {told}{unit}")
+    return found
+
+
+def _prefixed(estimate: ResampledNumber) -> tuple[float, str]:
+    """Return what a small number is multiplied by, where a prefix is usual, and the unit to write after it."""
+    finite = [abs(end) for end in (estimate.value, estimate.low, estimate.high) if math.isfinite(end)]
+    largest = max(finite, default=0.0)
+    if estimate.unit.split(" ")[0].split("/")[0] not in _TAKE_PREFIX or not 0 < largest < _SMALL:
+        return 1.0, _after(estimate.unit)
+    factor, prefix = (1e3, "m") if largest >= _SMALL**2 else (1e6, "\u00b5")
+    return factor, f" {prefix}{estimate.unit}"
+
+
+def _after(unit: str) -> str:
+    return f" {unit}" if unit_text(unit) else ""
+
+
+def never_seen(diagnosis: Diagnosis) -> str:
+    """Return on what data the sizes after recalibration were found."""
+    if diagnosis.conditions > 1:
+        return "on conditions the fit never saw"
+    return "on the data it was fitted to, as there is only one condition"
+
+
+def data_words(diagnosis: Diagnosis) -> str:
+    """Return ``24 trials at 8 conditions, each measured at least 3 times``."""
+    repeats = (
+        "none repeated" if diagnosis.repeats < 2 else f"each measured at least {diagnosis.repeats} times"
+    )
+    return f"{counted(diagnosis.trials, 'trial')} at {counted(diagnosis.conditions, 'condition')}, {repeats}"

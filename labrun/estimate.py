@@ -1,10 +1,13 @@
-"""A fitted number with its interval, and how many of its digits mean something."""
+"""A fitted number with its interval, and how many digits of a number mean something."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+_PLAIN = (1e-4, 1e7)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,3 +53,11 @@ def rounded(estimate: Estimate) -> tuple[str, str, str]:
         decimals = max(int(digits - 1 - np.floor(np.log10(largest))), 0)
         return f"{estimate.value:.{decimals}f}", f"{low:.{decimals}f}", f"{high:.{decimals}f}"
     return f"{estimate.value:.{digits - 1}e}", f"{low:.{digits - 1}e}", f"{high:.{digits - 1}e}"
+
+
+def significant(value: float, digits: int = 2) -> str:
+    """Return a number with so many significant digits, without an exponent where it is of usual size: 8000, 0.012."""
+    text = f"{value:.{digits}g}"
+    if not math.isfinite(value) or not _PLAIN[0] <= abs(value) < _PLAIN[1]:
+        return text
+    return f"{float(text):.0f}" if "e" in text else text
