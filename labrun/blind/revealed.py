@@ -10,7 +10,9 @@ from labrun.blind.seal import read_seal, write_seal
 from labrun.errors import RecordingError
 from labrun.store import PROVENANCE, RunFolder
 
-Score = Literal["right", "right, in a stated set", "right in part", "missed", "false alarm", "wrong"]
+Score = Literal[
+    "right", "right, in a stated set", "right in part", "too small to be seen", "missed", "false alarm", "wrong",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +144,9 @@ def reveal(run: Path) -> Revealed:
 def score(stored: Mapping[str, Any], hidden: Sequence[Hidden]) -> Score:
     """Return how a diagnosis agrees with what was hidden, by effect and site.
 
+    Where it names nothing, what is hidden is too small to be seen if the diagnosis itself says so: that it is not visible,
+    or smaller than the largest size that the data leave room for.
+
     A parameter among the causes is neither right nor wrong beside an effect: what a model states may be off as well. It
     counts where it was hidden itself, or where what was hidden is stated as its rival.
     """
@@ -154,7 +159,8 @@ def score(stored: Mapping[str, Any], hidden: Sequence[Hidden]) -> Score:
             named.append(name)
             sets.append(together)
     if not named:
-        return "missed" if truth else "right"
+        unseen = all(_too_small(one, stored.get("candidates", [])) for one in hidden)
+        return "right" if not truth else "too small to be seen" if unseen else "missed"
     if not truth:
         return "false alarm"
     found = {one for one in truth if any(one in together for together in sets)}
@@ -162,6 +168,21 @@ def score(stored: Mapping[str, Any], hidden: Sequence[Hidden]) -> Score:
     if found == truth and not useless:
         return "right" if truth == set(named) else "right, in a stated set"
     return "right in part" if found else "wrong"
+
+
+def _too_small(one: Hidden, candidates: Sequence[Mapping[str, Any]]) -> bool:
+    """Tell whether a diagnosis says that it could not have seen an effect of these sizes."""
+    for candidate in candidates:
+        if (candidate["effect"], candidate["site"]) != (one.effect, one.site):
+            continue
+        bounds = [
+            (one.values[name], *bound["ci95"])
+            for name, bound in candidate["upper_bound"].items()
+            if name in one.values
+        ]
+        room = [low is not None and high is not None and low <= value <= high for value, low, high in bounds]
+        return candidate["verdict"] == "not-visible" or (bool(room) and all(room))
+    return False
 
 
 def _hidden(one: Mapping[str, Any]) -> Hidden:

@@ -50,6 +50,13 @@ def run_hiding(folder, *hidden, says):
         ([TRUTH], examples.no_gap, "missed"),
         ([TRUTH], examples.parameter, "missed"),
         ([TRUTH], examples.not_in_library, "missed"),
+        (
+            [{**TRUTH, "effect": "backlash", "values": {"gap": 0.002}}],
+            examples.no_gap,
+            "too small to be seen",
+        ),
+        ([{**TRUTH, "effect": "backlash", "values": {"gap": 0.004}}], examples.no_gap, "missed"),
+        ([TRUTH, {**TRUTH, "effect": "backlash", "values": {"gap": 0.002}}], examples.no_gap, "missed"),
         ([INERTIA], examples.parameter, "right"),
         ([INERTIA], examples.explained, "wrong"),
         ([INERTIA], examples.no_gap, "missed"),
