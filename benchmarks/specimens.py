@@ -1,6 +1,7 @@
 """How often intervals of the specimen rigs hold the truth of their benches, and what a hinge of 50,000 cycles costs.
 
-    python benchmarks/specimens.py                  # five seeds of each rig, run and fitted as a person would
+    python benchmarks/specimens.py                  # five seeds of each rig, run and fitted as a person would, and
+                                                    # their figures beside the published ones
     python benchmarks/specimens.py --draws 400      # as many batches, without the runner: benches and fits alone
     python benchmarks/specimens.py --life           # one trial of 50,000 cycles, killed on its way and resumed
     python benchmarks/specimens.py --hidden         # causes that are drawn and sealed, and their diagnoses
@@ -15,6 +16,7 @@ import argparse
 import json
 import math
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -41,7 +43,7 @@ from labrun.fit.life import fit_weibull, intervals
 POLYESTER = ",".join(f'{{layup="polyester",specimen={n},range=120}}' for n in range(1, 6))
 BEAMS = ",".join(
     f'{{beam="{beam}",specimen={n},reach={reach}}}'
-    for beam in ("long", "short")
+    for beam in ("long", "short", "polyester", "steel")
     for n in range(1, 4)
     for reach in (-28.648, 28.648)
 )
@@ -60,6 +62,8 @@ CHAINS = {
     "polyester-tensile": [],
     "hinge-life": [f"run.conditions=[{POLYESTER}]"],
     "beam-buckling": [f"run.conditions=[{BEAMS}]", "gait.joints.bend.step_deg=0.05"],
+    "hinge-repeatability": [],
+    "fin-materials": [],
 }
 TRUTH = {
     "young": 1e-6 * YOUNG_PA,
@@ -77,10 +81,26 @@ Interval = tuple[float, float, float]
 """Estimate, and the ends of its 95 % interval."""
 
 
-def chained(seed: int, folder: Path) -> Iterator[tuple[str, Interval]]:
-    """Run and fit every rig once."""
+def chained(seed: int, folder: Path, beside: dict[str, list[float]]) -> Iterator[tuple[str, Interval]]:
+    """Run and fit every rig once; what has no interval goes into `beside`."""
     for name, overrides in CHAINS.items():
         run = labrun.run(name, dry_run=True, seed=seed, overrides=overrides, results=folder).run
+        if name == "fin-materials":
+            off = labrun.compare(run, "table-5-2", results=folder).comparison.worst.relative
+            beside.setdefault("table 5.2, worst", []).append(off)
+            continue
+        if name == "hinge-repeatability":
+            rows = {one[0]: one[1:] for one in labrun.fit(run).tables[0].rows}
+            for place, what in enumerate(("stiffness", "damping")):
+                beside.setdefault(f"{what}, mean", []).append(float(rows["mean"][place]))
+                beside.setdefault(f"{what}, sd", []).append(float(rows["standard deviation"][place]))
+            continue
+        if name == "beam-buckling":
+            loops = labrun.open(run).trials.groupby("beam")["loop"].mean()
+            beside.setdefault("loop, steel over polyester", []).append(loops["steel"] / loops["polyester"])
+            told = labrun.fit(run, settings={"beam": "long"}).findings
+            holds = [one for one in told if one.startswith("the arc") and "holds" in one]
+            beside.setdefault("arc holds", []).append(float(len(holds)))
         for beam in ("long", "short") if name == "beam-buckling" else ("",):
             found = labrun.fit(run, settings={"beam": beam} if beam else None).parameters
             for key, one in found.items():
@@ -117,8 +137,8 @@ def drawn(seed: int) -> Iterator[tuple[str, Interval]]:
             yield f"{sense} {beam}", over(limits)
 
 
-def strip(seed: int, number: int) -> TensileCurve:
-    bench = TensileBench({}, np.random.default_rng(seed))
+def strip(seed: int, number: int, bench: TensileBench | None = None) -> TensileCurve:
+    bench = TensileBench({}, np.random.default_rng(seed)) if bench is None else bench
     bench.observe(("force",), np.array([0.0]))
     bench.arrange({"specimen": number})
     bench.tow(0.0, 0.002, 1.6667e-4, 0.5)
@@ -158,6 +178,57 @@ def told(found: dict[str, list[Interval]]) -> None:
         )
 
 
+def accepted(found: dict[str, list[Interval]], beside: dict[str, list[float]], seeds: int) -> None:
+    """Print what is measured beside what the source has, and how far off that may be."""
+    toes = [toe_off(seed, number) for seed in range(seeds) for number in range(11)]
+    lives = found["median_polyester_120"]
+    holds = sum(low <= 2500.0 <= high for _, low, high in lives)
+    rows = [
+        (f"{what}, mean of a seed", unit, TRUTH[key], [one[0] for one in found[key]], share)
+        for what, key, unit, share in (
+            ("modulus", "young", "MPa", 0.015),
+            ("yield stress", "yield_stress", "MPa", 0.02),
+            *((f"{beam}, {sense} limit", f"{sense} {beam}", "N m", 0.03) for beam in ("long", "short")
+              for sense in ("equal", "opposite")),
+        )
+    ]  # fmt: skip
+    print("| figure | published | all seeds | off by | worst seed | accepted |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for what, unit, truth, values, share in rows:
+        off = np.array(values) / truth - 1.0
+        print(
+            f"| {what} | {truth:g} {unit} | {np.mean(values):.5g} | {100 * off.mean():+.2f} % "
+            f"| {100 * off[np.argmax(abs(off))]:+.2f} % | {100 * share:g} % |"
+        )
+    print(
+        f"| toe of a strip | its own | | {np.mean(toes):+.4f} % | {max(toes, key=abs):+.4f} % | 0.02 % strain |"
+    )
+    print(
+        f"| life at +-120 deg | 2500 | {np.mean([one[0] for one in lives]):.0f} | | | inside {holds} of {len(lives)} |"
+    )
+    for what, truth, sd in (("stiffness", 0.068633, 0.0226), ("damping", 2.8863e-4, 0.0318)):
+        means = np.array(beside[f"{what}, mean"])
+        share = math.sqrt(np.mean((np.array(beside[f"{what}, sd"]) / means) ** 2))
+        print(
+            f"| Table 3.2, {what} | {truth:.4g}, {100 * sd:.1f} % | {means.mean():.4g}, {100 * share:.1f} % "
+            f"| {100 * (means.mean() / truth - 1):+.1f} % | | |"
+        )
+    print(f"| Table 5.2, thrust | 7 fins | | | {100 * max(beside['table 5.2, worst']):.1f} % | 5 % |")
+    loops = beside["loop, steel over polyester"]
+    print(
+        f"| loop area, steel over polyester | larger | {np.mean(loops):.2f} | | {min(loops):.2f} | above 1 |"
+    )
+    held = int(sum(beside["arc holds"]))
+    print(f"| tape spring: width that holds | arc | arc in {held} of {seeds} | | | |")
+
+
+def toe_off(seed: int, number: int) -> float:
+    """Return how far the toe of a strip is told from where it is on its bench, % of strain."""
+    bench = TensileBench({}, np.random.default_rng(seed))
+    curve = strip(seed, number, bench)
+    return 100.0 * (curve.toe_strain - bench.truth()["slack"])
+
+
 def life(folder: Path) -> None:
     """Run a sandwich for 50,000 cycles, kill the run on its way, resume it, and tell sizes."""
     sandwich = 'run.conditions=[{layup="sandwich",specimen=1,range=120}]'
@@ -177,7 +248,14 @@ def life(folder: Path) -> None:
     place = log.parents[1]
     size = sum(one.stat().st_size for one in place.rglob("*") if one.is_file())
     print(f"killed with {cycles} cycles on disk, {1e-6 * size:.0f} MB")
+    before = log.read_bytes()
+    before = before[: before.rfind(b"\n") + 1]
     subprocess.run([*command, "resume", str(place)], cwd=folder, check=True)
+    kept = log.read_bytes().startswith(before) if log.exists() else None
+    print(f"what was on disk is {'as it was' if kept else 'packed' if kept is None else 'CHANGED'}")
+    subprocess.run([*command, "fit", str(place)], cwd=folder, check=True)
+    most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    print(f"greatest memory of a process: {most / 1000:.0f} MB")
     print(
         f"whole trial: {1e-6 * sum(one.stat().st_size for one in place.rglob('*') if one.is_file()):.1f} MB"
     )
@@ -220,6 +298,7 @@ def main() -> None:
     parser.add_argument("--only", choices=HIDDEN, action="append", help="with --hidden: this rig; repeatable")
     given = parser.parse_args()
     found: dict[str, list[Interval]] = {}
+    beside: dict[str, list[float]] = {}
     with tempfile.TemporaryDirectory() as folder:
         if given.life:
             subprocess.run(
@@ -231,9 +310,11 @@ def main() -> None:
             hidden(range(given.seeds), given.only or list(HIDDEN), Path(folder))
             return
         for seed in range(given.draws or given.seeds):
-            for name, one in drawn(seed) if given.draws else chained(seed, Path(folder)):
+            for name, one in drawn(seed) if given.draws else chained(seed, Path(folder), beside):
                 found.setdefault(name, []).append(one)
     told(found)
+    if beside:
+        accepted(found, beside, given.seeds)
 
 
 if __name__ == "__main__":

@@ -144,8 +144,8 @@ def reveal(run: Path) -> Revealed:
 def score(stored: Mapping[str, Any], hidden: Sequence[Hidden]) -> Score:
     """Return how a diagnosis agrees with what was hidden, by effect and site.
 
-    Where it names nothing, what is hidden is too small to be seen if the diagnosis itself says so: that it is not visible,
-    or smaller than the largest size that the data leave room for.
+    Where it names nothing, what is hidden is too small to be seen if the diagnosis itself says so: that it is not
+    visible, or smaller than the largest size that the data leave room for.
 
     A parameter among the causes is neither right nor wrong beside an effect: what a model states may be off as well. It
     counts where it was hidden itself, or where what was hidden is stated as its rival.
