@@ -12,7 +12,6 @@ from types import TracebackType
 from typing import Any, Literal, Self
 
 from labrun.app.answer import Answer, measure_all, search_folder
-from labrun.app.worn import worn_specimens
 from labrun.errors import ExperimentError, LabrunError, PlanError
 from labrun.objectives import make_objective
 from labrun.report import RunView, experiment_of
@@ -29,6 +28,7 @@ from labrun.runner import (
     record_planned,
     unsettled,
     within_bounds,
+    worn_specimens,
 )
 from labrun.search import (
     RESULT_FILE,
@@ -94,6 +94,12 @@ def carry_out(
             return _result(folder, best=None, figure=None, finished=False)
         result = finish(folder, answer, progress, draw)
     return require_answer(result, experiment)
+
+
+def source_of(experiment_file: Path) -> dict[str, Any]:
+    """Return what provenance keeps of the experiment file, for `changed_keys`: where it is, and its text."""
+    text = experiment_file.read_text(encoding="utf-8") if experiment_file.is_file() else None
+    return {"experiment_file": str(experiment_file.resolve()), "experiment_text": text}
 
 
 def require_answer(result: RunResult, experiment: Experiment) -> RunResult:

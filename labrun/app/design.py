@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from labrun.app.answer import Answer
-from labrun.app.carry_out import finish, require_answer, resumable, terminate_like_interrupt
-from labrun.app.origin import source_of
+from labrun.app.carry_out import finish, require_answer, resumable, source_of, terminate_like_interrupt
 from labrun.design import (
     MADE,
     Candidates,

@@ -14,7 +14,7 @@ from labrun.gap import Options, RobotDiagnosis, diagnose_robot, require_new, why
 from labrun.gap import save_model as write_model
 from labrun.json_numbers import finite
 from labrun.models import read_robot
-from labrun.report.robot_text import robot_lines
+from labrun.report.robot import robot_lines
 from labrun.store import replace_durably, require_writable
 from labrun.workers import cores
 
@@ -124,7 +124,7 @@ def _kept(found: RobotDiagnosis, folder: Path, source: str, *, page: bool) -> St
             return StoredRobotDiagnosis(found, numbers)
         # matplotlib
         from labrun.report.figures.robot import robot_figure
-        from labrun.report.robot_page import robot_page
+        from labrun.report.robot import robot_page
         from labrun.report.style import save
 
         figure = save(robot_figure(found), folder / FIGURE)

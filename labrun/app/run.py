@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from labrun.app.carry_out import carry_out
+from labrun.app.carry_out import carry_out, source_of
 from labrun.app.check import NO_SCENE, require_room, whole_plan
 from labrun.app.leaders import with_leaders
-from labrun.app.origin import source_of
 from labrun.devices import NoTerminalError, Terminal
 from labrun.errors import RequestError
 from labrun.objectives import ASKED

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from labrun.cli import bench, compare, data, experiment, fit, gap, rank, report, watch, workspace
+from labrun.cli import bench, compare, data, experiment, fit, gap, workspace
 
 app = typer.Typer(
     name="labrun",
@@ -38,7 +38,7 @@ def _options(
     pass
 
 
-for module in (workspace, experiment, watch, fit, compare, rank, gap, report, data, bench):
+for module in (workspace, experiment, fit, compare, gap, data, bench):
     module.register(app)
 
 

@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 
 from labrun.cli import options
-from labrun.cli.output import print_json, reported
-from labrun.cli.status import status
+from labrun.cli.output import print_result, reported, status
 
 
 def check(
@@ -66,10 +65,7 @@ def check(
                 note=note,
             )
         write_check_page(result)
-        if as_json:
-            print_json(result.to_json())
-        else:
-            typer.echo(check_text(result))
+        print_result(result, as_json, check_text)
 
 
 def _check_robots(
@@ -83,10 +79,7 @@ def _check_robots(
             raise RequestError("--data, --cluster and --generator are not for --only robots")
         with status() as note:
             result = check_robots(cases=cases, seed=seed, workers=workers, out=out, note=note)
-        if as_json:
-            print_json(result.to_json())
-        else:
-            typer.echo(result.to_text())
+        print_result(result, as_json)
 
 
 def reveal(
@@ -108,13 +101,10 @@ def reveal(
     """
     with reported(as_json):
         from labrun.app.reveal import reveal as open_seal
-        from labrun.report.gap_reveal import compared_text
+        from labrun.report.gap_answers import compared_text
 
         compared = open_seal(target, results=results)
-        if as_json:
-            print_json(compared.to_json())
-        else:
-            typer.echo(compared_text(compared))
+        print_result(compared, as_json, compared_text)
 
 
 def register(gap: typer.Typer) -> None:

@@ -1,12 +1,11 @@
-"""`labrun compare`."""
+"""`labrun compare` and `labrun rank`: one thing held against another."""
 
 from typing import Annotated
 
 import typer
 
 from labrun.cli import options
-from labrun.cli.output import print_json, reported
-from labrun.cli.status import status
+from labrun.cli.output import print_result, reported, status
 
 
 def compare(
@@ -49,14 +48,46 @@ def compare(
 
         with status() as note:
             stored = compare_data(target, other, model=model, tolerance=tolerance, results=results, note=note)
-        if as_json:
-            print_json(stored.to_json())
-        else:
-            typer.echo(stored.to_text())
+        print_result(stored, as_json)
     if not stored.within:
         raise typer.Exit(1)
 
 
+def rank(
+    laboratories: Annotated[
+        list[str],
+        typer.Argument(
+            help="Runs in which the gaits were measured: an experiment's name (its latest run) or a run folder.",
+            autocompletion=options.complete_experiment,
+        ),
+    ],
+    field: Annotated[
+        str,
+        typer.Option(
+            help="The run in the field, named likewise.", autocompletion=options.complete_experiment
+        ),
+    ],
+    objective: Annotated[
+        str | None, typer.Option(help="Of the field; the one with a goal, or the first, if not given.")
+    ] = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Hold the order of gaits in the laboratory against that in the field, and name the gait to take.
+
+    Prints every gait in each water, the rank correlation with its interval and p, and why that gait.
+
+    Example:  labrun rank turn-torque turn-torque-current --field field-turn
+    """
+    with reported(as_json, "interrupted; no ranking was written"):
+        from labrun.app.rank import rank as rank_gaits
+        from labrun.report import ranking_text
+
+        found = rank_gaits(laboratories, field, objective=objective, results=results)
+        print_result(found, as_json, ranking_text)
+
+
 def register(app: typer.Typer) -> None:
-    """Add this module's command."""
+    """Add this module's commands."""
     app.command()(compare)
+    app.command()(rank)

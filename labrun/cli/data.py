@@ -1,4 +1,4 @@
-"""`labrun show`, `export`, `import`."""
+"""`labrun report`, `show`, `export`, `import`."""
 
 from dataclasses import asdict
 from enum import StrEnum
@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from labrun.cli import options
-from labrun.cli.output import print_json, reported
+from labrun.cli.output import print_json, print_result, reported
 
 
 class Format(StrEnum):
@@ -119,10 +119,7 @@ def import_(
             made = import_log(
                 source, model, to, mapping=mapping or (), unit=unit, cut_s=options.seconds(cut), rate_hz=rate
             )
-        if as_json:
-            print_json(made.to_json())
-        else:
-            typer.echo(made.to_text())
+        print_result(made, as_json)
         return
     with reported(as_json):
         from labrun.app.export import import_recording
@@ -134,8 +131,33 @@ def import_(
         typer.echo(f"imported as {run}")
 
 
+def report(
+    target: options.LatestTarget = None,
+    output: Annotated[
+        Path | None, typer.Option(help="File to write; report.html in the run's folder if not given.")
+    ] = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Write a run as one HTML file that opens offline.
+
+    Verdict, figure, best conditions, repeatability, drift, settling, timing, rejected trials, fits, provenance.
+
+    Example:  labrun report fin-params
+    """
+    with reported(as_json):
+        from labrun.app.report import report as write
+
+        written = write(target, output, results=results)
+    if as_json:
+        print_json({"report": written})
+    else:
+        typer.echo(f"wrote {written}")
+
+
 def register(app: typer.Typer) -> None:
     """Add this module's commands."""
+    app.command()(report)
     app.command()(show)
     app.command()(export)
     app.command("import")(import_)

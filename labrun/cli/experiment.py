@@ -1,16 +1,16 @@
-"""`labrun check`, `run`, `sweep`, `track`, `cmaes`, `design`, `resume`."""
+"""`labrun check`, `run`, `sweep`, `track`, `cmaes`, `design`, `resume`, `watch`."""
 
+import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from labrun.cli import options
-from labrun.cli.output import print_json, reported, to_terminal
+from labrun.cli.output import print_json, print_result, reported, to_terminal
 
 if TYPE_CHECKING:
     from labrun.runner import Progress
-    from labrun.search import RunResult
 
 
 def check(
@@ -72,7 +72,7 @@ def _command(kind: str | None, text: str) -> Callable[..., None]:
                 results=results,
                 progress=progress_display(),
             )
-            _print_result(result, as_json)
+            print_result(result, as_json)
 
     command.__doc__ = text
     return command
@@ -129,7 +129,7 @@ def design(
             results=results,
             progress=progress_display(),
         )
-        _print_result(result, as_json)
+        print_result(result, as_json)
 
 
 def resume(
@@ -159,7 +159,45 @@ def resume(
             results=results,
             draw=True,
         )
-        _print_result(result, as_json)
+        print_result(result, as_json)
+
+
+def watch(
+    target: options.LatestTarget = None,
+    channel: Annotated[
+        str | None,
+        typer.Option(help="Whose last trace to show, e.g. wrench.force_x; the objective's if not given."),
+    ] = None,
+    every_s: Annotated[float, typer.Option("--every", min=0.1, help="Time between two looks, s.")] = 1.0,
+    once: Annotated[bool, typer.Option("--once", help="Look once and end.")] = False,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Watch a run that another terminal executes.
+
+    Or another machine, in a shared folder. Reads only. Ends with the run, or with Ctrl-C.
+
+    Example:  labrun watch fin-params
+    """
+    with reported(as_json):
+        from rich.console import Console
+
+        from labrun.app.watch import Watcher
+        from labrun.report import render
+        from labrun.report import watch as show_live
+        from labrun.runner import RealClock
+        from labrun.store import find_run
+
+        clock = RealClock()
+        watcher = Watcher(find_run(target, results), clock, channel)
+        if as_json:
+            print_json(watcher.look().to_json())
+            return
+        console = Console(highlight=False)
+        if once or not sys.stdout.isatty():
+            console.print(render(watcher.look(), console))
+        else:
+            show_live(watcher.look, console, clock, every_s)
 
 
 def progress_display() -> "Progress":
@@ -173,13 +211,6 @@ def progress_display() -> "Progress":
     return PlainProgress()
 
 
-def _print_result(result: "RunResult", as_json: bool) -> None:
-    if as_json:
-        print_json(result.to_json())
-    else:
-        typer.echo(result.to_text())
-
-
 def register(app: typer.Typer) -> None:
     """Add this module's commands."""
     app.command()(check)
@@ -187,3 +218,4 @@ def register(app: typer.Typer) -> None:
         app.command(name)(_command(kind, text))
     app.command()(design)
     app.command()(resume)
+    app.command()(watch)

@@ -8,7 +8,7 @@ import typer
 
 from labrun.cli import options
 from labrun.cli.experiment import progress_display
-from labrun.cli.output import print_json, reported, to_terminal
+from labrun.cli.output import print_result, reported, to_terminal
 
 
 def fit(
@@ -66,10 +66,7 @@ def fit(
                 results=results,
                 note=note,
             )
-        if as_json:
-            print_json(result.to_json())
-        else:
-            typer.echo(result.to_text())
+        print_result(result, as_json)
 
 
 @contextmanager

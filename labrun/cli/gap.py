@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from labrun.cli import blind, options
-from labrun.cli.output import print_json, reported
-from labrun.cli.status import status
+from labrun.cli.output import print_json, print_result, reported, status
 
 gap = typer.Typer(
     name="gap",
@@ -288,17 +287,14 @@ def test(
     """
     with reported(as_json):
         from labrun.app.fresh import predict_fresh
-        from labrun.report.fresh import fresh_text
+        from labrun.report.gap_answers import fresh_text
 
         horizons_s = _numbers(horizon, "--horizon")
         with status() as note:
             found = predict_fresh(
                 model, fresh, horizons_s=horizons_s, beside=beside, seed=seed, results=results, note=note
             )
-        if as_json:
-            print_json(found.to_json())
-        else:
-            typer.echo(fresh_text(found))
+        print_result(found, as_json, fresh_text)
 
 
 def compare(
@@ -319,16 +315,13 @@ def compare(
     """
     with reported(as_json):
         from labrun.app.compare_units import compare_units
-        from labrun.report.units import units_text
+        from labrun.report.gap_answers import units_text
 
         with status() as note:
             found = compare_units(
                 first, second, model=model, seed=seed, workers=workers, results=results, note=note
             )
-        if as_json:
-            print_json(found.to_json())
-        else:
-            typer.echo(units_text(found))
+        print_result(found, as_json, units_text)
 
 
 def plan(
@@ -370,7 +363,7 @@ def plan(
     """
     with reported(as_json, "interrupted; no experiment was written"):
         from labrun.app.plan_trials import plan_trials
-        from labrun.report.trial_plan import plan_text
+        from labrun.report.gap_answers import plan_text
 
         with status() as note:
             found = plan_trials(
@@ -383,10 +376,7 @@ def plan(
                 workers=workers,
                 note=note,
             )
-        if as_json:
-            print_json(found.to_json())
-        else:
-            typer.echo(plan_text(found))
+        print_result(found, as_json, plan_text)
 
 
 def export(
@@ -421,10 +411,7 @@ def export(
 
         with status() as note:
             made = export_robot(target, output, ranges=ranges, results=results, note=note)
-        if as_json:
-            print_json(made.to_json())
-        else:
-            typer.echo(made.to_text())
+        print_result(made, as_json)
 
 
 def next_(
@@ -460,10 +447,7 @@ def next_(
                 results=results,
                 note=note,
             )
-        if as_json:
-            print_json(proposal.to_json())
-        else:
-            typer.echo(proposal.to_text())
+        print_result(proposal, as_json)
 
 
 def register(app: typer.Typer) -> None:

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -47,6 +47,38 @@ def print_json(value: Any) -> None:
     typer.echo(json.dumps(finite(value), default=str, allow_nan=False))
 
 
+def print_result(result: Any, as_json: bool, to_text: Callable[[Any], str] | None = None) -> None:
+    """Print what a use case returned: its JSON object, or its lines.
+
+    Parameters
+    ----------
+    result
+        Has `to_json`.
+    to_text
+        Makes the lines; the result's own `to_text` if None.
+    """
+    if as_json:
+        print_json(result.to_json())
+    else:
+        typer.echo(result.to_text() if to_text is None else to_text(result))
+
+
 def to_terminal() -> bool:
     """Tell whether a person is watching: progress goes to standard error."""
     return sys.stderr.isatty()
+
+
+@contextmanager
+def status() -> Iterator[Callable[[str], None]]:
+    """Give what is called with every new step; the line also tells how long it has taken so far."""
+    if not to_terminal():
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("reading")
+        yield lambda text: progress.update(task, description=escape(text))

@@ -2,11 +2,10 @@
 
 from labrun.control.closed_loop import ClosedLoopRecorder
 from labrun.control.compiled.recorder import CompiledLoopRecorder, loop_recorder
-from labrun.control.feedforward import FeedforwardPid
-from labrun.control.pid import PidController
+from labrun.control.pid import FeedforwardPid, PidController
 from labrun.control.plant import TransferTable, response_table
 from labrun.control.protocol import LoopContext, Step
-from labrun.control.references.half_sine import HalfSineReference, HalfSineSettings
+from labrun.control.references import HalfSineReference, HalfSineSettings
 
 __all__ = [
     "ClosedLoopRecorder",

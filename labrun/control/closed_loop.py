@@ -3,18 +3,67 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
+
+import numpy as np
 
 from labrun.control.history import History
-from labrun.control.loop import Loop
+from labrun.control.loop import Loop, LoopRecord
 from labrun.control.making import make_feedback, watched_by
 from labrun.control.pieces import Pieces
 from labrun.control.protocol import Condition, Feedback, LoopContext
-from labrun.control.stream import channels_of, samples_of, variable_unit
 from labrun.devices import Channel, Samples
 from labrun.errors import SpecError
 from labrun.gaits import make_gait, steering_of
 from labrun.runner import LEAD_S, TAIL_S, Handle, Rig, SimulatedClock, TrialRecording
 from labrun.spec import LOOP_DEVICE, Experiment, LoopTable, Track, condition_text
+from labrun.toml import unit_of
+
+
+def channels_of(
+    experiment: Experiment, loops: Mapping[str, LoopTable], feedbacks: Mapping[str, Sequence[Feedback]]
+) -> tuple[Channel, ...]:
+    """Return the channels of the loops' stream: those of each loop, and the timing of the steps."""
+    found = []
+    for name, table in loops.items():
+        shape = table.shape
+        of_feedback = units_of(feedbacks[name], len(shape.components))
+        of_drives = [variable_unit(experiment, variable) for variable in table.drives]
+        units = [*3 * of_feedback, *2 * of_drives, *shape.more.values()]
+        found += [Channel(c, unit or "1") for c, unit in zip(shape.channels(name), units, strict=True)]
+    return (*found, Channel("latency_s", "s"), Channel("late_s", "s"), Channel("missed", "1"))
+
+
+def units_of(feedbacks: Sequence[Feedback], count: int) -> list[str]:
+    """Return the unit of each component of a loop's feedback."""
+    return [feedbacks[0].unit] * count if len(feedbacks) == 1 else [one.unit for one in feedbacks]
+
+
+def variable_unit(experiment: Experiment, variable: str) -> str:
+    """Return the unit of a variable: as [units] says, else as the key of the gait that takes it as it stands."""
+    if variable in experiment.units:
+        return experiment.units[variable]
+    for keys in experiment.gait.joints.values():
+        for key, expression in keys.items():
+            if expression.text.strip() == variable:
+                return unit_of(key) or ""
+    return ""
+
+
+def samples_of(
+    time_s: float,
+    records: Sequence[LoopRecord],
+    latency_s: float,
+    late_s: float,
+    *,
+    missed: bool,
+    skipped: int,
+) -> Samples:
+    """Return one step as a sample; steps that were skipped before it count as lost."""
+    row = chain.from_iterable(item.row for item in records)
+    at = np.array([time_s])
+    return Samples(at, at, np.array([[*row, latency_s, late_s, float(missed)]]), lost=skipped)
+
 
 _LOOK_S = 0.05
 _ON_TIME = 1e-9

@@ -1,10 +1,9 @@
 """What a device is. A plugin needs this package and nothing deeper."""
 
 from labrun.arrays import FloatArray
-from labrun.devices.buffering import SampleBuffer
 from labrun.devices.clock import Clock
 from labrun.devices.limits import Excess, Limits
-from labrun.devices.listening import Listener
+from labrun.devices.listening import Listener, SampleBuffer
 from labrun.devices.orientation import EulerAngles, HingeAngle, OrientationAngles, turn_about, unknown_bodies
 from labrun.devices.pacing import CommandStream, Pacing
 from labrun.devices.plugin import DeviceContext, DevicePlugin, DeviceSettings, EmergencyStop, Port
@@ -17,10 +16,10 @@ from labrun.devices.protocols import (
     Health,
     Identity,
     Paced,
+    Remark,
     Sensor,
     Tracker,
 )
-from labrun.devices.remark import Remark
 from labrun.devices.samples import Channel, Samples
 from labrun.devices.scene import Scene
 from labrun.devices.serial_port import SerialPort

@@ -1,8 +1,8 @@
 """What a device is: small structural protocols, one per capability; nothing to inherit."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from dataclasses import asdict, dataclass, field
+from typing import Literal, Protocol, runtime_checkable
 
 from labrun.devices.pacing import Pacing
 from labrun.devices.samples import Channel, Samples
@@ -151,3 +151,17 @@ class Carriage(Device, Protocol):
         cannot has no such parameter, and `trial.carriage.acceleration_m_s2` is refused for it.
         """
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """One thing that was looked at, what was found, and what to do about it."""
+
+    verdict: Literal["ok", "warning", "problem"]
+    subject: str
+    message: str
+    advice: str = ""
+
+    def to_json(self) -> dict[str, str]:
+        """Return the fields by name."""
+        return asdict(self)

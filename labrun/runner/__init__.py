@@ -3,7 +3,7 @@
 from labrun.runner.bench import Bench, Handle
 from labrun.runner.by_hand import Person, Scripted, Willing
 from labrun.runner.clock import RealClock, SimulatedClock
-from labrun.runner.damage import Worn, worn_before
+from labrun.runner.damage import worn_before, worn_specimens
 from labrun.runner.doctor import examine_machine, examine_rig, find_devices
 from labrun.runner.emulated_bench import EmulatedBench, has_emulator
 from labrun.runner.evaluation import ObjectiveError, ObjectiveEvaluation
@@ -51,7 +51,6 @@ __all__ = [
     "TrialRecording",
     "UntilRecorder",
     "Willing",
-    "Worn",
     "examine_machine",
     "examine_rig",
     "find_devices",
@@ -65,4 +64,5 @@ __all__ = [
     "unsettled",
     "within_bounds",
     "worn_before",
+    "worn_specimens",
 ]

@@ -1,6 +1,6 @@
 """The two clocks: the host's, and a simulated one that costs nothing to wait on."""
 
-from labrun.devices.host_clock import HostClock as RealClock
+from labrun.devices.clock import HostClock as RealClock
 
 __all__ = ["RealClock", "SimulatedClock"]
 

@@ -1,13 +1,25 @@
 """Which specimens are no longer what they were, and by which trial, of this run or of one before."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from labrun.errors import LabrunError
-from labrun.spec import BROKEN, PAST, ByHand, Condition, DamageTable, condition_key, condition_text
-from labrun.store import TrialOutcome, open_run
+from labrun.runner.rig import Rig
+from labrun.spec import (
+    BROKEN,
+    PAST,
+    ByHand,
+    Condition,
+    DamageTable,
+    Experiment,
+    condition_key,
+    condition_text,
+)
+from labrun.store import RunFolder, TrialOutcome, all_runs, open_run
 
+_WORN = "worn"
+"""Event of the journal."""
 _Specimen = tuple[tuple[str, float | str], ...]
 
 
@@ -56,6 +68,33 @@ def worn_before(runs: Iterable[Path], table: DamageTable | None, by_hand: ByHand
 def _names(table: DamageTable | None, by_hand: ByHand | None) -> frozenset[str]:
     by_hand_names = [] if by_hand is None else by_hand.names
     return frozenset(by_hand_names if table is None or not table.of else table.of)
+
+
+def worn_specimens(experiment: Experiment, rig: Rig, folder: RunFolder) -> list[Worn]:
+    """Return the specimens that a run must leave alone; a resumed one the same as when it began.
+
+    A simulated bench is a new one each time, with specimens of its own.
+    """
+    table = experiment.damage
+    if table is None or table.fresh or rig.dry_run or rig.emulated:
+        return []
+    known = next((one["worn"] for one in folder.journal.events() if one["event"] == _WORN), None)
+    if known is not None:
+        return [Worn(**one) for one in known]
+    earlier = [
+        one for one in all_runs(folder.path.parent.parent) if one != folder.path and _on_the_bench(one)
+    ]
+    worn = worn_before(earlier, table, experiment.by_hand)
+    folder.journal.append(_WORN, worn=[asdict(one) for one in worn])
+    return worn
+
+
+def _on_the_bench(run: Path) -> bool:
+    try:
+        origin = RunFolder(run).provenance
+    except LabrunError:
+        return False
+    return not (origin.get("dry_run") or origin.get("emulated") or "imported_from" in origin)
 
 
 class Damage:

@@ -23,6 +23,7 @@ from labrun.spec.experiment import (
 from labrun.spec.key_reference import Key, keys_at
 from labrun.spec.loading import (
     LoadedExperiment,
+    apply_overrides,
     find_beside,
     load_experiment,
     load_named,
@@ -38,7 +39,6 @@ from labrun.spec.loop_tables import (
     Track,
     loop_channel,
 )
-from labrun.spec.overrides import apply_overrides
 from labrun.spec.plugins import resolved_settings, scene_of
 from labrun.spec.raw import named_channels
 from labrun.spec.search_tables import (

@@ -9,7 +9,7 @@ from labrun.app.diagnose import store
 from labrun.app.reveal import reveal
 from labrun.blind import Seal, write_seal
 from labrun.errors import RecordingError, RequestError
-from labrun.report.gap_reveal import compared_text
+from labrun.report.gap_answers import compared_text
 
 TRUTH = {
     "effect": "coulomb-friction",

@@ -7,12 +7,10 @@ import pytest
 
 from labrun.control.compiled.law import Channels, law_of, straight_gait, wiring_of
 from labrun.control.compiled.stepping import CLAMPED, GOOD, LOST_ORIENTATION, NOT_FINITE, SAMPLES, take_step
-from labrun.control.feedbacks.latest import LatestFeedback
-from labrun.control.feedbacks.orientation import OrientationFeedback
-from labrun.control.feedforward import FeedforwardPid
+from labrun.control.feedbacks import LatestFeedback, OrientationFeedback
 from labrun.control.making import OneForEach
 from labrun.control.network import NetworkController
-from labrun.control.pid import PidController
+from labrun.control.pid import FeedforwardPid, PidController
 from labrun.control.protocol import LoopContext, Step
 from labrun.devices import Limits
 from labrun.errors import SpecError

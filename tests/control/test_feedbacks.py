@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labrun.control.feedbacks.channel import mean_over
+from labrun.control.feedbacks import mean_over
 from labrun.control.history import History
 from labrun.control.making import make_feedback
 from labrun.devices import Samples

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labrun.control.feedforward import FeedforwardPid
+from labrun.control.pid import FeedforwardPid
 from labrun.control.plant import PlantModel, read_plant
 from labrun.control.protocol import LoopContext, Step
 from labrun.errors import SpecError

@@ -5,7 +5,7 @@ import pytest
 from plant_lab import PlantLab, experiment_with
 
 from labrun.control.closed_loop import ClosedLoopRecorder
-from labrun.control.feedbacks.orientation import unit_quaternion
+from labrun.control.feedbacks import unit_quaternion
 from labrun.errors import ExperimentError, SpecError
 
 CONTROL = {"plugin": "pid", "p": 0.4, "output": "increment"}

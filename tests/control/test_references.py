@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from labrun import registry
 from labrun.control.making import REFERENCES, make_reference
-from labrun.control.references.table import TableReference
+from labrun.control.references import TableReference
 from labrun.errors import SpecError
 from labrun.toml import PluginTable
 

@@ -15,8 +15,7 @@ from pydantic import ValidationError
 from labrun.app.fit import fit
 from labrun.app.run import execute
 from labrun.control import HalfSineSettings
-from labrun.control.feedforward import FeedforwardPid
-from labrun.control.pid import PidController
+from labrun.control.pid import FeedforwardPid, PidController
 from labrun.control.protocol import LoopContext, Step
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate

@@ -6,7 +6,7 @@ from paddle_lab import experiment_with
 
 from labrun.errors import ExperimentError
 from labrun.runner import RealClock, Rig, Session, UntilRecorder
-from labrun.runner.cycle_log import CycleLog
+from labrun.runner.until import CycleLog
 from labrun.store import RunFolder, open_run
 
 TIRING = {

@@ -8,8 +8,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.control.compiled.stepping import AFFINE, ALIVE, PID, Affine, Law, Pid, Wiring
-from labrun.control.feedbacks.latest import LatestFeedback
-from labrun.control.feedbacks.orientation import OrientationFeedback
+from labrun.control.feedbacks import LatestFeedback, OrientationFeedback
 from labrun.control.inverse import InverseController
 from labrun.control.making import OneForEach
 from labrun.control.network import NetworkController

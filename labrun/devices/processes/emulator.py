@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from labrun.devices.clock import HostClock
 from labrun.devices.emulation import Emulator, EmulatorContext, EmulatorLog, Faults
-from labrun.devices.host_clock import HostClock
 from labrun.devices.processes.scene import LINGER_S, RemoteScene
 from labrun.errors import LabrunError
 from labrun.registry import load

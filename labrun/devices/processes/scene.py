@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from labrun.devices import FloatArray, Scene, Trajectory
-from labrun.devices.host_clock import HostClock
+from labrun.devices.clock import HostClock
 from labrun.registry import load
 
 READY = "ready"

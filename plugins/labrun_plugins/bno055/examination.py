@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from labrun.devices import DeviceError, Identity, Remark, SerialPort
-from labrun.devices.host_clock import HostClock
+from labrun.devices.clock import HostClock
 from labrun_plugins.bno055 import codec
 from labrun_plugins.bno055.chip import Chip, Refused, Silent
 from labrun_plugins.bno055.orientation import angles, up_in_body

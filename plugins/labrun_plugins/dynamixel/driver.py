@@ -16,7 +16,7 @@ from labrun.devices import (
     Trajectory,
 )
 from labrun.devices.pacing import CommandStream, Pacing
-from labrun.devices.remark import Remark
+from labrun.devices.protocols import Remark
 from labrun_plugins.dynamixel import report
 from labrun_plugins.dynamixel.bus import Bus
 from labrun_plugins.dynamixel.commands import CommandCheck
@@ -216,7 +216,7 @@ class Dynamixel:
     @classmethod
     def emergency_stop(cls, name: str, settings: Any) -> None:
         """Connect from scratch and stop: the runner is dead or hangs."""
-        from labrun.devices.host_clock import HostClock
+        from labrun.devices.clock import HostClock
         from labrun_plugins.dynamixel.emergency import emergency_stop
 
         emergency_stop(name, settings, HostClock())
@@ -224,7 +224,7 @@ class Dynamixel:
     @classmethod
     def probe(cls, port: str) -> Identity | None:
         """Tell whether Dynamixels answer at a port, at 1 Mbit/s or at the factory's 57 600 bits/s."""
-        from labrun.devices.host_clock import HostClock
+        from labrun.devices.clock import HostClock
         from labrun_plugins.dynamixel.examination import probe
 
         return probe(port, HostClock())

@@ -4,7 +4,7 @@ import statistics
 from collections.abc import Iterator, Sequence
 
 from labrun.devices import Clock, DeviceError, Identity
-from labrun.devices.remark import Remark
+from labrun.devices.protocols import Remark
 from labrun_plugins.dynamixel.bus import Bus
 from labrun_plugins.dynamixel.control_table import (
     CLIMATE,

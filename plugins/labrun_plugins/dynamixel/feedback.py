@@ -3,8 +3,7 @@
 from typing import Any
 
 from labrun.devices import DeviceContext, DeviceError, Samples
-from labrun.devices.buffering import SampleBuffer
-from labrun.devices.listening import Listener
+from labrun.devices.listening import Listener, SampleBuffer
 from labrun_plugins.dynamixel.codec import Status
 from labrun_plugins.dynamixel.control_table import (
     LOAD_UNIT,

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from labrun.devices import DeviceError, Identity, SerialPort
-from labrun.devices.host_clock import HostClock
+from labrun.devices.clock import HostClock
 from labrun_plugins.labline.codec import UNSOLICITED, Line, LineParser, encode
 from labrun_plugins.labline.session import BAUD, BOOT_WAIT_S
 

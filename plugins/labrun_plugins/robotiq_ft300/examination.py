@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from labrun.devices import DeviceError, Identity, Remark, SerialPort
-from labrun.devices.host_clock import HostClock
+from labrun.devices.clock import HostClock
 from labrun_plugins.robotiq_ft300 import codec
 from labrun_plugins.robotiq_ft300.link import Link, Nameplate
 from labrun_plugins.robotiq_ft300.reception import Polling, Reception

@@ -13,7 +13,7 @@ from labrun.devices import (
     SampleBuffer,
     Samples,
 )
-from labrun.devices.host_clock import HostClock
+from labrun.devices.clock import HostClock
 from labrun_plugins.ur5.examining import remarks
 from labrun_plugins.ur5.line import Line
 from labrun_plugins.ur5.link import Link, stop_from_scratch

@@ -17,7 +17,7 @@ from labrun_plugins.labline.refusal import LineRefusedError, StoppedError
 from labrun_plugins.labline.session import Hello, LineSession
 
 from labrun.devices import SerialPort
-from labrun.devices.host_clock import HostClock
+from labrun.devices.clock import HostClock
 from labrun.errors import DeviceError
 
 

@@ -1,1 +1,0 @@
-"""Feedbacks: from the latest samples to what a loop compares with its reference."""

@@ -1,1 +1,0 @@
-"""References: what a loop's feedback should be over time."""

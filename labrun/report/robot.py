@@ -1,0 +1,115 @@
+"""A robot diagnosed joint by joint: its lines in a terminal, and its page."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from labrun.gap import Cause, JointDiagnosis, RobotDiagnosis
+from labrun.report.figures.gap_traces import traces_figure
+from labrun.report.figures.robot import robot_figure
+from labrun.report.gap_page import parameter_table
+from labrun.report.gap_words import HEADLINES, VERDICTS, bound_words, ranked, times_noise, value_words
+from labrun.report.page import PageTable, drawn, render
+from labrun.report.text import listed, number, percent, short_time_text
+
+
+def cause_words(cause: Cause) -> str:
+    """Return what a cause is called where its joint is known, with what it cannot be told from."""
+    told = cause.name.words.partition(" at ")[0]
+    if cause.name.site.endswith("_command"):
+        told += " of the command"
+    same = [name.words for name in cause.indistinguishable_from]
+    return told + (f" (or {listed(same, 'or')})" if same else "")
+
+
+def joint_rows(found: RobotDiagnosis) -> list[list[str]]:
+    """Return joint, cause, confidence, gap recalibrated and with causes, and errors in the whole robot, as texts."""
+    rows = []
+    for one in found.joints:
+        diagnosis, gap = one.diagnosis, one.diagnosis.gap
+        causes = " + ".join(cause_words(cause) for cause in diagnosis.causes) or HEADLINES[diagnosis.verdict]
+        sure = ", ".join(percent(cause.confidence) for cause in diagnosis.causes)
+        unit = one.joint.unit
+        errors = [f"{number(value, 2)} {unit}" for value in (one.stated, one.recalibrated, one.corrected)]
+        after = times_noise(gap.after) if diagnosis.causes else ""
+        rows.append([one.joint.name, causes, sure, times_noise(gap.recalibrated), after, *errors])
+    return rows
+
+
+def robot_lines(found: RobotDiagnosis, files: Mapping[str, Path] | None = None) -> list[str]:
+    """Return the verdict, a line a joint, the sizes of what was found, and what was written."""
+    heads = ["joint", "cause", "sure", "gap", "with cause", "stated", "recalibrated", "corrected"]
+    lines = [found.sentence, "", *_aligned([heads, *joint_rows(found)])]
+    sizes = [
+        f"{cause.name.words}: {'; '.join(value_words(cause.values))}"
+        for one in found.joints
+        for cause in one.diagnosis.causes
+    ]
+    lines += ["", *sizes] if sizes else []
+    lines += found.remarks
+    joints = "joint" if len(found.joints) == 1 else "joints"
+    lines.append(f"{len(found.joints)} {joints} in {short_time_text(found.seconds)}")
+    return [*lines, *(f"{label}  {path}" for label, path in (files or {}).items())]
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    ]
+
+
+_SHOWN = 12
+_COLUMNS = (
+    "joint", "cause", "confidence", "gap recalibrated", "gap with cause", "whole robot: stated", "recalibrated",
+    "corrected",
+)  # fmt: skip
+
+
+def robot_page(found: RobotDiagnosis) -> str:
+    """Return the page; the same diagnosis gives the same text, byte for byte."""
+    rows = joint_rows(found)
+    marked = [place for place, one in enumerate(found.joints) if one.diagnosis.causes]
+    sections = [_section(one) for one in found.joints]
+    return render(
+        "robot.html.j2",
+        {
+            "title": f"{found.name}, joint by joint",
+            "r": found,
+            "links": [(one["anchor"], one["joint"]) for one in sections],
+            "picture": drawn(
+                lambda: robot_figure(found), "robot", "Every joint's gap before and after its causes"
+            ),
+            "joints": PageTable(_COLUMNS, rows, words=(0, 1), marked=marked),
+            "sections": sections,
+        },
+    )
+
+
+def _section(one: JointDiagnosis) -> Mapping[str, Any]:
+    diagnosis = one.diagnosis
+    lines = [f"{cause_words(cause)}: {'; '.join(value_words(cause.values))}" for cause in diagnosis.causes]
+    for cause in diagnosis.causes:
+        rivals = listed([name.words for name in cause.indistinguishable_from], "or")
+        lines += [f"These data cannot tell {cause.name.words} from {rivals}."] if rivals else []
+    candidates = [
+        [
+            other.name.words, VERDICTS[other.verdict],
+            "" if other.held_out_share is None else percent(other.held_out_share), number(other.evidence, 2),
+            "; ".join(bound_words(other.upper_bound) if other.verdict == "ruled-out" else value_words(other.values)),
+        ]
+        for other in ranked(diagnosis.candidates)[:_SHOWN]
+    ]  # fmt: skip
+    return {
+        "anchor": f"joint-{one.joint.output}",
+        "joint": one.joint.name,
+        "d": diagnosis,
+        "lines": lines,
+        "traces": drawn(
+            lambda: traces_figure(diagnosis), f"traces-{one.joint.output}", "Measured and simulated"
+        ),
+        "candidates": PageTable(
+            ("candidate", "verdict", "removes", "evidence", "size"), candidates, words=(0, 1, 4)
+        ),
+        "parameters": parameter_table(diagnosis),
+    }
