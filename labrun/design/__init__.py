@@ -5,8 +5,7 @@ import sys
 from labrun import UseCasePackage
 from labrun.design.candidates import Candidates, SimulationLimitError
 from labrun.design.constraints import Margin
-from labrun.design.drawing import Drawing, drawing_of
-from labrun.design.handing_on import MADE, dimensions_csv, model_text, written_experiment
+from labrun.design.handing_on import MADE, Drawing, dimensions_csv, drawing_of, model_text, written_experiment
 from labrun.design.simulator import Simulated, Simulator, require_simulable
 
 __all__ = [

@@ -13,8 +13,7 @@ from labrun.effects.effect import (
     signal_filter,
     unit_of,
 )
-from labrun.effects.library import effects, load_effect, shipped
-from labrun.effects.reading import read_effects
+from labrun.effects.reading import effects, load_effect, read_effects, shipped
 
 __all__ = [
     "FORCED",

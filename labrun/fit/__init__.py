@@ -5,21 +5,30 @@ import sys
 from labrun import UseCasePackage
 from labrun.estimate import Estimate, rounded
 from labrun.fit.comparison import ComparedPoint, Comparison, Pair, compared, predictions
-from labrun.fit.correlation import correlation_length
 from labrun.fit.dataset import Dataset, FitTrial, OutputsAlone, load_dataset, until_peak
 from labrun.fit.deviations import Deviation, DeviationKind
 from labrun.fit.figure import Curve, FigureData, Panel, Stack
 from labrun.fit.initial_states import FIRST_SAMPLES
 from labrun.fit.jacobian import Jacobian
 from labrun.fit.levenberg_marquardt import NormalEquations, minimise
-from labrun.fit.method import GROUP, FitJob, FitMethod, FitPlan, FitPlugin, NoSettings, is_method, make_method
-from labrun.fit.notes import Note, silent
+from labrun.fit.method import (
+    GROUP,
+    FitJob,
+    FitMethod,
+    FitPlan,
+    FitPlugin,
+    NoSettings,
+    Note,
+    is_method,
+    make_method,
+    silent,
+)
 from labrun.fit.output_error import FEW_TRIALS, fit_model
-from labrun.fit.parallel import Each, one_by_one, workers
 from labrun.fit.problem import FEWEST_SAMPLES, OutputNoise, Problem
-from labrun.fit.resampling import LEVEL, by_mounting, resample_trials, student
+from labrun.fit.resampling import LEVEL, by_mounting, correlation_length, resample_trials, student
 from labrun.fit.result import FitResult, FitSummary, FittedData, TextTable
 from labrun.fit.side_by_side import paired, predicted_numbers, told_apart
+from labrun.fit.simulations import Each, one_by_one, workers
 from labrun.fit.starts import search
 from labrun.store import is_recording
 

@@ -10,10 +10,17 @@ from pydantic import BaseModel, ConfigDict
 
 from labrun import registry
 from labrun.errors import RequestError
-from labrun.fit.notes import Note, silent
 from labrun.fit.result import FitSummary
 from labrun.models import Model
 from labrun.toml import dotted, validate
+
+Note = Callable[[str], None]
+"""Told, in a few words, what is being done now."""
+
+
+def silent(_: str) -> None:
+    """Say nothing."""
+
 
 GROUP = "labrun.fits"
 

@@ -11,7 +11,6 @@ from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
-from labrun.fit.correlation import correlation_length
 from labrun.fit.dataset import Dataset, load_dataset
 from labrun.fit.identifiability import (
     Curvature,
@@ -21,10 +20,9 @@ from labrun.fit.identifiability import (
     undetermined,
 )
 from labrun.fit.levenberg_marquardt import minimise
-from labrun.fit.method import FitJob, NoSettings
-from labrun.fit.notes import Note, silent
+from labrun.fit.method import FitJob, NoSettings, Note, silent
 from labrun.fit.problem import OutputNoise, Problem
-from labrun.fit.resampling import by_mounting, resample_trials
+from labrun.fit.resampling import by_mounting, correlation_length, resample_trials
 from labrun.fit.result import FitResult, FittedData, StartOutcome
 from labrun.fit.starts import Minimum, search
 from labrun.models import Model

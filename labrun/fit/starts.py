@@ -7,7 +7,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit.levenberg_marquardt import minimise
-from labrun.fit.notes import Note
+from labrun.fit.method import Note
 from labrun.fit.problem import Problem
 
 _GROWTH = (0.1, 0.35)

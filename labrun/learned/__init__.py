@@ -1,8 +1,16 @@
 """Maps learned from data: networks with their scaling, kept as plain arrays beside a TOML file, and trained anew."""
 
 from labrun.learned.affine import SlidingAffine, exact_affine
-from labrun.learned.artefact import LearnedModel, files_of, from_table, read_learned, to_table
-from labrun.learned.inverse import INVERSES, Inverse, load_inverse
+from labrun.learned.artefact import (
+    INVERSES,
+    Inverse,
+    LearnedModel,
+    files_of,
+    from_table,
+    load_inverse,
+    read_learned,
+    to_table,
+)
 from labrun.learned.network import ACTIVATIONS, Activation, Network, Scaling
 from labrun.learned.training import Solver, Training, train
 

@@ -3,15 +3,16 @@
 import hashlib
 import io
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, cast
 
 import numpy as np
 import tomli_w
 
+from labrun import registry
 from labrun.errors import SpecError
 from labrun.learned.network import ACTIVATIONS, Activation, Network, Scaling
 from labrun.toml import parsed, text_of
@@ -215,3 +216,19 @@ def _scalings(table: Mapping[str, Any]) -> tuple[Scaling, Scaling]:
         for of in ("input", "output")
     )
     return one, other
+
+
+INVERSES = "labrun.inverses"
+
+
+class Inverse(Protocol):
+    """The function an entry point of group ``labrun.inverses`` names."""
+
+    def __call__(self, values: Sequence[float]) -> tuple[float, ...]:
+        """Return the drives, in the gait's own units, that ought to bring about this feedback of a loop."""
+        ...
+
+
+def load_inverse(name: str) -> Inverse:
+    """Return an inverse by name; PluginError with the nearest name if there is none."""
+    return cast("Inverse", registry.load(INVERSES, name))

@@ -1,8 +1,8 @@
 """Logs of robots made elsewhere: read, matched with a model, cleaned, cut into trials, written as a recording."""
 
 from labrun.logs.cleaning import LogTable, Piece, cut, table_of, unusable
+from labrun.logs.files import read_log
 from labrun.logs.matching import TICKS, Match, Unit, Wanted, in_si, matched
-from labrun.logs.reading import read_log
 from labrun.logs.streams import Column, Stream, column, plain
 from labrun.logs.writing import write_recording
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from labrun.fit.parallel import stop_if_told, workers
+from labrun.fit.simulations import stop_if_told, workers
 
 
 def endless(begun: threading.Event) -> None:

@@ -10,14 +10,13 @@ import numpy as np
 
 from .bench import Bench
 from .forms import FORMS, OUTSIDE, OUTSIDE_SIGNALS
-from .measures import measure
 from .mechanism import Hidden, Mechanism
 from .mixture import Chosen, aim_of, choose, kind_of, stream_of, strength_class
 from .noise import ChannelNoise, Colour, draw_noise, rescaled
 from .plant import FloatArray, Plant, Programme
 from .refit import Recalibration, size_of
 from .simulate import BlewUpError, adaptive, fixed
-from .sizing import OutOfReachError, Projection, alike, find_size, sensor_factor
+from .sizing import OutOfReachError, Projection, alike, find_size, measure, sensor_factor
 from .writing import write_model, write_recording
 
 FRESH_CONDITIONS = 3

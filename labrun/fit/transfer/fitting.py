@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from labrun.arrays import FloatArray
 from labrun.errors import FitError
 from labrun.estimate import Estimate
-from labrun.fit.correlation import correlation_length
-from labrun.fit.resampling import resample_trials
+from labrun.fit.resampling import correlation_length, resample_trials
 from labrun.fit.result import TextTable
 from labrun.fit.transfer.estimation import (
     CandidatePoint,

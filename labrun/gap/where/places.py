@@ -53,7 +53,7 @@ def find_places(
     note
         Is told in sentences what there is to know about the shares and their p.
     each
-        Runs what does not depend on one another; see `labrun.fit.parallel`.
+        Runs what does not depend on one another; see `labrun.fit.simulations`.
 
     Returns
     -------

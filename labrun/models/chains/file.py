@@ -1,14 +1,29 @@
 """Model files with ``[bodies]``, ``[joints]`` and ``[loop]``: what hangs on what, and which numbers it takes."""
 
+# ruff: noqa: RUF012 - pydantic copies defaults
+
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Annotated
+
+from pydantic import BeforeValidator, Field
 
 from labrun.effects import Site
 from labrun.models.attaching import read_effects
 from labrun.models.chains.model import AT_REST, CLOSED, MEASURES, OPENINGS, ClosedChain, Tree, functions
-from labrun.models.chains.tables import BodyTable, ChainFile, JointTable
 from labrun.models.model import Output
-from labrun.models.tables import ModelFile
+from labrun.models.tables import (
+    Equation,
+    Finite,
+    InputTable,
+    ModelFile,
+    Name,
+    OutputTable,
+    ParameterTable,
+    SystemFile,
+    alone,
+    listed,
+)
 from labrun.models.toml_model import (
     Expressions,
     conditions_of,
@@ -19,7 +34,89 @@ from labrun.models.toml_model import (
     places_of,
     refuse_unused,
 )
-from labrun.toml import Expression, ExpressionError, KeyPath, suggest
+from labrun.toml import Expression, ExpressionError, KeyPath, Table, suggest
+
+Vector = tuple[Equation, Equation, Equation]
+_NOTHING = (Expression.of(0.0),) * 3
+
+
+class BodyTable(Table):
+    """A rigid body, as it lies when all angles are 0.
+
+    Attributes
+    ----------
+    fixed
+        Whether it is the one that does not move.
+    mass_kg
+        Its mass.
+    center_m
+        Its centre of mass.
+    inertia_kg_m2
+        About that centre: xx, yy, zz, and xy, xz, yz where they are not 0.
+    """
+
+    fixed: bool = False
+    mass_kg: Equation | None = None
+    center_m: Vector | None = None
+    inertia_kg_m2: Annotated[tuple[Equation, ...], Field(min_length=3, max_length=6)] | None = None
+
+
+class JointTable(Table):
+    """A hinge from one body to another.
+
+    Attributes
+    ----------
+    from_body, to_body
+        It hangs `to_body` on `from_body`.
+    axis, at_m
+        Direction and a point of its axis, in `from_body`.
+    axis_in_to, at_in_to_m
+        The same in `to_body`, where they differ.
+    stiffness_n_m_rad, damping_n_m_s_rad, rest_rad, torque_n_m
+        Torque: ``-stiffness (angle - rest) - damping rate + torque``.
+    guess_rad
+        About where a trial begins.
+    """
+
+    from_body: str = Field(alias="from")
+    to_body: str = Field(alias="to")
+    axis: Vector
+    at_m: Vector = _NOTHING
+    axis_in_to: Vector | None = None
+    at_in_to_m: Vector | None = None
+    stiffness_n_m_rad: Equation = Expression.of(0.0)
+    damping_n_m_s_rad: Equation = Expression.of(0.0)
+    rest_rad: Equation = Expression.of(0.0)
+    torque_n_m: Equation = Expression.of(0.0)
+    guess_rad: Finite = 0.0
+
+
+class ChainLoopTable(Table):
+    """The loop.
+
+    Attributes
+    ----------
+    joint
+        The joint that closes it: it leads to a body that another joint holds already.
+    stabilisation_rad_s
+        How fast an error of the closure decays; 0 leaves it as it is.
+    """
+
+    joint: str
+    stabilisation_rad_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 100.0
+
+
+class ChainFile(SystemFile):
+    """A model file with bodies on hinges."""
+
+    gravity_m_s2: Vector = _NOTHING
+    inputs: Annotated[dict[Name, InputTable], BeforeValidator(listed)] = {}
+    parameters: dict[Name, Annotated[ParameterTable, alone("value")]] = {}
+    bodies: dict[Name, BodyTable]
+    joints: Annotated[dict[Name, JointTable], Field(min_length=1)]
+    loop: ChainLoopTable | None = None
+    outputs: Annotated[dict[Name, Annotated[OutputTable, alone("equation")]], Field(min_length=1)]
+
 
 _ZERO = Expression.of(0.0)
 

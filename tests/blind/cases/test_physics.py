@@ -5,10 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
-from labrun.blind.cases.bench import Bench
-from labrun.blind.cases.drive import Drive
+from labrun.blind.cases.bench import Bench, Drive
 from labrun.blind.cases.forms import FORMS
-from labrun.blind.cases.measures import measure
 from labrun.blind.cases.mechanism import Hidden, Measures
 from labrun.blind.cases.mixture import DECK, choose, kind_of, places
 from labrun.blind.cases.noise import ChannelNoise
@@ -16,6 +14,7 @@ from labrun.blind.cases.plant import Programme
 from labrun.blind.cases.plants import PLANTS, FreeDecay, HingeDrive, LinearStage, Swimmer
 from labrun.blind.cases.refit import Recalibration, size_of
 from labrun.blind.cases.simulate import adaptive, fixed
+from labrun.blind.cases.sizing import measure
 
 
 def drawn(kind, wanted, start=0):
