@@ -6,7 +6,8 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -107,10 +108,22 @@ class CheckFolder:
         _write(self.path / "check.json", scores)
 
 
-def make_cases(
-    generator: Path,
-    out: Path,
+@contextmanager
+def kept_when_interrupted(folder: CheckFolder, what: str) -> Iterator[None]:
+    """Turn Ctrl-C into an error that says how to go on; `what` was finished is kept."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise LabrunError(
+            f"interrupted by Ctrl-C; every {what} that was finished is kept",
+            hint=f"the same command goes on: {folder.path}",
+        ) from None
+
+
+def prepare(
+    folder: CheckFolder,
     *,
+    generator: Path | None = None,
     cases: int,
     seed: int,
     first: int,
@@ -119,24 +132,54 @@ def make_cases(
     workers: int,
     note: Note,
 ) -> str:
-    """Run the generator; return the line in which it tells the seal.
+    """Have the cases made, unless they are there; return the line that tells the seal.
 
     Parameters
     ----------
+    generator
+        Folder of the code that makes them; that which comes with labrun if None.
     only
-        Kind of all cases; its mixture of kinds if None.
+        Kind of all cases; the generator's mixture of kinds if None.
     data
         What all recordings are to be like, as ``repeats=1`` or ``noise=pink``.
 
     Raises
     ------
+    RequestError
+        The folder holds something else, or there is no such generator.
     LabrunError
-        It failed, with the last lines of what it said.
+        The generator failed, with the last lines of what it said.
     """
-    command = [sys.executable, str(generator), "--cases", str(cases), "--seed", str(seed)]
-    command += ["--first", str(first), "--workers", str(workers), "--out", str(out)]
+    if folder.made:
+        return f"seal {seal_of(folder.path)}  (cases that were there, in {folder.path})"
+    if folder.path.exists() and (not folder.path.is_dir() or any(folder.path.iterdir())):
+        raise RequestError(
+            f"{folder.path} is there and holds something else than a check",
+            hint="name a new folder with --out",
+        )
+    if generator is not None and not (generator / "__main__.py").is_file():
+        raise RequestError(
+            f"{generator} makes no cases: it has no __main__.py",
+            hint="leave out --generator for the cases that come with labrun",
+        )
+    note("making the cases")
+    folder.path.parent.mkdir(parents=True, exist_ok=True)
+    command = [
+        sys.executable,
+        str(generator or SHIPPED_GENERATOR),
+        "--cases",
+        str(cases),
+        "--seed",
+        str(seed),
+    ]
+    command += ["--first", str(first), "--workers", str(workers), "--out", str(folder.path)]
     command += [] if only is None else ["--only", only]
     command += [f"--{one}" for one in data]
+    return _made(command, note)
+
+
+def _made(command: Sequence[str], note: Note) -> str:
+    """Run the generator; return the line in which it tells the seal."""
     told: list[str] = []
     with tempfile.TemporaryFile("w+", encoding="utf-8") as said:
         process = subprocess.Popen(command, stdout=said, stderr=subprocess.PIPE, text=True, encoding="utf-8")
@@ -153,7 +196,7 @@ def make_cases(
         seal = said.read().strip()
     if code != 0 or not seal:
         raise LabrunError(
-            f"the generator {generator} ended with exit code {code}:\n    " + "\n    ".join(told),
+            f"the generator {command[1]} ended with exit code {code}:\n    " + "\n    ".join(told),
             hint=f"to see it alone: {' '.join(command)}",
         )
     return seal.splitlines()[0]
@@ -260,13 +303,9 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:
-    _replace(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
-
-
-def _replace(path: Path, text: str) -> None:
     """Write a file whole or not at all: an interruption must not leave half an answer."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    replace_durably(path, text.encode())
+    replace_durably(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
 def _words(asked: Mapping[str, Any]) -> str:

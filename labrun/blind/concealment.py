@@ -50,12 +50,7 @@ def concealed(
     RequestError
         The experiment has no scene.
     """
-    scene = experiment.rig.scene
-    if scene is None:
-        raise RequestError(
-            "there is no simulated bench to hide an effect in",
-            hint='name one: [rig] scene = "..."; the plain one has no physics',
-        )
+    scene = _named_scene(experiment)
     settings: dict[str, Any] = {
         **scene.settings,
         "hide": [{key: one[key] for key in _KEYS} for one in hidden if one["kind"] != PARAMETER],
@@ -85,14 +80,19 @@ def hiding_scene(experiment: Experiment) -> HidingScene:
     RequestError
         It names none, or one that cannot hide anything.
     """
+    name = _named_scene(experiment).plugin
+    rig = Rig.build(concealed(experiment, []), clock=SimulatedClock(), seed=0, dry_run=True)
+    scene: Any = rig.scene
+    if not (hasattr(scene, "places") and hasattr(scene, "scale")):
+        raise RequestError(f"scene {name!r} cannot hide effects: it names no sites")
+    found: HidingScene = scene
+    return found
+
+
+def _named_scene(experiment: Experiment) -> SceneTable:
     if experiment.rig.scene is None:
         raise RequestError(
             "there is no simulated bench to hide an effect in",
             hint='name one: [rig] scene = "..."; the plain one has no physics',
         )
-    rig = Rig.build(concealed(experiment, []), clock=SimulatedClock(), seed=0, dry_run=True)
-    scene: Any = rig.scene
-    if not (hasattr(scene, "places") and hasattr(scene, "scale")):
-        raise RequestError(f"scene {experiment.rig.scene.plugin!r} cannot hide effects: it names no sites")
-    found: HidingScene = scene
-    return found
+    return experiment.rig.scene

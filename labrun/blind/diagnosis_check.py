@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from labrun.blind.check_folder import SHIPPED_GENERATOR, CheckFolder, make_cases, open_answers, seal_of
+from labrun.blind.check_folder import CheckFolder, kept_when_interrupted, open_answers, prepare
 from labrun.blind.jobs import diagnose_case, shrink_case
 from labrun.blind.judging import ANNOUNCING, KINDS, Judged, Said, Shown, Truth, judge
 from labrun.blind.scoring import Scores, score
-from labrun.errors import LabrunError, RequestError
+from labrun.errors import RequestError
 from labrun.fit import Note, silent
 from labrun.toml import suggest
 from labrun.workers import Pool, cores, pool, spread
@@ -135,8 +135,18 @@ def check(
     workers = workers or cores()
     only = only if only is None else kind_named(only)
     folder = CheckFolder(out or _default_folder(cases, seed, first, only, data))
-    try:
-        line = _prepared(folder, generator, cases, seed, first, only, data, workers, note)
+    with kept_when_interrupted(folder, "diagnosis"):
+        line = prepare(
+            folder,
+            generator=generator,
+            cases=cases,
+            seed=seed,
+            first=first,
+            only=only,
+            data=data,
+            workers=workers,
+            note=note,
+        )
         asked = {"cases": cases, "seed": seed, "first": first, "only": only}
         printed = folder.ask(asked | ({"data": list(data)} if data else {}))
         if announce is None:
@@ -147,11 +157,6 @@ def check(
             said = _diagnosed(folder, seed, there, note)
             note("simulating the corrected models on fresh trials")
             shown = _shown(folder, seed, said, there)
-    except KeyboardInterrupt:
-        raise LabrunError(
-            "interrupted by Ctrl-C; every diagnosis that was finished is kept",
-            hint=f"the same command goes on: {folder.path}",
-        ) from None
     note("opening the seal")
     truths = [Truth.from_json(answer) for answer in open_answers(folder.path, printed)]
     _as_asked(truths, seed, only, folder.path)
@@ -226,45 +231,6 @@ def _case(one: Judged) -> dict[str, Any]:
         "error": said.error,
         "seconds": said.seconds,
     }
-
-
-def _prepared(
-    folder: CheckFolder,
-    generator: Path | None,
-    cases: int,
-    seed: int,
-    first: int,
-    only: str | None,
-    data: Sequence[str],
-    workers: int,
-    note: Note,
-) -> str:
-    """Return the line with the seal, after the cases were made, unless they are there."""
-    if folder.made:
-        return f"seal {seal_of(folder.path)}  (cases that were there, in {folder.path})"
-    if folder.path.exists() and (not folder.path.is_dir() or any(folder.path.iterdir())):
-        raise RequestError(
-            f"{folder.path} is there and holds something else than a check",
-            hint="name a new folder with --out",
-        )
-    if generator is not None and not (generator / "__main__.py").is_file():
-        raise RequestError(
-            f"{generator} makes no cases: it has no __main__.py",
-            hint="leave out --generator for the cases that come with labrun",
-        )
-    note("making the cases")
-    folder.path.parent.mkdir(parents=True, exist_ok=True)
-    return make_cases(
-        generator or SHIPPED_GENERATOR,
-        folder.path,
-        cases=cases,
-        seed=seed,
-        first=first,
-        only=only,
-        data=data,
-        workers=workers,
-        note=note,
-    )
 
 
 def _diagnosed(folder: CheckFolder, seed: int, there: Pool, note: Note) -> dict[str, dict[str, Any]]:

@@ -283,10 +283,7 @@ def _parsed(text: str, scene: HidingScene) -> dict[str, Any]:
     name, at, rest = text.partition("@")
     site_name, _, given = rest.partition(":")
     if not (name and at and site_name):
-        raise RequestError(
-            f"--hide {text}: expected random, none, EFFECT@SITE, or PARAMETER=value",
-            hint='for example --hide coulomb-friction@hinge, or --hide "delay@tail:delay=0.05"',
-        )
+        raise _expected(text)
     sites = [site for site in scene.places if site.name == site_name]
     if not sites:
         known = list(dict.fromkeys(site.name for site in scene.places))
@@ -310,15 +307,19 @@ def _parsed(text: str, scene: HidingScene) -> dict[str, Any]:
     raise RequestError(f"--hide {text}: " + "; ".join(dict.fromkeys(refusals)))
 
 
+def _expected(text: str) -> RequestError:
+    return RequestError(
+        f"--hide {text}: expected random, none, EFFECT@SITE, or PARAMETER=value",
+        hint='for example --hide coulomb-friction@hinge, or --hide "delay@tail:delay=0.05"',
+    )
+
+
 def _parameter(text: str, scene: HidingScene, model: Model | None) -> dict[str, Any]:
     """Return what ``PARAMETER=value`` asks for."""
     name, equals, _ = text.partition("=")
     name = name.strip()
     if not equals:
-        raise RequestError(
-            f"--hide {text}: expected random, none, EFFECT@SITE, or PARAMETER=value",
-            hint='for example --hide coulomb-friction@hinge, or --hide "delay@tail:delay=0.05"',
-        )
+        raise _expected(text)
     known = [*scene.truth().get("parameters", {})]
     if name not in known:
         raise RequestError(

@@ -3,15 +3,14 @@
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from labrun.blind.check_folder import SHIPPED_GENERATOR, CheckFolder, make_cases, open_answers, seal_of
+from labrun.blind.check_folder import CheckFolder, kept_when_interrupted, open_answers, prepare, seal_of
 from labrun.blind.diagnosis_check import FIRST_REPORTED_SEED, case_seed
 from labrun.blind.jobs import fingerprint
-from labrun.errors import LabrunError, RequestError
 from labrun.fit import Note, load_dataset, silent
 from labrun.gap import Options, diagnose_robot
 from labrun.models import load_model, read_robot
@@ -116,7 +115,6 @@ def check_robots(
     workers: int | None = None,
     out: Path | None = None,
     note: Note = silent,
-    announce: Callable[[str], None] | None = None,
 ) -> CheckedRobots:
     """Have sealed robots made, diagnose each joint by joint without its answer, then open the seal and score.
 
@@ -130,29 +128,11 @@ def check_robots(
         The generator failed, the seal is broken, or Ctrl-C.
     """
     folder = CheckFolder(out or Path("gap-check") / f"seed-{seed}-only-robot-cases-1-to-{cases}")
-    if not folder.made:
-        if folder.path.exists() and any(folder.path.iterdir()):
-            raise RequestError(
-                f"{folder.path} is there and holds something else than a check", hint="--out a new folder"
-            )
-        note("making the robots")
-        folder.path.parent.mkdir(parents=True, exist_ok=True)
-        make_cases(
-            SHIPPED_GENERATOR, folder.path, cases=cases, seed=seed, first=1, only=ROBOT, workers=1, note=note
-        )  # fmt: skip
-    printed = folder.ask({"cases": cases, "seed": seed, "first": 1, "only": ROBOT})
-    line = f"seal {seal_of(folder.path)}  ({cases} robots, in {folder.path})"
-    if announce is None:
-        print(line, file=sys.stderr, flush=True)
-    else:
-        announce(line)
-    try:
+    with kept_when_interrupted(folder, "robot"):
+        prepare(folder, cases=cases, seed=seed, first=1, only=ROBOT, workers=1, note=note)
+        printed = folder.ask({"cases": cases, "seed": seed, "first": 1, "only": ROBOT})
+        print(f"seal {seal_of(folder.path)}  ({cases} robots, in {folder.path})", file=sys.stderr, flush=True)
         said = {name: _said(folder, name, seed, workers or cores(), note) for name in folder.cases()}
-    except KeyboardInterrupt:
-        raise LabrunError(
-            "interrupted by Ctrl-C; every robot that was finished is kept",
-            hint=f"the same command goes on: {folder.path}",
-        ) from None
     note("opening the seal")
     joints: list[JudgedJoint] = []
     whole: list[tuple[str, str, bool]] = []

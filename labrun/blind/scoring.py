@@ -10,6 +10,8 @@ import numpy as np
 
 from labrun.blind.judging import KINDS, STRENGTHS, Judged, held, sizes_held
 
+_TENTHS = 10
+
 
 @dataclass(frozen=True, slots=True)
 class Share:
@@ -308,24 +310,24 @@ def shrinkage_score(judged: Sequence[Judged]) -> ShrinkageScore:
     return ShrinkageScore(differences, Share.among(covered), too_small, failed, unpredicted)
 
 
-def reliability(stated: Sequence[tuple[float, bool]], bins: int = 10) -> Reliability:
-    """Sort (confidence, was right) into equally wide bins.
+def reliability(stated: Sequence[tuple[float, bool]]) -> Reliability:
+    """Sort (confidence, was right) into tenths.
 
     Raises
     ------
     ValueError
         A confidence outside of 0 to 1.
     """
-    sorted_in: list[list[tuple[float, bool]]] = [[] for _ in range(bins)]
+    sorted_in: list[list[tuple[float, bool]]] = [[] for _ in range(_TENTHS)]
     for confidence, right in stated:
         if not 0.0 <= confidence <= 1.0:
             raise ValueError(f"a confidence of {confidence} is no probability")
-        sorted_in[min(int(confidence * bins), bins - 1)].append((confidence, right))
+        sorted_in[min(int(confidence * _TENTHS), _TENTHS - 1)].append((confidence, right))
     return Reliability(
         tuple(
             Bin(
-                place / bins,
-                (place + 1) / bins,
+                place / _TENTHS,
+                (place + 1) / _TENTHS,
                 sum(confidence for confidence, _ in members) / len(members),
                 Share.among(right for _, right in members),
                 _by_chance([confidence for confidence, _ in members]),

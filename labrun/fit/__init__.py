@@ -6,9 +6,7 @@ from labrun import UseCasePackage
 from labrun.estimate import Estimate, rounded
 from labrun.fit.comparison import ComparedPoint, Comparison, Pair, compared, predictions
 from labrun.fit.dataset import Dataset, FitTrial, OutputsAlone, load_dataset, until_peak
-from labrun.fit.deviations import Deviation, DeviationKind
 from labrun.fit.figure import Curve, FigureData, Panel, Stack
-from labrun.fit.initial_states import FIRST_SAMPLES
 from labrun.fit.jacobian import Jacobian
 from labrun.fit.levenberg_marquardt import NormalEquations, minimise
 from labrun.fit.method import (
@@ -24,6 +22,7 @@ from labrun.fit.method import (
     silent,
 )
 from labrun.fit.output_error import FEW_TRIALS, fit_model
+from labrun.fit.per_trial import FIRST_SAMPLES, Deviation, DeviationKind
 from labrun.fit.problem import FEWEST_SAMPLES, OutputNoise, Problem
 from labrun.fit.resampling import LEVEL, by_mounting, correlation_length, resample_trials, student
 from labrun.fit.result import FitResult, FitSummary, FittedData, TextTable

@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import BaseModel
 
 from labrun.arrays import FloatArray
-from labrun.effects import AttachedEffect
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
 from labrun.fit.dataset import Dataset, load_dataset
@@ -78,7 +77,6 @@ def fit_model(
     *,
     rng: np.random.Generator,
     starts: int = 5,
-    effects: Sequence[AttachedEffect] = (),
     note: Note = silent,
     method: str = "model",
 ) -> FitResult:
@@ -106,7 +104,7 @@ def fit_model(
     FitError
         No parameter to fit; a model that does not simulate from its stated values nor from any other start.
     """
-    first = Problem.of(model, dataset, prior_weight=_PRIOR_WHILE_SEARCHING, effects=effects)
+    first = Problem.of(model, dataset, prior_weight=_PRIOR_WHILE_SEARCHING)
     if not first.size and not first.own_size:
         raise FitError(
             f"model {model.name} has nothing to fit: every parameter has tolerance 0",
@@ -120,7 +118,7 @@ def fit_model(
             hint="check the units of its parameters and inputs, and the sign of forces that should resist motion",
         )
     note("refining, and resampling trials")
-    problem, z, noise = _refine(Problem.of(model, dataset, effects=effects, substeps=first.substeps), best.z)
+    problem, z, noise = _refine(Problem.of(model, dataset, substeps=first.substeps), best.z)
     return _result(problem, z, noise, minima, rng, method)
 
 

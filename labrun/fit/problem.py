@@ -12,9 +12,8 @@ from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, Scale
 from labrun.errors import FitError
 from labrun.fit.dataset import Dataset, FitTrial
-from labrun.fit.deviations import Deviation, deviated
-from labrun.fit.initial_states import InitialStates
 from labrun.fit.jacobian import Jacobian, columns, difference_quotient
+from labrun.fit.per_trial import Deviation, InitialStates, deviated
 from labrun.fit.priors import Priors
 from labrun.fit.simulations import Simulations, stop_if_told
 from labrun.models import Drive, Model, filtered, prepare, simulate, simulate_unfiltered, suggest_substeps

@@ -11,6 +11,7 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 import tomli_w
+from numpy.typing import ArrayLike
 
 from labrun import registry
 from labrun.errors import SpecError
@@ -50,16 +51,10 @@ def files_of(model: LearnedModel, stem: str) -> dict[str, str | bytes]:
     packed = _packed(model.network)
     table = {
         "form": _FORM,
-        "inputs": dict(model.inputs),
-        "outputs": dict(model.outputs),
-        "rig": model.rig,
-        "added_to": model.added_to,
-        "activation": model.network.activation,
+        **_described(model),
         "hidden": list(model.network.hidden),
         "weights": f"{stem}.npz",
         "sha256": hashlib.sha256(packed).hexdigest(),
-        "scaling": _scaling_table(model.network),
-        "origin": dict(model.origin),
     }
     return {f"{stem}.toml": tomli_w.dumps(table), f"{stem}.npz": packed}
 
@@ -97,22 +92,8 @@ def read_learned(path: Path) -> LearnedModel:
     try:
         arrays = np.load(io.BytesIO(packed), allow_pickle=False)
         layers = sum(name.startswith("weight_") for name in arrays.files)
-        network = Network(
-            tuple(np.asarray(arrays[f"weight_{i}"], dtype=np.float64) for i in range(layers)),
-            tuple(np.asarray(arrays[f"bias_{i}"], dtype=np.float64) for i in range(layers)),
-            _activation(data["activation"]),
-            *_scalings(data["scaling"]),
-        )
-        return _checked(
-            LearnedModel(
-                network,
-                dict(data["inputs"]),
-                dict(data["outputs"]),
-                str(data.get("rig", "")),
-                str(data.get("added_to", "")),
-                dict(data.get("origin", {})),
-            )
-        )
+        weights, biases = ([arrays[f"{of}_{i}"] for i in range(layers)] for of in ("weight", "bias"))
+        return _model(data, weights, biases)
     except (KeyError, ValueError, TypeError, zipfile.BadZipFile) as error:
         raise SpecError(f"{path} and {beside.name} cannot be read as a learned model: {error}") from error
 
@@ -121,15 +102,9 @@ def to_table(model: LearnedModel) -> dict[str, Any]:
     """Return a model as a table, for an experiment that is stored with all it needs."""
     network = model.network
     return {
-        "inputs": dict(model.inputs),
-        "outputs": dict(model.outputs),
-        "rig": model.rig,
-        "added_to": model.added_to,
-        "activation": network.activation,
+        **_described(model),
         "weights": [one.tolist() for one in network.weights],
         "biases": [one.tolist() for one in network.biases],
-        "scaling": _scaling_table(network),
-        "origin": dict(model.origin),
     }
 
 
@@ -142,28 +117,48 @@ def from_table(table: Mapping[str, Any]) -> LearnedModel:
         Tables that were changed meanwhile, so that they do not fit together any more.
     """
     try:
-        network = Network(
-            tuple(np.array(one, dtype=np.float64) for one in table["weights"]),
-            tuple(np.array(one, dtype=np.float64) for one in table["biases"]),
-            _activation(table["activation"]),
-            *_scalings(table["scaling"]),
-        )
-        return _checked(
-            LearnedModel(
-                network,
-                dict(table["inputs"]),
-                dict(table["outputs"]),
-                str(table["rig"]),
-                str(table["added_to"]),
-                dict(table.get("origin", {})),
-            )
-        )
+        return _model(table, table["weights"], table["biases"])
     except (KeyError, ValueError, TypeError) as error:
         raise SpecError(f"the learned model that stands in the experiment does not hold: {error}") from error
 
 
-def _checked(model: LearnedModel) -> LearnedModel:
+def _described(model: LearnedModel) -> dict[str, Any]:
+    """Return everything of a model but its weights."""
     network = model.network
+    return {
+        "inputs": dict(model.inputs),
+        "outputs": dict(model.outputs),
+        "rig": model.rig,
+        "added_to": model.added_to,
+        "activation": network.activation,
+        "scaling": {
+            "input_mean": network.inputs.mean.tolist(),
+            "input_scale": network.inputs.scale.tolist(),
+            "output_mean": network.outputs.mean.tolist(),
+            "output_scale": network.outputs.scale.tolist(),
+        },
+        "origin": dict(model.origin),
+    }
+
+
+def _model(
+    table: Mapping[str, Any], weights: Sequence[ArrayLike], biases: Sequence[ArrayLike]
+) -> LearnedModel:
+    """Return the model that `_described` described, checked against its weights."""
+    network = Network(
+        tuple(np.array(one, dtype=np.float64) for one in weights),
+        tuple(np.array(one, dtype=np.float64) for one in biases),
+        _activation(table["activation"]),
+        *_scalings(table["scaling"]),
+    )
+    model = LearnedModel(
+        network,
+        dict(table["inputs"]),
+        dict(table["outputs"]),
+        str(table.get("rig", "")),
+        str(table.get("added_to", "")),
+        dict(table.get("origin", {})),
+    )
     sizes = [len(model.inputs), *(len(bias) for bias in network.biases)]
     wanted = list(pairwise(sizes))
     if [one.shape for one in network.weights] != wanted or sizes[-1] != len(model.outputs):
@@ -199,15 +194,6 @@ def _packed(network: Network) -> bytes:
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)
     return buffer.getvalue()
-
-
-def _scaling_table(network: Network) -> dict[str, Any]:
-    return {
-        "input_mean": network.inputs.mean.tolist(),
-        "input_scale": network.inputs.scale.tolist(),
-        "output_mean": network.outputs.mean.tolist(),
-        "output_scale": network.outputs.scale.tolist(),
-    }
 
 
 def _scalings(table: Mapping[str, Any]) -> tuple[Scaling, Scaling]:

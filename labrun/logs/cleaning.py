@@ -8,6 +8,7 @@ than five periods are missing the log is cut. Everything that is done is said.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +51,14 @@ class LogTable:
     values: FloatArray
     matches: tuple[Match, ...]
     broken: NDArray[np.bool_]
+
+    def recorded(self, kind: Literal["input", "output"]) -> list[int]:
+        """Return the columns of the inputs, or of the outputs, that the log has."""
+        return [
+            place
+            for place, one in enumerate(self.matches)
+            if one.wanted.kind == kind and one.stream is not None
+        ]
 
 
 @dataclass(frozen=True)
@@ -123,13 +132,6 @@ def repaired(
     return time_s, index, gaps | edge, said
 
 
-def _refuse_short(base: Stream, count: int) -> None:
-    if count < LEAST_SAMPLES:
-        raise RecordingError(
-            f"{base.name} has {count} samples with a stamp of their own; at least {LEAST_SAMPLES} are needed"
-        )
-
-
 def table_of(matches: Sequence[Match]) -> tuple[LogTable, list[str]]:
     """Return one table on the stamps of what is measured: goals as they stood, other measurements by straight lines.
 
@@ -138,10 +140,7 @@ def table_of(matches: Sequence[Match]) -> tuple[LogTable, list[str]]:
     RecordingError
         A stream cannot be repaired, or the streams do not overlap.
     """
-    streams: list[Stream] = []
-    for match in matches:
-        if match.stream is not None and all(one is not match.stream for one in streams):
-            streams.append(match.stream)
+    streams = [*{id(one.stream): one.stream for one in matches if one.stream is not None}.values()]
     if not streams:
         raise RecordingError("nothing of the model is in the log", hint="look at --map")
     measured = [
@@ -164,7 +163,10 @@ def table_of(matches: Sequence[Match]) -> tuple[LogTable, list[str]]:
     last = min(float(good[id(one)][0][-1]) for one in streams if _measures(one, matches) or one is base)
     inside = (time_s >= first) & (time_s <= last)
     if inside.sum() < LEAST_SAMPLES:
-        _refuse_short(base, len(time_s))
+        if len(time_s) < LEAST_SAMPLES:
+            raise RecordingError(
+                f"{base.name} has {len(time_s)} samples with a stamp of their own; at least {LEAST_SAMPLES} are needed"
+            )
         raise RecordingError(
             "the topics do not overlap in time: "
             + "; ".join(
@@ -206,9 +208,8 @@ def unusable(table: LogTable) -> Iterator[tuple[Piece, str]]:
     """Yield what cannot be trusted: a sensor that stands still or at its end, and motion that nobody commanded."""
     period = float(np.median(np.diff(table.time_s)))
     long = max(LEAST_SAMPLES, round(STUCK_S / period))
-    for place, match in enumerate(table.matches):
-        if match.stream is None or match.wanted.kind == "input":
-            continue
+    inputs, outputs = table.recorded("input"), table.recorded("output")
+    for place in outputs:
         course = table.values[:, place]
         same = np.append(False, np.diff(course) == 0.0)
         if same.mean() > 1 - _LIVELY:
@@ -217,17 +218,7 @@ def unusable(table: LogTable) -> Iterator[tuple[Piece, str]]:
             if piece.end - piece.first >= long:
                 ends = (course.min(), course.max())
                 what = "stands at the end of its range" if course[piece.first] in ends else "is frozen"
-                yield Piece(piece.first - 1, piece.end), f"{match.wanted.channel} {what}"
-    inputs = [
-        place
-        for place, one in enumerate(table.matches)
-        if one.wanted.kind == "input" and one.stream is not None
-    ]
-    outputs = [
-        place
-        for place, one in enumerate(table.matches)
-        if one.wanted.kind == "output" and one.stream is not None
-    ]
+                yield Piece(piece.first - 1, piece.end), f"{table.matches[place].wanted.channel} {what}"
     if not inputs or not outputs:
         return
     still = np.append(False, (np.diff(table.values[:, inputs], axis=0) == 0.0).all(axis=1)) & ~table.broken
@@ -307,11 +298,7 @@ def _rests(table: LogTable) -> list[Piece]:
 def _between_rests(table: LogTable, piece: Piece, rests: Sequence[Piece]) -> list[Piece]:
     """Cut in each rest inside, a fixed time before the next goal, so that repeats of a motion begin alike."""
     lead = max(1, round(REST_S / 2 / float(np.median(np.diff(table.time_s)))))
-    inputs = [
-        place
-        for place, one in enumerate(table.matches)
-        if one.wanted.kind == "input" and one.stream is not None
-    ]
+    inputs = table.recorded("input")
     told = np.flatnonzero((np.diff(table.values[:, inputs], axis=0) != 0.0).any(axis=1))
     edges = [piece.first]
     for rest in rests:

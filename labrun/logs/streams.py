@@ -110,15 +110,12 @@ def column(
     return Column(name, stem, role, np.asarray(values, dtype=np.float64), stated, place, width, by_order)
 
 
-def vector(
-    group: str, values: FloatArray, names: tuple[str, ...] | None = None, unit: str = ""
-) -> list[Column]:
+def vector(group: str, values: FloatArray, names: tuple[str, ...] | None = None) -> list[Column]:
     """Return the columns of a table of shape (n, k), which may have names."""
     width = values.shape[1]
     labels = names if names is not None and len(names) == width else ("",) * width
     return [
-        column(group, label, values[:, place], unit=unit, place=place, width=width)
-        for place, label in enumerate(labels)
+        column(group, label, values[:, place], place=place, width=width) for place, label in enumerate(labels)
     ]
 
 
@@ -135,17 +132,8 @@ def _role(words: set[str]) -> Role:
     has = {role for role, known in _WORDS.items() if words & known}
     if "acceleration" in has:
         return "unknown"
-    kind = (
-        "torque"
-        if "torque" in has
-        else "velocity"
-        if "velocity" in has
-        else "position"
-        if "position" in has
-        else ""
-    )
-    if "command" in has:
-        return (
-            "torque-command" if kind == "torque" else "velocity-command" if kind == "velocity" else "command"
-        )
-    return kind if kind in ("torque", "velocity", "position") else "unknown"  # type: ignore[return-value]
+    if "torque" in has:
+        return "torque-command" if "command" in has else "torque"
+    if "velocity" in has:
+        return "velocity-command" if "command" in has else "velocity"
+    return "command" if "command" in has else "position" if "position" in has else "unknown"

@@ -63,11 +63,7 @@ def write_recording(
 
 def _motions(table: LogTable, trials: Sequence[Piece]) -> tuple[list[str], list[Piece]]:
     """Name each trial's motion; trials that are told the same are repeats of one, and end with the shortest of them."""
-    inputs = [
-        place
-        for place, one in enumerate(table.matches)
-        if one.wanted.kind == "input" and one.stream is not None
-    ]
+    inputs = table.recorded("input")
     span = np.maximum(np.ptp(table.values[:, inputs], axis=0), 1e-12)
     goals = [table.values[piece.first : piece.end, inputs] / span for piece in trials]
     known: list[int] = []

@@ -5,14 +5,13 @@ from pathlib import Path
 
 from labrun import registry
 from labrun.errors import LabrunError, ModelError
-from labrun.models.attaching import read_effects
 from labrun.models.chains.file import chain_model
 from labrun.models.chains.model import AT_REST, ClosedChain
 from labrun.models.mjcf.file import mujoco_model
 from labrun.models.mjcf.robot import is_robot, read_robot
 from labrun.models.model import Model, Origin
 from labrun.models.tables import BasedFile, ModelFile
-from labrun.models.toml_model import equations_model, initial_of
+from labrun.models.toml_model import equations_model, initial_of, read_effects
 from labrun.toml import suggest
 
 _GROUP = "labrun.models"

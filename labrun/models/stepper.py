@@ -33,8 +33,6 @@ class Stepper:
         Length of one Runge-Kutta step, s.
     initial_state : (states,)
         None begins at 0.
-    start_s
-        The time `t` of the equations at the first step.
     """
 
     def __init__(
@@ -46,13 +44,12 @@ class Stepper:
         step_s: float = 1e-3,
         *,
         initial_state: ArrayLike | None = None,
-        start_s: float = 0.0,
     ) -> None:
         if not step_s > 0:
             raise ModelError(f"the step of a simulation must be above 0 s, not {step_s:g}")
         self.model = model
         self.step_s = float(step_s)
-        self.time_s = float(start_s)
+        self.time_s = 0.0
         self._p = model.vector(parameters, condition or {})
         effects = (*model.effects, *effects)
         self._layout = layout(model, effects)

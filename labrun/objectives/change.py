@@ -21,7 +21,7 @@ class Change(ChannelObjective):
     def __call__(self, signals: TrialSignals) -> float:
         """Return the change, in the unit of `unit`."""
         ends = _at(signals, self.channel, (signals.start_s, signals.end_s))
-        return self._settings.scale / (self._settings.divide_by_m or 1.0) * (ends[1] - ends[0])
+        return self._factor * (ends[1] - ends[0])
 
 
 class RateOfChangeSettings(ChannelSettings):
@@ -68,12 +68,7 @@ class RateOfChange(ChannelObjective):
                 hint="make it longer, or count from an earlier time",
             )
         ends = _at(signals, self.channel, (start_s, end_s))
-        return (
-            self._settings.scale
-            / (self._settings.divide_by_m or 1.0)
-            * (ends[1] - ends[0])
-            / (end_s - start_s)
-        )
+        return self._factor * (ends[1] - ends[0]) / (end_s - start_s)
 
 
 def _at(signals: TrialSignals, channel: str, times_s: tuple[float, float]) -> tuple[float, float]:

@@ -65,9 +65,12 @@ class ChannelObjective(ABC):
     def __call__(self, signals: TrialSignals) -> float:
         """Return the number."""
 
+    @property
+    def _factor(self) -> float:
+        return self._settings.scale / (self._settings.divide_by_m or 1.0)
+
     def _scaled(self, signal: Signal) -> Signal:
-        factor = self._settings.scale / (self._settings.divide_by_m or 1.0)
-        return Signal(signal.time_s, signal.values * factor, self.unit(signal.unit))
+        return Signal(signal.time_s, signal.values * self._factor, self.unit(signal.unit))
 
 
 class ReducedChannel(ChannelObjective):

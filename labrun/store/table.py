@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,36 +61,25 @@ def variables(
         reason, started_s, duration_s, how the bench settled, attempt, period_s, mounting, censored, damage. A condition
         with words is text throughout. NaN (or empty text) stands where a trial has no such value, as after a failure.
     """
-    conditions = list(dict.fromkeys(name for outcome in outcomes for name in outcome.condition))
-    objectives = list(dict.fromkeys(name for outcome in outcomes for name in outcome.objectives))
     used = {AXIS, *HEAD, *MIDDLE, *TAIL, *taken}
-    condition_columns = [
-        Variable(
-            _free(name, "condition", used),
-            units.get(name, ""),
-            _column([outcome.condition.get(name) for outcome in outcomes]),
-            "condition",
-        )
-        for name in conditions
-    ]
-    objective_columns = [
-        Variable(
-            _free(name, "objective", used),
-            units.get(name, ""),
-            _column([outcome.objectives.get(name) for outcome in outcomes]),
-            "objective",
-        )
-        for name in objectives
-    ]
-    objective_columns += [
-        Variable(
-            _free(f"{name}_truncation", "truncation", used),
-            units.get(name, ""),
-            _column([outcome.truncation.get(name) for outcome in outcomes]),
-            "trial",
-        )
-        for name in dict.fromkeys(name for outcome in outcomes for name in outcome.truncation)
-    ]
+
+    def columns(
+        of: Literal["condition", "objectives", "truncation"], prefix: str, kind: str
+    ) -> list[Variable]:
+        entries: list[Mapping[str, Any]] = [getattr(outcome, of) for outcome in outcomes]
+        return [
+            Variable(
+                _free(f"{name}_{of}" if of == "truncation" else name, prefix, used),
+                units.get(name, ""),
+                _column([one.get(name) for one in entries]),
+                kind,
+            )
+            for name in dict.fromkeys(name for one in entries for name in one)
+        ]
+
+    condition_columns = columns("condition", "condition", "condition")
+    objective_columns = columns("objectives", "objective", "objective")
+    objective_columns += columns("truncation", "truncation", "trial")
     head, middle, tail = (
         [
             Variable(name, "s" if name.endswith("_s") else "", _of_trials(name, outcomes), "trial")

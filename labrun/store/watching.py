@@ -38,7 +38,6 @@ class SeenTrial:
     status: Status
     reason: str
     objectives: Mapping[str, float]
-    stored_utc_s: float | None
 
 
 class RunWatch:
@@ -185,7 +184,6 @@ class RunWatch:
             event["status"],
             event.get("reason", ""),
             event.get("objectives", {}),
-            stamp,
         )
         if stamp is not None:
             self._trial_stamps_s.append(stamp)
@@ -193,7 +191,7 @@ class RunWatch:
     def _take_lost_lines(self, index: int) -> None:
         """Take up trials whose line a crash kept from the journal: the run has gone on to a later one."""
         for lost in [earlier for earlier in self._prepared if earlier < index]:
-            prepared = self._prepared.pop(lost)
+            del self._prepared[lost]
             outcome = read_outcome(self.folder / TRIALS, lost)
             if outcome is not None:
                 self.trials[lost] = SeenTrial(
@@ -204,7 +202,6 @@ class RunWatch:
                     outcome.status,
                     outcome.reason,
                     outcome.objectives,
-                    stamp_s(prepared),
                 )
 
 

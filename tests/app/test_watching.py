@@ -307,7 +307,7 @@ def test_text_without_unicode_has_no_dots(folder):
 
 def _seen(index, a, value, **changes):
     fields = {"role": "measure", "status": "done"} | changes
-    return SeenTrial(index, {"a": a}, 0, reason="", objectives={"thrust": value}, stored_utc_s=None, **fields)
+    return SeenTrial(index, {"a": a}, 0, reason="", objectives={"thrust": value}, **fields)
 
 
 def test_the_best_has_all_its_repeats_as_soon_as_any_condition_has():

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from labrun.blind import Checked, check
-from labrun.blind.check_folder import SHIPPED_GENERATOR, CheckFolder, make_cases
+from labrun.blind.check_folder import SHIPPED_GENERATOR, CheckFolder, prepare
 from labrun.blind.diagnosis_check import _diagnosed, kind_named
 from labrun.blind.jobs import fingerprint
 from labrun.blind.judging import KINDS, CauseName, Named, Said, Shown, Shrunk, Truth, judge
@@ -36,7 +36,7 @@ def silent(_: str) -> None:
 def checked(tmp_path_factory: pytest.TempPathFactory) -> Checked:
     """Two controls, made and scored; in place of their diagnoses stands what is said of them here."""
     out = tmp_path_factory.mktemp("check") / "control-only"
-    make_cases(SHIPPED_GENERATOR, out, **TWO_CONTROLS, workers=2, note=silent)
+    prepare(CheckFolder(out), **TWO_CONTROLS, workers=2, note=silent)
     for name in ("case-0004", "case-0005"):
         quiet = {"verdict": "no-gap", "causes": [], "seconds": 1.0, "programme": fingerprint()}
         CheckFolder(out).keep_said(name, quiet)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labrun.fit import Dataset, Deviation
-from labrun.fit.deviations import deviated
+from labrun.fit.per_trial import deviated
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.trial_wise import found_alone, words
 

@@ -13,7 +13,7 @@ from .case import Asked, make_case
 from .mixture import DECK
 from .noise import COLOURS
 from .robots.case import make_robot
-from .seal import SEAL, seal, verify
+from .writing import SEAL, seal, verify
 
 ROBOTS = "robot"
 """Kind of cases that are whole robots; never in the mixture."""

@@ -161,7 +161,6 @@ def run_loop(
     bounds: tuple[float, float] = (-WIDE, WIDE),
     start: float = 0.0,
     load: Callable[[float], float] | None = None,
-    i_per: str = "second",
 ) -> LoopResponse:
     """Run a controller on the plant, from rest at the drive `start`.
 
@@ -177,12 +176,10 @@ def run_loop(
         Range of the drive, as the loop clamps it.
     load
         Of time; is added to the drive behind the clamp.
-    i_per
-        How the plugin is given its integral; it makes no difference to what it does.
     """
     step_s = loop.step_s
     count = round(duration_s / step_s) + 1
-    controller = make_controller(gains, loop, bounds, start, i_per)
+    controller = make_controller(gains, loop, bounds, start)
     plant = _Stepper(loop.sampled, sample_plant(loop.plant, step_s, extra_s=loop.compute_s), count, start)
     time_s: FloatArray = np.arange(count, dtype=float) * step_s
     wanted = np.array([reference(float(t)) for t in time_s])
@@ -199,15 +196,13 @@ def run_loop(
     return LoopResponse(time_s, wanted, plant.outputs(count), seen, drives)
 
 
-def make_controller(
-    gains: Gains, loop: OpenLoop, bounds: tuple[float, float], start: float, i_per: str
-) -> PidController:
+def make_controller(gains: Gains, loop: OpenLoop, bounds: tuple[float, float], start: float) -> PidController:
     """Return the controller plugin with these gains."""
     context = LoopContext(loop.step_s, bounds[0], bounds[1], start)
     if gains.feedforward is None:
-        return PidController(gains.settings(loop.step_s, i_per, None), context)
+        return PidController(gains.settings(loop.step_s, "second", None), context)
     model = {"gain": 1.0 / gains.feedforward, "lag_s": 0.0, "dead_s": 0.0}
-    return FeedforwardPid(gains.settings(loop.step_s, i_per, model), context)
+    return FeedforwardPid(gains.settings(loop.step_s, "second", model), context)
 
 
 @dataclass(frozen=True, slots=True)

@@ -107,9 +107,9 @@ def optimum(
     return kept(error.gains(best[1]), loop, wanted, 1.0 + gain_error)
 
 
-def loop_error(loop: OpenLoop, gains: Gains, wanted: Requirements, gain_error: float = 0.0) -> float:
+def loop_error(loop: OpenLoop, gains: Gains, wanted: Requirements) -> float:
     """Return the error that `optimum` minimises, relative to the loop's own time; the loop must be stable."""
-    return _Error(loop, wanted, gains.feedforward, gains.lead_s, gain_error)(gains)
+    return _Error(loop, wanted, gains.feedforward, gains.lead_s, gain_error=0.0)(gains)
 
 
 def kept(gains: Gains, loop: OpenLoop, wanted: Requirements, factor: float = 1.0) -> Gains:

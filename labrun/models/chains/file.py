@@ -9,7 +9,6 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field
 
 from labrun.effects import Site
-from labrun.models.attaching import read_effects
 from labrun.models.chains.model import AT_REST, CLOSED, MEASURES, OPENINGS, ClosedChain, Tree, functions
 from labrun.models.model import Output
 from labrun.models.tables import (
@@ -32,6 +31,7 @@ from labrun.models.toml_model import (
     meanings_of,
     parameter_of,
     places_of,
+    read_effects,
     refuse_unused,
 )
 from labrun.toml import Expression, ExpressionError, KeyPath, Table, suggest

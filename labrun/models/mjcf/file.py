@@ -13,7 +13,6 @@ import numpy as np
 
 from labrun.effects import Site
 from labrun.errors import ModelError
-from labrun.models.attaching import read_effects
 from labrun.models.mjcf.elements import Elements, ReferenceProblem
 from labrun.models.mjcf.model import MujocoModel, functions
 from labrun.models.mjcf.plant import MemoryPlace, MjcfLayout, imported, pack
@@ -29,6 +28,7 @@ from labrun.models.toml_model import (
     only_in_loads,
     parameter_of,
     places_of,
+    read_effects,
     refuse_unused,
 )
 from labrun.toml import Expression, ExpressionError, KeyPath, suggest

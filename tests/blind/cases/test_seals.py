@@ -5,7 +5,7 @@ from pathlib import Path
 
 from generating_cases import Done, Generate, generate_apart
 
-from labrun.blind.cases.seal import seal, verify
+from labrun.blind.cases.writing import seal, verify
 
 Made = tuple[Path, Done]
 
