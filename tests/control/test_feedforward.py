@@ -1,6 +1,7 @@
 """Feed-forward from a model, inline or from a file."""
 
 import pytest
+import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -91,7 +92,7 @@ def test_what_the_fit_writes_is_what_the_feedforward_reads(tmp_path):
         0.009, 0.3, 0.2, input_name="gait.a", input_unit="deg", output_unit="N"
     )
     path = tmp_path / "fopdt.toml"
-    path.write_text(f"# labrun fit\n\n[magnitude]\n{fitted.to_toml()}")
+    path.write_text(f"# labrun fit\n\n[magnitude]\n{tomli_w.dumps(fitted.to_table())}")
     assert read_plant(path, "magnitude") == {"gain": 0.009, "lag_s": 0.3, "dead_s": 0.2}
 
 

@@ -20,13 +20,14 @@ _MOST_SUBSTEPS = 500
 _STABLE = 1.5
 """Fastest rate times step that the classical Runge-Kutta method takes with something to spare (its limit is 2.8)."""
 _MOST_STEPS = 20000
+_SUBSTEPS = 2
 
 
 class BlewUpError(Exception):
     """The simulation left the finite numbers, or could not go on."""
 
 
-def adaptive(bench: Bench, rtol: float = RTOL) -> FloatArray:
+def adaptive(bench: Bench) -> FloatArray:
     """Return the outputs (outputs, samples, trials), by Dormand and Prince's pairs with error control."""
     corners = bench.corners()
     y = bench.initial()
@@ -47,7 +48,7 @@ def adaptive(bench: Bench, rtol: float = RTOL) -> FloatArray:
 
         span = float(end - begin)
         solver = solver_class(
-            rates, float(begin), y.ravel(), float(end), first_step=min(step, span), rtol=rtol, atol=atol
+            rates, float(begin), y.ravel(), float(end), first_step=min(step, span), rtol=RTOL, atol=atol
         )
         taken = 0
         while solver.status == "running":
@@ -68,24 +69,24 @@ def adaptive(bench: Bench, rtol: float = RTOL) -> FloatArray:
 def _sizes(bench: Bench, y: FloatArray) -> FloatArray:
     """Return the size of each state, from a quick look at where the trials go."""
     largest = np.max(np.abs(y), axis=1)
-    for state in march(bench, y, 2).values():
+    for state in march(bench, y).values():
         largest = np.maximum(largest, np.max(np.abs(state), axis=1))
     return np.asarray(largest)
 
 
-def fixed(bench: Bench, substeps: int = 2) -> FloatArray:
+def fixed(bench: Bench) -> FloatArray:
     """Return the outputs by the classical Runge-Kutta method: quick, for refits and for finding sizes."""
     y = bench.initial()
     if y.size == 0:
         return bench.read(bench.time_s, dict.fromkeys((round(float(t), 9) for t in bench.corners()), y))
-    return bench.read(bench.time_s, march(bench, y, substeps))
+    return bench.read(bench.time_s, march(bench, y))
 
 
-def march(bench: Bench, y: FloatArray, substeps: int) -> dict[float, FloatArray]:
-    """Return all states at every corner, by Runge-Kutta steps, so many a sample or more if stability asks for it."""
+def march(bench: Bench, y: FloatArray) -> dict[float, FloatArray]:
+    """Return all states at every corner, by Runge-Kutta steps, two a sample or more if stability asks for it."""
     corners = bench.corners()
     usual = float(bench.time_s[1] - bench.time_s[0])
-    substeps = max(substeps, int(np.ceil(bench.fastest() * usual / _STABLE)))
+    substeps = max(_SUBSTEPS, int(np.ceil(bench.fastest() * usual / _STABLE)))
     if substeps > _MOST_SUBSTEPS:
         raise BlewUpError
     states = {round(float(corners[0]), 9): y}

@@ -49,7 +49,7 @@ def _period(bench: Bench, outputs: FloatArray, step_s: float) -> float:
 def _of_joint(bench: Bench, outputs: FloatArray, site: str, step_s: float, length_s: float) -> Measures:
     plant = bench.plant
     row = plant.rate_row(site)
-    states = march(bench, bench.initial(), 2) if plant.states else {}
+    states = march(bench, bench.initial()) if plant.states else {}
     q, v, a, load, stiffness, push = [], [], [], [], [], 1.0
     for t in bench.time_s[:: max(1, len(bench.time_s) // 400)]:
         x = states[round(float(t), 9)] if plant.states else np.zeros((0, bench.trials))

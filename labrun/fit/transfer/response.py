@@ -17,30 +17,6 @@ _WHOLE = 1e-9
 """A dead time this close to a whole number of samples is one."""
 
 
-def evenly(
-    numerator: tuple[float, ...],
-    denominator: tuple[float, ...],
-    dead_s: float,
-    step_s: float,
-    values: FloatArray,
-    hold: Hold = "linear",
-    before: float = 0.0,
-) -> FloatArray:
-    """Return the output to an input of even steps; the numbers as of `TransferFunction`."""
-    system = StateSpace(numerator, denominator, step_s)
-    whole, part_s = _delay(dead_s, step_s)
-    early = system.steady(before)
-    following = values[1:] if hold == "linear" else values[:-1]
-    states = system.states(values, following, early)
-    # the sample at k asks for the output at k - whole, and a part of a step later
-    count = max(len(values) - whole, 0)
-    output = np.full(len(values), system.output_of(early, before))
-    if count:
-        now, after = values[:count], np.append(following, values[-1])[:count]
-        output[whole:] = system.part_way(states[:count], now, after, part_s)
-    return output
-
-
 def powers(
     denominator: tuple[float, ...],
     dead_s: float,
@@ -141,10 +117,6 @@ class StateSpace:
                 hint="start it from input 0",
             ) from None
 
-    def output_of(self, state: FloatArray, value: float) -> float:
-        """Return the output of a state and an input."""
-        return float(self.c @ state) + self.through * value
-
     def matrices(self, step_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the state's move over a step: by itself, by the input, by how much the input grows over it."""
         from scipy.linalg import expm
@@ -179,13 +151,6 @@ class StateSpace:
             found[0, row] = first[row]
             found[1:, row] = lfilter([1.0], [1.0, -pole], pushed, zi=[pole * first[row]])[0]
         return np.asarray((found @ basis.T).real)
-
-    def part_way(
-        self, states: FloatArray, values: FloatArray, following: FloatArray, part_s: float
-    ) -> FloatArray:
-        """Return the output `part_s` after each sample."""
-        later, held = self.later(states, values, following, part_s)
-        return np.asarray(later @ self.c + self.through * held)
 
     def later(
         self, states: FloatArray, values: FloatArray, following: FloatArray, part_s: float

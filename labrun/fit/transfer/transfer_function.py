@@ -22,19 +22,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import tomli_w
 from numpy.typing import ArrayLike, NDArray
 
 from labrun.arrays import FloatArray
 from labrun.control import TransferTable, response_table
 from labrun.errors import RequestError
-from labrun.fit.transfer.response import Hold, evenly, step_response
+from labrun.fit.transfer.response import step_response
 from labrun.toml import Places, parsed, refusal, validate
 
 ComplexArray = NDArray[np.complex128]
 _NAMES = ("input_name", "output_name", "input_unit", "output_unit")
 _INTERVAL = "_ci95"
-_EVEN = 1e-6
 _SOME_S = 1e-9
 """A shorter dead time is none to a reader: rounding of a search that ended at zero."""
 
@@ -189,42 +187,6 @@ class TransferFunction:
         """Return the answer at any times to an input that is 0 before t = 0 and 1 from then on."""
         return step_response(self.numerator, self.denominator, self.dead_s, np.asarray(time_s, dtype=float))
 
-    def simulate(
-        self, time_s: ArrayLike, values: ArrayLike, *, hold: Hold = "linear", before: float = 0.0
-    ) -> FloatArray:
-        """Return the output at the input's evenly spaced times; exact, dead time included.
-
-        Parameters
-        ----------
-        time_s, values : (n,)
-            The input.
-        hold
-            How it runs between its samples: ``"linear"``, or ``"constant"`` from each to the next.
-        before
-            The constant input that has held for ever before the first sample: the output starts in the
-            steady state that belongs to it.
-
-        Raises
-        ------
-        RequestError
-            Times that are not evenly spaced; a steady state that does not exist.
-        """
-        time_s, values = np.asarray(time_s, dtype=float), np.asarray(values, dtype=float)
-        if time_s.ndim != 1 or time_s.shape != values.shape:
-            raise RequestError(
-                f"times and input must be of one length, not {time_s.shape} and {values.shape}"
-            )
-        if len(time_s) < 2:
-            raise RequestError("an input needs two samples or more to be simulated")
-        steps = np.diff(time_s)
-        step_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
-        if step_s <= 0 or np.max(np.abs(steps - step_s)) > _EVEN * step_s * len(time_s):
-            raise RequestError(
-                "the times of an input to be simulated must be evenly spaced and rising",
-                hint="resample it: np.interp(even_time_s, time_s, values)",
-            )
-        return evenly(self.numerator, self.denominator, self.dead_s, step_s, values, hold, before)
-
     def to_table(self) -> dict[str, Any]:
         """Return it as the keys of a TOML table."""
         table: dict[str, Any] = {}
@@ -234,10 +196,6 @@ class TransferFunction:
             table |= {"numerator": list(self.numerator), "denominator": list(self.denominator)}
         table["dead_s"] = self.dead_s
         return table | {key: getattr(self, key) for key in _NAMES if getattr(self, key)}
-
-    def to_toml(self) -> str:
-        """Return it as TOML, its keys at the top."""
-        return tomli_w.dumps(self.to_table())
 
     @classmethod
     def from_toml(
