@@ -17,7 +17,7 @@ _LOOK_S = 0.02
 class EmulatedBoard:
     """A board behind a pty. What it does is the subclass's: it makes `machine`, and overrides `advance` and `reset`.
 
-    Faults of a board, besides those of the wire (see `emulated_wire`): ``watchdog`` (expires now), ``restart``
+    Faults of a board, besides those of the wire (see `emulated_ports`): ``watchdog`` (expires now), ``restart``
     (outputs off, banner in the midst of everything), ``error`` (every word that moves is answered with this text behind
     ``ERR,``; "HW,FAULT" if it is just there), ``wrong-id`` (this many answers carry the next sequence number),
     ``stale`` (before this many answers the previous one comes once more).

@@ -6,6 +6,7 @@ blade elements; in the fin of two bodies the outer ring hangs at the inner one a
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -33,19 +34,19 @@ class Attachment:
     outer_m: float
     outer_lag_s: float = 0.0
 
-    @property
+    @cached_property
     def ring_m(self) -> FloatArray:
         """Distance of the blade elements from the mechanism's centre, shape (RINGS,)."""
         edges = self._edges()
         return 2.0 / 3.0 * (edges[1:] ** 3 - edges[:-1] ** 3) / (edges[1:] ** 2 - edges[:-1] ** 2)
 
-    @property
+    @cached_property
     def ring_m2(self) -> FloatArray:
         """Area of a blade element, half a sector of each ring, shape (RINGS,)."""
         edges = self._edges()
         return 0.5 * (ARC_RAD / 2.0) * (edges[1:] ** 2 - edges[:-1] ** 2)
 
-    @property
+    @cached_property
     def area_m2(self) -> float:
         """Area of one fin."""
         return float(4 * self.ring_m2.sum())

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labrun.devices.emulated_wire import FaultyWire
+from labrun.devices.emulated_ports import FaultyWire
 from labrun.devices.emulation import Faults
 from labrun.runner import SimulatedClock
 
