@@ -131,6 +131,16 @@ class SignalSet:
     left_out: int = 0
 
 
+def joined(inputs: Mapping[str, SignalTable], outputs: Mapping[str, SignalTable]) -> dict[str, SignalTable]:
+    """Return inputs and outputs together; RequestError where a name is both."""
+    both = inputs.keys() & outputs.keys()
+    if both:
+        raise RequestError(
+            f"{', '.join(sorted(both))}: an input and an output of that name", hint="rename one"
+        )
+    return {**inputs, **outputs}
+
+
 def load_signals(
     target: Path,
     wanted: Mapping[str, SignalTable],

@@ -11,7 +11,7 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.fit.result import FittedData
-from labrun.fit.signals import SignalTable, load_signals
+from labrun.fit.signals import SignalTable, joined, load_signals
 from labrun.learned import load_inverse
 from labrun.spec import loads_experiment
 from labrun.store import open_run
@@ -83,12 +83,7 @@ def load_samples(
     RequestError, FitError
         As `load_signals`; a name that is both input and output; an output of another dimension; too few samples.
     """
-    both = set(inputs) & set(outputs)
-    if both:
-        raise RequestError(
-            f"{', '.join(sorted(both))}: an input and an output of that name", hint="rename one"
-        )
-    signals = load_signals(target, {**inputs, **outputs}, where=where, rate_hz=rate_hz)
+    signals = load_signals(target, joined(inputs, outputs), where=where, rate_hz=rate_hz)
     factors = [_factor(signals.units[name], unit, name) for name in outputs]
     x = [np.column_stack([trial.values[name] for name in inputs]) for trial in signals.trials]
     y = [np.column_stack([trial.values[name] for name in outputs]) * factors for trial in signals.trials]

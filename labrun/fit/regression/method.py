@@ -22,7 +22,7 @@ from labrun.fit.regression.least_squares import (
     term_values,
 )
 from labrun.fit.result import FitSummary, FittedData, TextTable
-from labrun.fit.signals import SignalSet, SignalTable, SignalTrial, load_signals, trailing_mean
+from labrun.fit.signals import SignalSet, SignalTable, SignalTrial, joined, load_signals, trailing_mean
 
 _ENDS = 4
 _FEW = 3
@@ -96,12 +96,8 @@ def fit_least_squares(job: FitJob, settings: LeastSquaresSettings) -> FitSummary
     """
     if job.more:
         raise RequestError("least-squares takes one run", hint="repeat its trials instead: [trial] repeats")
-    both = set(settings.inputs) & set(settings.outputs)
-    if both:
-        raise RequestError(
-            f"{', '.join(sorted(both))}: an input and an output of that name", hint="rename one"
-        )
-    data = load_signals(job.target, {**settings.inputs, **settings.outputs}, rate_hz=settings.rate_hz)
+    wanted = joined(settings.inputs, settings.outputs)
+    data = load_signals(job.target, wanted, rate_hz=settings.rate_hz)
     groups = _groups(data, settings)
     raw, matrices = {}, {}
     for name, terms in settings.baskets.items():

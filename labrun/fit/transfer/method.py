@@ -41,7 +41,6 @@ def load_response(
     where: Mapping[str, float | str] | None = None,
     from_s: float = 0.0,
     to_s: float | None = None,
-    rate_hz: float | None = None,
 ) -> Response:
     """Load input and output of every trial that `where` admits.
 
@@ -72,7 +71,7 @@ def load_response(
             divide_by_m=output.divide_by_m,
             average=output.average,
         )
-    signals = load_signals(target, wanted, where=where, rate_hz=rate_hz)
+    signals = load_signals(target, wanted, where=where)
     hold = _stated_hold(target, given.channel)
     same: dict[bytes, FloatArray] = {}
     trials = []
