@@ -98,8 +98,8 @@ def chained(seed: int, folder: Path, beside: dict[str, list[float]]) -> Iterator
         if name == "beam-buckling":
             loops = labrun.open(run).trials.groupby("beam")["loop"].mean()
             beside.setdefault("loop, steel over polyester", []).append(loops["steel"] / loops["polyester"])
-            told = labrun.fit(run, settings={"beam": "long"}).findings
-            holds = [one for one in told if one.startswith("the arc") and "holds" in one]
+            findings = labrun.fit(run, settings={"beam": "long"}).findings
+            holds = [one for one in findings if one.startswith("the arc") and "holds" in one]
             beside.setdefault("arc holds", []).append(float(len(holds)))
         for beam in ("long", "short") if name == "beam-buckling" else ("",):
             found = labrun.fit(run, settings={"beam": beam} if beam else None).parameters
@@ -226,7 +226,7 @@ def toe_off(seed: int, number: int) -> float:
     """Return how far the toe of a strip is told from where it is on its bench, % of strain."""
     bench = TensileBench({}, np.random.default_rng(seed))
     curve = strip(seed, number, bench)
-    return 100.0 * (curve.toe_strain - bench.truth()["slack"])
+    return 100.0 * (curve.toe_strain - float(bench.truth()["slack"]))
 
 
 def life(folder: Path) -> None:
