@@ -13,7 +13,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -60,26 +60,25 @@ class PluginEntry:
 
 
 @lru_cache(maxsize=len(GROUPS))
-def _entries(group: str) -> dict[str, tuple[EntryPoint, str]]:
-    """Return entry points by name, each with the distribution and version that brings it."""
-    found = {entry.name: (entry, _origin(entry)) for entry in entry_points(group=group)}
-    found |= {entry.name: (entry, origin) for entry, origin in _of_rigs() if entry.group == group}
-    return found
+def _entries(group: str) -> dict[str, tuple[EntryPoint, Distribution | None]]:
+    """Return entry points by name, each with the distribution that brings it."""
+    found = {entry.name: (entry, entry.dist) for entry in entry_points(group=group)}
+    return found | {entry.name: (entry, dist) for entry, dist in _of_rigs() if entry.group == group}
 
 
 @lru_cache(maxsize=1)
-def _of_rigs() -> list[tuple[EntryPoint, str]]:
+def _of_rigs() -> list[tuple[EntryPoint, Distribution | None]]:
     """Return what the folders of all rigs declare; imports none of them."""
     found = []
     for package in entry_points(group=RIGS):
         try:
             spec = find_spec(package.value)
         except ModuleNotFoundError as error:
-            raise PluginError(f"the rigs of {_origin(package)} cannot be found: {error}") from error
+            raise PluginError(f"the rigs of {_origin(package.dist)} cannot be found: {error}") from error
         for place in (spec.submodule_search_locations or ()) if spec is not None else ():
             for path in sorted(Path(place).glob(f"*/{RIG_FILE}")):
                 rig = f"{package.value}.{path.parent.name}"
-                found += [(entry, _origin(package)) for entry in _declared(path, rig)]
+                found += [(entry, package.dist) for entry in _declared(path, rig)]
     return found
 
 
@@ -101,15 +100,17 @@ def _declared(path: Path, rig: str) -> Iterator[EntryPoint]:
             yield EntryPoint(name, f"{rig}.{target}", f"labrun.{kind}")
 
 
-def _origin(entry: EntryPoint) -> str:
-    return f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else "unknown"
+@lru_cache
+def _origin(dist: Distribution | None) -> str:
+    """Return name and version, which stand in a file that is slow to parse."""
+    return f"{dist.name} {dist.version}" if dist is not None else "unknown"
 
 
 def installed(group: str) -> list[PluginEntry]:
     """Return the plugins of a group, sorted by name; imports none of them."""
     return [
-        PluginEntry(group, name, entry.value, origin)
-        for name, (entry, origin) in sorted(_entries(group).items())
+        PluginEntry(group, name, entry.value, _origin(dist))
+        for name, (entry, dist) in sorted(_entries(group).items())
     ]
 
 
@@ -141,7 +142,7 @@ def load(group: str, name: str) -> Any:
     kind = group.removeprefix("labrun.").removesuffix("s")
     if ":" in name:
         return _load_dotted(kind, name)
-    entry, origin = _entries(group).get(name, (None, ""))
+    entry, dist = _entries(group).get(name, (None, None))
     if entry is None:
         near = nearest(name, names(group))
         known = ", ".join(names(group)) or "none"
@@ -150,7 +151,7 @@ def load(group: str, name: str) -> Any:
     try:
         return entry.load()
     except Exception as error:  # whatever a third party's module raises while it is imported
-        brought_by = entry.value if origin == "unknown" else origin.partition(" ")[0]
+        brought_by = entry.value if dist is None else dist.name
         raise PluginError(
             f"{kind} plugin {name!r} of {brought_by} cannot be imported: {type(error).__name__}: {error}",
             hint=f"python -c 'import {entry.module}' shows the whole cause",

@@ -14,7 +14,7 @@ _ORDER_WITHOUT_RAMPS = 2
 
 
 def check_wiring(experiment: Experiment, rig: Rig, gait_joints: Iterable[str]) -> None:
-    """Check every name in the file that stands for a joint, a channel, a device or an objective.
+    """Check every name in the file that stands for a joint, a channel or a device.
 
     Raises
     ------
@@ -37,11 +37,6 @@ def check_wiring(experiment: Experiment, rig: Rig, gait_joints: Iterable[str]) -
     for name, objective in experiment.objectives.items():
         if objective.channel is not None:
             problems += _unknown(f"objectives.{name}.channel", objective.channel, channels, "channels")
-    judged = experiment.trial.outliers.objective
-    if judged is not None:
-        problems += _unknown("trial.outliers.objective", judged, experiment.objectives, "objectives")
-    for name in experiment.trial.repeats.standard_error:
-        problems += _unknown("trial.repeats.standard_error", name, experiment.objectives, "objectives")
     try:
         if experiment.trial.settle is not None and experiment.trial.settle.until == "quiet":
             watched_channels(experiment.trial.settle, rig)
