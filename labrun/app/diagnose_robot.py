@@ -123,8 +123,7 @@ def _kept(found: RobotDiagnosis, folder: Path, source: str, *, page: bool) -> St
         if not page:
             return StoredRobotDiagnosis(found, numbers)
         # matplotlib
-        from labrun.report.figures.robot import robot_figure
-        from labrun.report.robot import robot_page
+        from labrun.report.robot import robot_figure, robot_page
         from labrun.report.style import save
 
         figure = save(robot_figure(found), folder / FIGURE)

@@ -1,8 +1,8 @@
 """From a plan to trials: devices and clock, settle, tare, record, repeat; and everything that stops what moves."""
 
+from labrun.devices.clock import RealClock, SimulatedClock
 from labrun.runner.bench import Bench, Handle
 from labrun.runner.by_hand import Person, Scripted, Willing
-from labrun.runner.clock import RealClock, SimulatedClock
 from labrun.runner.damage import worn_before, worn_specimens
 from labrun.runner.doctor import examine_machine, examine_rig, find_devices
 from labrun.runner.emulated_bench import EmulatedBench, has_emulator

@@ -13,10 +13,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from labrun.devices.clock import RealClock
 from labrun.devices.processes.scene import READY, RemoteScene
 from labrun.errors import DeviceError, ExperimentError, LabrunError, SpecError
 from labrun.registry import is_installed
-from labrun.runner.clock import RealClock
 from labrun.runner.resolve import resolve_device, stand_in_name
 from labrun.toml import PluginTable
 

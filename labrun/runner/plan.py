@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from labrun.devices import Excess, Limits
+from labrun.devices.clock import SimulatedClock
 from labrun.errors import LabrunError, PlanError
-from labrun.runner.clock import SimulatedClock
 from labrun.runner.envelope import Envelope, loop_notes
 from labrun.runner.motion import MotionMaker, TrialMotion, smooth_move
 from labrun.runner.rig import Rig

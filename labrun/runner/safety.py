@@ -13,9 +13,9 @@ from types import FrameType
 from typing import Any
 
 from labrun.devices import Device
+from labrun.devices.clock import RealClock
 from labrun.devices.processes.watchdog import ARM, BEAT, DISARM, QUIT, READY
 from labrun.errors import ExperimentError, LabrunError, PluginError
-from labrun.runner.clock import RealClock
 from labrun.runner.faults import Interrupted
 from labrun.runner.resolve import ResolvedDevice
 

@@ -5,10 +5,10 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from labrun.devices import Clock
+from labrun.devices.clock import RealClock
 from labrun.errors import DeviceError, ExperimentError, LimitExceededError, RecordingError
 from labrun.runner.bench import Bench
 from labrun.runner.by_hand import SET_ASIDE, Mounting, Mountings, Person, Willing
-from labrun.runner.clock import RealClock
 from labrun.runner.damage import Damage, Worn
 from labrun.runner.faults import LimitReached
 from labrun.runner.measurement import (

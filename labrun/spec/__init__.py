@@ -1,8 +1,6 @@
 """The experiment file: what it may say, how it is read, and what is wrong with it."""
 
-from labrun.spec.by_hand import ByHand
 from labrun.spec.condition import Condition, Number, Value, condition_key, condition_text, value_text
-from labrun.spec.damage import BROKEN, PAST, DamageTable
 from labrun.spec.design_tables import (
     SIMULATION,
     SUMMARIES,
@@ -55,6 +53,7 @@ from labrun.spec.search_tables import (
     StopRules,
     Sweep,
 )
+from labrun.spec.specimens import BROKEN, PAST, ByHand, DamageTable
 from labrun.spec.template import Kind, new_experiment
 from labrun.spec.trial_tables import (
     Averaging,

@@ -10,8 +10,6 @@ from typing import Any
 
 from labrun import registry
 from labrun.errors import SpecError
-from labrun.spec.by_hand import check_by_hand
-from labrun.spec.damage import check_damage
 from labrun.spec.design_tables import check_design, is_summary
 from labrun.spec.plugins import check_plugins, check_settings, examine, load_plugin
 from labrun.spec.raw import (
@@ -26,6 +24,7 @@ from labrun.spec.raw import (
     table,
     tables,
 )
+from labrun.spec.specimens import check_by_hand, check_damage
 from labrun.spec.track_checks import check_track
 from labrun.spec.until import check_until
 from labrun.spec.workspace import find_model_file, shipped_experiments

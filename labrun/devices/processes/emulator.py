@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from labrun.devices.clock import HostClock
+from labrun.devices.clock import RealClock
 from labrun.devices.emulation import Emulator, EmulatorContext, EmulatorLog, Faults
 from labrun.devices.processes.scene import LINGER_S, RemoteScene
 from labrun.errors import LabrunError
@@ -66,7 +66,7 @@ class _Orders:
 
 def make_emulator(task: dict[str, Any]) -> tuple[Emulator, EmulatorContext]:
     """Return the emulator that a task asks for, not yet open, and what it lives in."""
-    clock = HostClock()
+    clock = RealClock()
     scene = None
     if task["scene"] is not None:
         scene = RemoteScene(task["scene"]["address"], bytes.fromhex(task["scene"]["key"]))

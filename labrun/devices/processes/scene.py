@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from labrun.devices import FloatArray, Scene, Trajectory
-from labrun.devices.clock import HostClock
+from labrun.devices.clock import RealClock
 from labrun.registry import load
 
 READY = "ready"
@@ -156,7 +156,7 @@ def _end_with_input(address: Path) -> None:
     """End a little after the runner has, and leave nothing behind: who was killed cannot tidy up."""
     while os.read(sys.stdin.fileno(), 4096):
         pass
-    HostClock().sleep(2 * LINGER_S)
+    RealClock().sleep(2 * LINGER_S)
     address.unlink(missing_ok=True)
     with contextlib.suppress(OSError):
         address.parent.rmdir()

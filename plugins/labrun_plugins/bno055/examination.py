@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from labrun.devices import DeviceError, Identity, Remark, SerialPort
-from labrun.devices.clock import HostClock
+from labrun.devices.clock import RealClock
 from labrun_plugins.bno055 import codec
 from labrun_plugins.bno055.chip import Chip, Refused, Silent
 from labrun_plugins.bno055.orientation import angles, up_in_body
@@ -134,7 +134,7 @@ def of_calibration(chip: Chip, settings: Bno055Settings) -> Iterator[Remark]:
 
 def probe(port: str) -> Identity | None:
     """Ask what is at a port for its chip ids."""
-    clock = HostClock()
+    clock = RealClock()
     line = SerialPort("probe", port, _BAUD)
     try:
         line.open()

@@ -216,18 +216,18 @@ class Dynamixel:
     @classmethod
     def emergency_stop(cls, name: str, settings: Any) -> None:
         """Connect from scratch and stop: the runner is dead or hangs."""
-        from labrun.devices.clock import HostClock
+        from labrun.devices.clock import RealClock
         from labrun_plugins.dynamixel.emergency import emergency_stop
 
-        emergency_stop(name, settings, HostClock())
+        emergency_stop(name, settings, RealClock())
 
     @classmethod
     def probe(cls, port: str) -> Identity | None:
         """Tell whether Dynamixels answer at a port, at 1 Mbit/s or at the factory's 57 600 bits/s."""
-        from labrun.devices.clock import HostClock
+        from labrun.devices.clock import RealClock
         from labrun_plugins.dynamixel.examination import probe
 
-        return probe(port, HostClock())
+        return probe(port, RealClock())
 
     @property
     def _halted(self) -> bool:

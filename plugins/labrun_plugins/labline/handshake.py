@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from labrun.devices import DeviceError, Identity, SerialPort
-from labrun.devices.clock import HostClock
+from labrun.devices.clock import RealClock
 from labrun_plugins.labline.codec import UNSOLICITED, Line, LineParser, encode
 from labrun_plugins.labline.session import BAUD, BOOT_WAIT_S
 
@@ -26,7 +26,7 @@ def probe(port: str, kind: str) -> Identity | None:
     Something that talks all the time without a labline among it is left alone: nothing is sent to it. What a port has
     answered is remembered for a moment, so that a doctor who asks for each kind in turn resets a board once only.
     """
-    now_s = HostClock().now()
+    now_s = RealClock().now()
     asked_s, answer = _asked.get(port, (-_REMEMBERED_S, None))
     if now_s - asked_s >= _REMEMBERED_S:
         talk = _Talk("probe", port)
@@ -87,7 +87,7 @@ class _Talk:
 
     def open(self, patience_s: float = 0.0) -> None:
         """Open the port; tries again for so long if it cannot be opened."""
-        clock = HostClock()
+        clock = RealClock()
         deadline_s = clock.now() + patience_s
         while True:
             try:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from labrun.devices import DeviceError, Identity, Remark, SerialPort
-from labrun.devices.clock import HostClock
+from labrun.devices.clock import RealClock
 from labrun_plugins.robotiq_ft300 import codec
 from labrun_plugins.robotiq_ft300.link import Link, Nameplate
 from labrun_plugins.robotiq_ft300.reception import Polling, Reception
@@ -97,7 +97,7 @@ def probe(port: str) -> Identity | None:
     DeviceError
         pymodbus is not installed: nobody can be asked.
     """
-    clock = HostClock()
+    clock = RealClock()
     settings = RobotiqFt300Settings(port=port)
     line = SerialPort(port, port, settings.baud)
     link = Link(port, line, clock, settings.slave_id, answer_s=0.12, tries=1)

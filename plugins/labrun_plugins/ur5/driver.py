@@ -13,7 +13,7 @@ from labrun.devices import (
     SampleBuffer,
     Samples,
 )
-from labrun.devices.clock import HostClock
+from labrun.devices.clock import RealClock
 from labrun_plugins.ur5.examining import remarks
 from labrun_plugins.ur5.line import Line
 from labrun_plugins.ur5.link import Link, stop_from_scratch
@@ -195,7 +195,7 @@ class Ur5:
         DeviceError
             Neither the script port nor the dashboard could be reached.
         """
-        if not stop_from_scratch(name, settings, HostClock(), _LOOK_S):
+        if not stop_from_scratch(name, settings, RealClock(), _LOOK_S):
             raise DeviceError(
                 name,
                 f"could not be told to stop ({STOP.strip()}, dashboard stop)",

@@ -17,7 +17,7 @@ from labrun_plugins.labline.refusal import LineRefusedError, StoppedError
 from labrun_plugins.labline.session import Hello, LineSession
 
 from labrun.devices import SerialPort
-from labrun.devices.clock import HostClock
+from labrun.devices.clock import RealClock
 from labrun.errors import DeviceError
 
 
@@ -216,7 +216,7 @@ LINE = st.builds(
 
 @given(st.lists(st.one_of(LINE, st.binary(max_size=60)), max_size=20))
 def test_whatever_a_board_says_harms_nothing_but_the_conversation(heard):
-    clock = HostClock()
+    clock = RealClock()
     samples = []
     session = LineSession("tail", "p", clock, on_sample=lambda fields, _: samples.append(fields))
     for _ in range(3):
