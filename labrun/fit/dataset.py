@@ -24,8 +24,10 @@ from labrun.store import (
     read_recording,
 )
 
-_AT_THE_END = 50
-"""A peak in the last of so many parts of a trial is where it ends, not where something broke."""
+_FALLS = 0.5
+"""What breaks loses at least this share of its peak,"""
+_WITHIN = 10
+"""within so many samples; a sensor at the end of its range stays there."""
 CYCLE = "cycle"
 """Condition that numbers the kept cycles of a trial which went on until something happened."""
 
@@ -219,11 +221,13 @@ def from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
 
 
 def until_peak(data: Dataset, output: int) -> Dataset:
-    """Return trials up to where an output is greatest; those that end there count whole."""
+    """Return trials up to where an output is greatest, of those in which it then falls: something broke."""
     trials, short = [], 0
     for trial in data.trials:
-        samples = int(np.argmax(trial.outputs[:, output])) + 1
-        broke = len(trial.time_s) - samples > samples // _AT_THE_END
+        signal = trial.outputs[:, output]
+        samples = int(np.argmax(signal)) + 1
+        after = signal[samples : samples + _WITHIN]
+        broke = len(after) > 0 and float(after.min()) < (1.0 - _FALLS) * float(signal.max())
         short += broke
         trials.append(trial.first(samples) if broke and samples > 1 else trial)
     if not short:

@@ -201,3 +201,5 @@ def test_a_trial_counts_up_to_where_a_signal_is_greatest_if_something_breaks_the
     found = until_peak(replace(dataset, trials=(broken, dataset.trials[1])), 0)
     assert [len(trial.time_s) for trial in found.trials] == [8, 12]
     assert found.notes == ("1 trial counts up to where angle is greatest only",)
+    saturated = replace(broken, outputs=np.minimum(dataset.trials[0].outputs, 2.0))
+    assert until_peak(replace(dataset, trials=(saturated,)), 0).trials == (saturated,)
