@@ -9,6 +9,8 @@ import numpy as np
 
 from labrun.errors import RecordingError, RequestError
 from labrun.logs import (
+    LEAST_SAMPLES,
+    LEAST_TRIAL_S,
     TICKS,
     LogTable,
     Piece,
@@ -117,8 +119,10 @@ def import_log(
     bad = list(unusable(table))
     trials, how = cut(table, cut_s, [piece for piece, _ in bad])
     if not trials:
+        short = f"no trial would be {LEAST_TRIAL_S:g} s and {LEAST_SAMPLES} samples long"
         raise RecordingError(
-            f"nothing of {log} can be used: {'; '.join(dict.fromkeys(why for _, why in bad))}"
+            f"nothing of {log} can be used: {'; '.join(dict.fromkeys([*(why for _, why in bad), short]))}",
+            hint="cut longer trials: --cut 10s" if cut_s is not None else None,
         )
     remarks = [
         *(robot.remarks if robot else ()),

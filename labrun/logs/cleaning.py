@@ -30,6 +30,10 @@ STUCK_S = 0.3
 PUSH_AFTER_S = 2.0
 _LIVELY = 0.5
 """A sensor of which more than this share of samples differs from the one before cannot stand still by chance."""
+_COARSE = 0.5
+"""Fewer different numbers than this share of the samples, and a sensor's steps are coarser than its noise."""
+_JUMP = 2.0
+"""A coarse sensor was frozen if it goes on with a step so many times its fastest ones."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +218,14 @@ def unusable(table: LogTable) -> Iterator[tuple[Piece, str]]:
         same = np.append(False, np.diff(course) == 0.0)
         if same.mean() > 1 - _LIVELY:
             continue  # an encoder's steps: standing still is nothing special
+        steps = np.abs(np.diff(course))
+        # where an encoder's steps show through, a joint at rest stands on one number: only a jump afterwards tells
+        jump = (
+            _JUMP * float(np.quantile(steps, 0.99)) if len(np.unique(course)) < _COARSE * len(course) else 0.0
+        )
         for piece in _runs(same):
+            if jump and (piece.end >= len(course) or steps[piece.end - 1] <= jump):
+                continue
             if piece.end - piece.first >= long:
                 ends = (course.min(), course.max())
                 what = "stands at the end of its range" if course[piece.first] in ends else "is frozen"

@@ -25,7 +25,7 @@ _EPOCHS = ((1e17, 1e-9, "nanoseconds"), (1e14, 1e-6, "microseconds"), (1e11, 1e-
 
 
 def read_csv(path: Path, rate_hz: float | None) -> list[Stream]:
-    """Read a table with one header line."""
+    """Read a table with one header line; where cells are parted by ; or tabs, a decimal comma is one."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             sample = file.readline()
@@ -43,10 +43,17 @@ def read_csv(path: Path, rate_hz: float | None) -> list[Stream]:
             f"{path}:{uneven}: {len(rows[uneven - 2])} cells below a header of {len(header)}"
         )
     if not rows:
-        raise RecordingError(f"{path}: there is a header and no sample below it")
-    table = np.array([[_number(cell) for cell in row] for row in rows])
+        there = "there is a header and no sample below it" if sample.strip() else "the file is empty"
+        raise RecordingError(f"{path}: {there}")
+    comma = delimiter != ","
+    table = np.array([[_number(cell.replace(",", ".") if comma else cell) for cell in row] for row in rows])
     words = [name for place, name in enumerate(header) if np.isnan(table[:, place]).all()]
     arrays = {name: table[:, place] for place, name in enumerate(header) if name not in words}
+    if not arrays:
+        raise RecordingError(
+            f"{path}: no column holds numbers below the header {', '.join(header)[:80]}",
+            hint="a log in CSV has one header line, and a number in each cell below it",
+        )
     return [_stream(path.stem, arrays, path, rate_hz)]
 
 

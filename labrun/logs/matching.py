@@ -2,6 +2,7 @@
 
 import difflib
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, cast
@@ -17,6 +18,7 @@ TICKS = 4096
 """Steps of an encoder in one turn, its middle being zero, if nobody says: that of servos whose logs come in ticks."""
 _BEYOND_RAD = 2.2 * math.pi
 _SLACK = 1.05
+_COMMANDS = ("command", "velocity-command", "torque-command")
 _NOT = "none"
 
 
@@ -95,7 +97,9 @@ def matched(
         )
         if len(candidates) == 1:
             found.append(Match(one, *candidates[0]))
-            if given is not None:
+            if given is not None and plain(given) in map(
+                plain, (candidates[0][1].name, candidates[0][1].stem)
+            ):
                 said.append(f"{one.channel} is {candidates[0][1].name}, as --map says")
             continue
         unclear.append(_question(one, candidates, streams, given))
@@ -106,9 +110,18 @@ def matched(
         lines = "\n".join(f"  {line}" for line in unclear)
         raise RequestError(
             f"it is not clear which columns of the log these are:\n{lines}\nthe log has {shown}",
-            hint="say it: --map CHANNEL=COLUMN, or --map CHANNEL=none for what the log does not have",
+            hint=_all_proposals(unclear),
         )
     return found, said
+
+
+def _all_proposals(unclear: Sequence[str]) -> str:
+    """Return how to answer, and where every question has a proposal, all of them to be copied."""
+    how = "say it: --map CHANNEL=COLUMN, or --map CHANNEL=none for what the log does not have"
+    given = [line.rpartition("--map ")[2] for line in unclear if "proposal" in line]
+    if len(given) < len(unclear) or len(given) < 2:
+        return how
+    return f"{how}; if all of these are right: {shlex.join(part for one in given for part in ('--map', one))}"
 
 
 def _twice(found: Sequence[Match]) -> list[str]:
@@ -141,7 +154,14 @@ def _candidates(
     every = [(stream, column) for stream in streams for column in stream.columns]
     if given is not None:
         whole = [(stream, column) for stream, column in every if plain(column.name) == plain(given)]
-        fitting = [(stream, column) for stream, column in whole if exact or column.role in one.roles]
+        told = (
+            one.kind == "output"
+        )  # --map pan=/cmd[0] is about the goal of pan where /cmd says that it is one
+        fitting = [
+            (stream, column)
+            for stream, column in whole
+            if column.role in one.roles or (exact and not (told and column.role in _COMMANDS))
+        ]
         if fitting:
             return fitting
         if whole:  # --map shoulder=/cmd/shoulder is about the goal: what is measured is found as without it

@@ -14,6 +14,9 @@ from labrun.report.page import PageTable, drawn, render
 from labrun.report.style import COLOURS, heading, new_figure
 from labrun.report.text import listed, number, percent, short_time_text
 
+_ALONE = {"parameter": "none: recalibrated", "no-gap": "none"}
+"""What stands at a joint without a cause where the file's physics is enough."""
+
 
 def cause_words(cause: Cause) -> str:
     """Return what a cause is called where its joint is known, with what it cannot be told from."""
@@ -29,7 +32,8 @@ def joint_rows(found: RobotDiagnosis) -> list[list[str]]:
     rows = []
     for one in found.joints:
         diagnosis, gap = one.diagnosis, one.diagnosis.gap
-        causes = " + ".join(cause_words(cause) for cause in diagnosis.causes) or HEADLINES[diagnosis.verdict]
+        alone = _ALONE.get(diagnosis.verdict, HEADLINES[diagnosis.verdict])
+        causes = " + ".join(cause_words(cause) for cause in diagnosis.causes) or alone
         sure = ", ".join(percent(cause.confidence) for cause in diagnosis.causes)
         unit = one.joint.unit
         errors = [f"{number(value, 2)} {unit}" for value in (one.stated, one.recalibrated, one.corrected)]

@@ -257,6 +257,8 @@ def test_a_model_of_equations_is_matched_as_well(tmp_path):
     ("name", "text", "said"),
     [
         ("a.csv", "t,x\n", "no sample below"),
+        ("a.csv", "", "the file is empty"),
+        ("a.csv", "hello there\nnothing\n", "no column holds numbers"),
         ("a.csv", "x,y\n1,2\n3,4\n", "no column of time"),
         ("a.csv", "t,x\n1,2\n3\n", "a.csv:3: 1 cells below a header of 2"),
         ("a.bag", "nonsense", "cannot be read as a bag"),

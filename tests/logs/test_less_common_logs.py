@@ -73,6 +73,47 @@ def test_a_bare_parquet_file_is_read(tmp_path, arm):
     assert lowest == pytest.approx(goals[:, 1].min(), abs=1e-6)
 
 
+def test_a_joint_at_rest_behind_a_coarse_encoder_is_not_frozen_but_one_that_jumps_is(tmp_path, arm):
+    time_s, goals, angles = logs.motion(moves=3)
+    goals, angles = np.round(goals * 651.9 + 2048), np.round(angles * 651.9 + 2048)
+    plain = import_log(logs.write_csv(tmp_path / "a.csv", time_s, goals, angles), arm, tmp_path / "one")
+    assert not [text for text in plain.remarks if "frozen" in text or "end of its range" in text]
+    angles[165:205, 0] = angles[165, 0]
+    stuck = import_log(logs.write_csv(tmp_path / "b.csv", time_s, goals, angles), arm, tmp_path / "two")
+    assert [text for text in stuck.remarks if "shoulder is frozen" in text] == [
+        "left out 1.650 to 2.040 s: shoulder is frozen"
+    ]
+
+
+def test_a_table_with_semicolons_and_decimal_commas_is_the_same_table(tmp_path, arm):
+    made = logs.motion(moves=2)
+    first = logs.write_csv(tmp_path / "a.csv", *made)
+    second = tmp_path / "b.csv"
+    second.write_text(first.read_text().replace(",", ";").replace(".", ","))
+    one, two = (import_log(path, arm, tmp_path / path.stem) for path in (first, second))
+    assert (one.folder / "001.csv").read_text() == (two.folder / "001.csv").read_text()
+
+
+def test_nameless_goals_are_mapped_by_joint_and_all_proposals_can_be_copied(tmp_path, arm):
+    time_s, goals, angles = logs.motion(moves=2)
+    names = ["time_s", "cmd_1", "cmd_2", "shoulder", "elbow"]
+    log = logs.write_csv(tmp_path / "a.csv", time_s, goals, angles, names)
+    with pytest.raises(RequestError) as error:
+        import_log(log, arm, tmp_path / "one")
+    assert error.value.hint.endswith(
+        "if all of these are right: --map shoulder_command=cmd_1 --map elbow_command=cmd_2"
+    )
+    made = import_log(log, arm, tmp_path / "one", mapping=["shoulder=cmd_1", "elbow=cmd_2"])
+    assert dict(made.channels)["shoulder"] == "shoulder"
+    assert dict(made.channels)["shoulder_command"] == "cmd_1"
+
+
+def test_trials_cut_too_short_are_said_to_be(tmp_path, arm):
+    log = logs.write_csv(tmp_path / "a.csv", *logs.motion(moves=2))
+    with pytest.raises(RecordingError, match=r"no trial would be 0\.5 s and 20 samples long"):
+        import_log(log, arm, tmp_path / "one", cut_s=0.1)
+
+
 def test_one_column_is_not_two_channels(tmp_path, arm):
     log = logs.write_csv(tmp_path / "log.csv", *logs.motion())
     with pytest.raises(

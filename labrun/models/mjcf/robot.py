@@ -226,7 +226,7 @@ def robot_spec(path: Path) -> tuple[Any, list[str]]:
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
-        raise ModelError(f"MuJoCo cannot read {path}: {error}") from None
+        raise ModelError(f"MuJoCo cannot read {path}: {str(error).strip()}") from None
     folder = path.parent / (spec.meshdir or "")
     missing = {
         mesh.name or Path(mesh.file).stem
@@ -249,14 +249,15 @@ def robot_spec(path: Path) -> tuple[Any, list[str]]:
         spec.delete(geom)
     for mesh in [mesh for mesh in spec.meshes if (mesh.name or Path(mesh.file).stem) in missing]:
         spec.delete(mesh)
-    return spec, [f"{len(missing)} meshes are missing, and not needed: {', '.join(sorted(missing)[:3])}"]
+    count = "1 mesh is" if len(missing) == 1 else f"{len(missing)} meshes are"
+    return spec, [f"{count} missing, and not needed: {', '.join(sorted(missing)[:3])}"]
 
 
 def _compile(spec: Any, path: Path) -> Any:
     try:
         return spec.compile()
     except ValueError as error:
-        raise ModelError(f"MuJoCo cannot build {path}: {error}") from None
+        raise ModelError(f"MuJoCo cannot build {path}: {str(error).strip()}") from None
 
 
 def _simple(mujoco: Any) -> tuple[Any, Any]:
