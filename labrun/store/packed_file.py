@@ -238,9 +238,9 @@ def unreadable(path: Path, error: Exception) -> RecordingError:
     if path.suffix not in (".h5", ".nc"):
         what = f"a {path.suffix} file" if path.suffix else "a file"
         if path.suffix in _ROBOTS:
-            reads = f"a robot's file takes a log beside it: labrun gap diagnose {path} --log run.mcap"
+            reads += f"; a robot's file takes a log beside it: labrun gap diagnose {path} --log run.mcap"
         elif path.suffix in _LOGS:
-            reads = f"a robot's log takes the robot's file: labrun gap diagnose arm.xml --log {path}"
+            reads += f"; a robot's log takes the robot's file: labrun gap diagnose arm.xml --log {path}"
         return RecordingError(f"{path} is {what}, and no run of labrun", hint=reads)
     return RecordingError(
         f"{path} cannot be read as a run of labrun: {error}",
