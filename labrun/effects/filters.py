@@ -64,6 +64,13 @@ def lag(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Poi
     out[1] = memory[0]
 
 
+def ahead(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer) -> None:
+    """Write where the signal, with the slope of its piece, is ``values[0]`` seconds later."""
+    further = values[0] * (after[0] - before[0]) / dt if dt > 0.0 else 0.0
+    out[0] = before[0] + further
+    out[1] = after[0] + further
+
+
 def delay(before: Pointer, after: Pointer, dt: float, values: Pointer, memory: Pointer, out: Pointer) -> None:
     """Write what the signal was ``values[0]`` seconds ago, interpolated within the piece it then was in.
 

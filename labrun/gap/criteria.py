@@ -75,9 +75,10 @@ DEVIATION_SHARE, DEVIATION_P, DEVIATION_FREEDOM = 0.3, 1e-3, 30
 the colour of the rest (a variance known as well as from so many trials) would scatter by so much this seldom."""
 MOST_DEVIATIONS, DEVIATION_DRAWS = 3, 200
 """Deviations by trial that are taken apart at most, and draws of noise that each is compared with."""
-DEVIATION_BLOCKS = 4
-"""Blocks of a trial that was never repeated, in all of which its zero has to be the same. Of start times and gains the
-same test made a start time by trial of a cubic drag, and a gain by trial of a seal under four pressures."""
+DEVIATION_BLOCKS, DEVIATION_NEARLY_ALL = 4, 0.8
+"""Blocks of a trial that was never repeated, in all of which its deviation has to be the same; and the part of what
+causes leave that a gain or a start time by trial has to make up: with less, the same test made a start time by trial of
+a cubic drag, and a gain by trial of a seal under four pressures."""
 
 # --- candidates and screening -------------------------------------------------------------------------------------
 

@@ -132,17 +132,23 @@ def search_causes(
 def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) -> Search:
     """Return the search once more beside what differs by trial, where nothing was repeated and something does.
 
-    Causes come first: what they explain of the differences between trials is theirs.
+    Causes come first: what they explain of the differences between trials is theirs. If none of them stands beside the
+    deviations, these are found again without them.
     """
     if first.noise.known:
         return found
     final = found.selection.final
-    deviations = found_alone(asked.data, mean_residuals(final.problem, final.z))
-    if not deviations:
-        return found
-    asked.note("taking apart what differs from trial to trial, and looking for causes beside it")
-    problem, z = with_deviations(first.problem, first.z, deviations)
-    return _searched(asked, in_noise(problem, first.noise, z))
+    for problem, z in ((final.problem, final.z), (first.problem, first.z)):
+        deviations = found_alone(asked.data, mean_residuals(problem, z), problem.simulated(z))
+        if not deviations:
+            break
+        asked.note("taking apart what differs from trial to trial, and looking for causes beside it")
+        beside, start = with_deviations(first.problem, first.z, deviations)
+        again = _searched(asked, in_noise(beside, first.noise, start))
+        if again.selection.chosen or not found.selection.chosen:
+            return again
+        found = again
+    return found
 
 
 def _fitted_to_motion(search: Search, noise: Noise) -> Search:

@@ -102,41 +102,87 @@ def _looked_at(
     return taken / total, Deviation(kind, output, float(np.sqrt(variance))), after
 
 
-def found_alone(units: Dataset, residual: Sequence[FloatArray]) -> tuple[Deviation, ...]:
-    """Look for zeros that trials which were never repeated do not share, where no cause explains what is left of them.
+def found_alone(
+    units: Dataset, residual: Sequence[FloatArray], simulated: Sequence[FloatArray]
+) -> tuple[Deviation, ...]:
+    """Look for what trials that were never repeated differ by as a whole, where no cause explains what is left of them.
 
-    A zero is the same in every block of its trial. Zeros count if they make up a good part of what is left of an output
-    and differ between trials by more than between the blocks of a trial (analysis of variance); what all trials share
-    is none. Gains and start times are not looked for: what changes with amplitude or frequency looks the same.
+    A deviation is as large in one block of its trial as in another. One counts if it makes up a good part of what is
+    left, and is larger than blocks of a trial differ by (analysis of variance). What all trials plainly share of it is
+    none: it is a gap like any other. Gains and start times have to make up nearly all that is left: what changes with
+    amplitude or frequency looks like them, but is not the same throughout a trial.
 
     Parameters
     ----------
-    residual : per unit (n, m)
+    residual, simulated : per unit (n, m)
         Of the model with its causes.
     """
-    from scipy.stats import f
+    found: list[Deviation] = []
+    left = list(residual)
+    outputs = range(units.trials[0].outputs.shape[1])
+    tried = [(kind, output) for kind in _KINDS for output in (outputs if kind != "start time" else (None,))]
+    while len(found) < criteria.MOST_DEVIATIONS:
+        rest = [one for one in tried if one not in [(other.kind, other.output) for other in found]]
+        looked = [_looked_at_alone(units, left, simulated, kind, output) for kind, output in rest]
+        best = max((one for one in looked if one is not None), key=lambda one: one[0], default=None)
+        if best is None:
+            break
+        _, deviation, left = best
+        found.append(deviation)
+    return tuple(found)
 
+
+def _looked_at_alone(
+    units: Dataset,
+    residual: list[FloatArray],
+    simulated: Sequence[FloatArray],
+    kind: DeviationKind,
+    output: int | None,
+) -> tuple[float, Deviation, list[FloatArray]] | None:
+    """Return the share of the residual that one kind makes up, its deviation, and residuals without it."""
     trials, blocks = len(residual), criteria.DEVIATION_BLOCKS
     if trials < criteria.FEWEST_AGREEING or min(map(len, residual)) < blocks:
-        return ()
-    found = []
-    lengths = np.array([[len(block) for block in np.array_split(one, blocks)] for one in residual])
-    for output in range(units.trials[0].outputs.shape[1]):
-        zeros = np.array(
-            [[float(np.mean(block)) for block in np.array_split(one[:, output], blocks)] for one in residual]
-        )
-        own = np.average(zeros, axis=1, weights=lengths)
-        common = float(np.average(zeros, weights=lengths))
-        between = float(np.sum(np.square(own - common) * np.sum(lengths, axis=1)))
-        within = float(np.sum(np.square(zeros - own[:, None]) * lengths))
-        total = float(sum(np.sum(np.square(one[:, output])) for one in residual))
-        if between < criteria.DEVIATION_SHARE * total or total == 0.0:
-            continue
-        freedom = trials - 1, trials * (blocks - 1)
-        ratio = between / freedom[0] / max(within / freedom[1], 1e-300)
-        if f.sf(ratio, *freedom) <= criteria.DEVIATION_P:
-            found.append(Deviation("bias", output, float(np.std(own, ddof=1))))
-    return tuple(found)
+        return None
+    columns = slice(None) if output is None else slice(output, output + 1)
+    scale = np.sqrt(np.mean(np.square(np.concatenate(residual)), axis=0))
+    scale = np.where(scale > 0, scale, 1.0)
+    shapes = [
+        (shape_of(kind, one, trial.time_s) / scale)[:, columns]
+        for one, trial in zip(simulated, units.trials, strict=True)
+    ]
+    away = [(one / scale)[:, columns] for one in residual]
+    cut = [
+        [(np.sum(np.square(a)), np.sum(a * b)) for a, b in zip(*_cut(shape, one, blocks), strict=True)]
+        for shape, one in zip(shapes, away, strict=True)
+    ]
+    energy, along = np.array(cut)[:, :, 0], np.array(cut)[:, :, 1]
+    total = float(sum(np.sum(np.square(one)) for one in away))
+    if np.any(energy <= 0) or total == 0.0:
+        return None
+    size, whole = along / energy, np.sum(energy, axis=1)
+    own = np.sum(along, axis=1) / whole
+    from scipy.stats import f, ttest_1samp
+
+    shared = float(np.mean(own)) if ttest_1samp(own, 0.0).pvalue <= criteria.DEVIATION_P else 0.0
+    taken = float(np.sum(np.square(own - shared) * whole))
+    least = criteria.DEVIATION_SHARE if kind == "bias" else criteria.DEVIATION_NEARLY_ALL
+    if taken < least * total:
+        return None
+    freedom = trials - int(shared != 0.0), trials * (blocks - 1)
+    within = float(np.sum(np.square(size - own[:, None]) * energy)) / freedom[1]
+    if f.sf(taken / freedom[0] / max(within, 1e-300), *freedom) > criteria.DEVIATION_P:
+        return None
+    after = []
+    for one, shape, each in zip(residual, shapes, own - shared, strict=True):
+        cleared = one.copy()
+        cleared[:, columns] -= each * shape * scale[columns]
+        after.append(cleared)
+    sd = float(np.sqrt(np.sum(np.square(own - shared)) / freedom[0]))
+    return taken / total, Deviation(kind, output, sd), after
+
+
+def _cut(first: FloatArray, second: FloatArray, blocks: int) -> tuple[list[FloatArray], list[FloatArray]]:
+    return np.array_split(first, blocks), np.array_split(second, blocks)
 
 
 def words(one: Deviation, outputs: Sequence[tuple[str, str]]) -> str:
