@@ -237,6 +237,7 @@ class Effect:
     states: int = 0
     memory: Callable[[Sequence[float], float], int] | None = None
     needs: tuple[Need, ...] = ()
+    unless: tuple[Need, ...] = ()
     needs_acceleration: bool = False
     signals: int = 1
     contains: tuple[str, ...] = ()
@@ -246,8 +247,9 @@ class Effect:
     origin: str = ""
 
     def fits(self, site: Site) -> bool:
-        """Tell whether it can sit at a site: the kind is right, and the site declares what it needs."""
-        return site.kind == self.kind and all(getattr(site, need) for need in self.needs)
+        """Tell whether it is to be looked for at a site: of its kind, with what it needs and without what replaces it."""
+        declared = all(getattr(site, need) for need in self.needs)
+        return site.kind == self.kind and declared and not any(getattr(site, one) for one in self.unless)
 
     def attach(self, site: str, scale: Scale | None = None, /, **values: float) -> "AttachedEffect":
         """Put it at a site with these values (SI); those not given take their first start.

@@ -46,6 +46,7 @@ class _Entry(Table):
     source: str
     contains: tuple[str, ...] = ()
     needs: tuple[Need, ...] = ()
+    unless: tuple[Need, ...] = ()
     caution: str = ""
     compound: bool = False
     parameters: dict[str, _Parameter] = Field(default_factory=dict)
@@ -169,6 +170,7 @@ def _effects(id_: str, entry: _Entry, origin: str) -> Iterator[Effect]:
             states=entry.states if isinstance(entry.states, int) else len(entry.states),
             memory=_imported(entry.memory) if entry.memory else None,
             needs=needs,
+            unless=entry.unless,
             needs_acceleration="acceleration" in used,
             signals=1 + ("other" in used),
             contains=entry.contains,

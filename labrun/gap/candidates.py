@@ -100,13 +100,14 @@ def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> 
     times = [trial.time_s for trial in problem.data.trials]
     steps = [np.gradient(one[:, 1], time) for one, time in zip(motion, times, strict=True) if len(time) > 2]
     acceleration = _peak(np.concatenate(steps)) if steps else 0.0
-    force = _force(problem, z, place, still, (coordinate, rate))
+    acceleration = acceleration if acceleration > 0 else rate / period
+    force = _force(problem, z, place, still, (coordinate, rate, acceleration))
     if force is None:
         return None
     return Scale(
         coordinate=coordinate,
         rate=rate,
-        acceleration=acceleration if acceleration > 0 else rate / period,
+        acceleration=acceleration,
         force=force,
         time_s=period,
     )
@@ -117,11 +118,12 @@ def _force(
     z: FloatArray,
     place: int,
     still: list[tuple[FloatArray, FloatArray]],
-    peaks: tuple[float, float],
+    peaks: tuple[float, float, float],
 ) -> float | None:
     """Return the constant force that moves a site as far, or as fast, as it moves in the data.
 
-    Where it moves nothing, as in a relation without states, it is the one that changes an output by its spread. None
+    Where nothing holds a site, the least force moves it far in time: then it is the force that accelerates it as the data
+    show, by what a push does from one sample to the next. Where it moves nothing, as in a relation without states, it is the one that changes an output by its spread. None
     where it changes nothing at all.
     """
     size = 1e-6
@@ -139,7 +141,11 @@ def _force(
                 _peak(column) / spread for column, spread in zip(shown.T, problem.spread, strict=True)
             )
         if share > criteria.VISIBLE_PUSH:
-            return size / share
+            begun = max(
+                abs(float(one[1, place, 1] - two[1, place, 1])) / float(trial.time_s[1] - trial.time_s[0])
+                for (one, _), (two, _), trial in zip(pushed, still, problem.data.trials, strict=True)
+            )
+            return max(size / share, size / begun * peaks[2] if begun > 0.0 else 0.0)
         size *= (
             10.0 if share < 1e-3 * criteria.VISIBLE_PUSH else max(2.0, 3.0 * criteria.VISIBLE_PUSH / share)
         )
@@ -258,7 +264,7 @@ def untried(model: Model, withhold: Collection[str] = ()) -> tuple[str, ...]:
     lacking: dict[str, list[str]] = {}
     joints = [one for one in model.places if one.kind == "joint"]
     for effect in effects(without=withhold):
-        if "drive" in effect.needs:  # where no joint has a drive, nobody misses what is in one
+        if not effect.needs or "drive" in effect.needs:  # where no joint has a drive, nobody misses what is in one
             continue
         fitting = [one for one in joints if effect.kind == "joint" and not effect.fits(one)]
         if joints and len(fitting) == len(joints):
