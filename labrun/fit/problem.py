@@ -68,6 +68,8 @@ class Problem:
         Whether the trials are beginnings only: what is read from the first samples is taken from them then.
     deviations
         What every trial has of its own beside its initial states, behind which it stands in `z`.
+    seen : per trial (n,), or None for all
+        1 for samples that count, 0 for those that are withheld.
     """
 
     data: Dataset
@@ -80,6 +82,7 @@ class Problem:
     read_free: bool = False
     short: bool = False
     deviations: tuple[Deviation, ...] = ()
+    seen: tuple[FloatArray, ...] | None = None
     simulations: Simulations = field(default_factory=Simulations)
 
     @classmethod
@@ -204,7 +207,12 @@ class Problem:
         """Return the problem of some of the trials."""
         trials = tuple(self.data.trials[index] for index in chosen)
         drives = tuple(self.drives[index] for index in chosen)
-        return replace(self, data=replace(self.data, trials=trials), drives=drives)
+        seen = None if self.seen is None else tuple(self.seen[index] for index in chosen)
+        return replace(self, data=replace(self.data, trials=trials), drives=drives, seen=seen)
+
+    def with_seen(self, seen: Sequence[FloatArray]) -> Self:
+        """Return the problem in which some samples of every trial are withheld: (n,) per trial, 1 for what counts."""
+        return replace(self, seen=tuple(seen))
 
     def beginning(self, share: float) -> Self:
         """Return the problem of the first part of every trial, not shorter than a few samples."""
@@ -321,7 +329,10 @@ class Problem:
         residual = (self.data.trials[trial].outputs - outputs) * self.noise.weights
         # a simulation on its way to infinity must not overflow when it is squared
         huge = self._huge
-        residual = self.whiten(np.clip(residual, -huge, huge), trial).ravel()
+        residual = self.whiten(np.clip(residual, -huge, huge), trial)
+        if self.seen is not None:
+            residual = residual * self.seen[trial][: len(residual), None]
+        residual = residual.ravel()
         return np.concatenate([residual, self._behind(trial, own)])
 
     def _behind(self, trial: int, own: FloatArray) -> FloatArray:

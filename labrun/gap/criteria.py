@@ -149,6 +149,8 @@ LEAST_LEFT = 1e-9
 
 MOST_FOLDS = 8
 """Conditions are left out one at a time, or in this many groups where there are more."""
+WITHHELD_BLOCKS = 8
+"""Of one condition, blocks of time are left out, one at a time."""
 FOLD_TOLERANCE, FOLD_EVALUATIONS = 1e-4, 16
 """As of fits, for those that do not see a condition."""
 FINER_STEPS = 8
@@ -169,7 +171,7 @@ ANOTHER_SHARE = 0.08
 """Part of the recalibrated excess that a further cause must remove on withheld conditions."""
 NOTICED_SHARE, NOTICED_OF_LEFT = 0.04, 0.5
 """The same of a cause that removes at least this part of what is left."""
-SMALL_SHARE, SMALL_OF_LEFT, SMALL_GAP = 0.005, 0.85, 2.0
+SMALL_SHARE, SMALL_OF_LEFT, SMALL_GAP = 5e-4, 0.85, 2.0
 """The same of one beside a far larger one, if it removes nearly all of what is plainly left (in units of the noise)."""
 ONE_CAUSE_GAP = 0.5
 """A smaller gap, in units of a noise that no repeats tell, is no place to look for a second cause."""
@@ -251,7 +253,7 @@ SURE_WITHOUT_REPEATS = 0.87
 """The same where noise is not told by repeats: of the causes that `labrun gap check` announced with seeds 5000, 6000,
 7000 and 8000, 27 of 31 were right in cases of one repeat, 94 of 103 in those of three or five."""
 SURE_OF_ONE_CONDITION = 0.84
-"""The same where nothing can be withheld: one condition of each of those 240 recordings, diagnosed by itself, announced
+"""The same where only blocks of time can be withheld (nothing was, when this was counted): one condition of each of those 240 recordings, diagnosed by itself, announced
 128 causes, of which 107 were right."""
 LEAST_CONFIDENCE = 0.02
 """No announced cause is said to be less likely than this."""

@@ -109,10 +109,9 @@ def floor_of(data: Dataset, noise: Noise, rng: np.random.Generator) -> float:
 
 
 def held_out_excess(problem: Problem, z: FloatArray, noise: Noise) -> ExcessResidual:
-    """Return what fits from `z` leave of conditions they have not seen."""
-    if len(problem.data.conditions) == 1:
-        return fitted_excess(problem, z, noise)
-    found = held_out_residuals(problem, z)
+    """Return what fits from `z` leave of conditions they have not seen; of one condition, of blocks of time."""
+    single = len(problem.data.conditions) == 1
+    found = _block_residuals(problem, z) if single else held_out_residuals(problem, z)
     return excess(problem.data, noise, [one for one, _ in found], [beyond for _, beyond in found])
 
 
@@ -144,6 +143,44 @@ def held_out_residuals(problem: Problem, z: FloatArray) -> list[tuple[FloatArray
         for index, one in zip(test, _tested(problem, z, shared, test, jacobian), strict=True):
             residual[index] = one
     return [one for one in residual if one is not None]
+
+
+def _block_residuals(problem: Problem, z: FloatArray) -> list[tuple[FloatArray, float]]:
+    """Return measured minus simulated of every unit, each block of time from a fit that did not see it.
+
+    Every trial runs as a whole, its initial states told by the other blocks.
+    """
+    trials = range(len(problem.data.trials))
+    residual = [np.array(one) for one in mean_residuals(problem, z)]
+    beyond = [_beyond_spread(problem, index, problem.own(z, index)) for index in trials]
+    blocks = min(criteria.WITHHELD_BLOCKS, min(map(len, residual)) // 2)
+    if blocks < 2:
+        return list(zip(residual, beyond, strict=True))
+    jacobian = problem.jacobian(z, central=False)
+    known = information(problem, z, jacobian)
+    number = [np.arange(len(one)) * blocks // len(one) for one in residual]
+    for block in range(blocks):
+        part = problem.with_seen([np.where(one == block, 0.0, 1.0) for one in number])
+        end = _learned(part, z, _seen_rows(jacobian, part), known)
+        for index, outputs in enumerate(_predicted(part, end)):
+            there = number[index] == block
+            residual[index][there] = (problem.data.trials[index].outputs - outputs)[there]
+    return list(zip(residual, beyond, strict=True))
+
+
+def _seen_rows(jacobian: Jacobian, problem: Problem) -> Jacobian:
+    """Return derivatives of which what is withheld counts nothing."""
+    kept = []
+    for trial, seen, residual in zip(
+        problem.data.trials, problem.seen or (), jacobian.residual, strict=True
+    ):
+        rows = np.repeat(seen, trial.outputs.shape[1])
+        kept.append(np.concatenate([rows, np.ones(len(residual) - len(rows))]))
+    return Jacobian(
+        [one * rows[:, None] for one, rows in zip(jacobian.shared, kept, strict=True)],
+        [one * rows[:, None] for one, rows in zip(jacobian.own, kept, strict=True)],
+        [one * rows for one, rows in zip(jacobian.residual, kept, strict=True)],
+    )
 
 
 def not_withheld(problem: Problem, z: FloatArray, jacobian: Jacobian) -> tuple[str, ...]:
@@ -187,14 +224,18 @@ def _trained(
 ) -> FloatArray:
     part = problem.part(train)
     start = np.concatenate([z[: problem.size], _own(problem, z, train)])
-    seen = jacobian.part(train)
-    stays = unseen(problem, known, information(part, start, seen))
-    shared = z[: problem.size]
-    end = minimise(
+    return _learned(part, start, jacobian.part(train), known)[: problem.size]
+
+
+def _learned(part: Problem, start: FloatArray, seen: Jacobian, known: FloatArray) -> FloatArray:
+    """Return the fit to a part of the data; sizes that it knows next to nothing of stay as they were."""
+    stays = unseen(part, known, information(part, start, seen))
+    shared = start[: part.size]
+    return minimise(
         part,
         start,
-        lower=np.where(stays, shared, problem.priors.lower),
-        upper=np.where(stays, shared, problem.priors.upper),
+        lower=np.where(stays, shared, part.priors.lower),
+        upper=np.where(stays, shared, part.priors.upper),
         tolerance=criteria.FOLD_TOLERANCE,
         evaluations=criteria.FOLD_EVALUATIONS,
         central=False,
@@ -202,7 +243,6 @@ def _trained(
         secant=True,
         confirmed=False,
     )
-    return end[: problem.size]
 
 
 def _tested(
@@ -223,15 +263,25 @@ def _tested(
             secant=True,
             confirmed=False,
         )
+    return [
+        (trial.outputs - outputs, _beyond_spread(part, index, part.own(start, index)))
+        for index, (trial, outputs) in enumerate(zip(part.data.trials, _predicted(part, start), strict=True))
+    ]
+
+
+def _predicted(part: Problem, z: FloatArray) -> list[FloatArray]:
+    """Return the outputs of every unit, where they are not finite the channels' means.
+
+    Parameters that blow up elsewhere explain nothing there.
+    """
     found = []
-    parameters = part.parameters(start)
+    parameters = part.parameters(z)
     for index, trial in enumerate(part.data.trials):
-        outputs = part.simulate(parameters, index, part.own(start, index))
+        outputs = part.simulate(parameters, index, part.own(z, index))
         if outputs is None:  # what is stiff in this condition only may want shorter steps
             outputs = part.with_substeps(criteria.FINER_STEPS * part.substeps).simulate(
-                parameters, index, part.own(start, index)
+                parameters, index, part.own(z, index)
             )
-        # parameters that blow up elsewhere explain nothing there: as bad as predicting the channels' means
-        left = trial.outputs - (np.mean(trial.outputs, axis=0) if outputs is None else outputs)
-        found.append((left, _beyond_spread(part, index, part.own(start, index))))
+        means = np.broadcast_to(np.mean(trial.outputs, axis=0), trial.outputs.shape)
+        found.append(means if outputs is None else outputs)
     return found

@@ -183,7 +183,7 @@ def _of_causes(
     conditions: int,
     sure: bool,
 ) -> str:
-    one_only = "on the data of the fit, as there is one condition only"
+    one_only = "on blocks of time the fit did not see, as there is one condition only"
     where = "on conditions the fit did not see" if conditions > 1 else one_only
     named = " and ".join(cause.name.words for cause in causes)
     does = f"{named} {'explain' if len(causes) > 1 else 'explains'}{removed} of the gap"
@@ -202,7 +202,7 @@ def limitations(*, repeats: int, conditions: int, basis: str, single_trial: bool
     found = []
     if single_trial:
         found.append(
-            "One trial only: nothing was repeated and nothing could be withheld; take this as a hint."
+            "One trial only: nothing was repeated, and only blocks of its time could be withheld; take this as a hint."
         )
     if basis == "residual":
         found.append(
@@ -221,7 +221,7 @@ def limitations(*, repeats: int, conditions: int, basis: str, single_trial: bool
         )
     if conditions == 1:
         found.append(
-            "One condition only: nothing could be withheld from the fit, and figures are those of the fit itself."
+            "One condition only: blocks of time were withheld from the fit; nothing tells what another condition shows."
         )
     elif conditions < 4:
         found.append(f"{conditions} conditions only: the figures on withheld conditions rest on few.")

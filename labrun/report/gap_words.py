@@ -245,7 +245,7 @@ def never_seen(diagnosis: Diagnosis) -> str:
     """Return on what data the sizes after recalibration were found."""
     if diagnosis.conditions > 1:
         return "on conditions the fit never saw"
-    return "on the data it was fitted to, as there is only one condition"
+    return "on blocks of time the fit never saw, as there is only one condition"
 
 
 def data_words(diagnosis: Diagnosis) -> str:
