@@ -211,7 +211,7 @@ class Effect:
     memory
         Numbers a filter keeps: given its values and the shortest step in s.
     needs
-        What a site must declare for it.
+        What a site must declare for it; `unless` what makes it needless there.
     needs_acceleration
         Whether the force depends on the site's acceleration, linearly. The integrator then solves for both.
     signals
@@ -247,7 +247,7 @@ class Effect:
     origin: str = ""
 
     def fits(self, site: Site) -> bool:
-        """Tell whether it is to be looked for at a site: of its kind, with what it needs and without what replaces it."""
+        """Tell whether to look for it at a site: of its kind, with what it needs, without what replaces it."""
         declared = all(getattr(site, need) for need in self.needs)
         return site.kind == self.kind and declared and not any(getattr(site, one) for one in self.unless)
 

@@ -122,9 +122,9 @@ def _force(
 ) -> float | None:
     """Return the constant force that moves a site as far, or as fast, as it moves in the data.
 
-    Where nothing holds a site, the least force moves it far in time: then it is the force that accelerates it as the data
-    show, by what a push does from one sample to the next. Where it moves nothing, as in a relation without states, it is the one that changes an output by its spread. None
-    where it changes nothing at all.
+    Where nothing holds a site, the least force moves it far in time: then it is the force that accelerates it as the
+    data show, by what a push does from one sample to the next. Where it moves nothing, as in a relation without
+    states, it is the one that changes an output by its spread. None where it changes nothing at all.
     """
     size = 1e-6
     while size < criteria.STRONGEST_PUSH:
@@ -264,7 +264,9 @@ def untried(model: Model, withhold: Collection[str] = ()) -> tuple[str, ...]:
     lacking: dict[str, list[str]] = {}
     joints = [one for one in model.places if one.kind == "joint"]
     for effect in effects(without=withhold):
-        if not effect.needs or "drive" in effect.needs:  # where no joint has a drive, nobody misses what is in one
+        if (
+            not effect.needs or "drive" in effect.needs
+        ):  # where no joint has a drive, nobody misses what is in one
             continue
         fitting = [one for one in joints if effect.kind == "joint" and not effect.fits(one)]
         if joints and len(fitting) == len(joints):

@@ -253,8 +253,8 @@ SURE_WITHOUT_REPEATS = 0.87
 """The same where noise is not told by repeats: of the causes that `labrun gap check` announced with seeds 5000, 6000,
 7000 and 8000, 27 of 31 were right in cases of one repeat, 94 of 103 in those of three or five."""
 SURE_OF_ONE_CONDITION = 0.84
-"""The same where only blocks of time can be withheld (nothing was, when this was counted): one condition of each of those 240 recordings, diagnosed by itself, announced
-128 causes, of which 107 were right."""
+"""The same where only blocks of time can be withheld: one condition of each of those 240 recordings, diagnosed by
+itself, announced 128 causes, of which 107 were right (nothing at all was withheld when this was counted)."""
 LEAST_CONFIDENCE = 0.02
 """No announced cause is said to be less likely than this."""
 CHANCE_EVIDENCE, LEAST_BEYOND_CHANCE = 0.8, 0.05

@@ -171,9 +171,7 @@ def _block_residuals(problem: Problem, z: FloatArray) -> list[tuple[FloatArray, 
 def _seen_rows(jacobian: Jacobian, problem: Problem) -> Jacobian:
     """Return derivatives of which what is withheld counts nothing."""
     kept = []
-    for trial, seen, residual in zip(
-        problem.data.trials, problem.seen or (), jacobian.residual, strict=True
-    ):
+    for trial, seen, residual in zip(problem.data.trials, problem.seen or (), jacobian.residual, strict=True):
         rows = np.repeat(seen, trial.outputs.shape[1])
         kept.append(np.concatenate([rows, np.ones(len(residual) - len(rows))]))
     return Jacobian(

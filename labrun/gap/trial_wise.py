@@ -110,7 +110,7 @@ def found_alone(
     A deviation is as large in one block of its trial as in another. One counts if it makes up a good part of what is
     left, and is larger than blocks of a trial differ by (analysis of variance). What all trials plainly share of it is
     none: it is a gap like any other. Gains and start times have to make up nearly all that is left: what changes with
-    amplitude or frequency looks like them, but is not the same throughout a trial.
+    amplitude or frequency looks like them, too, but leaves something.
 
     Parameters
     ----------

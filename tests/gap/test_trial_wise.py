@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labrun.fit import Dataset, Deviation
+from labrun.fit import Dataset, Deviation, DeviationKind
 from labrun.fit.per_trial import deviated
 from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.gap.trial_wise import found_alone, words
+from labrun.gap.trial_wise import found_alone, shape_of, words
 
 from .benches import FloatArray, dry_friction, nothing, pendulum, recorded
 
@@ -61,14 +61,38 @@ def test_zeros_set_anew_are_seen_without_repeats() -> None:
     data = never_repeated()
     zeros = [0.01, -0.008, 0.012, -0.02, 0.004]
     left = [one + zero for one, zero in zip(noise_like(data, 0.002), zeros, strict=True)]
-    (found,) = found_alone(data, left)
+    (found,) = found_alone(data, left, swings(data))
     assert (found.kind, found.output) == ("bias", 0)
-    assert found.sd == pytest.approx(np.std(zeros, ddof=1), rel=0.05)
+    assert found.sd == pytest.approx(np.sqrt(np.mean(np.square(zeros))), rel=0.05)
+
+
+def swings(data: Dataset) -> list[FloatArray]:
+    """Return what a model says of the trials: swings of different size and frequency."""
+    return [
+        (0.3 + 0.1 * place) * np.sin((3.0 + 0.2 * place) * one.time_s)[:, None]
+        for place, one in enumerate(data.trials)
+    ]
+
+
+@pytest.mark.parametrize("kind", ["gain", "start time"])
+def test_gains_and_start_times_are_seen_without_repeats(kind: DeviationKind) -> None:
+    data = never_repeated()
+    simulated = swings(data)
+    sizes = [0.05, -0.04, 0.02, -0.06, 0.01]
+    left = [
+        size * shape_of(kind, one, trial.time_s) + noise
+        for size, one, trial, noise in zip(
+            sizes, simulated, data.trials, noise_like(data, 0.002), strict=True
+        )
+    ]
+    (found,) = found_alone(data, left, simulated)
+    assert found.kind == kind
+    assert found.sd == pytest.approx(np.sqrt(np.mean(np.square(sizes))), rel=0.1)
 
 
 def test_a_zero_that_all_trials_share_is_no_difference_between_them() -> None:
     data = never_repeated()
-    assert found_alone(data, [one + 0.05 for one in noise_like(data, 0.002)]) == ()
+    assert found_alone(data, [one + 0.05 for one in noise_like(data, 0.002)], swings(data)) == ()
 
 
 def test_what_comes_and_goes_within_a_trial_is_no_offset_of_it() -> None:
@@ -77,7 +101,7 @@ def test_what_comes_and_goes_within_a_trial_is_no_offset_of_it() -> None:
         0.02 * np.sin(2 * np.pi * (0.13 + 0.02 * place) * one.time_s + place)[:, None]
         for place, one in enumerate(data.trials)
     ]
-    assert found_alone(data, slow) == ()
+    assert found_alone(data, slow, swings(data)) == ()
 
 
 @pytest.mark.slow
