@@ -56,7 +56,10 @@ def causes_of(search: Search, dataset: Dataset, moved: FloatArray) -> tuple[Caus
             place = _place(search, name)
             values = values_of(final.problem, final.z, place, moved, model, dataset)
             remark = "; ".join(
-                filter(None, (_bound_remark(search, place), _caution(one.rated), _kinship(one)))
+                filter(
+                    None,
+                    (_bound_remark(search, place), _form_remark(one), _caution(one.rated), _kinship(one)),
+                )
             )
         found.append(
             Cause(
@@ -74,6 +77,19 @@ def _kinship(one: Chosen) -> str:
     """Return the family of a cause and its rivals, where they have one."""
     alike = [rival.candidate.name for rival, _ in one.rivals if kin(one.name, rival.candidate.name)]
     return f"{family(one.name)}: what mends one of the forms mends the other" if alike else ""
+
+
+def _form_remark(one: Chosen) -> str:
+    """Return which shapes are not the usual ones, since others fit better."""
+    usual, fitted = one.rated.screened.usual, one.rated.candidate.attached
+    if usual is None or usual.candidate.attached is None or fitted is None:
+        return ""
+    freed = [
+        f"{was.name} {significant(was.starts[0])}"
+        for was, now in zip(usual.candidate.attached.effect.parameters, fitted.effect.parameters, strict=True)
+        if was.held and not now.held and was.quantity == "ratio"
+    ]
+    return f"the usual form, with {' and '.join(freed)}, fits worse" if freed else ""
 
 
 def _caution(one: Rated) -> str:
