@@ -102,7 +102,7 @@ class InitialStates:
         return [output.name for output in self.model.outputs]
 
 
-DeviationKind = Literal["bias", "gain", "start time"]
+DeviationKind = Literal["bias", "gain", "start time", "initial state"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,9 +112,10 @@ class Deviation:
     Attributes
     ----------
     output
-        Column of the output that it shows in; None for all, which a start time shifts together.
+        Column of the output that it shows in; None for all, which a start time shifts together. Of an initial state,
+        the place of the state.
     sd
-        Standard deviation over trials: in the output's unit, of a factor, or in s.
+        Standard deviation over trials: in the output's or the state's unit, of a factor, or in s.
     """
 
     kind: DeviationKind
@@ -125,7 +126,10 @@ class Deviation:
 def deviated(
     outputs: FloatArray, time_s: FloatArray, deviations: Sequence[Deviation], own: FloatArray, count: int
 ) -> FloatArray:
-    """Return outputs (n, m) of the mean of `count` trials with their deviations, `own` in standard deviations."""
+    """Return outputs (n, m) of the mean of `count` trials with their deviations, `own` in standard deviations.
+
+    Initial states are left out: a simulation begins with them.
+    """
     found = outputs.copy()
     for one, size in zip(deviations, own * [each.sd / np.sqrt(count) for each in deviations], strict=True):
         columns = slice(None) if one.output is None else slice(one.output, one.output + 1)
@@ -133,7 +137,7 @@ def deviated(
             found[:, columns] += size
         elif one.kind == "gain":
             found[:, columns] *= 1.0 + size
-        else:
+        elif one.kind == "start time":
             late = time_s - size
             found[:, columns] = np.column_stack(
                 [np.interp(late, time_s, each) for each in found[:, columns].T]

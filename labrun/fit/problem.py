@@ -176,7 +176,13 @@ class Problem:
 
     def initial_state(self, trial: int, own: FloatArray) -> FloatArray:
         """Return the initial state of one trial, shape (k,)."""
-        return self.states.state(trial, own[: len(self.states.free)])
+        free = len(self.states.free)
+        found = self.states.state(trial, own[:free])
+        spread = np.sqrt(self.data.trials[trial].count)
+        for one, size in zip(self.deviations, own[free:], strict=False):
+            if one.kind == "initial state" and one.output is not None:
+                found[one.output] += size * one.sd / spread
+        return found
 
     # --- problems made from this one --------------------------------------------------------------------------------
 

@@ -35,7 +35,7 @@ from labrun.gap.pipeline import Search
 from labrun.gap.rating import Rated
 from labrun.gap.recalibration import member_residuals
 from labrun.gap.selection import Chosen
-from labrun.gap.trial_wise import words
+from labrun.gap.trial_wise import remaining, words
 from labrun.gap.verdict import VerdictBasis, limitations, sentence, verdict, what_next
 from labrun.gap.what_is_left import Learnable
 from labrun.gap.where.difference import Difference
@@ -366,7 +366,7 @@ def conclude(
     rated = selection.rounds[0].rated
     nearest = max(rated, key=lambda one: one.share).candidate.name if rated else None
     channels = tuple((one.name, one.unit) for one in dataset.outputs)
-    differs = tuple(words(one, channels) for one in problem.deviations)
+    differs = tuple(words(one, channels, problem.model.states) for one in remaining(final.problem, final.z))
     recalibrated, last = _named(problem, z), _named(final.problem, final.z)
     repeats = search.data.repeats
     return Diagnosis(

@@ -26,7 +26,7 @@ from labrun.gap.recalibration import (
 )
 from labrun.gap.screening import Base, refit, survey
 from labrun.gap.selection import Selection, Selector
-from labrun.gap.trial_wise import found_alone
+from labrun.gap.trial_wise import beginnings, found_alone
 from labrun.models import Model
 
 
@@ -139,7 +139,9 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) ->
         return found
     final = found.selection.final
     for problem, z in ((final.problem, final.z), (first.problem, first.z)):
-        deviations = found_alone(asked.data, mean_residuals(problem, z), problem.simulated(z))
+        deviations = found_alone(
+            asked.data, mean_residuals(problem, z), problem.simulated(z), beginnings(problem, z)
+        )
         if not deviations:
             break
         asked.note("taking apart what differs from trial to trial, and looking for causes beside it")

@@ -15,7 +15,7 @@ from labrun.gap.held_out import ExcessResidual, fitted_excess, floor_of, mean_re
 from labrun.gap.noise import Noise, fit_whitener, from_reading_errors, from_repeats, of_sensor
 from labrun.gap.null import independent_share
 from labrun.gap.screening import refit
-from labrun.gap.trial_wise import found_in_repeats
+from labrun.gap.trial_wise import begun_elsewhere, found_in_repeats
 from labrun.models import Model
 
 
@@ -52,19 +52,20 @@ def recalibrate(model: Model, units: Dataset, rng: np.random.Generator, note: No
         or from_reading_errors(units)
         or of_sensor(units, mean_residuals(problem, z))
     )
-    if found.deviations:
+    deviations = found.deviations if noise.known else begun_elsewhere(problem, z, noise.sd)
+    if deviations:
         note("taking apart what differs from trial to trial")
-        problem, z = with_deviations(problem, z, found.deviations)
+        problem, z = with_deviations(problem, z, deviations)
     return in_noise(problem, noise, z)
 
 
 def with_deviations(
     problem: Problem, z: FloatArray, deviations: Sequence[Deviation]
 ) -> tuple[Problem, FloatArray]:
-    """Return a problem whose trials have deviations of their own, and where it begins."""
+    """Return a problem whose trials have further deviations of their own, and where it begins."""
     own = problem.own_states(z).reshape(len(problem.data.trials), problem.own_size)
     own = np.column_stack([own, np.zeros((len(own), len(deviations)))])
-    problem = replace(problem, deviations=tuple(deviations))
+    problem = replace(problem, deviations=(*problem.deviations, *deviations))
     return problem, np.concatenate([z[: problem.size], own.ravel()])
 
 

@@ -4,17 +4,21 @@ A mixed-effects model (Laird and Ware, Biometrics 38 (1982) 963): each trial has
 from one distribution whose variance is estimated. It is neither noise of single samples nor a cause common to all.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit import Dataset, Deviation, DeviationKind
+from labrun.fit import Dataset, Deviation, DeviationKind, Problem
+from labrun.fit.initial_states import FIRST_SAMPLES
 from labrun.gap import criteria
+from labrun.gap.candidates import typical_time_s
 from labrun.gap.noise import fit_whitener
 
 _KINDS: tuple[DeviationKind, ...] = ("bias", "start time", "gain")
+_NUDGE = 1e-3
+"""Part of the outputs' spread that an initial state is moved by."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +106,64 @@ def _looked_at(
     return taken / total, Deviation(kind, output, float(np.sqrt(variance))), after
 
 
+def beginnings(problem: Problem, z: FloatArray) -> dict[int, list[FloatArray]]:
+    """Return by what the outputs (n, m) of every trial change with each initial state that is stated, not fitted."""
+    before, parameters = problem.simulated(z), problem.parameters(z)
+    step = _NUDGE * float(np.max(problem.spread))
+    found = {}
+    for state in set(range(len(problem.model.states))) - set(problem.states.free):
+        nudged = replace(problem, deviations=(*problem.deviations, Deviation("initial state", state, step)))
+        changes = []
+        for index, (trial, outputs) in enumerate(zip(problem.data.trials, before, strict=True)):
+            own = np.append(problem.own(z, index), np.sqrt(trial.count))
+            after = nudged.simulate(parameters, index, own)
+            changes.append(np.zeros_like(outputs) if after is None else (after - outputs) / step)
+        found[state] = changes
+    return found
+
+
+def begun_elsewhere(problem: Problem, z: FloatArray, noise_sd: FloatArray) -> tuple[Deviation, ...]:
+    """Look for stated initial states that the first samples of trials which were never repeated contradict.
+
+    A plate that is released by hand does not begin where it should. What all trials plainly share is a zero error.
+
+    Parameters
+    ----------
+    noise_sd : (m,)
+        Of a sample.
+    """
+    found, short_s = [], criteria.BEGINNING * typical_time_s(problem)
+    simulated = problem.simulated(z)
+    for state in set(range(len(problem.model.states))) - set(problem.states.free):
+        output = problem.states.output_of(state)
+        if output is None:
+            continue
+        away, variance = [], 0.0
+        for trial, outputs in zip(problem.data.trials, simulated, strict=True):
+            count = max(int(np.searchsorted(trial.time_s, trial.time_s[0] + short_s)), FIRST_SAMPLES)
+            begins = (trial.outputs - outputs)[:count, output]
+            away.append(float(np.mean(begins)))
+            variance += float(noise_sd[output]) ** 2 / len(begins)
+        sd = float(np.sqrt(np.mean(np.square(np.array(away) - _shared(np.array(away))))))
+        if sd > criteria.SAME_BEGINNING * np.sqrt(variance / len(away)):
+            found.append(Deviation("initial state", state, sd))
+    return tuple(found)
+
+
+def _shared(own: FloatArray) -> float:
+    """Return what deviations have in common; 0 where chance would make them agree as well."""
+    from scipy.stats import ttest_1samp
+
+    if len(own) < criteria.FEWEST_AGREEING or np.ptp(own) == 0.0:
+        return float(np.mean(own)) if len(own) >= criteria.FEWEST_AGREEING else 0.0
+    return float(np.mean(own)) if ttest_1samp(own, 0.0).pvalue <= criteria.DEVIATION_P else 0.0
+
+
 def found_alone(
-    units: Dataset, residual: Sequence[FloatArray], simulated: Sequence[FloatArray]
+    units: Dataset,
+    residual: Sequence[FloatArray],
+    simulated: Sequence[FloatArray],
+    begun: Mapping[int, Sequence[FloatArray]] | None = None,
 ) -> tuple[Deviation, ...]:
     """Look for what trials that were never repeated differ by as a whole, where no cause explains what is left of them.
 
@@ -116,14 +176,22 @@ def found_alone(
     ----------
     residual, simulated : per unit (n, m)
         Of the model with its causes.
+    begun
+        `beginnings` of it: of initial states that are stated.
     """
     found: list[Deviation] = []
     left = list(residual)
     outputs = range(units.trials[0].outputs.shape[1])
-    tried = [(kind, output) for kind in _KINDS for output in (outputs if kind != "start time" else (None,))]
+    kinds = [(kind, output) for kind in _KINDS for output in (outputs if kind != "start time" else (None,))]
+    shapes = {
+        (kind, output): [
+            shape_of(kind, one, trial.time_s) for one, trial in zip(simulated, units.trials, strict=True)
+        ]
+        for kind, output in kinds
+    } | {("initial state", state): list(changes) for state, changes in (begun or {}).items()}
     while len(found) < criteria.MOST_DEVIATIONS:
-        rest = [one for one in tried if one not in [(other.kind, other.output) for other in found]]
-        looked = [_looked_at_alone(units, left, simulated, kind, output) for kind, output in rest]
+        rest = [one for one in shapes if one not in [(other.kind, other.output) for other in found]]
+        looked = [_looked_at_alone(left, shapes[one], *one) for one in rest]
         best = max((one for one in looked if one is not None), key=lambda one: one[0], default=None)
         if best is None:
             break
@@ -133,9 +201,8 @@ def found_alone(
 
 
 def _looked_at_alone(
-    units: Dataset,
     residual: list[FloatArray],
-    simulated: Sequence[FloatArray],
+    signature: Sequence[FloatArray],
     kind: DeviationKind,
     output: int | None,
 ) -> tuple[float, Deviation, list[FloatArray]] | None:
@@ -143,13 +210,11 @@ def _looked_at_alone(
     trials, blocks = len(residual), criteria.DEVIATION_BLOCKS
     if trials < criteria.FEWEST_AGREEING or min(map(len, residual)) < blocks:
         return None
-    columns = slice(None) if output is None else slice(output, output + 1)
+    every = output is None or kind == "initial state"
+    columns = slice(None) if every else slice(output, (output or 0) + 1)
     scale = np.sqrt(np.mean(np.square(np.concatenate(residual)), axis=0))
     scale = np.where(scale > 0, scale, 1.0)
-    shapes = [
-        (shape_of(kind, one, trial.time_s) / scale)[:, columns]
-        for one, trial in zip(simulated, units.trials, strict=True)
-    ]
+    shapes = [(one / scale)[:, columns] for one in signature]
     away = [(one / scale)[:, columns] for one in residual]
     cut = [
         [(np.sum(np.square(a)), np.sum(a * b)) for a, b in zip(*_cut(shape, one, blocks), strict=True)]
@@ -161,11 +226,11 @@ def _looked_at_alone(
         return None
     size, whole = along / energy, np.sum(energy, axis=1)
     own = np.sum(along, axis=1) / whole
-    from scipy.stats import f, ttest_1samp
+    from scipy.stats import f
 
-    shared = float(np.mean(own)) if ttest_1samp(own, 0.0).pvalue <= criteria.DEVIATION_P else 0.0
+    shared = _shared(own)
     taken = float(np.sum(np.square(own - shared) * whole))
-    least = criteria.DEVIATION_SHARE if kind == "bias" else criteria.DEVIATION_NEARLY_ALL
+    least = criteria.DEVIATION_NEARLY_ALL if kind in ("gain", "start time") else criteria.DEVIATION_SHARE
     if taken < least * total:
         return None
     freedom = trials - int(shared != 0.0), trials * (blocks - 1)
@@ -185,14 +250,32 @@ def _cut(first: FloatArray, second: FloatArray, blocks: int) -> tuple[list[Float
     return np.array_split(first, blocks), np.array_split(second, blocks)
 
 
-def words(one: Deviation, outputs: Sequence[tuple[str, str]]) -> str:
+def remaining(problem: Problem, z: FloatArray) -> tuple[Deviation, ...]:
+    """Return the deviations of a fit, less those whose place something else has taken."""
+    count = len(problem.deviations)
+    if count == 0:
+        return ()
+    own = problem.own_states(z).reshape(len(problem.data.trials), problem.own_size)[:, -count:]
+    sizes = np.sqrt(np.mean(np.square(own), axis=0))
+    return tuple(
+        one for one, size in zip(problem.deviations, sizes, strict=True) if size >= criteria.NO_DEVIATION
+    )
+
+
+def words(one: Deviation, outputs: Sequence[tuple[str, str]], states: Sequence[str] = ()) -> str:
     """Return a deviation in words.
 
     Parameters
     ----------
     outputs
         Names and units.
+    states
+        Names.
     """
+    if one.kind == "initial state" and one.output is not None:
+        state = states[one.output]
+        size = f"{one.sd:.2g} {dict(outputs).get(state, '')}".rstrip("1 ")
+        return f"the {state} that a trial begins with differs by trial (standard deviation {size})"
     if one.kind == "start time" or one.output is None:
         return f"the start time differs by trial (standard deviation {one.sd:.2g} s)"
     name, unit = outputs[one.output]
