@@ -100,14 +100,13 @@ def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> 
     times = [trial.time_s for trial in problem.data.trials]
     steps = [np.gradient(one[:, 1], time) for one, time in zip(motion, times, strict=True) if len(time) > 2]
     acceleration = _peak(np.concatenate(steps)) if steps else 0.0
-    acceleration = acceleration if acceleration > 0 else rate / period
-    force = _force(problem, z, place, still, (coordinate, rate, acceleration))
+    force = _force(problem, z, place, still, (coordinate, rate))
     if force is None:
         return None
     return Scale(
         coordinate=coordinate,
         rate=rate,
-        acceleration=acceleration,
+        acceleration=acceleration if acceleration > 0 else rate / period,
         force=force,
         time_s=period,
     )
@@ -118,13 +117,12 @@ def _force(
     z: FloatArray,
     place: int,
     still: list[tuple[FloatArray, FloatArray]],
-    peaks: tuple[float, float, float],
+    peaks: tuple[float, float],
 ) -> float | None:
     """Return the constant force that moves a site as far, or as fast, as it moves in the data.
 
-    Where nothing holds a site, the least force moves it far in time: then it is the force that accelerates it as the
-    data show, by what a push does from one sample to the next. Where it moves nothing, as in a relation without
-    states, it is the one that changes an output by its spread. None where it changes nothing at all.
+    Where it moves nothing, as in a relation without states, it is the one that changes an output by its spread. None
+    where it changes nothing at all.
     """
     size = 1e-6
     while size < criteria.STRONGEST_PUSH:
@@ -141,11 +139,7 @@ def _force(
                 _peak(column) / spread for column, spread in zip(shown.T, problem.spread, strict=True)
             )
         if share > criteria.VISIBLE_PUSH:
-            begun = max(
-                abs(float(one[1, place, 1] - two[1, place, 1])) / float(trial.time_s[1] - trial.time_s[0])
-                for (one, _), (two, _), trial in zip(pushed, still, problem.data.trials, strict=True)
-            )
-            return max(size / share, size / begun * peaks[2] if begun > 0.0 else 0.0)
+            return size / share
         size *= (
             10.0 if share < 1e-3 * criteria.VISIBLE_PUSH else max(2.0, 3.0 * criteria.VISIBLE_PUSH / share)
         )
