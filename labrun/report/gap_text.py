@@ -72,7 +72,7 @@ def _gap(diagnosis: Diagnosis, room: int) -> list[str]:
     steps += f"; noise floor {times_noise(gap.floor)}"
     lines = [_first_that_fits([f"{steps} (noise of one trial = 1)", steps], room)]
     if share is not None and diagnosis.causes:
-        unseen = "unseen conditions" if diagnosis.conditions > 1 else "the data of the fit"
+        unseen = "unseen conditions" if diagnosis.conditions > 1 else "withheld blocks of time"
         ends = f"{percent(share.low)} to {percent(share.high)}"
         lines.append(_cut(f"{percent(share.value)} of it closes on {unseen} (90 % interval {ends})", room))
     if diagnosis.learnable is not None:

@@ -82,9 +82,9 @@ def test_how_many_conditions_are_drawn_is_told_and_what_makes_it_worse(pages):
     assert "makes it worse" in words
 
 
-def test_one_condition_claims_no_check_on_unseen_data(pages):
+def test_one_condition_claims_no_check_on_unseen_conditions(pages):
     words = words_of(pages["single-condition"])
-    assert "never saw" not in words
+    assert "conditions the fit never saw" not in words
     assert "as there is only one condition" in words
 
 
