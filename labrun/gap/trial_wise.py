@@ -183,12 +183,14 @@ def found_alone(
     left = list(residual)
     outputs = range(units.trials[0].outputs.shape[1])
     kinds = [(kind, output) for kind in _KINDS for output in (outputs if kind != "start time" else (None,))]
-    shapes = {
+    shapes: dict[tuple[DeviationKind, int | None], list[FloatArray]] = {
         (kind, output): [
             shape_of(kind, one, trial.time_s) for one, trial in zip(simulated, units.trials, strict=True)
         ]
         for kind, output in kinds
-    } | {("initial state", state): list(changes) for state, changes in (begun or {}).items()}
+    }
+    for state, changes in (begun or {}).items():
+        shapes["initial state", state] = list(changes)
     while len(found) < criteria.MOST_DEVIATIONS:
         rest = [one for one in shapes if one not in [(other.kind, other.output) for other in found]]
         looked = [_looked_at_alone(left, shapes[one], *one) for one in rest]
