@@ -107,11 +107,12 @@ def _looked_at(
 
 
 def beginnings(problem: Problem, z: FloatArray) -> dict[int, list[FloatArray]]:
-    """Return by what the outputs (n, m) of every trial change with each initial state that is stated, not fitted."""
+    """Return by what the outputs (n, m) of every trial change with each initial state that is stated and does not differ by trial."""
     before, parameters = problem.simulated(z), problem.parameters(z)
     step = _NUDGE * float(np.max(problem.spread))
     found = {}
-    for state in set(range(len(problem.model.states))) - set(problem.states.free):
+    known = {one.output for one in problem.deviations if one.kind == "initial state"}
+    for state in set(range(len(problem.model.states))) - set(problem.states.free) - known:
         nudged = replace(problem, deviations=(*problem.deviations, Deviation("initial state", state, step)))
         changes = []
         for index, (trial, outputs) in enumerate(zip(problem.data.trials, before, strict=True)):
