@@ -107,7 +107,7 @@ def _looked_at(
 
 
 def beginnings(problem: Problem, z: FloatArray) -> dict[int, list[FloatArray]]:
-    """Return by what the outputs (n, m) of every trial change with each initial state that is stated and does not differ by trial."""
+    """Return by what the outputs (n, m) of every trial change with each stated initial state that all trials share."""
     before, parameters = problem.simulated(z), problem.parameters(z)
     step = _NUDGE * float(np.max(problem.spread))
     found = {}
