@@ -23,8 +23,8 @@ FEWEST_LEVELS = 2
 """An output that moves by no more steps of its resolution than this is not told from a constant one."""
 SAME_BEGINNING = 5.0
 """First samples of repeats that differ by less than this many standard deviations of the noise begin alike."""
-BEGINNING, NO_DEVIATION = 0.05, 0.3
-"""Part of a typical period that counts as a trial's beginning; and the fitted size of a deviation by trial, in units of
+BEGINNING, BEGINNING_SAMPLES, NO_DEVIATION = 0.05, 3, 0.3
+"""Part of a typical period that counts as a trial's beginning, at least so many samples; and the fitted size of a deviation by trial, in units of
 what was estimated, below which something else has taken its place."""
 FEWEST_ALIGNED_SAMPLES = 8
 """Shorter repeats are not carried over to one time base, and say nothing about how they begin."""

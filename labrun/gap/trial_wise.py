@@ -11,7 +11,6 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit import Dataset, Deviation, DeviationKind, Problem
-from labrun.fit.initial_states import FIRST_SAMPLES
 from labrun.gap import criteria
 from labrun.gap.candidates import typical_time_s
 from labrun.gap.noise import fit_whitener
@@ -141,7 +140,9 @@ def begun_elsewhere(problem: Problem, z: FloatArray, noise_sd: FloatArray) -> tu
             continue
         away, variance = [], 0.0
         for trial, outputs in zip(problem.data.trials, simulated, strict=True):
-            count = max(int(np.searchsorted(trial.time_s, trial.time_s[0] + short_s)), FIRST_SAMPLES)
+            count = max(
+                int(np.searchsorted(trial.time_s, trial.time_s[0] + short_s)), criteria.BEGINNING_SAMPLES
+            )
             begins = (trial.outputs - outputs)[:count, output]
             away.append(float(np.mean(begins)))
             variance += float(noise_sd[output]) ** 2 / len(begins)
