@@ -24,8 +24,8 @@ FEWEST_LEVELS = 2
 SAME_BEGINNING = 5.0
 """First samples of repeats that differ by less than this many standard deviations of the noise begin alike."""
 BEGINNING, BEGINNING_SAMPLES, NO_DEVIATION = 0.05, 3, 0.3
-"""Part of a typical period that counts as a trial's beginning, at least so many samples; and the fitted size of a deviation by trial, in units of
-what was estimated, below which something else has taken its place."""
+"""Part of a typical period that counts as a trial's beginning, at least so many samples; and the fitted size of a
+deviation by trial, in units of what was estimated, below which something else has taken its place."""
 FEWEST_ALIGNED_SAMPLES = 8
 """Shorter repeats are not carried over to one time base, and say nothing about how they begin."""
 MOST_CONDITIONS = 8
