@@ -71,7 +71,7 @@ _ON_TIME = 1e-9
 
 
 @dataclass
-class _Timing:
+class Timing:
     """How well the steps of a trial kept their time."""
 
     steps: int = 0
@@ -96,7 +96,7 @@ class _Clockwork:
     start_s: float
     period_s: float
     duration_s: float
-    timing: _Timing = field(default_factory=_Timing)
+    timing: Timing = field(default_factory=Timing)
     number: int = 0
 
     @property

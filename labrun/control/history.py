@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from labrun.devices import FloatArray, Samples
+from labrun.devices.newest import SampleClock
 from labrun.signals import Signals
 
 _CAPACITY = 4096
-_JUMP_S = 1.0
-"""A device clock that differs by more from what it was was set or garbled: its offset is found anew."""
 
 
 class _Track:
@@ -33,12 +32,12 @@ class _Track:
         self._values = np.empty((len(self._columns), _CAPACITY))
         self._first = 0
         self._end = 0
-        self._behind_s = np.inf
+        self._clock = SampleClock()
         self.last_s = -np.inf
 
     def take(self, block: Samples, start_s: float) -> None:
         count = len(block)
-        time_s = self._made_at(block) - start_s
+        time_s = self._clock.made_s(block.device_time_s, block.host_time_s) - start_s
         if self._end + count > len(self._time_s):
             self._make_room(count)
         here = slice(self._end, self._end + count)
@@ -57,14 +56,6 @@ class _Track:
 
     def newest(self, row: int) -> tuple[float, float]:
         return self.last_s, float(self._values[row, self._end - 1])
-
-    def _made_at(self, block: Samples) -> FloatArray:
-        """Return when samples were made, by the run's clock: received no sooner than made, as in the stored times."""
-        behind = block.host_time_s - block.device_time_s
-        least = float(behind.min())
-        if not abs(least - self._behind_s) < _JUMP_S or least < self._behind_s:
-            self._behind_s = least
-        return block.device_time_s + self._behind_s
 
     def _make_room(self, count: int) -> None:
         """Forget what is no longer needed; grow if all of it is."""

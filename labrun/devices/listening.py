@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from labrun.arrays import FloatArray
+from labrun.devices.newest import Newest
 from labrun.devices.samples import Samples
 
 
@@ -17,9 +18,15 @@ class SampleBuffer:
     ----------
     channels
         Number of values in a sample.
+
+    Attributes
+    ----------
+    newest
+        Is shown every sample as it comes; None if nobody waits for it.
     """
 
     def __init__(self, channels: int) -> None:
+        self.newest: Newest | None = None
         self._channels = channels
         self._lock = threading.Lock()
         self._blocks: list[tuple[FloatArray, FloatArray, FloatArray]] = []
@@ -63,6 +70,8 @@ class SampleBuffer:
             self._blocks.append((device_s, host_s, rows))
             self._lost += lost
             self._saturated += saturated
+        if self.newest is not None:
+            self.newest.put(Samples(device_s, host_s, rows))
 
     def count_lost(self, lost: int) -> None:
         """Add to the samples that never arrived."""

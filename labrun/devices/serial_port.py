@@ -67,6 +67,20 @@ class SerialPort:
             opened.set_low_latency_mode(True)
         self.discard_input()
 
+    @property
+    def file(self) -> int:
+        """Its file descriptor, which does not block.
+
+        Raises
+        ------
+        DeviceError
+            Not open, or unplugged.
+        """
+        try:
+            return int(self._opened().fileno())
+        except (OSError, TypeError) as error:
+            raise self._gone(error) from error
+
     def read(self, most: int = 4096) -> bytes:
         """Return what has arrived, up to `most` bytes; waits up to `timeout_s` for the first one.
 

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 
 from labrun.devices import Clock, DeviceError
 from labrun.devices.serial_port import SerialPort
-from labrun_plugins.dynamixel.codec import BROADCAST, Status, split_fast
+from labrun_plugins.dynamixel.codec import (
+    BROADCAST,
+    FAST_SYNC_READ,
+    SYNC_READ,
+    Status,
+    instruction,
+    split_fast,
+)
 from labrun_plugins.dynamixel.complaints import Complaints
 from labrun_plugins.dynamixel.control_table import Block, Register, whole
 
@@ -22,6 +29,7 @@ _COMMAND_WAIT_S = 0.008
 """What is still on its way after so long is on its way inside this computer: the wire itself is free."""
 _QUIET_S = 0.02
 _FAST_TRIES = 3
+_HEAR_S = 0.005
 _URGENT_S = 0.1
 _PING_BYTES = 3
 
@@ -283,6 +291,51 @@ class Bus:
             return {identity: status for identity, status in found.items() if not status.refusal}
         finally:
             self._lock.release()
+
+    def question(self, ids: Sequence[int], block: Block) -> bytes:
+        """Return the packet that asks servos for a block, for somebody else to send; `hear` takes the answers."""
+        code = FAST_SYNC_READ if self.fast and len(ids) > 1 else SYNC_READ
+        where = block.address.to_bytes(2, "little") + block.size.to_bytes(2, "little")
+        return instruction(BROADCAST, code, where + bytes(ids))
+
+    def hear(self, ids: Sequence[int], block: Block) -> dict[int, Status]:
+        """Return the answers to a `question`, of all servos, that come next; none if they do not come soon.
+
+        Raises
+        ------
+        DeviceError
+            The port is gone.
+        """
+        port, handler = self._parts()
+        self._give_way()
+        found: dict[int, Status] = {}
+        with self._lock:
+            port.setPacketTimeoutMillis(1e3 * _HEAR_S)
+            while len(found) < len(ids) and (status := handler.status(port)) is not None:
+                if status.id == BROADCAST:
+                    found = split_fast(status, ids, block.size) or {}
+                elif len(status.data) == block.size:
+                    found = (
+                        {} if status.id in found else found
+                    )  # another's answer to the question before was lost
+                    found[status.id] = status
+        return found if len(found) == len(ids) else {}
+
+    def spoken(self) -> None:
+        """Take note that somebody else has kept the bus busy up to now."""
+        port, _ = self._parts()
+        port.sent_s, port.longest_gap_s = self._clock.now(), 0.0
+
+    @property
+    def file(self) -> int:
+        """The port's file descriptor, which does not block.
+
+        Raises
+        ------
+        DeviceError
+            The port is gone.
+        """
+        return self._serial.file
 
     def require(self, ids: Sequence[int], block: Block) -> dict[int, Status]:
         """Read a block of several servos, all of them.

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
 STATUS = 0x55
+SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x82, 0x83, 0x8A
 ALERT = 0x80
 _POLYNOMIAL = 0x8005
 _LEAST_LENGTH = 3
@@ -27,14 +28,14 @@ def _table() -> tuple[int, ...]:
     return tuple(rows)
 
 
-_CRC = _table()
+CRC_TABLE = _table()
 
 
 def crc16(data: bytes, start: int = 0) -> int:
     """Return the check sum of a packet from its first header byte on: CRC-16/BUYPASS."""
     crc = start
     for byte in data:
-        crc = ((crc << 8) ^ _CRC[(crc >> 8) ^ byte]) & 0xFFFF
+        crc = ((crc << 8) ^ CRC_TABLE[(crc >> 8) ^ byte]) & 0xFFFF
     return crc
 
 
@@ -46,6 +47,13 @@ def stuff(body: bytes) -> bytes:
 def unstuff(body: bytes) -> bytes:
     """Take back what `stuff` did."""
     return body.replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+
+
+def instruction(identity: int, code: int, parameters: bytes) -> bytes:
+    """Return an instruction packet."""
+    body = stuff(bytes([code]) + parameters)
+    packet = HEADER + bytes([identity]) + (len(body) + 2).to_bytes(2, "little") + body
+    return packet + crc16(packet).to_bytes(2, "little")
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ OVERSHOOT_RAD = float(np.radians(3.0))
 """A joint at rest may stand so far outside its limits: overshoot and play. From further out it is not moved."""
 _JUMP_RAD = float(np.radians(10.0))
 """A motion from rest may begin so far from where the joint is: more would be a jump at full speed."""
-_SPEED_SLACK = 1.02
+SPEED_SLACK = 1.02
 _WINDOW_S = 0.25
 _TOLERANCE = 1e-9
 
@@ -131,7 +131,7 @@ class CommandCheck:
             self._first += 1
         recent = slice(self._first, self._end)
         passed_s = now_s - self._sent_s[recent]
-        most_rad = _SPEED_SLACK * math.radians(most_deg_s) * (passed_s + self._period_s) + COUNT_RAD
+        most_rad = SPEED_SLACK * math.radians(most_deg_s) * (passed_s + self._period_s) + COUNT_RAD
         way = np.abs(angles_rad - self._sent_rad[recent]).max(axis=1)
         beyond = way > most_rad
         if beyond.any():

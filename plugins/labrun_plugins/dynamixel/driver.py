@@ -292,7 +292,11 @@ class Dynamixel:
             self._energised = False
             switch_off(self._bus, self._ids)
         elif self._energised:
-            hold(self._bus, self._scales, self._stream.set_point())
+            hold(self._bus, self._scales, self._last_set_point())
+
+    def _last_set_point(self) -> FloatArray | None:
+        """Return the angles sent last, rad, in the order of `joints`; None before any."""
+        return self._stream.set_point()
 
     def _check_threads(self) -> None:
         self._stream.check()

@@ -77,7 +77,17 @@ class Measurement:
         DeviceError
             One has shut down, or has been silent for too long, or the port is gone.
         """
-        answers = self._bus.group_read(self._ids, MOTION)
+        return self._note(self._bus.group_read(self._ids, MOTION))
+
+    def hear(self) -> tuple[float, dict[int, Status]] | None:
+        """Take the answers to a question that somebody else asks; otherwise as `take`."""
+        return self._note(self._bus.hear(self._ids, MOTION))
+
+    def last(self) -> Mapping[int, int]:
+        """Return where every servo stood when it was heard last, id -> count; nothing is asked."""
+        return dict(self._counts)
+
+    def _note(self, answers: Mapping[int, Status]) -> tuple[float, dict[int, Status]] | None:
         now = self._clock.now()
         fresh: dict[int, Status] = {}
         for identity, status in answers.items():

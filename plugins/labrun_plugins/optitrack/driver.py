@@ -13,6 +13,7 @@ from labrun.devices import (
     Remark,
     Samples,
 )
+from labrun.devices.newest import Newest
 from labrun_plugins.optitrack.examining import remarks
 from labrun_plugins.optitrack.frame import BITSTREAM_CHANGED, EDIT_MODE, Frame
 from labrun_plugins.optitrack.handshake import Handshake
@@ -145,6 +146,11 @@ class OptiTrack:
         if not len(block):
             self._stream.check()
         return block
+
+    def show(self, newest: Newest | None) -> None:
+        """Put every sample there, too, as it comes; None ends it."""
+        if self._stream is not None:
+            self._stream.buffer.newest = newest
 
     def stop(self) -> None:
         """End collecting; Motive goes on to stream."""
