@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from labrun.devices import DeviceContext, DeviceError, FloatArray, Health, Samples
 from labrun.devices.compiled_wire import BUSY, HALT, CompiledWire
 from labrun.devices.listening import Listener, SampleBuffer
