@@ -28,18 +28,18 @@ class SampleClock:
 
 
 class NewestView(NamedTuple):
-    """What compiled code sees of a `Newest`: sample number n stands in row ``n % SLOTS`` once `count` is above n.
+    """What compiled code sees of a `Newest`: sample number n stands in row ``n % SLOTS`` once `number` is above n.
 
     Attributes
     ----------
-    count : (1,)
+    number : (1,)
         Samples so far.
     made_s : (SLOTS,)
         When each was made, by the run's clock.
     values : (SLOTS, channels)
     """
 
-    count: IntArray
+    number: IntArray
     made_s: FloatArray
     values: FloatArray
 
@@ -64,7 +64,7 @@ class Newest:
         if not len(samples):
             return
         made_s = self._clock.made_s(samples.device_time_s, samples.host_time_s)
-        count, times, values = self.view
-        row = int(count[0]) % SLOTS
+        number, times, values = self.view
+        row = int(number[0]) % SLOTS
         times[row], values[row] = made_s[-1], samples.values[-1]
-        count[0] += 1  # last: who sees the number finds the sample
+        number[0] += 1  # last: who sees the number finds the sample

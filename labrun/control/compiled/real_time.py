@@ -40,7 +40,7 @@ class LiveBench(NamedTuple):
 
     Attributes
     ----------
-    count, made_s, values : (sensors, ...)
+    number, made_s, values : (sensors, ...)
         See `labrun.devices.newest.NewestView`; of all sensors.
     channels_at : (sensors + 1,)
         Where each one's channels begin among all channels.
@@ -48,7 +48,7 @@ class LiveBench(NamedTuple):
         See `labrun.devices.compiled_wire.CompiledWire`.
     """
 
-    count: tuple[IntArray, ...]
+    number: tuple[IntArray, ...]
     made_s: tuple[FloatArray, ...]
     values: tuple[FloatArray, ...]
     channels_at: IntArray
@@ -68,7 +68,7 @@ def run_steps(
     """
     joints = len(angles)
     latest = np.full(bench.channels_at[-1], np.nan)
-    latest_s = np.full(len(bench.count), -np.inf)
+    latest_s = np.full(len(bench.number), -np.inf)
     nothing, said = np.zeros(1), np.zeros(1)
     number = 0
     while number < steps:
@@ -84,7 +84,7 @@ def run_steps(
         if shared[HEAD] - shared[TAIL] >= len(ring):
             return FULL
         made_s = np.inf
-        for sensor in range(len(bench.count)):
+        for sensor in range(len(bench.number)):
             _look(bench, sensor, start_s, latest, latest_s)
         for sensor in law.wiring.sensor:
             made_s = min(made_s, latest_s[sensor])
@@ -114,7 +114,7 @@ def run_steps(
 @kernel
 def _look(bench: LiveBench, sensor: int, start_s: float, latest: FloatArray, latest_s: FloatArray) -> None:
     """Take over a sensor's newest sample."""
-    count = bench.count[sensor][0]
+    count = bench.number[sensor][0]
     if count > 0:
         row, begin = (count - 1) % SLOTS, bench.channels_at[sensor]
         latest_s[sensor] = bench.made_s[sensor][row] - start_s
@@ -174,7 +174,7 @@ class RealTimeLoop:
 
     def seen(self) -> bool:
         """Tell whether every sensor has shown one."""
-        return all(newest.view.count[0] > 0 for newest in self._shown.values())
+        return all(newest.view.number[0] > 0 for newest in self._shown.values())
 
     def begin(self, start_s: float) -> None:
         """Take the actuator over, and begin when the clock shows `start_s`."""
@@ -182,7 +182,7 @@ class RealTimeLoop:
         views = [newest.view for newest in self._shown.values()]
         widths = [one.values.shape[1] for one in views]
         bench = LiveBench(
-            tuple(one.count for one in views), tuple(one.made_s for one in views),
+            tuple(one.number for one in views), tuple(one.made_s for one in views),
             tuple(one.values for one in views), np.cumsum([0, *widths]), wire.send, wire.state, wire.parameters,
         )  # fmt: skip
         arguments = (self.law, bench, self.references, start_s, self.period_s)
@@ -197,7 +197,7 @@ class RealTimeLoop:
         views = [newest.view for newest in self._shown.values()]
         none = np.zeros(4)
         bench = LiveBench(
-            tuple(one.count for one in views), tuple(one.made_s for one in views),
+            tuple(one.number for one in views), tuple(one.made_s for one in views),
             tuple(one.values for one in views), np.zeros(len(views) + 1, dtype=np.int64), 0, none, none,
         )  # fmt: skip
         run_steps(

@@ -5,6 +5,7 @@ Every so often the question where the servos are goes with them; the driver's ow
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -130,7 +131,7 @@ def _sent(t: float, x: Pointer, u: Pointer, p: Pointer) -> int:
 
 
 @kernel
-def _sync_write(packet, u, p, joints):  # type: ignore[no-untyped-def]
+def _sync_write(packet: Any, u: Pointer, p: Pointer, joints: int) -> int:
     """Write the goals of all joints as one packet; return its length."""
     packet[0], packet[1], packet[2], packet[3], packet[4] = 0xFF, 0xFF, 0xFD, 0x00, 0xFE
     packet[_BODY] = SYNC_WRITE
