@@ -10,6 +10,7 @@ from labrun_plugins.rigs.buckling_fin.swimmers import free_swimmer
 from labrun.app.run import run
 from labrun.devices import Trajectory
 from labrun.models import simulate
+from labrun.spec import load_experiment, shipped_experiments
 from labrun.store import open_run
 
 DESIGN = {
@@ -19,12 +20,12 @@ DESIGN = {
 STROKE_RAD, BACK_RAD, HZ = np.radians(42), np.radians(-55), 0.82
 
 
-def rowed(start_s=3.0, stroke_rad=STROKE_RAD, **settings):
+def rowed(start_s=3.0, stroke_rad=STROKE_RAD, back_rad=BACK_RAD, hz=HZ, **settings):
     rig = RailRig({"design": DESIGN, **settings}, np.random.default_rng(1))
     rig.observe(("position",), np.zeros(1))
     slowly = np.linspace(0, 1, 41)
     time_s = np.linspace(0, 5, 501)
-    gait = BACK_RAD + stroke_rad * np.sin(2 * np.pi * HZ * time_s)
+    gait = back_rad + stroke_rad * np.sin(2 * np.pi * hz * time_s)
     for joint in rig.joints:
         rig.drive(joint, Trajectory((joint,), 2 * slowly, (slowly * gait[0])[:, None]), 0.5)
         rig.drive(joint, Trajectory((joint,), time_s, gait[:, None]), start_s)
@@ -45,6 +46,13 @@ def test_the_rails_friction_costs_way():
     ends = [0.0, 3.0, 6.0]
     free, rubbing = (seen(rowed(rail_n=n, rail_at_rest_n=2 * n), "position", *ends) for n in (0.0, 0.3))
     assert 0 < rubbing[2] - rubbing[1] < 0.9 * (free[2] - free[1])
+
+
+def test_the_fastest_gait_of_the_search_is_at_its_end_before_the_tank_is():
+    experiment = load_experiment(shipped_experiments() / "rowing.toml").experiment
+    rig = rowed(stroke_rad=np.radians(50.5), back_rad=np.radians(-64.3), hz=0.945)
+    way = seen(rig, "position", 3.0 + experiment.trial.duration_s + 0.2)[0]
+    assert 0.8 < way < experiment.trial.within["cameras.swimmer_x"][1]
 
 
 def test_a_stroke_below_the_rails_stiction_does_not_move_the_carriage():

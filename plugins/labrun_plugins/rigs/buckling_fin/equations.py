@@ -58,8 +58,6 @@ STATES = (
     "x", "y", "yaw", "speed", "side_speed", "yaw_rate",
     "base_1", "base_rate_1", "bend_1", "bend_rate_1", "base_2", "base_rate_2", "bend_2", "bend_rate_2",
 )  # fmt: skip
-_FIRST_FIN = 6
-_OF_A_FIN = 4
 
 
 @kernel
