@@ -77,13 +77,22 @@ def measure_all(
 
 
 def _best(
-    experiment: Experiment, measures: Measures, found: Sequence[Measured], unit: str, progress: Progress
+    experiment: Experiment,
+    measures: Measures,
+    found: Sequence[Measured],
+    unit: str,
+    progress: Progress,
+    level: Condition | None = None,
 ) -> Best | None:
     if experiment.goal is None:
         return None
     progress.phase("fresh repeats of the leaders")
     name, direction = experiment.goal
-    return honest_best(measures, found, objective=name, goal=direction, unit=unit, leaders=experiment.leaders)
+    leaders = experiment.leaders
+    guests = [{**guest, **(level or {})} for guest in leaders.guests]
+    return honest_best(
+        measures, found, objective=name, goal=direction, unit=unit, leaders=leaders, guests=guests
+    )
 
 
 def _searched(
@@ -118,7 +127,7 @@ def _searched(
             progress.note(str(error))
             continue
         verdicts.append(searched.verdict)
-        best = _best(experiment, measures, searched.found, unit, progress)
+        best = _best(experiment, measures, searched.found, unit, progress, level)
         if best is not None:
             winners.append((number, best))
     if barren and not verdicts:

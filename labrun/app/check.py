@@ -104,12 +104,13 @@ def whole_plan(
         loop_recorder(experiment, planner.rig).require_makeable(chosen)
     found = _counted(planner.plan(chosen) if found is None else found, experiment, chosen, len(asked))
     reference = experiment.trial.reference
-    if reference is not None:
-        excess = planner.excess_of(reference.condition)
+    beside = at_settings(
+        experiment.leaders.guests, at_settings(levels_of(experiment), settings_of(experiment))
+    )
+    for one in [*beside, *([] if reference is None else [reference.condition])]:
+        excess = planner.excess_of(one)
         if excess:
-            found = replace(
-                found, excess=(*found.excess, ConditionExcess(reference.condition, tuple(excess)))
-            )
+            found = replace(found, excess=(*found.excess, ConditionExcess(one, tuple(excess))))
     return found
 
 

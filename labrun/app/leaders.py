@@ -47,6 +47,8 @@ class _Values:
 def with_leaders(loaded: LoadedExperiment, results: Path, *, planned: bool = False) -> LoadedExperiment:
     """Return an experiment with the leaders that it asks for in the place of ``leaders_of``.
 
+    Leaders that are to be measured beside its own are left out as long as there is no run of them.
+
     Parameters
     ----------
     loaded
@@ -61,33 +63,65 @@ def with_leaders(loaded: LoadedExperiment, results: Path, *, planned: bool = Fal
     RequestError
         A run that is not there, did not finish, has no leaders, or is of another rig.
     """
-    table = loaded.experiment.run
-    if table is None or not isinstance(table.conditions, LeadersOf) or loaded.experiment.kind != "run":
+    experiment = loaded.experiment
+    listed = experiment.run.conditions if experiment.run is not None and experiment.kind == "run" else None
+    beside = experiment.leaders.beside
+    if not planned and missing_beside(experiment, results):
+        beside = []
+    if not isinstance(listed, LeadersOf) and not isinstance(beside, LeadersOf):
         return loaded
-    asked = table.conditions
+    tree = tomllib.loads(loaded.resolved_toml)
+    if isinstance(listed, LeadersOf):
+        found, tree["run"]["taken_from"] = _taken(listed, loaded, results, planned=planned)
+        tree["run"]["conditions"] = [{NUMBER: float(number), **one} for number, one in enumerate(found, 1)]
+    if isinstance(beside, LeadersOf):
+        tree["leaders"]["beside"], tree["leaders"]["taken_from"] = _taken(
+            beside, loaded, results, planned=planned
+        )
+    made = loads_experiment(tomli_w.dumps(tree), loaded.name)
+    return replace(made, path=loaded.path, origins=loaded.origins)
+
+
+def missing_beside(experiment: Experiment, results: Path) -> list[str]:
+    """Return the experiments whose leaders are wanted beside this one's, and of which there is no run yet."""
+    beside = experiment.leaders.beside
+    return (
+        [name for name in beside.experiments if not _has_run(name, results)]
+        if isinstance(beside, LeadersOf)
+        else []
+    )
+
+
+def _has_run(name: str, results: Path) -> bool:
+    try:
+        find_run(name, results)
+    except RequestError:
+        return False
+    return True
+
+
+def _taken(
+    asked: LeadersOf, loaded: LoadedExperiment, results: Path, *, planned: bool
+) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
+    """Return the leaders that are asked for, and the runs they are of."""
     found: list[dict[str, Any]] = []
     sources = []
     for name in asked.experiments:
+        if planned and not _has_run(name, results):
+            theirs = load_experiment(find_beside(name, loaded.path)).experiment
+            points = [{**levels_of(theirs)[0], **one} for one in conditions(theirs)]
+            found += [dict(points[place % len(points)]) for place in range(asked.count)]
+            continue
         try:
             run = find_run(name, results)
         except RequestError as error:
-            if planned:
-                theirs = load_experiment(find_beside(name, loaded.path)).experiment
-                points = [{**levels_of(theirs)[0], **one} for one in conditions(theirs)]
-                found += [dict(points[place % len(points)]) for place in range(asked.count)]
-                continue
             raise RequestError(
                 f"{loaded.name} takes over the leaders of {name}, and there is no run of it in {results}",
                 hint=f"labrun cmaes {name}, and then this one",
             ) from error
-        leaders = leaders_of(run, asked.count, loaded.experiment)
-        found += [dict(one) for one in leaders]
+        found += [dict(one) for one in leaders_of(run, asked.count, loaded.experiment)]
         sources.append({"experiment": name, "run": run.parent.name if run.is_file() else run.name})
-    tree = tomllib.loads(loaded.resolved_toml)
-    tree["run"]["conditions"] = [{NUMBER: float(number), **one} for number, one in enumerate(found, 1)]
-    tree["run"]["taken_from"] = sources
-    made = loads_experiment(tomli_w.dumps(tree), loaded.name)
-    return replace(made, path=loaded.path, origins=loaded.origins)
+    return found, sources
 
 
 def leaders_of(run: Path, count: int, wanted: Experiment | None = None) -> list[Condition]:

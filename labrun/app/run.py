@@ -8,7 +8,7 @@ import numpy as np
 
 from labrun.app.carry_out import carry_out, source_of
 from labrun.app.check import NO_SCENE, require_room, whole_plan
-from labrun.app.leaders import with_leaders
+from labrun.app.leaders import missing_beside, with_leaders
 from labrun.devices import NoTerminalError, Terminal
 from labrun.errors import RequestError
 from labrun.objectives import ASKED
@@ -94,6 +94,10 @@ def run(
         )  # fmt: skip
     loaded = with_leaders(loaded, Path(results))
     with SilentProgress() if progress is None else progress as told:
+        for name in missing_beside(loaded.experiment, Path(results)):
+            told.note(
+                f"no run of {name} in {results} yet: its leaders are not measured beside those of this run"
+            )
         return execute(
             loaded,
             results=Path(results),

@@ -70,6 +70,7 @@ def honest_best(
     goal: Goal,
     unit: str,
     leaders: Leaders,
+    guests: Sequence[Condition] = (),
 ) -> Best | None:
     """Measure the leaders of a search again, and confirm the winner.
 
@@ -81,6 +82,8 @@ def honest_best(
         All measurements of the search; several of one condition are pooled.
     leaders
         How many leaders, and how many fresh repeats each.
+    guests
+        Conditions that were found elsewhere, measured among the leaders.
 
     Returns
     -------
@@ -90,6 +93,8 @@ def honest_best(
     top = leading_conditions(found, objective, goal, leaders.count)
     if not top:
         return None
+    known = {condition_key(one) for one in top}
+    top += [guest for guest in guests if condition_key(guest) not in known]
     rule = RepeatRule(min=leaders.repeats, max=leaders.repeats)
     fresh = session.measure(top, role="fresh", repeats=rule)
     means = [_signed_mean(m.values(objective), goal) for m in fresh]

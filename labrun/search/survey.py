@@ -169,7 +169,11 @@ def most_trials(
     honest = (
         0
         if experiment.goal is None
-        else (min(leaders.count, candidates) + 1) * leaders.repeats * mountings * settings * levels
+        else (min(leaders.count, candidates) + len(leaders.guests) + 1)
+        * leaders.repeats
+        * mountings
+        * settings
+        * levels
     )
     return measured + references + honest
 

@@ -146,6 +146,9 @@ class Experiment(Table):
                 faults.add(("rig", "devices"), "a design is simulated, and has no devices: leave [rig] out")
             if self.kind in ("cmaes", "design") and not goals:
                 faults.add("kind", 'a search needs an objective with goal = "maximise" or "minimise"')
+            if self.leaders.beside and (self.kind == "design" or not goals):
+                message = "has leaders of its own only with an objective that has a goal, on a bench"
+                faults.add(("leaders", "beside"), message)
             for name in goals[1:]:
                 faults.add(
                     ("objectives", name, "goal"),

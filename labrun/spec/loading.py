@@ -299,11 +299,26 @@ def _embed_files(data: dict[str, Any], experiment: Path | None) -> list[Fault]:
 
 def _names_of_leaders(data: dict[str, Any], experiment: Path | None) -> list[Fault]:
     """Say what the conditions will be called that are leaders of other runs; return what is wrong with their names."""
-    wanted = table(data, "run").get("conditions")
-    if not isinstance(wanted, dict) or experiment is None:
+    if experiment is None:
         return []
+    conditions, beside = table(data, "run").get("conditions"), table(data, "leaders").get("beside")
+    faults = []
+    if isinstance(conditions, dict):
+        faults += _name_leaders(conditions, ("run", "conditions", "leaders_of"), experiment)
+    if isinstance(beside, dict):
+        path: KeyPath = ("leaders", "beside", "leaders_of")
+        faults += _name_leaders(beside, path, experiment)
+        shared = [*table(data, str(data.get("kind")), "over"), *table(data, str(data.get("kind")), "each")]
+        own = {name for name in condition_names(data) if name not in shared}
+        theirs = set(beside.get("names", ())) - {"gait"}
+        if theirs and theirs != own - {"gait"}:
+            listed = f"{', '.join(sorted(theirs))}, and those here {', '.join(sorted(own))}"
+            faults.append(Fault(path, f"their conditions have the names {listed}", at_value=True))
+    return faults
+
+
+def _name_leaders(wanted: dict[str, Any], path: KeyPath, experiment: Path) -> list[Fault]:
     given = wanted.get("leaders_of")
-    path: KeyPath = ("run", "conditions", "leaders_of")
     found: dict[str, list[str]] = {}
     for name in [given] if isinstance(given, str) else given if isinstance(given, list) else []:
         if not isinstance(name, str):

@@ -179,10 +179,23 @@ class StopRules(Table):
 
 
 class Leaders(Table):
-    """The honest best: this many leaders get this many fresh repeats each; the winner is confirmed by as many again."""
+    """The honest best: this many leaders get this many fresh repeats each; the winner is confirmed by as many again.
+
+    `beside` are conditions that were found elsewhere and are measured among the leaders.
+    """
 
     count: PositiveInt = 5
     repeats: Annotated[int, Field(ge=2)] = 5
+    beside: Annotated[
+        Annotated[LeadersOf, Tag("leaders")] | Annotated[list[dict[str, Value]], Tag("list")],
+        Discriminator(_conditions_kind),
+    ] = Field(default_factory=list)
+    taken_from: list[TakenFrom] = Field(default_factory=list)
+
+    @property
+    def guests(self) -> list[dict[str, Value]]:
+        """The conditions that were found elsewhere; none as long as they are not known."""
+        return self.beside if isinstance(self.beside, list) else []
 
 
 class Guard(Table):

@@ -7,6 +7,7 @@ import pytest
 import labrun
 from labrun.app.leaders import leaders_of
 from labrun.errors import RequestError, SpecError
+from labrun.runner import SilentProgress
 from labrun.spec import condition_key, load_experiment
 from labrun.store import open_run
 
@@ -37,6 +38,18 @@ goal = "maximise"
 count = 3
 repeats = 2
 """
+
+
+class Notes(SilentProgress):
+    """Keeps what is told."""
+
+    def __init__(self):
+        self.texts = []
+
+    def note(self, text):
+        self.texts.append(text)
+
+
 SWEEP = "[sweep]\naxes = { a = [20, 30, 40, 50], f = [1.2] }\n"
 FIELD = LAB.replace('kind = "sweep"', 'kind = "run"').replace('goal = "maximise"\n', "") + (
     '[run]\nconditions = { leaders_of = "lab", count = 4 }\n[run.over]\nfin = ["large", "small"]\n'
@@ -134,3 +147,41 @@ def test_an_experiment_that_is_not_there_is_told_at_its_place(tmp_path, bench):
     path.write_text(FIELD.replace('"lab"', '"labb"'))
     with pytest.raises(SpecError, match=r"field.toml:\d+:\d+: run.conditions.leaders_of"):
         load_experiment(Path(path))
+
+
+BESIDE = LAB.replace("count = 3", 'count = 3\nbeside = { leaders_of = "lab", count = 2 }') + (
+    "[sweep]\naxes = { a = [22, 33], f = [1.2] }\n"
+)
+
+
+def test_leaders_of_another_run_are_measured_among_ones_own(bench, tmp_path):
+    lab = bench("lab")
+    (tmp_path / "experiments" / "current.toml").write_text(BESIDE)
+    assert check(tmp_path, "current").trials == 2 * 2 + (2 + 2 + 1) * 2
+    current = bench("current")
+    guests = [one["a"] for one in leaders_of(lab.run, 2)]
+    with open_run(current.run) as opened:
+        fresh = [one.condition["a"] for one in opened.outcomes if one.role == "fresh"]
+    assert sorted(fresh) == sorted(2 * [22, 33, *guests])
+    stored = load_experiment(current.run / "spec.toml").experiment
+    assert [one.run for one in stored.leaders.taken_from] == [lab.run.name]
+    ranked = labrun.rank(
+        ["lab", "current"], str(bench("field").run), objective="thrust", results=tmp_path / "results"
+    )
+    assert sum(value is not None for value in ranked.laboratory_values[str(current.run)]) == 2
+
+
+def test_a_run_goes_without_the_others_leaders_where_there_are_none_and_says_so(bench, tmp_path):
+    (tmp_path / "experiments" / "current.toml").write_text(BESIDE)
+    notes = Notes()
+    bench("current", progress=notes)
+    assert any("no run of lab" in text for text in notes.texts)
+
+
+def test_leaders_that_vary_something_else_cannot_stand_beside(bench, tmp_path):
+    path = tmp_path / "experiments" / "current.toml"
+    path.write_text(BESIDE.replace("a = [22, 33], f = [1.2]", "a = [22, 33]").replace('= "f"', "= 1.2"))
+    with pytest.raises(
+        SpecError, match=r"current.toml:\d+:\d+: leaders.beside.leaders_of = .* names a, f, .* here a"
+    ):
+        load_experiment(path)
