@@ -16,7 +16,7 @@ from labrun.devices import Channel, Samples
 from labrun.errors import SpecError
 from labrun.gaits import make_gait, steering_of
 from labrun.runner import LEAD_S, TAIL_S, Handle, Rig, SimulatedClock, TrialRecording
-from labrun.spec import LOOP_DEVICE, Experiment, LoopTable, Track, condition_text
+from labrun.spec import LOOP_DEVICE, TIMING_CHANNELS, Experiment, LoopTable, Track, condition_text
 from labrun.toml import unit_of
 
 
@@ -31,7 +31,10 @@ def channels_of(
         of_drives = [variable_unit(experiment, variable) for variable in table.drives]
         units = [*3 * of_feedback, *2 * of_drives, *shape.more.values()]
         found += [Channel(c, unit or "1") for c, unit in zip(shape.channels(name), units, strict=True)]
-    return (*found, Channel("latency_s", "s"), Channel("late_s", "s"), Channel("missed", "1"))
+    return (
+        *found,
+        *(Channel(name, unit) for name, unit in zip(TIMING_CHANNELS, ("s", "s", "s", "1"), strict=True)),
+    )
 
 
 def units_of(feedbacks: Sequence[Feedback], count: int) -> list[str]:
@@ -54,6 +57,7 @@ def samples_of(
     time_s: float,
     records: Sequence[LoopRecord],
     latency_s: float,
+    reaction_s: float,
     late_s: float,
     *,
     missed: bool,
@@ -62,7 +66,7 @@ def samples_of(
     """Return one step as a sample; steps that were skipped before it count as lost."""
     row = chain.from_iterable(item.row for item in records)
     at = np.array([time_s])
-    return Samples(at, at, np.array([[*row, latency_s, late_s, float(missed)]]), lost=skipped)
+    return Samples(at, at, np.array([[*row, latency_s, reaction_s, late_s, float(missed)]]), lost=skipped)
 
 
 _LOOK_S = 0.05
@@ -246,7 +250,7 @@ class ClosedLoopRecorder:
         handle: Handle,
     ) -> None:
         bench, clock, start_s = recording.bench, recording.bench.clock, clockwork.start_s
-        before_s = -clockwork.period_s
+        before_s, heard_before_s = -clockwork.period_s, -math.inf
         while (due_s := clockwork.due_s) is not None:
             if due_s > clock.now():
                 bench.watch(due_s, handle)
@@ -275,8 +279,13 @@ class ClosedLoopRecorder:
                 for loop, item in zip(loops, records, strict=True)
             ]
             newest_s = start_s + min(history.newest_s(loop.channels) for loop in loops)
+            heard_s = max(history.heard_s(loop.channels) for loop in loops)
+            reaction_s = sent_s - heard_s if heard_s > heard_before_s else math.nan
+            heard_before_s = heard_s
             missed = clockwork.end(sent_s)
-            step = samples_of(now_s, records, sent_s - newest_s, late_s, missed=missed, skipped=skipped)
+            step = samples_of(
+                now_s, records, sent_s - newest_s, reaction_s, late_s, missed=missed, skipped=skipped
+            )
             self._record(recording, step)
         recording.fault = clockwork.timing.fault(self._track.max_missed_share, self._track.rate_hz)
 

@@ -34,6 +34,7 @@ class _Track:
         self._end = 0
         self._clock = SampleClock()
         self.last_s = -np.inf
+        self.heard_s = -np.inf
 
     def take(self, block: Samples, start_s: float) -> None:
         count = len(block)
@@ -46,6 +47,7 @@ class _Track:
         self._values[:, here] = measured.tared().values.T
         before_s, self._end = self.last_s, self._end + count
         self.last_s = float(self._time_s[self._end - 1])
+        self.heard_s = float(block.host_time_s[-1])
         if (
             before_s < 0.0 <= self.last_s
         ):  # what was measured before the recording began was the bench at rest
@@ -121,6 +123,10 @@ class History:
     def newest_s(self, channels: Sequence[str]) -> float:
         """Return when the newest sample was made that all of these channels had to wait for."""
         return min(self._places[channel][0].last_s for channel in channels)
+
+    def heard_s(self, channels: Sequence[str]) -> float:
+        """Return when the newest sample of any of these channels was received, by the run's clock."""
+        return max(self._places[channel][0].heard_s for channel in channels)
 
     def newest(self, channel: str) -> tuple[float, float]:
         """Return when the newest sample of a channel was made, and its value."""

@@ -12,6 +12,7 @@ from labrun.devices.protocols import Actuator, Sensor
 __all__ = [
     "BEYOND",
     "BUSY",
+    "FREE_S",
     "GONE",
     "HALT",
     "HALTED",
@@ -29,8 +30,9 @@ __all__ = [
 SENT, NOT_TAKEN, HALTED, BEYOND, TOO_LATE, GONE = range(6)
 """What sending a set-point comes to: it is on the wire; the port took it not, the next one may be; a stop has come;
 it leaves a limit; the device heard nothing for longer than its watchdog waits; the port is gone."""
-HALT, BUSY = range(2)
-"""Places of `CompiledWire.state`: not 0 forbids to send; not 0 while a set-point is being sent."""
+HALT, BUSY, FREE_S = range(3)
+"""Places of `CompiledWire.state`: not 0 forbids to send; not 0 while a set-point is being sent; from when on the wire
+has room for the next one (the clock's time)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +46,7 @@ class CompiledWire:
         ``u`` (rad), which it checks once more against the limits, and writes what it came to to ``out[0]``; ``x`` is
         `state`, ``p`` are `parameters`. It does not wait.
     state
-        Its memory; its first numbers are `HALT` and `BUSY`.
+        Its memory; its first numbers are `HALT`, `BUSY` and `FREE_S`.
     parameters
         Of the device.
     """

@@ -1,5 +1,7 @@
 """The newest sample of a sensor, where compiled code finds it without waiting for Python."""
 
+import contextlib
+import os
 from typing import NamedTuple
 
 import numpy as np
@@ -34,14 +36,38 @@ class NewestView(NamedTuple):
     ----------
     number : (1,)
         Samples so far.
-    made_s : (SLOTS,)
-        When each was made, by the run's clock.
+    made_s, heard_s : (SLOTS,)
+        When each was made, and when it was received, by the run's clock.
     values : (SLOTS, channels)
     """
 
     number: IntArray
     made_s: FloatArray
+    heard_s: FloatArray
     values: FloatArray
+
+
+class Bell:
+    """Wakes compiled code that sleeps until a sample comes (`labrun.devices.system_calls.sleep_until_rung`); Linux.
+
+    Attributes
+    ----------
+    file
+        Descriptor that can be read once it was rung. It is closed when nobody holds the bell any more: a listening
+        thread may be about to ring it.
+    """
+
+    def __init__(self) -> None:
+        self.file = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+
+    def ring(self) -> None:
+        """Wake who sleeps, or who is about to."""
+        with contextlib.suppress(BlockingIOError):
+            os.eventfd_write(self.file, 1)
+
+    def __del__(self) -> None:
+        with contextlib.suppress(AttributeError, OSError):
+            os.close(self.file)
 
 
 class Newest:
@@ -51,20 +77,25 @@ class Newest:
     ----------
     channels
         Number of values in a sample.
+    bell
+        Is rung with every block, if somebody sleeps until then.
     """
 
-    def __init__(self, channels: int) -> None:
-        self.view = NewestView(
-            np.zeros(1, dtype=np.int64), np.full(SLOTS, -np.inf), np.full((SLOTS, channels), np.nan)
-        )
+    def __init__(self, channels: int, bell: Bell | None = None) -> None:
+        never = np.full(SLOTS, -np.inf)
+        values = np.full((SLOTS, channels), np.nan)
+        self.view = NewestView(np.zeros(1, dtype=np.int64), never, never.copy(), values)
         self._clock = SampleClock()
+        self._bell = bell
 
     def put(self, samples: Samples) -> None:
         """Take a block; its last sample is the newest."""
         if not len(samples):
             return
         made_s = self._clock.made_s(samples.device_time_s, samples.host_time_s)
-        number, times, values = self.view
+        number, times, heard_s, values = self.view
         row = int(number[0]) % SLOTS
-        times[row], values[row] = made_s[-1], samples.values[-1]
+        times[row], heard_s[row], values[row] = made_s[-1], samples.host_time_s[-1], samples.values[-1]
         number[0] += 1  # last: who sees the number finds the sample
+        if self._bell is not None:
+            self._bell.ring()

@@ -14,7 +14,9 @@ _clock_nanosleep = types.ExternalFunction(
 )
 _write = types.ExternalFunction("write", types.int64(types.int32, types.voidptr, types.int64))
 _poll = types.ExternalFunction("poll", types.int32(types.voidptr, types.int64, types.int32))
-_POLLOUT, _POLLERR = 4, 8 | 16 | 32
+_read = types.ExternalFunction("read", types.int64(types.int32, types.voidptr, types.int64))
+_ppoll = types.ExternalFunction("ppoll", types.int32(types.voidptr, types.int64, types.voidptr, types.int64))
+_POLLIN, _POLLOUT, _POLLERR = 1, 4, 8 | 16 | 32
 
 
 @inlined
@@ -38,6 +40,23 @@ def wait_until(due_s: float, spin_s: float) -> float:
     while now_s < due_s:
         now_s = clock_s()
     return now_s
+
+
+@kernel
+def sleep_until_rung(bell: int, until_s: float) -> float:
+    """Sleep until a `labrun.devices.newest.Bell` is rung, or was, and to a time at the latest; return the time."""
+    left_s = until_s - clock_s()
+    if left_s > 0.0:
+        asked, span, rung = (
+            np.empty(1, dtype=np.int64),
+            np.empty(2, dtype=np.int64),
+            np.empty(1, dtype=np.int64),
+        )
+        asked[0] = bell | (_POLLIN << 32)  # struct pollfd: int fd; short events, revents
+        span[0], span[1] = int(left_s), int(1e9 * (left_s - int(left_s)))
+        if _ppoll(asked.ctypes, 1, span.ctypes, 0) > 0:
+            _read(bell, rung.ctypes, 8)
+    return float(clock_s())
 
 
 @kernel

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from labrun.arrays import FloatArray
 from labrun.report.data import RunView
 from labrun.report.text import milliseconds_text
 from labrun.signals import Signals
@@ -282,9 +283,11 @@ class LoopHealth:
     rate_hz
         Asked for.
     steps, missed
-        How many steps ran, and how many of them began after their deadline.
+        How many steps fell due, and how many of them came too late or were skipped.
     latency_median_s, latency_p99_s
         From the newest sample that a step used to the command it sent: median, and what 99 % stay below.
+    reaction_median_s, reaction_p99_s
+        From when a sample was received to the first command made of it, likewise; nan where no step tells.
     latest_s
         The greatest delay of a step behind its deadline.
     """
@@ -294,6 +297,8 @@ class LoopHealth:
     missed: int
     latency_median_s: float
     latency_p99_s: float
+    reaction_median_s: float
+    reaction_p99_s: float
     latest_s: float
 
     @property
@@ -307,27 +312,37 @@ def loop_health(view: RunView, indices: Sequence[int]) -> LoopHealth | None:
     track = view.experiment.track
     if track is None:
         return None
-    latency, late, missed = [], [], []
+    latency, reaction, late, missed = [], [], [], []
+    skipped = 0
     for index in indices:
         stream = view.run.signals(index).get(LOOP_DEVICE)
         if stream is not None and len(stream.time_s):
             latency.append(stream.column("latency_s"))
+            if "reaction_s" in stream.columns:  # runs of before had none
+                reaction.append(stream.column("reaction_s"))
             late.append(stream.column("late_s"))
+            skipped += stream.lost
             missed.append(stream.column("missed"))
     if not latency:
         return None
-    known = np.concatenate(latency)
-    known = known[np.isfinite(known)]
-    median, high = np.quantile(known, [0.5, 0.99]) if len(known) else (np.nan, np.nan)
     misses = np.concatenate(missed)
     return LoopHealth(
         rate_hz=track.rate_hz,
-        steps=len(misses),
-        missed=int(np.count_nonzero(misses > 0)),
-        latency_median_s=float(median),
-        latency_p99_s=float(high),
+        steps=len(misses) + skipped,
+        missed=int(np.count_nonzero(misses > 0)) + skipped,
+        latency_median_s=_quantile(latency, 0.5),
+        latency_p99_s=_quantile(latency, 0.99),
+        reaction_median_s=_quantile(reaction, 0.5),
+        reaction_p99_s=_quantile(reaction, 0.99),
         latest_s=float(np.max(np.concatenate(late))),
     )
+
+
+def _quantile(parts: Sequence[FloatArray], share: float) -> float:
+    """Return a quantile of what is known; nan if nothing is."""
+    known = np.concatenate(parts) if parts else np.empty(0)
+    known = known[np.isfinite(known)]
+    return float(np.quantile(known, share)) if len(known) else math.nan
 
 
 def loop_words(health: LoopHealth) -> str:
@@ -338,8 +353,11 @@ def loop_words(health: LoopHealth) -> str:
         if np.isfinite(health.latency_median_s)
         else "no step had a sample to use"
     )
+    if np.isfinite(health.reaction_median_s):
+        median, high = (milliseconds_text(one) for one in (health.reaction_median_s, health.reaction_p99_s))
+        latency += f"; a sample is acted on {median} after it was received in the median, {high} at 99 %"
     missed = (
-        f"{health.missed} of {health.steps} steps began late ({100 * health.missed_share:.2g} %), "
+        f"{health.missed} of {health.steps} steps came late or were skipped ({100 * health.missed_share:.2g} %), "
         f"by at most {milliseconds_text(health.latest_s)}"
         if health.missed
         else f"none of {health.steps} steps missed its deadline"

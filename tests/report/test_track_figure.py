@@ -33,8 +33,8 @@ def test_show_and_report_tell_the_same_of_it(tracked):
 
 
 def test_missed_deadlines_are_counted_in_words():
-    words = loop_words(LoopHealth(20.0, 200, 3, 0.012, 0.04, 0.071))
-    assert "3 of 200 steps began late (1.5 %), by at most 71 ms" in words
+    words = loop_words(LoopHealth(20.0, 200, 3, 0.012, 0.04, 0.011, 0.03, 0.071))
+    assert "3 of 200 steps came late or were skipped (1.5 %), by at most 71 ms" in words
     assert "latency 12 ms in the median, 40 ms at 99 %" in words
 
 

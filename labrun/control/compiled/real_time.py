@@ -8,8 +8,10 @@ import contextlib
 import os
 import sys
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -17,22 +19,39 @@ import numpy as np
 from labrun.arrays import FloatArray, IntArray
 from labrun.compiled import kernel
 from labrun.control.compiled.law import refusal
-from labrun.control.compiled.stepping import FULL, GOOD, STOPPED, UNSENT, Law, take_step
-from labrun.devices.compiled_wire import HALT, NOT_TAKEN, SENT, CompiledWire, HandingOver, Showing
-from labrun.devices.newest import SLOTS, Newest
-from labrun.devices.system_calls import clock_s, wait_until
+from labrun.control.compiled.stepping import FULL, GOOD, STOPPED, UNSENT, UNWATCHED, Law, take_step
+from labrun.devices.compiled_wire import (
+    FREE_S,
+    HALT,
+    NOT_TAKEN,
+    SENT,
+    CompiledWire,
+    HandingOver,
+    Showing,
+)
+from labrun.devices.newest import SLOTS, Bell, Newest
+from labrun.devices.system_calls import clock_s, sleep_until_rung, wait_until
 from labrun.models.engine import call_model
 from labrun.runner import Rig
 
-HEAD, TAIL, STOP, SKIPPED = range(4)
-"""Places of what both sides share: records written, records read, whether to stop, steps skipped at the end."""
-MORE = 5
-"""Numbers of a record before those of `take_step`: begin of the step (trial time), age of the newest sample when the
-command was sent, how late the step began (s), whether its command came too late or not at all, steps skipped before."""
+HEAD, TAIL, STOP, SKIPPED, WATCHED_NS = range(5)
+"""Places of what both sides share: records written, records read, whether to stop, steps skipped at the end, when the
+runner last looked at the bench (monotonic clock, ns)."""
+UNWATCHED_S = 0.1
+"""For how long the loop goes on while the runner does not look: it alone checks what no step sees (forces, sensors that
+fell silent, Ctrl-C). It looks every 0.02 s."""
+MORE = 6
+"""Numbers of a record before those of `take_step`: begin of the step (trial time); time from when the newest sample was
+made, and, if it was not seen before, from when it was received, to when the command was sent; how late the step
+began (s); whether its command came too late or not at all; steps skipped before."""
 _RING_S = 2.0
 _SPIN_S = 1.5e-4
 """Waking up takes the system some 0.05 to 0.1 ms."""
-_PRIORITY = 50
+_LEAST_SHARE = 0.25
+"""Of a period, between two steps: a rate of change over less would be that of the noise."""
+_PRIORITY, _PRIORITY_OF_PYTHON = 50, 10
+_SWITCH_S = 2e-4
+"""Python's own 5 ms are what a thread that hears a sensor may wait for one that stores or draws."""
 
 
 class LiveBench(NamedTuple):
@@ -40,18 +59,22 @@ class LiveBench(NamedTuple):
 
     Attributes
     ----------
-    number, made_s, values : (sensors, ...)
+    number, made_s, heard_s, values : (sensors, ...)
         See `labrun.devices.newest.NewestView`; of all sensors.
     channels_at : (sensors + 1,)
         Where each one's channels begin among all channels.
+    bell
+        Descriptor of the `labrun.devices.newest.Bell` that the sensors of the feedback ring.
     send, state, parameters
         See `labrun.devices.compiled_wire.CompiledWire`.
     """
 
     number: tuple[IntArray, ...]
     made_s: tuple[FloatArray, ...]
+    heard_s: tuple[FloatArray, ...]
     values: tuple[FloatArray, ...]
     channels_at: IntArray
+    bell: int
     send: int
     state: FloatArray
     parameters: FloatArray
@@ -62,19 +85,24 @@ def run_steps(
     law: Law, bench: LiveBench, references: FloatArray, start_s: float, period_s: float, steps: int,
     drives: FloatArray, angles: FloatArray, ring: FloatArray, shared: IntArray,
 ) -> int:  # fmt: skip
-    """Take all steps of a trial when they are due; return `GOOD` or why it ended before.
+    """Take all steps of a trial; return `GOOD` or why it ended before.
 
-    A step that is late is taken as soon as can be; those that fell due meanwhile are skipped and counted.
+    A step is taken when it is due, or up to a period sooner: when a sample comes that no step has seen, the wire has
+    room, and a quarter of a period has passed since the step before. One that is late is taken as soon as can be;
+    those that fell due meanwhile are skipped and counted.
     """
     joints = len(angles)
     latest = np.full(bench.channels_at[-1], np.nan)
     latest_s = np.full(len(bench.number), -np.inf)
+    seen, fresh = np.zeros(len(bench.number), dtype=np.int64), np.zeros(len(bench.number), dtype=np.bool_)
     nothing, said = np.zeros(1), np.zeros(1)
-    number = 0
+    number, before_s = 0, start_s - period_s
     while number < steps:
-        now_s = wait_until(start_s + number * period_s, _SPIN_S)
+        now_s = await_step(law, bench, seen, start_s, period_s, number, before_s)
         if shared[STOP] != 0:
             return STOPPED
+        if now_s - 1e-9 * shared[WATCHED_NS] > UNWATCHED_S:
+            return UNWATCHED
         newest = min(int((now_s - start_s) / period_s + 1e-9), steps)
         skipped = max(0, newest - number)
         number += skipped
@@ -83,27 +111,31 @@ def run_steps(
             break
         if shared[HEAD] - shared[TAIL] >= len(ring):
             return FULL
-        made_s = np.inf
+        made_s, heard_s = np.inf, np.inf
         for sensor in range(len(bench.number)):
-            _look(bench, sensor, start_s, latest, latest_s)
+            fresh[sensor] = _look(bench, sensor, start_s, latest, latest_s, seen)
         for sensor in law.wiring.sensor:
             made_s = min(made_s, latest_s[sensor])
+            if fresh[sensor]:
+                heard_s = min(heard_s, bench.heard_s[sensor][(seen[sensor] - 1) % SLOTS])
         record = ring[shared[HEAD] % len(ring)]
         status = take_step(
-            law, now_s - start_s, period_s, references[number], latest, latest_s, drives, angles,
+            law, now_s - start_s, now_s - before_s, references[number], latest, latest_s, drives, angles,
             record[MORE + joints :],
         )  # fmt: skip
         if status != GOOD:
             return status
+        before_s = now_s
         call_model(bench.send, clock_s(), bench.state, angles, bench.parameters, nothing, said)
         if said[0] != SENT and said[0] != NOT_TAKEN:
             return UNSENT + int(said[0])
         sent_s = clock_s()
         due_s = start_s + number * period_s
         number += 1
-        record[0], record[1], record[2] = now_s - start_s, sent_s - start_s - made_s, now_s - due_s
+        record[0], record[1] = now_s - start_s, sent_s - start_s - made_s
+        record[2], record[3] = sent_s - heard_s if np.isfinite(heard_s) else np.nan, max(0.0, now_s - due_s)
         missed = said[0] != SENT or sent_s > start_s + (number + 1e-9) * period_s
-        record[3], record[4] = 1.0 if missed else 0.0, skipped
+        record[4], record[5] = 1.0 if missed else 0.0, skipped
         for j in range(joints):
             record[MORE + j] = angles[j]
         clock_s()  # a call to the system: the record is in memory before its number
@@ -112,14 +144,44 @@ def run_steps(
 
 
 @kernel
-def _look(bench: LiveBench, sensor: int, start_s: float, latest: FloatArray, latest_s: FloatArray) -> None:
-    """Take over a sensor's newest sample."""
+def await_step(
+    law: Law, bench: LiveBench, seen: IntArray, start_s: float, period_s: float, number: int, before_s: float
+) -> float:
+    """Wait until a step is to be taken, see `run_steps`; return the time. The one before began at `before_s`."""
+    due_s = start_s + number * period_s
+    if number == 0:
+        return float(wait_until(due_s, _SPIN_S))
+    soonest_s = max(due_s - period_s, before_s + _LEAST_SHARE * period_s, bench.state[FREE_S])
+    now_s = wait_until(min(due_s, soonest_s), 0.0)
+    while now_s < due_s and not _fresh(law, bench, seen):
+        long = due_s - now_s > _SPIN_S
+        now_s = sleep_until_rung(bench.bell, due_s - _SPIN_S) if long else clock_s()
+    return float(now_s)
+
+
+@kernel
+def _fresh(law: Law, bench: LiveBench, seen: IntArray) -> bool:
+    """Tell whether a sensor of the feedback has a sample that no step has seen."""
+    fresh = False
+    for sensor in law.wiring.sensor:
+        fresh = fresh or bench.number[sensor][0] > seen[sensor]
+    return fresh
+
+
+@kernel
+def _look(
+    bench: LiveBench, sensor: int, start_s: float, latest: FloatArray, latest_s: FloatArray, seen: IntArray
+) -> bool:
+    """Take over a sensor's newest sample; tell whether it was not seen before."""
     count = bench.number[sensor][0]
-    if count > 0:
+    fresh = count > seen[sensor]
+    if fresh:
+        seen[sensor] = count
         row, begin = (count - 1) % SLOTS, bench.channels_at[sensor]
         latest_s[sensor] = bench.made_s[sensor][row] - start_s
         for column in range(bench.values[sensor].shape[1]):
             latest[begin + column] = bench.values[sensor][row, column]
+    return bool(fresh)
 
 
 @dataclass
@@ -155,17 +217,23 @@ class RealTimeLoop:
     angles: FloatArray
     period_s: float
     status: int | None = None
-    _shared: IntArray = field(default_factory=lambda: np.zeros(4, dtype=np.int64))
+    _shared: IntArray = field(default_factory=lambda: np.zeros(5, dtype=np.int64))
     _failure: BaseException | None = None
     _thread: threading.Thread | None = None
     _wire: CompiledWire | None = None
+    _switch_s: float = 5e-3
+    _hurried: Sequence[int] = ()
 
     def __post_init__(self) -> None:
         self._device = require_real_time(self.rig, self.joints)
         rows = max(64, round(_RING_S / self.period_s))
         width = MORE + len(self.joints) + 3 * len(self.law.wiring.channel) + 2 * len(self.drives) + 5
         self._ring = np.empty((rows, width))
-        self._shown = {name: Newest(len(one.channels)) for name, one in self.rig.sensors.items()}
+        self._bell = Bell()
+        self._shown = {
+            name: Newest(len(one.channels), self._bell if number in self.law.wiring.sensor else None)
+            for number, (name, one) in enumerate(self.rig.sensors.items())
+        }
 
     def show(self) -> None:
         """Let the sensors show their samples from now on."""
@@ -179,13 +247,13 @@ class RealTimeLoop:
     def begin(self, start_s: float) -> None:
         """Take the actuator over, and begin when the clock shows `start_s`."""
         wire = self._wire = self._device.hand_over(self.joints, self.angles.copy(), 1.0 / self.period_s)
-        views = [newest.view for newest in self._shown.values()]
-        widths = [one.values.shape[1] for one in views]
-        bench = LiveBench(
-            tuple(one.number for one in views), tuple(one.made_s for one in views),
-            tuple(one.values for one in views), np.cumsum([0, *widths]), wire.send, wire.state, wire.parameters,
-        )  # fmt: skip
+        widths = [one.view.values.shape[1] for one in self._shown.values()]
+        bench = self._bench(np.cumsum([0, *widths]), wire.send, wire.state, wire.parameters)
+        self._shared[WATCHED_NS] = time.monotonic_ns()
         arguments = (self.law, bench, self.references, start_s, self.period_s)
+        self._switch_s = sys.getswitchinterval()
+        sys.setswitchinterval(_SWITCH_S)
+        self._hurried = _hurry()
         self._thread = threading.Thread(
             target=self._run, args=(*arguments, len(self.references)), daemon=True, name="compiled loop"
         )
@@ -194,12 +262,8 @@ class RealTimeLoop:
     def compile(self) -> None:
         """Have it compiled, with no step taken: seconds the first time, in which nobody looks at the bench."""
         self._device.prepare()
-        views = [newest.view for newest in self._shown.values()]
         none = np.zeros(4)
-        bench = LiveBench(
-            tuple(one.number for one in views), tuple(one.made_s for one in views),
-            tuple(one.values for one in views), np.zeros(len(views) + 1, dtype=np.int64), 0, none, none,
-        )  # fmt: skip
+        bench = self._bench(np.zeros(len(self._shown) + 1, dtype=np.int64), 0, none, none)
         run_steps(
             self.law, bench, self.references, 0.0, self.period_s, 0, self.drives, self.angles, self._ring,
             self._shared,
@@ -216,7 +280,11 @@ class RealTimeLoop:
         return int(self._shared[SKIPPED])
 
     def drain(self) -> FloatArray:
-        """Return the records since the last time, (n, `MORE` + joints + numbers of `take_step`)."""
+        """Return the records since the last time, (n, `MORE` + joints + numbers of `take_step`).
+
+        Who takes them has looked at the bench: the loop goes on for `UNWATCHED_S`.
+        """
+        self._shared[WATCHED_NS] = time.monotonic_ns()
         head, tail = int(self._shared[HEAD]), int(self._shared[TAIL])
         rows = np.arange(tail, head) % len(self._ring)
         found = self._ring[rows]
@@ -230,6 +298,8 @@ class RealTimeLoop:
             self._wire.state[HALT] = 1.0
         if self._thread is not None:
             self._thread.join(1.0)
+            sys.setswitchinterval(self._switch_s)
+            _calm(self._hurried)
         for name in self._shown:
             cast("Showing", self.rig.sensors[name]).show(None)
         self._device.take_back()
@@ -238,6 +308,16 @@ class RealTimeLoop:
         """Raise what kept the thread from running at all."""
         if self._failure is not None:
             raise self._failure
+
+    def _bench(
+        self, channels_at: IntArray, send: int, state: FloatArray, parameters: FloatArray
+    ) -> LiveBench:
+        views = [newest.view for newest in self._shown.values()]
+        return LiveBench(
+            tuple(one.number for one in views), tuple(one.made_s for one in views),
+            tuple(one.heard_s for one in views), tuple(one.values for one in views), channels_at,
+            self._bell.file, send, state, parameters,
+        )  # fmt: skip
 
     def _run(
         self, law: Law, bench: LiveBench, references: FloatArray, start_s: float, period_s: float, steps: int
@@ -251,6 +331,27 @@ class RealTimeLoop:
             )  # fmt: skip
         except BaseException as failure:  # told by `check`, in the runner's thread
             self._failure = failure
+
+
+def _hurry() -> list[int]:
+    """Let all threads of this process go before other processes, as far as there is the right to; return which do.
+
+    A thread that hears a sensor waits for whichever of them holds Python's lock.
+    """
+    hurried = []
+    for one in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(
+                int(one.name), os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(_PRIORITY_OF_PYTHON)
+            )
+            hurried.append(int(one.name))
+    return hurried
+
+
+def _calm(threads: Sequence[int]) -> None:
+    for one in threads:
+        with contextlib.suppress(OSError):  # it has ended
+            os.sched_setscheduler(one, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
 
 
 def channel_places(rig: Rig) -> Mapping[str, int]:

@@ -17,6 +17,7 @@ from labrun.control.compiled.stepping import (
     NOT_FINITE,
     STOPPED,
     UNSENT,
+    UNWATCHED,
     Law,
 )
 from labrun.control.loop import Loop
@@ -43,6 +44,7 @@ _BUSY = "this computer was too busy: close other programs; the right to real-tim
 _ENDED = {
     STOPPED: ("it was stopped", "labrun resume goes on"),
     FULL: ("nobody took its records for 2 s", _BUSY),
+    UNWATCHED: ("the runner did not look at the bench for 0.1 s, so the loop sent nothing more", _BUSY),
     UNSENT + HALTED: ("its joints were stopped", "labrun resume goes on"),
     UNSENT + BEYOND: ("a set-point leaves a limit of the joints; it was not sent", "look at the bench first"),
     UNSENT + TOO_LATE: (
@@ -169,7 +171,8 @@ class CompiledLoopRecorder(ClosedLoopRecorder):
             bench.clock.sleep(run.now_s - bench.clock.now())
             recording.collector.take(bench.look())
             records = result.records
-            timing = np.column_stack([records[:, 1], np.zeros((len(records), 2))])
+            none = np.zeros(len(records))
+            timing = np.column_stack([records[:, 1], np.full(len(records), np.nan), none, none])
             self._keep(recording, loop, start_s + records[:, 0], records[:, 2:], timing)
             if result.status != GOOD:
                 raise _failure(loop, result.status, float(len(result.records)) * period_s)
@@ -235,12 +238,12 @@ class CompiledLoopRecorder(ClosedLoopRecorder):
             return
         joints = len(self._gait.joints)
         timing.steps += len(records)
-        timing.missed += int(records[:, 3].sum())
-        skipped = int(records[:, 4].sum())
+        timing.missed += int(records[:, 4].sum())
+        skipped = int(records[:, 5].sum())
         timing.skipped += skipped
         time_s = start_s + records[:, 0]
         sent.append((time_s, records[:, MORE : MORE + joints]))
-        self._keep(recording, loop, time_s, records[:, MORE + joints :], records[:, 1:4], skipped)
+        self._keep(recording, loop, time_s, records[:, MORE + joints :], records[:, 1:5], skipped)
 
     def _steps(self, duration_s: float) -> int:
         return math.ceil(duration_s * self._track.rate_hz * (1 - _ON_TIME))

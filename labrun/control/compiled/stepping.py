@@ -11,8 +11,9 @@ from labrun.models.engine import call_model
 
 GOOD, LOST_ORIENTATION, NOT_FINITE = range(3)
 """What `take_step` returns: all well; the feedback has no direction; the controller asks for no finite number."""
-STOPPED, FULL, UNSENT = 100, 101, 200
-"""Why a loop in real time ended, beside that: it was told to; nobody reads its records; `UNSENT` + what the device's
+STOPPED, FULL, UNWATCHED, UNSENT = 100, 101, 102, 200
+"""Why a loop in real time ended, beside that: it was told to; nobody reads its records; nobody looks at the bench;
+`UNSENT` + what the device's
 `CompiledWire.send` said."""
 
 SAMPLES, STEPS, TRAININGS, ALIVE, CLAMPED, WRITTEN, OLDEST = range(7)

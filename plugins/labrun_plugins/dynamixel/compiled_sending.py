@@ -13,6 +13,7 @@ from labrun.devices import FloatArray
 from labrun.devices.compiled_wire import (
     BEYOND,
     BUSY,
+    FREE_S,
     GONE,
     HALT,
     HALTED,
@@ -27,17 +28,22 @@ from labrun.devices.compiled_wire import (
 from labrun.devices.system_calls import write_bytes
 from labrun_plugins.dynamixel.codec import CRC_TABLE, SYNC_WRITE
 from labrun_plugins.dynamixel.commands import SPEED_SLACK
-from labrun_plugins.dynamixel.control_table import CENTRE, COUNT_RAD, GOAL_POSITION
+from labrun_plugins.dynamixel.control_table import CENTRE, COUNT_RAD, GOAL_POSITION, MOTION
 from labrun_plugins.dynamixel.scale import Scale
 from labrun_plugins.dynamixel.settings import DynamixelSettings
 
-CALLS, _SENT_S, ANGLES = 2, 3, 4
+CALLS, _SENT_S, ANGLES = 3, 4, 5
 """Places of the state: set-points asked for, when the last one left, and what it was."""
-_FILE, _JOINTS, _LOW, _HIGH, _SPEED, _PERIOD, _WATCHDOG, _EVERY, _QUESTION, _ROWS = range(10)
+_FILE, _JOINTS, _LOW, _HIGH, _SPEED, _PERIOD, _WATCHDOG, _EVERY, _QUESTION, _BYTE_S, _ANSWER_S, _ROWS = range(
+    12
+)
 _ID, _SIGN, _NEUTRAL, _LEAST, _MOST, _ROW = range(6)
 _CRC = np.array(CRC_TABLE, dtype=np.int64)
 _ADDRESS, _SIZE = GOAL_POSITION.address, GOAL_POSITION.size
 _BODY = 7
+_BITS = 10
+_AROUND_DATA = 11
+"""Bytes of a status packet beside its data."""
 
 
 def wire_of(
@@ -73,14 +79,16 @@ def wire_of(
     rows = [
         number for identity, one in scales for number in (identity, one.sign, one.neutral_rad, *one.bounds)
     ]
+    byte_s = _BITS / settings.baud
+    answer_s = len(scales) * ((_AROUND_DATA + MOTION.size) * byte_s + 1e-6 * settings.return_delay_us)
     parameters = np.array(
         [
             file, len(scales), low, high, SPEED_SLACK * speed, 1.0 / rate_hz, 1e-3 * settings.watchdog_ms, every,
-            len(question), *rows, *question,
+            len(question), byte_s, answer_s, *rows, *question,
         ],
         dtype=float,
     )  # fmt: skip
-    state = np.array([0.0, 0.0, 0.0, now_s, *angles_rad], dtype=float)
+    state = np.array([0.0, 0.0, now_s, 0.0, now_s, *angles_rad], dtype=float)
     return CompiledWire(SENDING.address, state, parameters)
 
 
@@ -114,17 +122,20 @@ def _sent(t: float, x: Pointer, u: Pointer, p: Pointer) -> int:
     packet = np.empty(32 + 8 * joints + int(p[_QUESTION]), dtype=np.uint8)
     end = _sync_write(packet, u, p, joints)
     x[CALLS] += 1.0
+    answer_s = 0.0
     if p[_EVERY] > 0.0 and x[CALLS] % p[_EVERY] == 0.0:
         begin = _ROWS + _ROW * joints
         for i in range(int(p[_QUESTION])):
             packet[end + i] = np.uint8(p[begin + i])
         end += int(p[_QUESTION])
+        answer_s = p[_ANSWER_S]
     written = write_bytes(int(p[_FILE]), packet, end)
     if written == 0:
         return NOT_TAKEN
     if written < 0:
         return GONE
     x[_SENT_S] = t
+    x[FREE_S] = max(t, x[FREE_S]) + end * p[_BYTE_S] + answer_s
     for j in range(joints):
         x[ANGLES + j] = u[j]
     return SENT
