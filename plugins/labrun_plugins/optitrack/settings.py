@@ -77,7 +77,7 @@ angles  = { angle = { body = "arm", axis = [0, 1, 0] } }"""
     group: str | None = None
     transmission: Literal["auto", "unicast", "multicast"] = "auto"
     bitstream: Bitstream | None = None
-    rate_hz: float = Field(default=360.0, gt=0, le=360.0)
+    rate_hz: float = Field(default=360.0, gt=0, le=1000.0)
     bodies: tuple[str, ...] = Field(default=("arm",), min_length=1)
     angles: dict[str, Angle] = Field(default_factory=dict)
     joints: dict[str, HingeAngle] = Field(default_factory=dict)

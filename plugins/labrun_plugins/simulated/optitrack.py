@@ -25,7 +25,7 @@ class SimulatedOptiTrackSettings(OptiTrackSettings, SimulatedSettings):
 
 
 class SimulatedOptiTrack(SimulatedSensor):
-    """Up to 360 frames/s: position with 0.1 mm noise, orientation with 1.5 mrad.
+    """Position with 0.1 mm noise, orientation with 1.5 mrad; a Prime 17W sends up to 360 frames/s, others 1000.
 
     The angle is what 0.1 mm makes of markers some 70 mm apart (both chosen: "sub-millimetre" is the claim).
     One frame in 2000 is lost and counted by the frame number. Latency is 5.5 ms, as in a capture of Motive's
