@@ -24,7 +24,7 @@ from labrun.control.loop import Loop
 from labrun.control.protocol import Condition
 from labrun.devices import Samples, Trajectory
 from labrun.devices.compiled_wire import BEYOND, GONE, HALTED, TOO_LATE
-from labrun.errors import ExperimentError, SpecError
+from labrun.errors import DeviceError, ExperimentError, SpecError
 from labrun.gaits import steering_of
 from labrun.runner import LEAD_S, TAIL_S, Bench, Rig, TrialRecording
 from labrun.spec import LOOP_DEVICE, Experiment, condition_text
@@ -178,8 +178,7 @@ class CompiledLoopRecorder(ClosedLoopRecorder):
                 raise _failure(loop, result.status, float(len(result.records)) * period_s)
 
     def _in_real_time(self, recording: TrialRecording, loop: Loop, law: Law) -> None:
-        bench, motion, period_s = recording.bench, recording.motion, 1.0 / self._track.rate_hz
-        clock = bench.clock
+        bench, motion, clock = recording.bench, recording.motion, recording.bench.clock
         run = self._real(law, loop, self._references(loop, bench, self._steps(motion.duration_s)))
         run.show()
         timing = Timing()
@@ -199,15 +198,23 @@ class CompiledLoopRecorder(ClosedLoopRecorder):
             run.begin(start_s)
             while run.running:
                 bench.watch(clock.now() + clock.poll_s, handle)
+            handle(bench.look())
+        except DeviceError as error:
+            if run.status == UNWATCHED:  # a device that was asked nothing since then is silent
+                raise self._ended(loop, run, timing) from error
+            raise
         finally:
             run.end()
-        handle(bench.look())
         run.check()
         timing.skipped += run.skipped_last
         if run.status != GOOD:
-            raise _failure(loop, run.status, period_s * (timing.steps + timing.skipped))
+            raise self._ended(loop, run, timing)
         bench.watch(start_s + motion.duration_s + TAIL_S, handle)
         recording.fault = timing.fault(self._track.max_missed_share, self._track.rate_hz)
+
+    def _ended(self, loop: Loop, run: "RealTimeLoop", timing: Timing) -> ExperimentError:
+        taken = timing.steps + timing.skipped + len(run.drain())
+        return _failure(loop, run.status, taken / self._track.rate_hz)
 
     def _real(self, law: Law, loop: Loop, references: FloatArray) -> "RealTimeLoop":
         from labrun.control.compiled.real_time import RealTimeLoop
