@@ -29,16 +29,20 @@ _ON_A_SIMULATED_CLOCK = "tests/plugins/simulated"
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Let tests that talk to another process in real time try again: a busy machine may stop either side for a while.
+    """Let tests in real time try again, and keep tests that share what is made once for a file together.
 
-    A rerun is told in the summary; a test that fails three times has failed.
+    A busy machine may stop a test that talks to another process, or that process, for a while. A rerun is told in the
+    summary; a test that fails three times has failed.
     """
-    if not config.pluginmanager.hasplugin("rerunfailures"):
-        return
     for item in items:
         place = Path(item.path).relative_to(config.rootpath).as_posix()
-        if place.startswith(_IN_REAL_TIME) and not place.startswith(_ON_A_SIMULATED_CLOCK):
+        in_real_time = place.startswith(_IN_REAL_TIME) and not place.startswith(_ON_A_SIMULATED_CLOCK)
+        if in_real_time and config.pluginmanager.hasplugin("rerunfailures"):
             item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=1))
+        if isinstance(item, pytest.Function):
+            made = item._fixtureinfo.name2fixturedefs
+            if any(one.scope == "module" for found in made.values() for one in found):
+                item.add_marker(pytest.mark.xdist_group(place))
 
 
 @pytest.hookimpl(optionalhook=True)

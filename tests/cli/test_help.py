@@ -4,8 +4,10 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+from forked_labrun import run_labrun
 from typer.main import get_command
 
 from labrun.cli.app import app
@@ -14,14 +16,7 @@ COMMANDS = sorted(get_command(app).commands)  # type: ignore[attr-defined]
 
 
 def _labrun(*arguments: str, cwd=None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "labrun", *arguments],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    return run_labrun(*arguments, cwd=cwd or Path.cwd())
 
 
 def test_the_commands_are_those_of_the_guide():

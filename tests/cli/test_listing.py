@@ -1,25 +1,14 @@
 """Experiments at a glance, and a workspace of one's own."""
 
 import json
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
-
-def _labrun(*arguments, cwd):
-    return subprocess.run(
-        [sys.executable, "-m", "labrun", *arguments],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+from forked_labrun import run_labrun
 
 
 def test_list_shows_the_shipped_experiments_by_kind(tmp_path):
-    found = json.loads(_labrun("list", "--json", cwd=tmp_path).stdout)["experiments"]
+    found = json.loads(run_labrun("list", "--json", cwd=tmp_path).stdout)["experiments"]
     kinds = {item["name"]: item["kind"] for item in found}
     shipped = Path(__file__).parents[2] / "experiments"
     assert kinds == {one.stem: tomllib.loads(one.read_text())["kind"] for one in shipped.glob("*.toml")}
@@ -30,16 +19,16 @@ def test_init_writes_the_shipped_experiments_and_leaves_what_is_there(tmp_path):
     mine = tmp_path / "bench" / "experiments" / "hinge.toml"
     mine.parent.mkdir(parents=True)
     mine.write_text('title = "mine"\nkind = "run"\n')
-    written = json.loads(_labrun("init", "bench", "--json", cwd=tmp_path).stdout)["written"]
+    written = json.loads(run_labrun("init", "bench", "--json", cwd=tmp_path).stdout)["written"]
     assert mine.read_text() == 'title = "mine"\nkind = "run"\n'
     assert any(path.endswith("fin-params.toml") for path in written)
-    listed = json.loads(_labrun("list", "--json", cwd=tmp_path / "bench").stdout)["experiments"]
+    listed = json.loads(run_labrun("list", "--json", cwd=tmp_path / "bench").stdout)["experiments"]
     titles = {item["name"]: item["title"] for item in listed}
     assert titles["hinge"] == "mine"
 
 
 def test_plugins_are_listed_with_their_origin(tmp_path):
-    found = json.loads(_labrun("plugins", "--json", cwd=tmp_path).stdout)["plugins"]
+    found = json.loads(run_labrun("plugins", "--json", cwd=tmp_path).stdout)["plugins"]
     assert {item["group"] for item in found} >= {
         "labrun.devices",
         "labrun.gaits",
@@ -50,10 +39,10 @@ def test_plugins_are_listed_with_their_origin(tmp_path):
 
 
 def test_doctor_reports_clock_disk_ports_and_plugins(tmp_path):
-    found = json.loads(_labrun("doctor", "--json", cwd=tmp_path).stdout)["findings"]
+    found = json.loads(run_labrun("doctor", "--json", cwd=tmp_path).stdout)["findings"]
     assert {"clock", "disk", "plugins"} <= {item["subject"] for item in found}
 
 
 def test_a_workspace_made_where_one_is_needs_no_change_of_folder(tmp_path):
-    assert _labrun("init", cwd=tmp_path).stdout.endswith("next:  labrun list\n")
-    assert _labrun("init", "bench", cwd=tmp_path).stdout.endswith("next:  cd bench && labrun list\n")
+    assert run_labrun("init", cwd=tmp_path).stdout.endswith("next:  labrun list\n")
+    assert run_labrun("init", "bench", cwd=tmp_path).stdout.endswith("next:  cd bench && labrun list\n")

@@ -1,14 +1,13 @@
 """The page and the notebook about stored data say what works."""
 
 import json
-import os
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import h5py
 import pytest
+from forked_labrun import forked_programs, run_labrun
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = DOCS / "open-the-data.md"
@@ -23,11 +22,16 @@ def _blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", PAGE.read_text(), re.DOTALL)
 
 
-def _run(*arguments: str, cwd: Path) -> None:
+def _run_labrun(*arguments: str, folder: Path) -> None:
+    done = run_labrun(*arguments, cwd=folder)
+    assert done.returncode == 0, done.stderr
+
+
+def _run_python(program: str, folder: Path) -> None:
+    (folder / "program.py").write_text(program, encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=cwd,
-        env={**os.environ, "MPLBACKEND": "Agg"},
+        [forked_programs() / "forked-python", "program.py"],
+        cwd=folder,
         capture_output=True,
         text=True,
         timeout=300,
@@ -42,7 +46,7 @@ def workspace(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("workspace")
     prompt, *command = _blocks("console")[0].split()
     assert (prompt, command[0]) == ("$", "labrun")
-    _run("-m", *command, *A_SMALL_SWEEP, cwd=folder)
+    _run_labrun(*command[1:], *A_SMALL_SWEEP, folder=folder)
     return folder
 
 
@@ -51,7 +55,7 @@ def test_the_notebook_runs_from_top_to_bottom(workspace):
     notebook = json.loads(NOTEBOOK.read_text())
     cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     assert not any(cell["outputs"] for cell in cells), "the notebook is kept without output"
-    _run("-c", "\n".join("".join(cell["source"]) for cell in cells), cwd=workspace)
+    _run_python("\n".join("".join(cell["source"]) for cell in cells), workspace)
 
 
 def test_the_python_of_the_page_runs_and_the_comments_hold(workspace):
@@ -66,7 +70,7 @@ np.testing.assert_array_equal(raw.torque_y - raw.torque_y.attrs["tare"], mine.to
 assert table.thrust.values.tolist() == run.trials.thrust.tolist()
 assert set(np.unique(good.trial_index)) == set(done.index)
 """
-    _run("-c", "\n".join([*_blocks("python"), checks]), cwd=workspace)
+    _run_python("\n".join([*_blocks("python"), checks]), workspace)
 
 
 def test_what_the_matlab_lines_read_is_there(workspace):
@@ -90,5 +94,5 @@ def test_the_exports_of_the_page_work(workspace):
     lines = [line for block in _blocks("console") for line in block.splitlines() if " export " in line]
     assert len(lines) == 2
     for line in lines:
-        _run("-m", *line.removeprefix("$ ").split(), cwd=workspace)
+        _run_labrun(*line.removeprefix("$ labrun ").split(), folder=workspace)
         assert (workspace / line.split()[-1]).stat().st_size > 0

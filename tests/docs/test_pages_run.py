@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from forked_labrun import forked_programs
 from pages import Block, Command, blocks, commands, unlike
 
 ROOT = Path(__file__).parents[2]
@@ -147,7 +148,7 @@ class Reader:
         if '"run.h5"' in program and not (self.folder / "run.h5").exists():
             shutil.copy(next(self.folder.glob("results/fin-params/*/run.h5")), self.folder)
         (self.folder / ".page.py").write_text(program, encoding="utf-8")
-        done = self._bash("python .page.py")
+        done = self._bash("forked-python .page.py")
         assert done.returncode == 0, f"{program}\n{done.stderr}"
 
     def _as_tested(self, line: str) -> str:
@@ -168,7 +169,9 @@ class Reader:
     def _bash(self, line: str) -> subprocess.CompletedProcess[str]:
         environment = {
             **os.environ,
-            "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
+            "PATH": os.pathsep.join(
+                map(str, [forked_programs(), Path(sys.executable).parent, os.environ["PATH"]])
+            ),
             "PYTHONPATH": os.pathsep.join([str(self.site), os.environ.get("PYTHONPATH", "")]),
             "MPLBACKEND": "Agg",
             "COLUMNS": "100",

@@ -2,14 +2,12 @@
 
 import functools
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from forked_labrun import run_labrun
 
 from labrun.store import open_run
 
@@ -29,13 +27,6 @@ PATIENT_MS = 2000
 """Watchdogs here are for benches whose computer does not run a whole suite of tests beside."""
 
 
-def labrun(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "labrun", *arguments],
-        cwd=folder, capture_output=True, text=True, timeout=900, check=False, env=os.environ,
-    )  # fmt: skip
-
-
 def both(
     folder: Path,
     command: str,
@@ -50,8 +41,7 @@ def both(
         part for servo in servos for part in ("--set", f"rig.devices.{servo}.watchdog_ms={PATIENT_MS}")
     ]
     for mode in ("--emulate", "--dry-run"):
-        done = labrun(
-            folder,
+        done = run_labrun(
             command,
             experiment,
             mode,
@@ -64,6 +54,7 @@ def both(
             "--json",
             *patient,
             *changes,
+            cwd=folder,
         )
         assert done.returncode == 0, done.stderr
         found.append(open_run(folder / json.loads(done.stdout)["run"]))
@@ -133,8 +124,8 @@ def test_a_run_says_that_emulators_stood_behind_its_drivers_and_how_evenly_comma
     assert json.loads((run / "provenance.json").read_text())["devices"]["tail"]["firmware"].startswith(
         "labservo"
     )
-    assert "emulated" in labrun(folder, "show", str(run)).stdout
-    report = labrun(folder, "report", str(run))
+    assert "emulated" in run_labrun("show", run, cwd=folder).stdout
+    report = run_labrun("report", run, cwd=folder)
     assert report.returncode == 0, report.stderr
     page = (run / "report.html").read_text()
     assert "It was emulated: the real drivers" in page
@@ -146,13 +137,13 @@ def test_a_run_says_that_emulators_stood_behind_its_drivers_and_how_evenly_comma
 
 
 def test_emulation_and_dry_run_exclude_each_other(tmp_path):
-    done = labrun(tmp_path, "run", "hinge", "--emulate", "--dry-run")
+    done = run_labrun("run", "hinge", "--emulate", "--dry-run", cwd=tmp_path)
     assert done.returncode == 2
     assert "--dry-run and --emulate exclude each other" in done.stderr
 
 
 def test_doctor_asks_every_emulated_device_of_an_experiment_and_moves_none(tmp_path):
-    done = labrun(tmp_path, "doctor", "--hardware", "fin-params", "--emulate")
+    done = run_labrun("doctor", "--hardware", "fin-params", "--emulate", cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "ok       tail: RC servos on Arduino" in done.stdout
     assert "ok       wrench: Robotiq FT300" in done.stdout

@@ -1,8 +1,6 @@
-"""The command as a person or a script starts it: a process of its own."""
+"""labrun as a person or a script starts it."""
 
 import json
-import os
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from forked_labrun import run_labrun
 
 
 @dataclass(frozen=True)
@@ -30,6 +29,7 @@ Labrun = Callable[..., Finished]
 
 @pytest.fixture
 def command() -> list[str]:
+    """Return what starts labrun as a new process of Python, to be stopped or killed."""
     return [sys.executable, "-m", "labrun"]
 
 
@@ -37,15 +37,7 @@ def labrun_in(folder: Path) -> Labrun:
     """Return what runs labrun with given arguments in a folder."""
 
     def run(*arguments: str | Path, env: dict[str, str] | None = None, cwd: Path = folder) -> Finished:
-        done = subprocess.run(
-            [sys.executable, "-m", "labrun", *map(str, arguments)],
-            cwd=cwd,
-            env={**os.environ, **(env or {})},
-            capture_output=True,
-            text=True,
-            timeout=300,
-            check=False,
-        )
+        done = run_labrun(*arguments, cwd=cwd, env=env)
         return Finished(done.returncode, done.stdout, done.stderr)
 
     return run

@@ -1,13 +1,12 @@
 """The camera stabiliser as shipped: checked, tracked in a dry run, level with its loop and not without."""
 
 import json
-import subprocess
-import sys
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 import pytest
+from forked_labrun import run_labrun
 
 from labrun.app.open import OpenRun
 from labrun.app.open import open as open_run
@@ -33,9 +32,8 @@ class Run:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Run:
     """Two trials with the loop, two without."""
-    command = [sys.executable, "-m", "labrun", "track", "stabilise", *FEW, "--json"]
     folder = tmp_path_factory.mktemp("stabilise")
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    done = run_labrun("track", "stabilise", *FEW, "--json", cwd=folder)
     assert done.returncode == 0, done.stderr
     opened = open_run(folder / json.loads(done.stdout)["run"])
     return Run(opened.trials.query("status == 'done'"), opened)
