@@ -109,4 +109,4 @@ def test_a_killed_solver_run_computes_only_what_was_not_done(labrun, command, tm
     assert shown.code == 0, shown.err
     assert all(limit in (tmp_path / "trials.csv").read_text() for limit in ("0.3", "0.6", "0.9"))
     left = [*tmp_path.glob("solver/**/*.partial-*.csv")]
-    assert len(left) <= 1, left  # of the solver that nobody waits for: the next to compute that load takes it away
+    assert len(left) <= 1, left  # of the solver that nobody waits for; the next for that load takes it away
