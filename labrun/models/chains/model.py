@@ -18,6 +18,8 @@ MEASURES = ("loop_angle_rad", "loop_distance_m", "kinetic_energy_j", "potential_
 """What outputs of such a model may name besides what those of any model may."""
 OPENINGS = frozenset(MEASURES[:2])
 """How far the loop is open."""
+CLOSED = 1e-9
+"""A loop is closed within this, rad and m."""
 _IMPORTS = """
 from labrun.compiled import kernel
 from labrun.models.engine.calling import call_model

@@ -15,12 +15,11 @@ from scipy.optimize import least_squares
 from labrun.arrays import FloatArray, IntArray
 from labrun.errors import ModelError
 from labrun.models.chains import dynamics, geometry
+from labrun.models.chains.model import CLOSED
 
 if TYPE_CHECKING:
     from labrun.models.chains.model import ClosedChain
 
-CLOSED = 1e-9
-"""A loop is closed within this, rad and m."""
 _STILL = 1e-10
 """Angles are at rest when Newton would move them by no more, rad."""
 _MOST_STEPS = 200
