@@ -1,7 +1,7 @@
 """Does the laboratory's order hold in the field? Gaits by water, how far both orders agree, which gait to take."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from labrun.app.leaders import own_values
 from labrun.arrays import FloatArray
 from labrun.errors import RequestError
 from labrun.report import experiment_of
-from labrun.search import NUMBER, Cell, FieldColumn, Ranking, agreement, t_interval
+from labrun.search import NUMBER, Cell, FieldColumn, Ranking, agreement, pooled_intervals
 from labrun.spec import Condition, Experiment, condition_key
 from labrun.store import TrialOutcome, find_run, mean_truncation, open_run, replace_durably
 
@@ -76,7 +76,11 @@ def rank(
         for path, lab in labs.items():
             both = [key for key in measured if key in lab]
             agreements[path] = agreement([lab[key] for key in both], [measured[key] for key in both], rng)
-        cells = tuple(_cell(_trials(counted, gait, setting), name) for gait in gaits)
+        cut = [mean_truncation(_trials(counted, gait, setting), name) for gait in gaits]
+        cells = tuple(
+            Cell(float(one.mean()), interval, len(one)) if len(one) else None
+            for one, interval in zip(values, pooled_intervals(values, cut), strict=True)
+        )
         columns.append(FieldColumn(setting, cells, agreements))
     table = experiment.objectives[name]
     made = Ranking(
@@ -168,17 +172,6 @@ def _trials(counted: Sequence[TrialOutcome], gait: Condition, setting: Condition
 
 def _values(trials: Sequence[TrialOutcome], name: str) -> FloatArray:
     return np.array([one.objectives[name] for one in trials], dtype=float)
-
-
-def _cell(trials: Sequence[TrialOutcome], name: str) -> Cell | None:
-    values = _values(trials, name)
-    if not len(values):
-        return None
-    return Cell(float(values.mean()), t_interval(values, (), mean_truncation(trials, name)), len(values))
-
-
-def _means(lab: Mapping[object, FloatArray], gaits: Sequence[Condition]) -> tuple[float | None, ...]:
-    return tuple(float(lab[_key(gait)].mean()) if _key(gait) in lab else None for gait in gaits)
 
 
 def _key(gait: Condition) -> object:

@@ -27,7 +27,7 @@ from labrun.search.over import (
     settings_of,
 )
 from labrun.search.planned import axis_values, conditions, start_of_search, sweep_conditions
-from labrun.search.ranking import NUMBER, Agreement, Cell, FieldColumn, Ranking, agreement
+from labrun.search.ranking import NUMBER, Agreement, Cell, FieldColumn, Ranking, agreement, pooled_intervals
 from labrun.search.result import (
     RESULT_FILE,
     Best,
@@ -78,6 +78,7 @@ __all__ = [
     "levels_of",
     "mean_error",
     "most_trials",
+    "pooled_intervals",
     "pooled_variance",
     "probes",
     "read_generations",

@@ -121,17 +121,22 @@ _SEARCH_STREAM = 2
 
 @dataclass(slots=True)
 class SearchCandidate:
-    """A point of the search and all that was measured there."""
+    """A point of the search and all that was measured there; `truncation` is what cut cycles may have done to it."""
 
     point: FloatArray
     condition: Condition
     violations: Violations
     values: list[float] = field(default_factory=list)
+    truncation: float = 0.0
     penalised_cost: float = math.inf
 
     def mean(self) -> float | None:
         """Return the mean of the accepted trials; None without one."""
         return float(np.mean(self.values)) if self.values else None
+
+    def cost(self, sign: float) -> float | None:
+        """Return what is to be as low as possible, `sign` times the mean; what a cut may have won does not count."""
+        return sign * float(np.mean(self.values)) + self.truncation if self.values else None
 
     def record(self) -> dict[str, Any]:
         """Return what the generation's file says of it."""
@@ -274,7 +279,7 @@ class _Search:
             candidates, known = self._generation(strategy, leaders)
             leaders = self._leading(candidates)
             noise = self._standard_error(candidates)
-            costs = [self._sign * mean for item in candidates if (mean := item.mean()) is not None]
+            costs = [cost for item in candidates if (cost := item.cost(self._sign)) is not None]
             self._spreads.append(strategy.largest_spread)
             reason = self._watch.after_generation(costs, noise, strategy.largest_spread)
             self._keep(strategy, restart, candidates, known)
@@ -316,9 +321,8 @@ class _Search:
             f"generation {self._watch.generation + 1}: {len(feasible)} of {len(candidates)} candidates may run"
         )
         self._measure(feasible)
-        means = [item.mean() for item in candidates]
         costs = penalised(
-            [None if mean is None else self._sign * mean for mean in means],
+            [item.cost(self._sign) for item in candidates],
             [item.violations for item in candidates],
             self._table.penalty,
             seen=self._watch.range_of_costs,
@@ -335,6 +339,7 @@ class _Search:
         measurements = self._session.measure([item.condition for item in distinct])
         for item, measurement in zip(distinct, measurements, strict=True):
             item.values += measurement.values(self._objective).tolist()
+            item.truncation = measurement.truncation(self._objective) or item.truncation
         self.found += measurements
         self._watch.trials += sum(len(measurement.outcomes) for measurement in measurements)
 
@@ -363,8 +368,10 @@ class _Search:
         return population * self._experiment.trial.repeats.min * len(settings_of(self._experiment))
 
     def _best(self) -> SearchCandidate | None:
-        measured = [item for item in self._known.values() if item.values]
-        return min(measured, key=lambda item: self._sign * float(np.mean(item.values)), default=None)
+        measured = [
+            (cost, item) for item in self._known.values() if (cost := item.cost(self._sign)) is not None
+        ]
+        return min(measured, key=lambda one: one[0])[1] if measured else None
 
     def _keep(
         self, strategy: Strategy, restart: int, candidates: Sequence[SearchCandidate], known: int

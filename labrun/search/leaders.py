@@ -97,7 +97,7 @@ def honest_best(
     top += [guest for guest in guests if condition_key(guest) not in known]
     rule = RepeatRule(min=leaders.repeats, max=leaders.repeats)
     fresh = session.measure(top, role="fresh", repeats=rule)
-    means = [_signed_mean(m.values(objective), goal) for m in fresh]
+    means = [_signed_mean(m.values(objective), goal) - m.truncation(objective) for m in fresh]
     if all(mean == -math.inf for mean in means):
         return None
     winner = top[int(np.argmax(means))]
@@ -127,19 +127,23 @@ def leading_conditions(found: Sequence[Measured], objective: str, goal: Goal, co
     ``m + (mean - m) * t2 / (t2 + s2 / n)`` with s2 the pooled variance within conditions and t2 that between them.
     With equal numbers of repeats the order is that of the plain means; with unequal ones a condition that was
     measured once does not lead by luck alone. Efron & Morris (1975), doi:10.1080/01621459.1975.10479864.
+    What cut cycles may have added to a mean does not make it lead either.
     """
     pooled: dict[tuple[tuple[str, object], ...], list[FloatArray]] = {}
     conditions: dict[tuple[tuple[str, object], ...], Condition] = {}
+    cut: dict[tuple[tuple[str, object], ...], float] = {}
     for measurement in found:
         key = condition_key(measurement.condition)
         conditions.setdefault(key, measurement.condition)
+        cut[key] = max(cut.get(key, 0.0), measurement.truncation(objective))
         pooled.setdefault(key, []).append(measurement.values(objective))
     samples = {key: values for key, blocks in pooled.items() if len(values := np.concatenate(blocks))}
     if not samples:
         return []
-    shrunken = _shrunken_means(list(samples.values()))
-    order = np.argsort(-shrunken if goal == "maximise" else shrunken, kind="stable")
     keys = list(samples)
+    shrunken = _shrunken_means(list(samples.values()))
+    costs = (-shrunken if goal == "maximise" else shrunken) + np.array([cut[key] for key in keys])
+    order = np.argsort(costs, kind="stable")
     return [conditions[keys[index]] for index in order[:count]]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.search.mountings import t_interval
 from labrun.spec import Condition
 
 NUMBER = "gait"
@@ -57,7 +58,7 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One gait in one water: its mean, with a 95 % t-interval over its trials; None where there is no such trial."""
+    """One gait in one water: its mean, with its 95 % interval (see `pooled_intervals`); None without two trials."""
 
     mean: float
     ci95: tuple[float, float] | None
@@ -184,6 +185,47 @@ def agreement(
     return Agreement(
         count, found[0][0], found[0][1], intervals[0], found[1][0], found[1][1], intervals[1], exact, ties
     )
+
+
+def pooled_intervals(
+    samples: Sequence[FloatArray], truncations: Sequence[float]
+) -> list[tuple[float, float] | None]:
+    """Return the 95 % t-interval of each candidate's mean in one water; None where it has fewer than two trials.
+
+    With a few trials each, a candidate's own scatter is mostly luck: an interval from it would be narrow or wide by
+    chance, and choosing by its end would choose by that chance. So the variance is pooled over the candidates, as in an
+    analysis of variance, unless they scatter differently: by the test of Brown and Forsythe (1974),
+    doi:10.1080/01621459.1974.10482955, at 5 %; each then has its own.
+
+    Parameters
+    ----------
+    samples
+        The values of each candidate's trials.
+    truncations
+        What cut cycles do to all trials of each alike, see `t_interval`.
+    """
+    from scipy import stats
+
+    several = [values for values in samples if len(values) >= 2]
+    freedom = sum(len(values) - 1 for values in several)
+    squares = sum(float(((values - values.mean()) ** 2).sum()) for values in several)
+    unlike = False
+    if (
+        len(several) > 1 and squares > 0.0 and min(map(len, several)) >= _LEAST
+    ):  # of two trials it sees nothing
+        with np.errstate(divide="ignore"):
+            unlike = stats.levene(*several, center="median").pvalue < 1.0 - _SHARE
+    if unlike or not several:
+        return [t_interval(values, (), cut) for values, cut in zip(samples, truncations, strict=True)]
+    reach = float(stats.t.ppf(0.5 + _SHARE / 2, freedom)) * math.sqrt(squares / freedom)
+    found: list[tuple[float, float] | None] = []
+    for values, cut in zip(samples, truncations, strict=True):
+        if len(values) < 2:
+            found.append(None)
+            continue
+        mean, half = float(values.mean()), reach / math.sqrt(len(values)) + cut
+        found.append((mean - half, mean + half))
+    return found
 
 
 def _against(

@@ -57,6 +57,16 @@ def measured(condition, values, status="done"):
     return Measurement(condition, "measure", tuple(outcomes))
 
 
+def test_what_a_cut_may_have_added_makes_nothing_lead():
+    flattered = TrialOutcome(
+        1, {"k": 1.0}, 1, status="done", objectives={"thrust": 0.30}, truncation={"thrust": 0.1}
+    )
+    whole = TrialOutcome(2, {"k": 2.0}, 2, status="done", objectives={"thrust": 0.25})
+    found = [Measurement(one.condition, "measure", (one,)) for one in (flattered, whole)]
+    assert [one["k"] for one in leading_conditions(found, "thrust", "maximise", 2)] == [2.0, 1.0]
+    assert [one["k"] for one in leading_conditions(found, "thrust", "minimise", 2)] == [2.0, 1.0]
+
+
 def test_a_condition_measured_once_does_not_lead_by_luck():
     rng = np.random.default_rng(0)
     found = [measured({"k": float(k)}, rng.normal(k, 2.0, 10)) for k in range(6)]

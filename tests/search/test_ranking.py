@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from labrun.search import agreement
+from labrun.search import agreement, pooled_intervals, t_interval
 
 RNG = np.random.default_rng(1)
 
@@ -57,3 +57,31 @@ def test_noise_on_one_side_does_not_carry_over():
 @pytest.mark.parametrize("one", [[1, 2], [1, 1, 1, 1], []])
 def test_too_few_or_all_alike_have_no_order(one):
     assert agreement(trials(one), trials(range(len(one))), RNG) is None
+
+
+def test_candidates_of_one_water_are_judged_by_one_scatter_and_a_lucky_one_is_not_sure():
+    lucky = np.array([10.0, 10.0, 10.1])
+    samples = [lucky, np.array([9.0, 11.0, 13.0]), np.array([8.0, 12.0, 10.0]), np.array([7.0])]
+    intervals = pooled_intervals(samples, [0.0, 0.0, 0.5, 0.0])
+    freedom, variance = 6, sum(((one - one.mean()) ** 2).sum() for one in samples) / 6
+    half = stats.t.ppf(0.975, freedom) * np.sqrt(variance / 3)
+    assert intervals[0] == pytest.approx((lucky.mean() - half, lucky.mean() + half))
+    assert intervals[2] == pytest.approx((10.0 - half - 0.5, 10.0 + half + 0.5))
+    assert intervals[3] is None
+
+
+def test_pooled_intervals_hold_the_true_mean_as_often_as_they_say():
+    rng = np.random.default_rng(3)
+    held = [
+        low <= 5.0 <= high
+        for _ in range(200)
+        for low, high in pooled_intervals(list(5.0 + rng.normal(size=(8, 3))), [0.0] * 8)
+    ]
+    assert 0.92 < np.mean(held) < 0.98
+
+
+def test_a_candidate_that_clearly_scatters_more_keeps_its_own_interval():
+    rng = np.random.default_rng(4)
+    samples = [*(10.0 + rng.normal(size=(3, 20))), 10.0 + 30.0 * rng.normal(size=20)]
+    for values, interval in zip(samples, pooled_intervals(samples, [0.0] * 4), strict=True):
+        assert interval == pytest.approx(t_interval(values))

@@ -12,6 +12,8 @@ from labrun.models import Stepper
 
 SEEN = ["x", "y", "heading", "ahead", "aside", "turning"]
 GAIT = (40.0, 35.0, 20.0, -24.0, 1.4, 67.0)
+WINNER = (38.39, 38.68, -20.0, 18.57, 1.494, -65.0)
+"""What turn-torque finds (seed 2)."""
 FREE = {"hull_drag": 0.0, "drag_aside": 0.0, "yaw_drag": 0.0}
 
 
@@ -63,7 +65,7 @@ def test_a_straight_glide_slows_down_as_quadratic_drag_has_it():
 
 
 def test_a_glide_with_all_drags_is_that_of_an_independent_integrator():
-    m_a, m_s, inertia, c_a, c_s, c_r = 2.0, 3.0, 0.05, 0.8, 40.0, 0.001
+    m_a, m_s, inertia, c_a, c_s, c_r = 2.0, 3.0, 0.05, 0.8, 40.0, 0.006
 
     def rates(_, s):
         heading, u, v, r = s[2:]
@@ -89,8 +91,8 @@ def test_a_mirrored_gait_turns_it_as_fast_the_other_way():
 
 
 def test_a_gait_that_wins_on_the_arm_turns_it_at_about_the_measured_rates():
-    assert abs(_rate_deg_s(*_swim(caudal="off"))) == pytest.approx(30.25, rel=0.1)
-    assert abs(_rate_deg_s(*_swim(caudal="on", water="pool"))) == pytest.approx(15.68, rel=0.1)
+    assert abs(_rate_deg_s(*_swim(gait=WINNER, caudal="off"))) == pytest.approx(30.25, rel=0.1)
+    assert abs(_rate_deg_s(*_swim(gait=WINNER, caudal="on", water="pool"))) == pytest.approx(15.68, rel=0.1)
 
 
 def test_with_its_tail_it_swims_straight_ahead_and_faster_than_on_the_arm():

@@ -19,7 +19,7 @@ def watched(heading, x=None, beating=None, seconds=40.0):
     return watch
 
 
-def test_a_steady_turn_is_timed_in_its_last_full_turn():
+def test_a_steady_turn_is_timed_in_its_full_turns():
     watch = watched(lambda t: -np.radians(30.0) * t)
     assert watch.read("seconds_per_turn", 0.0) == pytest.approx(12.0, abs=0.05)
 
@@ -30,6 +30,11 @@ def test_the_time_to_get_up_to_speed_does_not_count_nor_what_comes_after_the_bea
 
     watch = watched(heading, beating=lambda t: t <= 35.0)
     assert watch.read("seconds_per_turn", 0.0) == pytest.approx(12.0, abs=0.05)
+
+
+def test_all_turns_after_the_first_are_timed_together():
+    watch = watched(lambda t: np.interp(t, [0, 16, 26, 40], np.radians([0, 360, 720, 1440])))
+    assert watch.read("seconds_per_turn", 0.0) == pytest.approx(8.0, abs=0.05)  # 24 s for three
 
 
 def test_less_than_a_turn_is_timed_over_what_there_is():

@@ -17,7 +17,7 @@ from typing import Any
 
 from labrun.models import Input, Model, Output, Parameter, Site, native
 
-REAR_FINS_YAW_DRAG = 0.033
+REAR_FINS_YAW_DRAG = 0.044
 """What a tail at rest and the dorsal fin add to the yaw drag, N m s^2."""
 
 STATES = ("x", "y", "heading", "ahead", "aside", "turning", "stirring", "vortex_x", "vortex_y", "vortex_yaw")
@@ -28,6 +28,9 @@ OUTPUTS = (
 _INPUTS = ("fin_force_x", "fin_force_y", "fin_torque_z", "fin_size", "noise_x", "noise_y", "noise_yaw")
 _STIRRING_S = 2.0
 _VORTEX_S = 2.0
+_VORTEX_LONG_M = 0.15
+_FINS_OUT_M = 0.13
+"""How far from the axis of the turn the fins stir the water, m."""
 
 
 def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
@@ -45,9 +48,12 @@ def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  
     dx[5] = ((p[0] - p[1]) * ahead * aside + twist) / p[2]
     strength = math.sqrt(2.0 / _VORTEX_S) * x[6]
     dx[6] = (u[3] - x[6]) / _STIRRING_S
-    dx[7] = p[6] * strength * u[4] - x[7] / _VORTEX_S
-    dx[8] = p[6] * strength * u[5] - x[8] / _VORTEX_S
-    dx[9] = p[7] * strength * u[6] - x[9] / _VORTEX_S
+    # Vortices die out, and a fish that goes and turns leaves them behind, as on the arm.
+    leaving = math.sqrt(ahead * ahead + aside * aside) + _FINS_OUT_M * abs(turning)
+    fading = 1.0 / _VORTEX_S + leaving / _VORTEX_LONG_M
+    dx[7] = p[6] * strength * u[4] - fading * x[7]
+    dx[8] = p[6] * strength * u[5] - fading * x[8]
+    dx[9] = p[7] * strength * u[6] - fading * x[9]
 
 
 def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
@@ -74,10 +80,10 @@ def free_model() -> Model:
     Mass 2 kg ahead, with the water that moves along, as on the arm; half as much again aside, 0.05 kg m^2 about the
     vertical axis (a rod of 0.542 m and 2 kg); a hull whose drag, 0.8 N s^2/m^2, is less than half of that with the
     mount at the arm; drag aside of a plate 0.4 m long and 0.1 m high (all chosen). The yaw drag, and what tail and
-    dorsal fin add to it, are set so that a turning gait like those that win on the arm turns the fish with about
-    the 30.25 and 15.68 deg/s of the source. They are small: a stiff hull and tail square to the flow would have some
-    ten times as much by the law of the fins, and fins that ahead push no more than the source's could not turn them
-    so fast.
+    dorsal fin add to it, are set so that the fastest of the gaits that win on the arm turn the fish with about
+    the 30.25 and 15.68 deg/s of the source, without noise. They are small: a stiff hull and tail square to the flow
+    would have some ten times as much by the law of the fins, and fins that ahead push no more than the source's could
+    not turn them so fast.
     """
     return Model(
         name="fire-free",
@@ -90,7 +96,7 @@ def free_model() -> Model:
             Parameter("inertia", 0.05, unit="kg m^2"),
             Parameter("hull_drag", 0.8, unit="N s^2/m^2"),
             Parameter("drag_aside", 40.0, unit="N s^2/m^2"),
-            Parameter("yaw_drag", 0.001, unit="N m s^2"),
+            Parameter("yaw_drag", 0.006, unit="N m s^2"),
             Parameter("vortices", 0.04),
             Parameter("yaw_vortices", 0.0045, unit="m"),
         ),

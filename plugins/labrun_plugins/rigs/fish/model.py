@@ -14,6 +14,7 @@ _ACROSS = 7.07
 _WAVE_DAMPING = 0.03
 _STIRRING_S = 2.0
 _VORTEX_S = 2.0
+_VORTEX_LONG_M = 0.15
 _FOLLOWS_S = 0.02
 
 STATES = (
@@ -45,9 +46,11 @@ def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  
     dx[3] = x[4]
     dx[4] = _ACROSS * _ACROSS * (u[1] - x[3]) - 2.0 * _WAVE_DAMPING * _ACROSS * x[4]
     strength = math.sqrt(2.0 / _VORTEX_S) * x[0]
-    dx[5] = p[3] * strength * u[9] - x[5] / _VORTEX_S
-    dx[6] = p[3] * strength * u[10] - x[6] / _VORTEX_S
-    dx[7] = p[4] * strength * u[11] - x[7] / _VORTEX_S
+    # Vortices die out, and a fish that is towed leaves them behind after the length of the water around its fins.
+    fading = 1.0 / _VORTEX_S + abs(u[7]) / _VORTEX_LONG_M
+    dx[5] = p[3] * strength * u[9] - fading * x[5]
+    dx[6] = p[3] * strength * u[10] - fading * x[6]
+    dx[7] = p[4] * strength * u[11] - fading * x[7]
     # The carriage's speed as a state, so that what sits at the fish feels its acceleration; held to it against drift.
     dx[8] = u[8] + (u[7] - x[8]) / _FOLLOWS_S
 

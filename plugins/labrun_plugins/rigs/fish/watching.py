@@ -17,8 +17,9 @@ _SWIMS_M = 0.1
 class Watch:
     """Keeps the course of a trial while the fins beat, and reads it as a person would.
 
-    The last full turn, or metre, before the fins stop is timed: by then the fish is up to its speed. One that does not
-    get so far is timed over what there is.
+    The first full turn, or metre, is left to the fish to get up to its speed; all that follow until the fins stop are
+    timed together. One that makes no second is timed over its last, and one that does not get so far over what there
+    is.
     """
 
     def __init__(self) -> None:
@@ -60,10 +61,17 @@ class Watch:
         if what == "swims":
             return "yes" if math.hypot(*(seen[-1, 1:3] - seen[0, 1:3])) > _SWIMS_M else "no"
         if what == "seconds_per_turn":
-            way, whole = np.abs(seen[-1, 3] - seen[:, 3]), 2.0 * math.pi
+            way, begun, whole = (
+                np.abs(seen[-1, 3] - seen[:, 3]),
+                np.abs(seen[:, 3] - seen[0, 3]),
+                2.0 * math.pi,
+            )
         else:
-            way, whole = np.hypot(*(seen[-1, 1:3] - seen[:, 1:3]).T), 1.0
-        far = np.flatnonzero(way >= whole)
+            way = np.hypot(*(seen[-1, 1:3] - seen[:, 1:3]).T)
+            begun, whole = np.hypot(*(seen[:, 1:3] - seen[0, 1:3]).T), 1.0
+        up_to_speed = np.flatnonzero(begun >= whole)
+        left = way[up_to_speed[0]] if len(up_to_speed) else 0.0
+        far = np.flatnonzero(way >= max(1, math.floor(left / whole)) * whole)
         first = int(far[-1]) if len(far) else 0
         share = max(float(way[first]), 1e-9) / whole
         seconds = (float(seen[-1, 0] - seen[first, 0]) + math.sqrt(2.0) * _REACTION_S * thumb) / share
