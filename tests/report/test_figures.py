@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,7 +10,7 @@ from labrun.report.data import RunView
 from labrun.report.figures.runs import draw_plain_run
 from labrun.report.figures.search import draw_search
 from labrun.report.figures.sweep import Axis, axes_of, best_over_others, draw_sweep, map_colours, most_telling
-from labrun.report.figures.traces import draw_traces, folded_cycle
+from labrun.report.figures.traces import cycles_of, draw_traces, folded_cycle
 from labrun.report.style import DIVERGING, SEQUENTIAL, save
 
 GRID = {"from": 0, "to": 10, "step": 2.5}
@@ -132,6 +134,23 @@ def test_a_folded_cycle_keeps_mean_and_shape_at_any_sample_rate(rate_hz, level):
     assert cycle.mean() == pytest.approx(level, abs=0.06)
     phase = (np.arange(len(cycle)) + 0.5) / len(cycle)
     assert np.corrcoef(cycle, np.sin(4 * np.pi * phase))[0, 1] > 0.9
+
+
+@pytest.mark.parametrize(("speed", "travels"), [(0.0, False), (0.05, False), (1.0, True), (-1.0, True)])
+def test_a_channel_that_goes_on_from_cycle_to_cycle_has_no_mean_cycle(speed, travels):
+    view = sweep_view(lambda c: 0.0, {"f": [1]}, noise=0.0, repeats=1)
+    run = MemoryRun(view.run.outcomes)
+    period_s = run.outcomes[0].period_s
+    swinging = run.signals
+
+    def travelling(index):
+        force = swinging(index)["wrench"]
+        values = force.values + (speed * force.time_s / period_s)[:, None]
+        return {"wrench": replace(force, values=values)}
+
+    run.signals = travelling
+    view = RunView(run, view.experiment, view.best)
+    assert (cycles_of(view, run.outcomes, "wrench.force_x") is None) == travels
 
 
 @pytest.mark.parametrize(("lift", "colours"), [(0.0, DIVERGING), (5.0, SEQUENTIAL), (-5.0, SEQUENTIAL)])

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from labrun.report.data import RunView
-from labrun.report.figures.traces import draw_cycle, draw_traces
+from labrun.report.figures.traces import cycles_of, draw_cycle, draw_traces
 from labrun.report.style import (
     BEST,
     COLOURS,
@@ -49,14 +49,14 @@ def draw_search(view: RunView, generations: Sequence[Generation]) -> Figure:
             axes.set_xlabel("generation")
             _restarts(axes, generations)
         if trials and view.channel is not None:
-            time_axes = figure.add_subplot(grid[2, :4])
+            cycles = cycles_of(view, trials, view.channel)
+            time_axes = figure.add_subplot(grid[2, :] if cycles is None else grid[2, :4])
             draw_traces(time_axes, view, trials, view.channel)
             panel_letter(time_axes, "e", f"the winner, {len(trials)} trials over each other")
-            cycle_axes = figure.add_subplot(grid[2, 4:])
-            if draw_cycle(cycle_axes, view, trials, view.channel):
+            if cycles is not None:
+                cycle_axes = figure.add_subplot(grid[2, 4:])
+                draw_cycle(cycle_axes, cycles)
                 panel_letter(cycle_axes, "f", "its mean gait cycle, ± sd")
-            else:
-                cycle_axes.set_visible(False)
         heading(figure, view.experiment.title, _subtitle(view, generations))
     return figure
 

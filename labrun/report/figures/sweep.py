@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from labrun.arrays import FloatArray
 from labrun.report.data import Point, RunView
-from labrun.report.figures.traces import draw_cycle, draw_traces
+from labrun.report.figures.traces import cycles_of, draw_cycle, draw_traces
 from labrun.report.style import BEST, COLOURS, DIVERGING, SEQUENTIAL, SOFT, heading, new_figure, zero_line
 from labrun.report.text import label, value_text
 from labrun.spec import Value
@@ -200,13 +200,14 @@ def _draw_maps(view: RunView, points: Sequence[Point], axes: Sequence[Axis], lef
             )
             bar.outline.set_visible(False)
         if trials and view.channel is not None:
-            time_axes, cycle_axes = parts[1].subplots(1, 2, width_ratios=[1.7, 1])
-            draw_traces(time_axes, view, trials, view.channel)
-            time_axes.set_title(f"the best condition, {len(trials)} trials over each other")
-            if draw_cycle(cycle_axes, view, trials, view.channel):
-                cycle_axes.set_title("its mean gait cycle, ± sd between trials")
-            else:
-                cycle_axes.set_visible(False)
+            cycles = cycles_of(view, trials, view.channel)
+            ratios = [1.0] if cycles is None else [1.7, 1.0]
+            below = parts[1].subplots(1, len(ratios), width_ratios=ratios, squeeze=False)[0]
+            draw_traces(below[0], view, trials, view.channel)
+            below[0].set_title(f"the best condition, {len(trials)} trials over each other")
+            if cycles is not None:
+                draw_cycle(below[1], cycles)
+                below[1].set_title("its mean gait cycle, ± sd between trials")
         legend = "; hatched: not measured" if shared.x.is_grid and shared.y.is_grid else ""
         heading(figure, view.experiment.title, _subtitle(view, points) + left_out + legend)
     return figure

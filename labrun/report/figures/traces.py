@@ -14,6 +14,8 @@ _MOST_TRACES = 15
 _BINS = 60
 _GAP = 20.0
 """Times the usual step between samples: a longer one is no line."""
+_TRAVELS = 0.5
+"""Way in a cycle, in units of the swing about it, from which a channel travels."""
 _PHASES = (np.arange(_BINS) + 0.5) / _BINS
 
 
@@ -55,12 +57,36 @@ def _broken(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatAr
     return np.insert(time_s, gaps, np.nan), np.insert(values, gaps, np.nan)
 
 
-def draw_cycle(axes: Axes, view: RunView, trials: Sequence[TrialOutcome], channel: str) -> bool:
-    """Draw the mean gait cycle with the spread between trials; False if the motion has no cycles."""
+def cycles_of(view: RunView, trials: Sequence[TrialOutcome], channel: str) -> FloatArray | None:
+    """Return the mean gait cycle of each trial, (trials, 60); None if the motion has no cycles, or the channel travels.
+
+    A position that goes on from cycle to cycle has no mean cycle: its way over time says all there is.
+    """
     folded = [cycle for trial in trials if (cycle := folded_cycle(view, trial, channel)) is not None]
-    if not folded:
+    if not folded or any(_travels(view, trial, channel) for trial in trials):
+        return None
+    return np.vstack(folded)
+
+
+def _travels(view: RunView, trial: TrialOutcome, channel: str) -> bool:
+    """Tell whether most of what a channel does in a cycle is that it goes on, whole cycles at a time."""
+    trace = view.trace(trial, channel)
+    if trace is None or trial.period_s is None:
         return False
-    cycles = np.vstack(folded)
+    time_s, values = trace
+    counted = time_s >= trial.discard_cycles * trial.period_s
+    time_s, values = time_s[counted], values[counted]
+    cycles = int((time_s[-1] - time_s[0]) / trial.period_s * (1.0 + 1e-6)) if len(time_s) > 1 else 0
+    if not cycles:
+        return False
+    after_s = time_s[0] + cycles * trial.period_s
+    way = float(np.interp(after_s, time_s, values) - values[0]) / cycles
+    swing = np.ptp(values - way * (time_s - time_s[0]) / trial.period_s)
+    return abs(way) > _TRAVELS * float(swing)
+
+
+def draw_cycle(axes: Axes, cycles: FloatArray) -> None:
+    """Draw the mean gait cycle of trials (trials, 60), with the spread between them."""
     mean = cycles.mean(axis=0)
     if len(cycles) > 1:
         spread = cycles.std(axis=0, ddof=1)
@@ -83,7 +109,6 @@ def draw_cycle(axes: Axes, view: RunView, trials: Sequence[TrialOutcome], channe
     axes.set_xlabel("phase of the gait cycle")
     axes.tick_params(labelleft=True)
     zero_line(axes)
-    return True
 
 
 def folded_cycle(view: RunView, trial: TrialOutcome, channel: str) -> FloatArray | None:
