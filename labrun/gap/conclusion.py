@@ -399,6 +399,7 @@ def conclude(
         limitations=(
             *limitations(
                 repeats=repeats,
+                enough=_enough_repeats(search),
                 conditions=len(search.data.conditions),
                 basis=noise.basis,
                 single_trial=len(dataset.trials) == 1,
@@ -435,6 +436,12 @@ def _learnable(problem: Problem, z: FloatArray) -> Learnable:
     return Learnable(
         learnable_share(problem, z), learnable_share(problem, z, conditions=True) if several else None
     )
+
+
+def _enough_repeats(search: Search) -> bool:
+    """Tell whether the repeats of some conditions tell the noise of all, as those of a search's leaders do."""
+    most = max(one.count for one in search.data.trials)
+    return search.noise.freedom >= criteria.ENOUGH_FREEDOM and most >= criteria.OWN_FLOOR_REPEATS
 
 
 def _unannounced(search: Search, found: VerdictBasis) -> tuple[str, ...]:

@@ -83,7 +83,7 @@ def _ended(base: Base, screened: Screened, problem: Problem, start: FloatArray) 
         tolerance=criteria.FIT_TOLERANCE,
         evaluations=criteria.FIT_EVALUATIONS,
         central=False,
-        secant=beside is not None,
+        secant=True,
         beside=beside,
     )
     squares = problem.squares(z)

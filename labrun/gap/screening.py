@@ -1,7 +1,7 @@
 """Fits of one problem with one candidate more: several starts, the most promising of them followed to their ends."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -53,6 +53,8 @@ class Survey:
 
     Attributes
     ----------
+    problem
+        In the integrator's steps of the base.
     starts : per direction, `z` of the candidate's problem
         Most promising first; none of a candidate that gives no finite numbers at any size.
     directions : (rows, d)
@@ -152,12 +154,7 @@ def survey(base: Base, candidate: Candidate) -> Survey:
             change, whole = _released(base, problem)
             rated.append((0.0, number, z, change, whole))
             continue
-        there = problem.finite_residuals(z)
-        if there is None and problem.substeps < criteria.FINEST:
-            # what is quick beside the integrator's steps, such as a short delay in a loop, wants shorter ones
-            finer = problem.with_substeps(criteria.FINER * problem.substeps)
-            there = finer.finite_residuals(z)
-            problem = problem if there is None else finer
+        there = _in_steps_for(problem, z)[1]
         if there is None:
             continue
         parts = [after - now for after, now in zip(there, base.residual, strict=True)]
@@ -186,29 +183,42 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
     known
         Sizes at which an earlier fit of this candidate ended, beside another base: a start like no other.
     """
-    problem = surveyed.problem
     starts = surveyed.different(criteria.STARTS_FOLLOWED if known is None else criteria.STARTS_BESIDE_KNOWN)
     if known is not None:
         shared, own = base.z[: base.problem.size], base.problem.own_states(base.z)
         starts = [np.concatenate([shared, known, own]), *starts]
-    beside = around(base, surveyed.candidate)
-    ends = [
-        minimise(
+    # what the candidate is added to is fitted already: its derivatives do to see how far a start leads
+    beside = base.nuisance.jacobian if surveyed.candidate.variables else None
+    ends: list[tuple[float, Problem, FloatArray]] = []
+    for start in starts:
+        problem = _in_steps_for(surveyed.problem, start)[0]
+        z = minimise(
             problem,
-            z,
+            start,
             tolerance=criteria.ROUGH_TOLERANCE,
             evaluations=criteria.ROUGH_EVALUATIONS,
             central=False,
-            derivatives=None if beside is None else problem.jacobian(z, beside=beside),
+            derivatives=None if beside is None else problem.jacobian(start, beside=beside),
             secant=beside is not None,
             confirmed=beside is None,
             beside=beside,
         )
-        for z in starts
-    ]
-    squares = [problem.squares(z) for z in ends]
-    best = int(np.argmin(squares))
-    return _screened(base, surveyed, ends[best], squares[best])
+        ends.append((problem.squares(z), problem, z))
+    squares, problem, z = min(ends, key=lambda one: one[0])
+    return replace(_screened(base, surveyed, z, squares), problem=problem)
+
+
+def _in_steps_for(problem: Problem, z: FloatArray) -> tuple[Problem, list[FloatArray] | None]:
+    """Return the problem with steps short enough that `z` simulates, and the residuals there; None if none are.
+
+    What is quick beside the integrator's steps, such as a short delay in a loop or a stiff force, wants shorter ones.
+    """
+    there = problem.finite_residuals(z)
+    if there is None and problem.substeps < criteria.FINEST:
+        finer = problem.with_substeps(criteria.FINER * problem.substeps)
+        there = finer.finite_residuals(z)
+        problem = problem if there is None else finer
+    return problem, there
 
 
 def around(base: Base, candidate: Candidate) -> Jacobian | None:
@@ -228,7 +238,7 @@ def follow(base: Base, begun: Screened) -> Screened:
         tolerance=criteria.FIT_TOLERANCE,
         evaluations=criteria.FIT_EVALUATIONS,
         central=False,
-        secant=beside is not None,
+        secant=True,
         beside=beside,
     )
     return _screened(base, begun.survey, z, problem.squares(z))

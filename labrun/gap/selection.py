@@ -127,7 +127,7 @@ class Selector:
             return found
         self.note("looking whether simpler effects explain as much")
         first = self._round(self.base)
-        rounds = {frozenset[Name](): first.without(compound)}
+        rounds = {names: one.without(compound) for names, one in self._rounds.items() if not names & compound}
         rest = without(self.candidates, compound)
         simpler = replace(self, candidates=rest, _rounds=rounds)._select()
         room = criteria.SIMPLER_TOGETHER * self.reference.total

@@ -197,8 +197,18 @@ def _of_causes(
     return f"{_capital(does)}{also}; {after} times {unit} remains that {rest}."
 
 
-def limitations(*, repeats: int, conditions: int, basis: str, single_trial: bool, rejected: int) -> list[str]:
-    """Return what the data do not allow to say."""
+def limitations(
+    *, repeats: int, enough: bool, conditions: int, basis: str, single_trial: bool, rejected: int
+) -> list[str]:
+    """Return what the data do not allow to say.
+
+    Parameters
+    ----------
+    repeats
+        Of the condition that was measured least often.
+    enough
+        Whether all repeats together tell the noise.
+    """
     found = []
     if single_trial:
         found.append(
@@ -214,7 +224,7 @@ def limitations(*, repeats: int, conditions: int, basis: str, single_trial: bool
             "No condition was repeated: noise is the reading error that the recording states. A gap that is smaller "
             "than that is not seen, and one that was stated too small makes noise a gap."
         )
-    elif repeats < 3:
+    elif repeats < 3 and not enough:
         found.append(
             f"Only {repeats} repeat{'s' if repeats > 1 else ''} of some conditions: the noise floor is uncertain; "
             "three or more tell it better."

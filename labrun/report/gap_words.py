@@ -250,7 +250,8 @@ def never_seen(diagnosis: Diagnosis) -> str:
 
 def data_words(diagnosis: Diagnosis) -> str:
     """Return ``24 trials at 8 conditions, each measured at least 3 times``."""
-    repeats = (
-        "none repeated" if diagnosis.repeats < 2 else f"each measured at least {diagnosis.repeats} times"
-    )
+    if diagnosis.repeats >= 2:
+        repeats = f"each measured at least {diagnosis.repeats} times"
+    else:
+        repeats = "some measured repeatedly" if diagnosis.trials > diagnosis.conditions else "none repeated"
     return f"{counted(diagnosis.trials, 'trial')} at {counted(diagnosis.conditions, 'condition')}, {repeats}"

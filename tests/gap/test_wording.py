@@ -30,10 +30,23 @@ def test_of_several_conditions_the_share_is_of_those_the_fit_did_not_see(verdict
 @pytest.mark.parametrize("single", [True, False])
 def test_one_condition_is_a_limitation(single: bool) -> None:
     told = limitations(
-        repeats=1 if single else 3, conditions=1, basis="repeats", single_trial=single, rejected=0
+        repeats=1 if single else 3,
+        enough=False,
+        conditions=1,
+        basis="repeats",
+        single_trial=single,
+        rejected=0,
     )
     assert any("One condition only" in one for one in told)
     assert any("One trial only" in one for one in told) == single
+
+
+@pytest.mark.parametrize("enough", [True, False])
+def test_conditions_measured_once_are_a_limitation_unless_others_tell_the_noise(enough: bool) -> None:
+    told = limitations(
+        repeats=1, enough=enough, conditions=8, basis="repeats", single_trial=False, rejected=0
+    )
+    assert any("the noise floor is uncertain" in one for one in told) == (not enough)
 
 
 def test_a_rest_beyond_noise_is_said_beside_a_cause_that_explains_the_gap() -> None:

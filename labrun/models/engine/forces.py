@@ -50,16 +50,29 @@ class System(NamedTuple):
 
 
 @kernel
+def has_inertia(site: int, system: System) -> bool:
+    """Tell whether a law at a site depends on its acceleration."""
+    for e in range(system.site_table[5 * site + 3], system.site_table[5 * site + 4]):
+        no_vectorise()
+        if system.law_table[5 * e + 2] != 0:
+            return True
+    return False
+
+
+@kernel
 def accelerations(
     t: float, state: Pointer, u: Pointer, slope: Pointer, system: System, ahead: Pointer, result: Pointer
 ) -> None:
-    """Write the acceleration at every site to `result`, given the derivative `slope` of the states.
+    """Write the acceleration at sites whose laws ask for it to `result`, given the derivative `slope` of the states.
 
     `ahead` is scratch memory for the states and, behind them, 4 numbers of each site.
     """
     probe = offset(ahead, system.total)
     for index in range(system.sites):
         no_vectorise()
+        if not has_inertia(index, system):
+            result[index] = 0.0
+            continue
         rate_state = system.site_table[5 * index + 1]
         if rate_state >= 0:
             result[index] = slope[rate_state]
@@ -155,6 +168,11 @@ def couple(t: float, state: Pointer, u: Pointer, slope: Pointer, system: System)
     # F = extra + gain * (free + response F), where a column of the response follows from one more newton at a site
     for at in range(sites):
         no_vectorise()
+        if not has_inertia(at, system):  # no further force there, whatever moves
+            for row in range(sites):
+                no_vectorise()
+                matrix[row * sites + at] = 1.0 if row == at else 0.0
+            continue
         force[at] += 1.0
         call_model(system.derivative, t, state, u, system.p, force, slope)
         accelerations(t, state, u, slope, system, ahead, loaded)

@@ -143,6 +143,13 @@ def fin(side: float, start: int, told: float, x: Any, p: Any, at_hinge: float, a
 
 
 @kernel
+def plate_speed(base: float, base_rate: float, bend: float, bend_rate: float, speed: float, p: Any) -> float:
+    """Return how fast a plate moves along its normal while its body goes ahead without turning, m/s."""
+    phi = base + bend
+    return float(speed * math.cos(phi) + p[8] * base_rate * math.cos(bend) + p[9] * (base_rate + bend_rate))
+
+
+@kernel
 def motion(x: Any, u: Any, p: Any, force: Any) -> Any:
     """Return accelerations of the body, what it does to its mount, both fins, and both bends' accelerations.
 

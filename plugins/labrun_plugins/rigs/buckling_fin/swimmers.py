@@ -12,7 +12,7 @@ import numpy as np
 from labrun.effects import Scale, load_effect
 from labrun.models import Input, Model, Output, Parameter, Site, kernel, native
 from labrun_plugins.rigs.buckling_fin import model
-from labrun_plugins.rigs.buckling_fin.equations import PARAMETERS, fin, hinge_torque
+from labrun_plugins.rigs.buckling_fin.equations import PARAMETERS, fin, hinge_torque, plate_speed
 from labrun_plugins.rigs.buckling_fin.model import fin_model
 
 SITES = (
@@ -48,9 +48,9 @@ def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:
 
 def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
     """Write of one hinge and one plate, of body and rail coordinate, rate, load, stiffness."""
-    one = fin(1.0, 6, u[0], x, p, force[0], force[1])
     values[0], values[1], values[2], values[3] = x[8], x[9], hinge_torque(x[8], p), p[0]
-    values[4], values[5], values[6], values[7] = (p[8] + p[9]) * x[6] + p[9] * x[8], one[13], 0.0, 0.0
+    values[4], values[5] = (p[8] + p[9]) * x[6] + p[9] * x[8], plate_speed(x[6], x[7], x[8], x[9], x[3], p)
+    values[6] = values[7] = 0.0
     for i in range(2):
         values[8 + 4 * i], values[9 + 4 * i] = x[0], x[3]
         values[10 + 4 * i] = values[11 + 4 * i] = 0.0
@@ -98,9 +98,9 @@ def seen(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa:
 
 def seen_sites(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
     """Write what `site_values` does."""
-    one, _, _ = _course(x, u, p, force)
     values[0], values[1], values[2], values[3] = x[4], x[5], hinge_torque(x[4], p), p[0]
-    values[4], values[5], values[6], values[7] = (p[8] + p[9]) * x[2] + p[9] * x[4], one[13], 0.0, 0.0
+    values[4], values[5] = (p[8] + p[9]) * x[2] + p[9] * x[4], plate_speed(x[2], x[3], x[4], x[5], x[1], p)
+    values[6] = values[7] = 0.0
     for i in range(2):
         values[8 + 4 * i], values[9 + 4 * i] = x[0], x[1]
         values[10 + 4 * i] = values[11 + 4 * i] = 0.0

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from labrun.models import Input, Model, Output, Site, kernel, native
-from labrun_plugins.rigs.buckling_fin.equations import PARAMETERS, base_torque, fin, hinge_torque
+from labrun_plugins.rigs.buckling_fin.equations import PARAMETERS, base_torque, fin, hinge_torque, plate_speed
 
 Medium = Literal["water", "air"]
 
@@ -75,9 +75,8 @@ def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noq
 
 def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
     """Write of hinge and plate coordinate, rate, load, stiffness."""
-    one = fin(1.0, 6, u[0], _still(x), _mounted(p), force[0], force[1])
     values[0], values[1], values[2], values[3] = x[2], x[3], hinge_torque(x[2], _mounted(p)), _mounted(p)[0]
-    values[4], values[5] = (p[8] + p[9]) * x[0] + p[9] * x[2], one[13]
+    values[4], values[5] = (p[8] + p[9]) * x[0] + p[9] * x[2], plate_speed(x[0], x[1], x[2], x[3], 0.0, p)
     values[6] = values[7] = 0.0
 
 
