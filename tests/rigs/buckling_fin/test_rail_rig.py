@@ -118,6 +118,31 @@ def test_a_guard_holds_while_the_search_looks_around_and_not_when_its_winner_is_
             assert one.status == "done"
 
 
+def test_the_moment_in_a_beam_is_guarded_by_its_bend(tmp_path):
+    soft = 'cmaes.guard.limits={"cameras.bend" = [-2, 0.3]}'
+    result = run("rowing", dry_run=True, overrides=(*SHORT, soft), seed=1, results=tmp_path)
+    measured = open_run(result.run)
+    assert any("rad is outside -2 ... 0.3: stopped" in one.reason for one in measured.outcomes)
+    for one in measured.outcomes:
+        if one.status == "done" and one.role == "measure":
+            assert measured.signals(one.index)["cameras"].column("bend").max() <= 0.3
+
+
+def test_cameras_see_the_beam_bend_as_far_as_its_moment_says():
+    rig = rowed(rail="locked")
+    told = seen(rig, "link_qz", 4.0)[0], seen(rig, "link_qw", 4.0)[0]
+    assert -2 * np.arctan2(*told) == pytest.approx(BACK_RAD + STROKE_RAD * np.sin(2 * np.pi * HZ), abs=0.35)
+    times_s = np.arange(5.0, 7.0, 0.005)
+    link, plate = (
+        -2 * np.arctan2(seen(other, f"{part}_qz", *times_s), seen(other, f"{part}_qw", *times_s))
+        for part in ("link", "plate")
+        for other in [rowed(rail="locked")]
+    )
+    bend = plate - link
+    assert 0.1 < bend.max() < 0.76 / 0.506  # stiff in opposite sense
+    assert bend.min() < -0.1063 / 0.506  # buckled in equal sense
+
+
 def test_no_candidate_goes_beyond_a_guarded_joint(tmp_path):
     tight = "cmaes.guard.limits={left = [-100, 0]}"
     result = run("rowing", dry_run=True, overrides=(*SHORT, tight), seed=1, results=tmp_path)

@@ -16,6 +16,7 @@ from labrun.effects import Scale
 from labrun.errors import ExperimentError
 from labrun.models import Model, Stepper
 from labrun_plugins.rigs.buckling_fin.swimmers import two_fin_swimmer
+from labrun_plugins.rigs.buckling_fin.wing_scene import POSE, poses
 from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
@@ -29,7 +30,6 @@ from labrun_plugins.simulated.bench import (
 )
 
 _SCALE = Scale(coordinate=0.5, rate=0.3, acceleration=3.0, force=1.0, signal=0.5, time_s=2.0)
-_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _X, _SPEED = 0, 3
 _COUPLED = {"servo_frequency": 30.0, "servo_damping": 1.0}
 """Links follow the servos' shafts at 30 Hz (chosen): how a shaft follows its command is the servo's own, 6 Hz here."""
@@ -76,7 +76,8 @@ class RailRig(Bench):
 
     Joints ``left`` and ``right`` are the servos, positive towards the front. Signals: ``force_x``, ``force_y`` (N),
     ``torque_z`` (N m) and zeros for the rest of a wrench, of the swimmer on the carriage, x forward; ``swimmer_x`` ...
-    ``swimmer_qw``, its pose (m; unit quaternion); ``position`` of the carriage (m); each servo's angle (rad).
+    ``swimmer_qw``, its pose (m; unit quaternion), and likewise ``link_x`` ... and ``plate_x`` ..., of both parts of
+    the left fin, whose markers stand on masts; ``position`` of the carriage (m); each servo's angle (rad).
 
     With `as_modelled` the rail has no friction.
     """
@@ -88,7 +89,7 @@ class RailRig(Bench):
     sensed = ("x",)
     signals: Mapping[str, str] = {
         **{f"force_{axis}": "N" for axis in "xyz"}, **{f"torque_{axis}": "N m" for axis in "xyz"},
-        **{f"swimmer_{one}": "m" if one in "xyz" else "1" for one in _POSE},
+        **{f"{part}_{one}": "m" if one in "xyz" else "1" for part in ("swimmer", "link", "plate") for one in POSE},
         "position": "m", "left": "rad", "right": "rad",
     }  # fmt: skip
 
@@ -110,6 +111,8 @@ class RailRig(Bench):
         on_held = [one for one in swimmer_effects if one.site != "rail"]
         self._held = Stepper(held, effects=on_held, step_s=self.step_s)
         self._outputs = [one.name for one in self._model.outputs]
+        self._lengths_m = (values["link"], values["arm"])
+        self._spacing_m = values["motor_spacing"]
         self._pull: tuple[float, float, float] | None = None  # to_m, speed_m_s, start_s
         self._told_before = np.zeros((1, 2))
         self._servo_before = np.zeros((1, 2))
@@ -197,6 +200,11 @@ class RailRig(Bench):
         names = self._outputs
         x, acceleration = rows[:, names.index("x")], rows[:, names.index("acceleration")]
         speed, zero = rows[:, names.index("speed")], np.zeros(len(rows))
+        base = rows[:, names.index("base_1")]
+        link, plate = poses(base, base + rows[:, names.index("bend_1")], *self._lengths_m)
+        side = np.array([0.0, 0.5 * self._spacing_m, 0.0])
+        for part in (link, plate):
+            part[:, :3] += side + np.column_stack([x, zero, zero])
         friction = np.zeros(len(rows))
         for effect in self._rail:
             values = effect.named_values
@@ -211,7 +219,7 @@ class RailRig(Bench):
         return np.column_stack([
             force_x + noise[:, 0], rows[:, names.index("force_y")] + noise[:, 1], zero,
             zero, zero, rows[:, names.index("torque_z")],
-            x, zero, zero, zero, zero, zero, np.ones(len(rows)),
+            x, zero, zero, zero, zero, zero, np.ones(len(rows)), link, plate,
             x, told,
         ])  # fmt: skip
 

@@ -25,7 +25,7 @@ _KNOWN: Mapping[str, tuple[float, ...]] = {"beams": (1.0, 2.0), "wings": (1.0, 2
 _BETWEEN_MOUNTINGS = (0.01, 0.02)
 """Relative scatter of the slopes and of the limits of a beam from mounting to mounting (chosen)."""
 _FELT = ("force_x", "force_y", "torque_z")
-_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _HEIGHT_M = 0.3
 """Of the markers above the sensor: they stand on masts, out of the water."""
 
@@ -78,7 +78,7 @@ class FlappingWing(Bench):
     sensed = _FELT
     signals: Mapping[str, str] = {
         "force_x": "N", "force_y": "N", "torque_z": "N m",
-        **{f"{part}_{axis}": "m" if axis in "xyz" else "1" for part in ("link", "plate") for axis in _POSE},
+        **{f"{part}_{axis}": "m" if axis in "xyz" else "1" for part in ("link", "plate") for axis in POSE},
         "wing": "rad",
     }  # fmt: skip
 
@@ -163,7 +163,7 @@ class FlappingWing(Bench):
         found = self._stepper.advance(driven)
         if not self._stepper.finite:
             raise ExperimentError("the simulated wing blew up", hint="hide a weaker effect, or none")
-        return np.column_stack([found[:, :3], *_poses(found[:, 3], found[:, 4], *self._lengths_m), shaft])
+        return np.column_stack([found[:, :3], *poses(found[:, 3], found[:, 4], *self._lengths_m), shaft])
 
     def _memory(self) -> dict[str, Any]:
         return {
@@ -186,8 +186,14 @@ class FlappingWing(Bench):
         self._stepper.restore(memory["stepper"])
 
 
-def _poses(link: FloatArray, plate: FloatArray, link_m: float, arm_m: float) -> tuple[FloatArray, FloatArray]:
-    """Return the poses of the middles of link and plate, each of shape (n, 7)."""
+def poses(link: FloatArray, plate: FloatArray, link_m: float, arm_m: float) -> tuple[FloatArray, FloatArray]:
+    """Return the poses of the middles of link and plate of a left fin on a body at rest, each of shape (n, 7).
+
+    Parameters
+    ----------
+    link, plate : (n,)
+        Angles from the body's side, positive to the front, rad.
+    """
     zero = np.zeros_like(link)
     ends = np.column_stack([link_m * np.sin(link), link_m * np.cos(link)])
     middles = (0.5 * ends, ends + arm_m * np.column_stack([np.sin(plate), np.cos(plate)]))
