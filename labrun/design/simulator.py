@@ -1,6 +1,7 @@
 """One candidate of a design, simulated: its geometry as the model's parameters, its gait as the model's inputs."""
 
 import functools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +17,8 @@ from labrun.search import Violations
 from labrun.signals import Signals
 from labrun.spec import SIMULATION, Condition, Design, Experiment
 from labrun.toml import ExpressionError, suggest
+
+_UNFIT = "cannot be simulated: "
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +104,7 @@ class Simulator:
         try:
             return self._simulated(values, keep, broken)
         except _UnfitError as error:
-            told = f"cannot be simulated: {error}"
+            told = f"{_UNFIT}{error}"
             return Simulated({}, Violations(broken.number + 1, broken.size + 1.0, (*broken.texts, told)))
 
     def _simulated(self, values: Condition, keep: bool, broken: Violations) -> Simulated:
@@ -278,8 +281,10 @@ def require_simulable(simulator: Simulator) -> float:
         [{name: float(column[at]) for name, column in columns.items()} for at in chosen], keep=True
     )
     if not any(one.objectives for one in tried):
+        reasons = Counter(one.violations.texts[-1].removeprefix(_UNFIT) for one in tried)
+        told = "".join(f"\n  {count} x {reason}" for reason, count in reasons.most_common())
         raise PlanError(
-            f"the design cannot be simulated: {tried[0].violations.texts[-1]}",
+            f"the design cannot be simulated: none of {len(tried)} that were tried{told}",
             hint="look at design.parameters, design.initial and the ranges of the variables; more design.substeps "
             "take smaller steps",
         )
