@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit import Each, Note
+from labrun.fit import Each, Note, Problem
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, without
 from labrun.gap.diagnosis import Name
@@ -166,9 +166,12 @@ class Selector:
                 break
             self.note(f"found {one.name}; looking whether there is more")
             chosen.append(one)
-            if len(chosen) < criteria.MOST_CAUSES:
+            room = self._room(one.held_out)
+            if len(chosen) < criteria.MOST_CAUSES and (
+                room or len(chosen) == 1
+            ):  # of several, `_exchanged` asks again
                 rounds += self._beyond(one)
-            if not self._room(one.held_out):
+            if not room:
                 break
         return chosen, rounds
 
@@ -179,9 +182,9 @@ class Selector:
 
     def _beyond(self, last: Chosen) -> list[Round]:
         """Try every candidate beside all causes: closely only where there is room for one more."""
-        if self._room(last.held_out):
-            return [self._round(last.base)]
         names = frozenset(one.name for one in last.base.added)
+        if names in self._rounds or self._room(last.held_out):
+            return [self._round(last.base)]
         rest = without(self.candidates, names)
         return [] if self.base.brisk else [self._tried(last.base, rest, closely=False)]
 
@@ -243,7 +246,7 @@ class Selector:
         for _ in range(criteria.REWEIGHED if self.null.relative else 1):
             problem = in_units_of(self.noise, problem, z)
             z = refit(problem, z)
-        base = Base.of(problem, z, (*current.base.added, best.candidate), brisk=self.base.brisk)
+        base = self._based(problem, z, (*current.base.added, best.candidate))
         return Chosen(best, rivals, weight, base, best.held_out)
 
     def _round(self, base: Base) -> Round:
@@ -301,4 +304,16 @@ class Selector:
         problem = problem.with_substeps(last.problem.substeps)
         z = refit(problem, np.concatenate([*parts, last.problem.own_states(last.z)]))
         problem = in_units_of(self.noise, problem, z)
-        return Base.of(problem, z, tuple(kept), brisk=self.base.brisk)
+        return self._based(problem, z, tuple(kept))
+
+    def _based(self, problem: Problem, z: FloatArray, added: tuple[Candidate, ...]) -> Base:
+        """Return a base in steps of the integrator no shorter than its causes ask for: all that follows takes them."""
+        squares = problem.squares(z)
+        while problem.substeps > self.base.problem.substeps:
+            coarser = problem.with_substeps(
+                max(problem.substeps // criteria.FINER, self.base.problem.substeps)
+            )
+            if abs(coarser.squares(z) - squares) > criteria.STEPS_DO * squares:
+                break
+            problem = coarser
+        return Base.of(problem, z, added, brisk=self.base.brisk)

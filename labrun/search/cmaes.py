@@ -400,4 +400,8 @@ class _Search:
 
     def _tell_progress(self, candidates: Sequence[SearchCandidate]) -> None:
         if not any(item.violations.feasible for item in candidates):
-            self._progress.note(f"generation {self._watch.generation}: no candidate may run; none was run")
+            nearest = min(candidates, key=lambda item: (item.violations.number, item.violations.size))
+            self._progress.note(
+                f"generation {self._watch.generation}: no candidate may run; the nearest breaks: "
+                + "; ".join(nearest.violations.texts)
+            )
