@@ -16,7 +16,7 @@ from labrun.spec import condition_key
 from labrun.store import TrialOutcome
 
 _TITLE_WIDTH = 40
-_MOST_CONDITIONS = 12
+MOST_TRACED = 12
 _MOST_REPEATS = 8
 _COLUMNS = 3
 _WIDTH_IN = 9.6
@@ -31,7 +31,7 @@ def draw_plain_run(view: RunView) -> Figure | None:
     """
     groups = groups_of(view)
     channel = view.channel
-    shown = list(groups.values())[:_MOST_CONDITIONS] if channel is not None else []
+    shown = list(groups.values())[:MOST_TRACED] if channel is not None else []
     points = view.points(view.objective) if view.objective is not None else []
     columns = min(_COLUMNS, max(len(shown), 1))
     rows = -(-len(shown) // columns) if shown else 0
@@ -140,7 +140,7 @@ def objective_panel(
             axes.plot([position] * 2, point.ci95, color=COLOURS[0], linewidth=1.2)
     differing = varying(conditions)
     names = [", ".join(value_text(c[name]) for name in differing if name in c) for c in conditions]
-    if len(names) > _MOST_CONDITIONS:
+    if len(names) > MOST_TRACED:
         axes.set_xlabel("conditions, in ascending order")
         axes.set_xticks([])
     else:

@@ -14,10 +14,12 @@ from labrun.arrays import FloatArray
 from labrun.report.data import Point, RunView
 from labrun.report.figures.traces import cycles_of, draw_cycle, draw_traces
 from labrun.report.style import BEST, COLOURS, DIVERGING, SEQUENTIAL, SOFT, heading, new_figure, zero_line
-from labrun.report.text import label, value_text
+from labrun.report.text import label, unit_text, value_text
 from labrun.spec import Value
 
 _MOST_GRID_VALUES = 60
+_MOST_TICKS = 5
+"""Values of an axis that are all written; of more, round numbers between them."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,10 @@ class Axis:
         """Set the ticks of a matplotlib axis."""
         if self.is_words:
             axis.set_ticks(range(len(self.values)), [str(value) for value in self.values])
+        elif self.is_grid and len(self.values) <= _MOST_TICKS:
+            axis.set_ticks(
+                [self._number(value) for value in self.values], [value_text(value) for value in self.values]
+            )
         else:
             axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
 
@@ -275,7 +281,7 @@ def _panel(panel: Axes, shared: _Map, panels: Axis | None, number: int) -> Any:
             zorder=5,
         )
     if panels is not None:
-        unit = shared.view.experiment.units.get(panels.name, "")
+        unit = unit_text(shared.view.experiment.units.get(panels.name, ""))
         panel.set_title(f"{panels.name} {panels.name_of(number)} {unit}".rstrip())
     for spine in panel.spines.values():
         spine.set_visible(False)
