@@ -14,6 +14,7 @@ import tomli_w
 from numpy.typing import ArrayLike
 
 from labrun import registry
+from labrun.arrays import FloatArray
 from labrun.errors import SpecError
 from labrun.learned.network import ACTIVATIONS, Activation, Network, Scaling
 from labrun.toml import parsed, text_of
@@ -93,9 +94,18 @@ def read_learned(path: Path) -> LearnedModel:
         arrays = np.load(io.BytesIO(packed), allow_pickle=False)
         layers = sum(name.startswith("weight_") for name in arrays.files)
         weights, biases = ([arrays[f"{of}_{i}"] for i in range(layers)] for of in ("weight", "bias"))
-        return _model(data, weights, biases)
+        model = _model(data, weights, biases)
+        changed = [
+            n for n, values in _scaling_of(model.network).items() if not np.array_equal(arrays[n], values)
+        ]
     except (KeyError, ValueError, TypeError, zipfile.BadZipFile) as error:
         raise SpecError(f"{path} and {beside.name} cannot be read as a learned model: {error}") from error
+    if changed:
+        raise SpecError(
+            f"scaling.{changed[0]} in {path} is not that of the weights in {beside.name}",
+            hint="the numbers of one fit belong together: copy both of its files again, or fit anew",
+        )
+    return model
 
 
 def to_table(model: LearnedModel) -> dict[str, Any]:
@@ -131,12 +141,7 @@ def _described(model: LearnedModel) -> dict[str, Any]:
         "rig": model.rig,
         "added_to": model.added_to,
         "activation": network.activation,
-        "scaling": {
-            "input_mean": network.inputs.mean.tolist(),
-            "input_scale": network.inputs.scale.tolist(),
-            "output_mean": network.outputs.mean.tolist(),
-            "output_scale": network.outputs.scale.tolist(),
-        },
+        "scaling": {name: values.tolist() for name, values in _scaling_of(network).items()},
         "origin": dict(model.origin),
     }
 
@@ -191,9 +196,19 @@ def _packed(network: Network) -> bytes:
     arrays: dict[str, Any] = {}
     for number, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         arrays |= {f"weight_{number}": weight, f"bias_{number}": bias}
+    arrays |= _scaling_of(network)
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)
     return buffer.getvalue()
+
+
+def _scaling_of(network: Network) -> dict[str, FloatArray]:
+    return {
+        "input_mean": network.inputs.mean,
+        "input_scale": network.inputs.scale,
+        "output_mean": network.outputs.mean,
+        "output_scale": network.outputs.scale,
+    }
 
 
 def _scalings(table: Mapping[str, Any]) -> tuple[Scaling, Scaling]:

@@ -140,3 +140,13 @@ def test_weights_that_are_no_numbers_and_layers_that_do_not_fit_are_refused(tmp_
     table = to_table(model())
     with pytest.raises(SpecError, match="does not hold"):
         from_table({**table, "inputs": {"a": "1"}})
+
+
+def test_a_scaling_that_is_not_that_of_the_weights_is_refused(tmp_path):
+    path = written(tmp_path, model())
+    text = path.read_text()
+    before = repr(float(model().network.inputs.scale[0]))
+    assert before in text
+    path.write_text(text.replace(before, "2.6", 1))
+    with pytest.raises(SpecError, match=r"scaling\.input_scale in .* is not that of the weights"):
+        read_learned(path)
