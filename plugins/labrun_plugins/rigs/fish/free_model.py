@@ -17,7 +17,7 @@ from typing import Any
 
 from labrun.models import Input, Model, Output, Parameter, Site, native
 
-REAR_FINS_YAW_DRAG = 0.044
+REAR_FINS_YAW_DRAG = 0.041
 """What a tail at rest and the dorsal fin add to the yaw drag, N m s^2."""
 
 STATES = ("x", "y", "heading", "ahead", "aside", "turning", "stirring", "vortex_x", "vortex_y", "vortex_yaw")
