@@ -1,4 +1,4 @@
-"""Results that a person types after a trial: asked for, checked, taken back while not stored, journalled."""
+"""Results that a person types after a trial: asked for, checked, taken back, journalled."""
 
 import getpass
 from collections.abc import Callable, Mapping
@@ -16,6 +16,7 @@ BACK = "back"
 _MOST_ANSWERS = 10
 """That are none, to one question: a script that never says anything else would be asked for ever."""
 _KEEP = "Enter: that is right.   back: the last answer was wrong."
+_BEFORE = "back: what was typed of the trial before was wrong."
 
 
 class Onlooker:
@@ -59,6 +60,8 @@ class Asking:
         Keeps every answer: takes an event's name, and its fields.
     wait
         Waits a moment; raises if someone asked to stop.
+    may_correct, correct
+        Tells of a stored trial whether its values may still change; changes them. Nothing may, if not given.
     """
 
     def __init__(
@@ -68,12 +71,18 @@ class Asking:
         simulated: Onlooker | None,
         journal: Callable[..., None],
         wait: Callable[[], object],
+        may_correct: Callable[[int], bool] = lambda _: False,
+        correct: Callable[[int, Mapping[str, float]], object] = lambda _, __: None,
     ) -> None:
         self._questions = questions
         self._person = person
         self._simulated = simulated
         self._journal = journal
         self._wait = wait
+        self._may_correct = may_correct
+        self._correct = correct
+        self._before: tuple[int, str] | None = None
+        """The trial that was answered last, and its condition in words."""
 
     def look(self) -> None:
         """Begin to watch a trial."""
@@ -101,7 +110,12 @@ class Asking:
         if self._simulated is not None:
             typed = [self._of_scene(name) for name in names]
         else:
-            typed = self._of_person(names, about)
+            before = self._before if self._before is not None and self._may_correct(self._before[0]) else None
+            typed = self._of_person(names, about, before)
+            self._before = index, about
+        return self._values(index, names, typed)
+
+    def _values(self, index: int, names: list[str], typed: list[str]) -> dict[str, float]:
         values: dict[str, float] = {}
         for name, text in zip(names, typed, strict=True):
             question = self._questions[name]
@@ -127,7 +141,8 @@ class Asking:
             ) from error
         return text
 
-    def _of_person(self, names: list[str], about: str) -> list[str]:
+    def _of_person(self, names: list[str], about: str, before: tuple[int, str] | None = None) -> list[str]:
+        """Return the lines that were typed; `before` is the stored trial whose lines may be typed anew."""
         typed: list[str] = []
         while True:
             place = len(typed)
@@ -138,10 +153,13 @@ class Asking:
                     continue
                 return typed
             question = self._questions[names[place]]
-            hint = "back: the answer before was wrong." if typed else ""
+            first = _BEFORE if before is not None else ""
+            hint = "back: the answer before was wrong." if typed else first
             answer = self._answer(f"{about}: {question.question}", hint, question.number)
             if answer == BACK and typed:
                 typed.pop()
+            elif answer == BACK and before is not None:
+                self._correct(before[0], self._values(before[0], names, self._of_person(names, before[1])))
             elif answer != BACK:
                 typed.append(answer)
 

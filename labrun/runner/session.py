@@ -111,6 +111,8 @@ class Session:
             recorder=recorder,
             person=person,
             wait=self._wait,
+            may_correct=self._may_correct,
+            correct=self._correct,
         )
         self._stored = folder.outcomes()
         self._hands = Mountings(
@@ -128,6 +130,8 @@ class Session:
         self._stopwatch = RealClock()
         self._started_s = self._stopwatch.now()
         self._since_reference: int | None = None
+        self._decided = 0
+        """Index from which on no trial's values have decided anything yet."""
         self._previous: TrialOutcome | None = None
         self._expected: int | None = None
         self._warned = False
@@ -189,6 +193,7 @@ class Session:
         if self._expected is None:
             self.expect(None)
         found = [Measurement(condition, role, ()) for condition in conditions]
+        self._decided = self.index
         self._tell_worn(conditions)
         with self._interruptible():
             self._hands.plan(
@@ -225,6 +230,8 @@ class Session:
                     if found[position].role == "measure":
                         self._reference_if_due()
                     found[position] = self._repeat(found[position])
+                if rule.min < rule.max or self._experiment.trial.outliers.rule != "none":
+                    self._decided = self.index
                 for position in part:
                     self._reject_outliers(found[position].of_mounting(mounting.number))
                     found[position] = self._as_marked(found[position])
@@ -251,6 +258,19 @@ class Session:
         reason = f"{SET_ASIDE}mounting {mounting} was taken back"
         self._mark({o.index: reason for o in self.outcomes if o.mounting == mounting and o.status == "done"})
         self._damage.forget(mounting)
+
+    def _may_correct(self, index: int) -> bool:
+        """Return whether a stored trial's values may change: what comes next must not follow from those of before."""
+        return (
+            self._decided <= index < len(self.outcomes)
+            and self.outcomes[index].status == "done"
+            and self._experiment.damage is None
+        )
+
+    def _correct(self, index: int, objectives: Mapping[str, float]) -> None:
+        """Replace values of a stored trial that were typed wrongly."""
+        self._folder.correct(index, objectives)
+        self.outcomes[index] = self.outcomes[index].corrected(objectives)
 
     def _mark(self, reasons: Mapping[int, str]) -> None:
         """Reject trials that counted so far."""

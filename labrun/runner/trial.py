@@ -77,6 +77,8 @@ class TrialRunner:
         How a trial is recorded: its whole motion sent at once, unless something else is asked for.
     person, wait
         Who types results, where the file asks for some; and what waits a moment for them.
+    may_correct, correct
+        See `Asking`.
 
     Raises
     ------
@@ -96,6 +98,8 @@ class TrialRunner:
         recorder: Recorder = record_planned,
         person: Person | None = None,
         wait: Callable[[], object] = lambda: None,
+        may_correct: Callable[[int], bool] = lambda _: False,
+        correct: Callable[[int, Mapping[str, float]], object] = lambda _, __: None,
     ) -> None:
         self._experiment = experiment
         self._table = experiment.trial
@@ -107,13 +111,19 @@ class TrialRunner:
         self._recorder = recorder
         self._motions = motions
         self._evaluation = ObjectiveEvaluation(experiment)
-        self._asking = self._made_asking(person or Willing(), wait)
+        self._asking = self._made_asking(person or Willing(), wait, may_correct, correct)
         self._damage = Damage(experiment.damage, experiment.by_hand)
         self._speed_rad_s = math.radians(self._table.move_speed_deg_s)
         self._safe_pose = {joint: math.radians(deg) for joint, deg in self._table.safe_pose_deg.items()}
         self.baseline: Bounds | None = None
 
-    def _made_asking(self, person: Person, wait: Callable[[], object]) -> Asking:
+    def _made_asking(
+        self,
+        person: Person,
+        wait: Callable[[], object],
+        may_correct: Callable[[int], bool],
+        correct: Callable[[int, Mapping[str, float]], object],
+    ) -> Asking:
         questions = self._evaluation.questions
         simulated = Onlooker.of(self._rig.scene, self._bench.clock) if isinstance(person, Willing) else None
         if questions and isinstance(person, Willing) and simulated is None:
@@ -121,7 +131,7 @@ class TrialRunner:
                 f"{', '.join(questions)} would be typed by a person, and the scene has no answer in their place",
                 hint="give the scene a method answer(), run it on the bench, or from Python with person=...",
             )
-        return Asking(questions, person, simulated, self._journal, wait)
+        return Asking(questions, person, simulated, self._journal, wait, may_correct, correct)
 
     def run(self, request: TrialRequest) -> TrialResult:
         """Run and store one trial.

@@ -244,6 +244,21 @@ class RunFolder:
         known[index] = known[index].marked(status, reason)
         self._known = known
 
+    def correct(self, index: int, objectives: Mapping[str, float]) -> None:
+        """Replace values of a stored trial that a person typed; the journal keeps those of before.
+
+        Raises
+        ------
+        RecordingError
+            There is no such trial.
+        """
+        known = self._known if self._known is not None else self.outcomes()
+        if index not in known:
+            raise RecordingError(f"{self.path} has no trial {index} to correct")
+        self.journal.append("corrected", index=index, objectives=dict(objectives))
+        known[index] = known[index].corrected(objectives)
+        self._known = known
+
     def pack(self) -> Path:
         """Put all trials into ``run.h5``, verify it, and only then remove the trial files.
 
@@ -370,12 +385,14 @@ def require_current(events: Sequence[Mapping[str, Any]], path: Path) -> None:
 
 
 def apply_marks(outcomes: dict[int, TrialOutcome], events: list[dict[str, Any]]) -> dict[int, TrialOutcome]:
-    """Return the outcomes with the ``mark`` events of a journal applied in order."""
+    """Return the outcomes with the ``mark`` and ``corrected`` events of a journal applied in order."""
     marked = dict(outcomes)
     for event in events:
         index = event.get("index")
         if event["event"] == "mark" and index in marked:
             marked[index] = marked[index].marked(event["status"], event["reason"])
+        elif event["event"] == "corrected" and index in marked:
+            marked[index] = marked[index].corrected(event["objectives"])
         elif event["event"] == "trial" and index in marked:
             marked[index] = outcomes[index]  # stored anew: earlier marks were about its predecessor
     return marked

@@ -127,6 +127,10 @@ class TrialOutcome:
         """Return the outcome with another status."""
         return replace(self, status=status, reason=reason)
 
+    def corrected(self, objectives: Mapping[str, float]) -> "TrialOutcome":
+        """Return the outcome with other values of some objectives."""
+        return replace(self, objectives={**self.objectives, **objectives})
+
 
 def mean_truncation(outcomes: Sequence[TrialOutcome], objective: str) -> float:
     """Return what cut cycles may have done to the mean of an objective over trials; 0 where none were cut."""

@@ -190,3 +190,29 @@ def test_without_a_terminal_the_bench_does_not_begin(tmp_path, monkeypatch):
             dry_run=False,
             progress=SilentProgress(),
         )
+
+
+def test_back_at_the_next_question_corrects_the_stored_trial_before(tmp_path):
+    lines = ["20", "yes", "", "back", "24", "no", "", "10", "yes", "", "20", "yes", ""]
+    part = run(tmp_path, Typist(*lines), limit=3)
+    ended = resume(part.run, person=Typist("10", "yes", ""))
+    assert values_of(ended) == [(20, 15.0, 0.0), (40, 36.0, 1.0), (20, 18.0, 1.0), (40, 36.0, 1.0)]
+    events = list(Journal(ended.run / "journal.jsonl").events())
+    assert [event["objectives"] for event in events if event["event"] == "corrected"] == [
+        {"turning": 15.0, "swims": 0.0}
+    ]
+    typed = [event["typed"] for event in events if event["event"] == "answered" and event["index"] == 0]
+    assert typed == ["20", "yes", "24", "no"]
+
+
+def test_a_value_that_a_decision_rests_on_is_not_changed_any_more(tmp_path):
+    path = tmp_path / "timed.toml"
+    rule = "repeats = { min = 1, max = 2, standard_error = { turning = 0.1 } }"
+    path.write_text(FILE.replace("repeats = 2", rule))
+    typist = Typist(*["20", "yes", ""] * 2, "back", *["20", "yes", ""] * 2)
+    ended = execute(
+        load_experiment(path), results=tmp_path / "results", dry_run=True, seed=1, progress=SilentProgress(),
+        person=typist,
+    )  # fmt: skip
+    assert values_of(ended) == [(20, 18.0, 1.0), (40, 18.0, 1.0)] * 2
+    assert not [e for e in Journal(ended.run / "journal.jsonl").events() if e["event"] == "corrected"]
