@@ -67,6 +67,7 @@ def assert_quiet(answer: Answer) -> None:
     assert revealed["score"] == "right"
 
 
+@pytest.mark.slow
 def test_a_late_command_of_the_fin_is_found_against_the_model_of_the_step_response() -> None:
     # a late command is late whichever wire it was late on: the model's own delay is as good a name for it
     assert_named(found_on("fin-step", "delay@tail:delay=0.05", FIN_STEP), "delay", "tail")

@@ -57,6 +57,7 @@ def test_the_corrected_model_says_what_it_was_corrected_by(bench):
     assert [one.effect.id for one in load_model(model).effects]
 
 
+@pytest.mark.slow
 def test_a_dry_run_of_the_corrected_model_lacks_nothing_at_the_hinge(bench):
     folder, _, _, model = bench
     of_model = dry_run(folder, [], f'rig.scene={{plugin="hinge-bench", model="{model}"}}')
