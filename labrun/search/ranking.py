@@ -214,7 +214,7 @@ def pooled_intervals(
         len(several) > 1 and squares > 0.0 and min(map(len, several)) >= _LEAST
     ):  # of two trials it sees nothing
         with np.errstate(divide="ignore"):
-            unlike = stats.levene(*several, center="median").pvalue < 1.0 - _SHARE
+            unlike = bool(stats.levene(*several, center="median").pvalue < 1.0 - _SHARE)
     if unlike or not several:
         return [t_interval(values, (), cut) for values, cut in zip(samples, truncations, strict=True)]
     reach = float(stats.t.ppf(0.5 + _SHARE / 2, freedom)) * math.sqrt(squares / freedom)
