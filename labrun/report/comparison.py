@@ -163,7 +163,7 @@ def _condition_panel(pairs: Sequence[Pair]) -> Panel:
         ticks: tuple[str, ...] = ()
     else:
         places = np.arange(len(pairs), dtype=float)
-        shown = apart[:1] or names
+        shown = apart[:1] or names or list(first.condition)  # of one condition alone, all of it
         told = (", ".join(value_text(pair.condition[name]) for name in shown) for pair in pairs)
         ticks = tuple(told) if len(pairs) <= _MOST_TICKS else ()
     measured = np.array([float(pair.measured[0]) for pair in pairs])
@@ -175,7 +175,7 @@ def _condition_panel(pairs: Sequence[Pair]) -> Panel:
             Curve(places, predicted, "fitted", "predicted", kind="line" if line else "points"),
         ),
         title=first.channel,
-        x_label=spaced(along or ""),
+        x_label=spaced(along or "" if names else ", ".join(first.condition)),
         y_label=with_unit(first.channel, first.unit),
         zero=True,
         ticks=ticks,
