@@ -1,5 +1,6 @@
 """Runs, recordings, fits, plans and remarks in a terminal."""
 
+import math
 import re
 import shutil
 import textwrap
@@ -7,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich import box
-from rich.console import Console
+from rich.console import Console, OverflowMethod
 from rich.table import Table
 from rich.text import Text
 
@@ -233,6 +234,9 @@ def print_conditions(found: Findings, console: Console) -> None:
     if console.measure(table, options=unbounded).maximum > console.width:
         table = _condition_table(found, shown, "\n")  # units below the names, so that no number is broken
         table.collapse_padding = True
+        if console.measure(table, options=unbounded).maximum > console.width:
+            table = _condition_table(found, shown, "\n", means_only=True)
+            table.collapse_padding = True
     console.print(table)
     if len(shown) < found.conditions_total:
         text = f"... of {found.conditions_total} conditions"
@@ -241,10 +245,13 @@ def print_conditions(found: Findings, console: Console) -> None:
         console.print(Text(text), highlight=False)
 
 
-def _condition_table(found: Findings, shown: Sequence[ConditionResult], before_unit: str) -> Table:
+def _condition_table(
+    found: Findings, shown: Sequence[ConditionResult], before_unit: str, *, means_only: bool = False
+) -> Table:
+    """Return the table; with `means_only` as narrow as it gets: no intervals, and names on several lines."""
     names = varying(result.condition for result in found.conditions)
     headed = f"conditions, by {found.goal[0]}" if found.goal is not None else "conditions"
-    title = f"{headed}: means ± half their 95 % intervals"
+    title = f"{headed}: means{' (a wider terminal shows intervals)' if means_only else ' ± half their 95 % intervals'}"
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     for name in names:
         words = any(isinstance(result.condition.get(name), str) for result in shown)
@@ -253,17 +260,21 @@ def _condition_table(found: Findings, shown: Sequence[ConditionResult], before_u
     table.add_column("n", justify="right")
     decimals: dict[str, int | None] = {}
     for name, unit in found.objective_units.items():
-        heading = with_unit(name, unit).replace(" (", f"{before_unit}(")
-        table.add_column(heading, justify="right")
+        heading = with_unit(name.replace("_", "_\n") if means_only else name, unit)
+        overflow: OverflowMethod = "fold" if means_only else "ellipsis"
+        table.add_column(heading.replace(" (", f"{before_unit}("), justify="right", overflow=overflow)
         points = [result.points[name] for result in shown if name in result.points]
         decimals[name] = decimals_for(standard_error(point) for point in points)
+        if means_only:
+            largest = max((abs(point.mean) for point in points), default=0.0)
+            decimals[name] = min(max(0, 2 - math.floor(math.log10(largest))), 4) if largest > 0 else 0
     marked = any(result.best for result in shown)
     if marked:
         table.add_column("")
     for result in shown:
         cells = [value_text(result.condition[name]) if name in result.condition else "" for name in names]
         cells.append(str(result.accepted))
-        cells += [_mean(result, name, decimals[name]) for name in found.objective_units]
+        cells += [_mean(result, name, decimals[name], alone=means_only) for name in found.objective_units]
         if marked:
             cells.append("best" if result.best else "")
         table.add_row(*cells, style="green" if result.best else "")
@@ -280,12 +291,14 @@ def _shown(found: Findings) -> list[ConditionResult]:
     return shown
 
 
-def _mean(result: ConditionResult, objective: str, decimals: int | None) -> str:
+def _mean(result: ConditionResult, objective: str, decimals: int | None, *, alone: bool = False) -> str:
     point = result.points.get(objective)
     if point is None:
         return ""
     if point.at_least:
         return f"> {decimal_text(point.mean, decimals)}"
+    if alone:
+        return f"{round(point.mean, decimals or 0) + 0.0:.{decimals or 0}f}"
     mean, interval = decimal_text(point.mean, decimals), point.ci95
     return mean if interval is None else f"{mean} ± {decimal_text(interval[1] - point.mean, decimals)}"
 

@@ -3,6 +3,7 @@
 import io
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from labrun.app.report import read_source
 from labrun.report.conditions import condition_results, in_order, most_promising, varying
 from labrun.report.figures.runs import condition_title
 from labrun.report.findings import findings
-from labrun.report.terminal import print_findings
+from labrun.report.terminal import print_conditions, print_findings
 from labrun.store import open_run
 
 
@@ -80,3 +81,23 @@ def test_controllers_stand_in_the_order_of_the_file(tracked):
         shown = [result.condition["controller"] for result in findings(read_source(run)).conditions]
     listed = ["P-100", "P-109", "P-120", "PI", "FF-P", "FF-PI"]
     assert shown == [name for name in listed if name in shown]
+
+
+def test_a_narrow_terminal_shows_means_that_are_not_cut():
+    names = [f"objective_{number}" for number in range(9)]
+    view = sweep_view(lambda c: 0.1234 * c["f"], {"f": [1, 2]})
+    units = dict.fromkeys(names, "N m")
+    results = [
+        replace(one, points=dict.fromkeys(names, one.points["thrust"])) for one in condition_results(view)
+    ]
+    console = Console(file=io.StringIO(), width=80)
+    print_conditions(
+        SimpleNamespace(
+            conditions=results, conditions_total=2, objective_units=units, goal=None, condition_units={}
+        ),
+        console,
+    )
+    text = console.file.getvalue()
+    assert "means (a wider terminal shows intervals)" in text
+    assert "…" not in text
+    assert text.count(f"{results[1].points[names[0]].mean:.3f}") == len(names)
