@@ -152,7 +152,7 @@ def _gaits(experiment: Experiment, counted: Sequence[TrialOutcome], told: str) -
     if len(found) < 2:
         raise RequestError(
             f"{told} tried {len(found)} gait: there is nothing to rank",
-            hint="conditions = { leaders_of = ..., count = 8 }",
+            hint=f"labrun resume {told}, if it did not come to its end, or more gaits in [run] conditions",
         )
     return sorted(found.values(), key=lambda gait: float(gait.get(NUMBER, 0.0)))
 

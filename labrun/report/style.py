@@ -27,6 +27,9 @@ SEQUENTIAL = "viridis"
 BEST = "#111111"
 DPI = 160
 _HEADING_IN = 0.46
+_TITLE_PT = 12.5
+_TITLE_CHARACTERS_PER_IN = 9.2
+"""Of a title at its full size; a longer one is written smaller."""
 _LINE_IN = 0.155
 _CHARACTERS_PER_IN = 12.8
 
@@ -130,7 +133,8 @@ def heading(figure: Figure, title: str, subtitle: str) -> None:
     engine = figure.get_layout_engine()
     if isinstance(engine, ConstrainedLayoutEngine):
         engine.set(rect=(0.0, 0.0, 1.0, 1.0 - band))
-    figure.text(0.012, 1 - 0.10 / height, title, ha="left", va="top", fontsize=12.5, fontweight="bold")
+    size = min(_TITLE_PT, _TITLE_PT * _TITLE_CHARACTERS_PER_IN * width / max(len(title), 1))
+    figure.text(0.012, 1 - 0.10 / height, title, ha="left", va="top", fontsize=size, fontweight="bold")
     figure.text(0.012, 1 - 0.36 / height, "\n".join(lines), ha="left", va="top", fontsize=9, color="#444444")
 
 

@@ -12,7 +12,8 @@ from labrun.report.conditions import in_order, varying
 from labrun.report.data import Point, RunView
 from labrun.report.style import COLOURS, SOFT, heading, new_figure, zero_line
 from labrun.report.text import label, value_text, with_unit
-from labrun.spec import condition_key
+from labrun.search import NUMBER
+from labrun.spec import Condition, condition_key, condition_text
 from labrun.store import TrialOutcome
 
 _TITLE_WIDTH = 40
@@ -69,7 +70,7 @@ def groups_of(view: RunView) -> dict[object, list[TrialOutcome]]:
 
 def _subtitle(view: RunView, groups: dict[object, list[TrialOutcome]], shown: int) -> str:
     text = f"{len(groups)} conditions, {sum(len(trials) for trials in groups.values())} accepted trials"
-    if shown < len(groups):
+    if 0 < shown < len(groups):
         text += f" (traces of the first {shown} conditions)"
     return view.with_best(text)
 
@@ -130,16 +131,15 @@ def objective_panel(
     """
     by_key = {condition_key(point.condition): point for point in points}
     conditions = in_order(view.experiment, (point.condition for point in points))
-    for position, point in enumerate(by_key[condition_key(condition)] for condition in conditions):
-        spread = np.linspace(-0.16, 0.16, len(point.values)) if len(point.values) > 1 else np.zeros(1)
-        axes.plot(
-            position + spread, point.values, "o", color=SOFT, markersize=3.5, alpha=0.6, markeredgewidth=0
-        )
-        axes.plot([position - 0.22, position + 0.22], [point.mean] * 2, color=COLOURS[0], linewidth=2)
-        if point.ci95 is not None:
-            axes.plot([position] * 2, point.ci95, color=COLOURS[0], linewidth=1.2)
-    differing = varying(conditions)
-    names = [", ".join(value_text(c[name]) for name in differing if name in c) for c in conditions]
+    ordered = [by_key[condition_key(condition)] for condition in conditions]
+    if view.experiment.over:
+        ticks = _draw_by_setting(axes, view, ordered)
+    else:
+        for position, point in enumerate(ordered):
+            _draw_point(axes, position, point, COLOURS[0], 0.22)
+        ticks = conditions
+    differing = [NUMBER] if all(NUMBER in one for one in ticks) else varying(ticks)
+    names = [", ".join(value_text(c[name]) for name in differing if name in c) for c in ticks]
     if len(names) > MOST_TRACED:
         axes.set_xlabel("conditions, in ascending order")
         axes.set_xticks([])
@@ -149,6 +149,42 @@ def objective_panel(
             range(len(names)), names, rotation=30 if crowded else 0, ha="right" if crowded else "center"
         )
         axes.set_xlabel(", ".join(label(name, view.experiment.units) for name in differing))
-    axes.set_xlim(-0.6, len(conditions) - 0.4)
+    axes.set_xlim(-0.6, len(ticks) - 0.4)
     axes.set_ylabel(with_unit(objective, view.unit_of(objective)))
     zero_line(axes)
+
+
+def _draw_by_setting(axes: Axes, view: RunView, points: Sequence[Point]) -> list[Condition]:
+    """Draw the settings of each candidate side by side, a colour a setting; return the candidates."""
+    over = view.experiment.over
+    candidates: dict[object, Condition] = {}
+    settings: dict[object, Condition] = {}
+    for point in points:
+        own = {name: value for name, value in point.condition.items() if name not in over}
+        setting = {name: value for name, value in point.condition.items() if name in over}
+        candidates.setdefault(condition_key(own), own)
+        settings.setdefault(condition_key(setting), setting)
+    places, colours = list(candidates), list(settings)
+    step = 0.8 / max(len(colours), 1)
+    for point in points:
+        own = {name: value for name, value in point.condition.items() if name not in over}
+        setting = {name: value for name, value in point.condition.items() if name in over}
+        number = colours.index(condition_key(setting))
+        at = places.index(condition_key(own)) + (number - (len(colours) - 1) / 2) * step
+        _draw_point(axes, at, point, COLOURS[number % len(COLOURS)], 0.36 * step)
+    for number, setting in enumerate(settings.values()):
+        text = condition_text(setting, view.experiment.units)
+        axes.plot([], [], color=COLOURS[number % len(COLOURS)], linewidth=2, label=text)
+    axes.legend(
+        loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=min(len(colours), 4), frameon=False, fontsize=8
+    )
+    return list(candidates.values())
+
+
+def _draw_point(axes: Axes, at: float, point: Point, colour: str, half: float) -> None:
+    """Draw single trials, mean and interval of a condition, so far to both sides."""
+    spread = 0.7 * half * np.linspace(-1.0, 1.0, len(point.values)) if len(point.values) > 1 else np.zeros(1)
+    axes.plot(at + spread, point.values, "o", color=SOFT, markersize=3.5, alpha=0.6, markeredgewidth=0)
+    axes.plot([at - half, at + half], [point.mean] * 2, color=colour, linewidth=2)
+    if point.ci95 is not None:
+        axes.plot([at] * 2, point.ci95, color=colour, linewidth=1.2)

@@ -215,7 +215,8 @@ def _draw_maps(view: RunView, points: Sequence[Point], axes: Sequence[Axis], lef
                 draw_cycle(below[1], cycles)
                 below[1].set_title("its mean gait cycle, ± sd between trials")
         legend = "; hatched: not measured" if shared.x.is_grid and shared.y.is_grid else ""
-        heading(figure, view.experiment.title, _subtitle(view, points) + left_out + legend)
+        measured = view.points(str(view.objective), roles=("measure",))
+        heading(figure, view.experiment.title, _subtitle(view, measured) + left_out + legend)
     return figure
 
 
