@@ -181,20 +181,28 @@ class CommandStream:
                     return
             if self._superseded(number):
                 return
-            late_s = self._clock.now() - due_s
-            skip = min(int(late_s * self._rate_hz), last - step)
-            step += skip
-            angles = trajectory.at(min(step * period_s, trajectory.duration_s))[0]
+            skip = self._overdue(due_s, last - step)
+            angles = trajectory.at(min((step + skip) * period_s, trajectory.duration_s))[0]
+            # A busy computer may have paused this thread just now: a set-point that is due no more would leave for nothing,
+            # and the next one right behind it would look like a jump.
+            while (more := self._overdue(due_s, last - step)) > skip:
+                skip = more
+                angles = trajectory.at(min((step + skip) * period_s, trajectory.duration_s))[0]
+            late_s = self._clock.now() - due_s - skip * period_s
             self._send(angles)
             self._last = angles
             with self._lock:
-                self._late.append(late_s - skip * period_s)
+                self._late.append(late_s)
                 self._sent += 1
                 self._missed += skip
-            step += 1
+            step += skip + 1
         with self._lock:
             if self._number == number:
                 self._motion = None
+
+    def _overdue(self, due_s: float, most: int) -> int:
+        """Return how many set-points from the one due at `due_s` on have a successor that is due already, up to `most`."""
+        return min(int((self._clock.now() - due_s) * self._rate_hz), most)
 
     def _superseded(self, number: int) -> bool:
         self._changed.clear()

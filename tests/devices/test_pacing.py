@@ -152,3 +152,22 @@ def test_set_points_of_a_slow_wire_are_skipped_rather_than_sent_late_for_ever():
     stream.end()
     assert timing.missed > 20
     assert timing.sent + timing.missed == 51
+
+
+def test_a_set_point_whose_time_is_over_before_it_leaves_gives_way_to_the_one_that_is_due(stream, wire):
+    class Paused(Trajectory):
+        """A computer that is busy elsewhere once, while a set-point is being made."""
+
+        asked = 0
+
+        def at(self, time_s):
+            Paused.asked += 1
+            if Paused.asked == 1:
+                CLOCK.sleep(0.05)
+            return super().at(time_s)
+
+    motion = ramp()
+    stream.follow(Paused(motion.joints, motion.time_s, motion.angle_rad), CLOCK.now())
+    wait_until(lambda: wire.sent and wire.sent[-1][1] == 1.0)
+    assert wire.sent[0][1] >= 0.04 / 0.3
+    assert stream.timing.sent + stream.timing.missed == 31
