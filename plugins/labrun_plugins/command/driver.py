@@ -224,7 +224,8 @@ class Command:
             rows, times = read_table(path, list(self._settings.channels), self._settings.time)
         except TableError as error:
             self._fail(
-                str(error),
+                # what was written now is gone when this is read; what was kept before is there
+                str(error) if path == self._kept else str(error).replace(path.name, "its {output}"),
                 f"it has to write a header and rows of numbers, separated by commas. By hand: {self._line}",
             )
         self._rows = rows
