@@ -183,8 +183,8 @@ class CommandStream:
                 return
             skip = self._overdue(due_s, last - step)
             angles = trajectory.at(min((step + skip) * period_s, trajectory.duration_s))[0]
-            # A busy computer may have paused this thread just now: a set-point that is due no more would leave for nothing,
-            # and the next one right behind it would look like a jump.
+            # A busy computer may have paused this thread just now: a set-point whose successor is due would leave for
+            # nothing, and the next one right behind it would look like a jump.
             while (more := self._overdue(due_s, last - step)) > skip:
                 skip = more
                 angles = trajectory.at(min((step + skip) * period_s, trajectory.duration_s))[0]
@@ -201,7 +201,7 @@ class CommandStream:
                 self._motion = None
 
     def _overdue(self, due_s: float, most: int) -> int:
-        """Return how many set-points from the one due at `due_s` on have a successor that is due already, up to `most`."""
+        """Return how many set-points, from the one due at `due_s` on, have a successor that is due; at most `most`."""
         return min(int((self._clock.now() - due_s) * self._rate_hz), most)
 
     def _superseded(self, number: int) -> bool:
