@@ -28,7 +28,7 @@ from labrun.gap.diagnosis import (
 from labrun.gap.held_out import fitted_excess, floor_of, mean_residuals
 from labrun.gap.intervals import effect_units, parameter_value, scatter, values_of
 from labrun.gap.kin import family, kin
-from labrun.gap.learnable import learnable_share
+from labrun.gap.learnable import learnable_share, learned_beyond_scatter
 from labrun.gap.noise import from_residual
 from labrun.gap.nuisance import information
 from labrun.gap.pipeline import Search
@@ -339,7 +339,7 @@ def conclude(
         kinds.count("effect"),
         kinds.count("parameter"),
         shrunk,
-        0.0 if noise.known else learnable_share(final.problem, final.z),
+        0.0 if noise.known else learned_beyond_scatter(final.problem, final.z),
     )
     decided = verdict(findings)
     moved = scatter(final, search.null.draws(final))

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit import Dataset, Problem
+from labrun.fit import Dataset, OutputNoise, Problem
 from labrun.gap import criteria
 from labrun.gap.candidates import site_courses, typical_time_s
 from labrun.gap.held_out import mean_residuals
@@ -27,10 +27,51 @@ def learnable_share(problem: Problem, z: FloatArray, *, conditions: bool = False
     conditions
         Withhold whole conditions instead: whether what was learned holds where nothing was measured.
     """
+    residual = [one / problem.spread for one in mean_residuals(problem, z)]
+    return _share(problem, z, residual, conditions)
+
+
+def learned_beyond_scatter(problem: Problem, z: FloatArray) -> float:
+    """Return the part of the squared residual that is predicted of withheld pieces and is no trial's own.
+
+    A parameter that is a little off in one trial goes with its motion, too, and is learned from its other pieces:
+    repeats would show it to be noise. What every trial could make by parameters and initial states of its own is
+    therefore taken out first.
+    """
+    residual = [one / problem.spread for one in mean_residuals(problem, z)]
+    common = _without_own(problem, z, residual)
+    total = sum(float(np.sum(np.square(one))) for one in residual)
+    if total == 0.0:
+        return 0.0
+    left = sum(float(np.sum(np.square(one))) for one in common)
+    return _share(problem, z, common, conditions=False) * left / total
+
+
+def _without_own(problem: Problem, z: FloatArray, residual: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return residuals in units of the outputs' spread without what parameters that scatter by trial would change."""
+    from scipy.optimize import lsq_linear
+
+    jacobian = problem.with_noise(OutputNoise(1.0 / problem.spread)).jacobian(z, central=False)
+    most = criteria.SCATTER_BY_TRIAL * np.abs(z[: problem.size])
+    found = []
+    for one, shared, own in zip(residual, jacobian.shared, jacobian.own, strict=True):
+        inside = shared[: one.size] * most
+        seen = np.linalg.norm(inside, axis=0) > 0.0
+        directions = np.column_stack([inside[:, seen], own[: one.size]])
+        if directions.shape[1]:
+            room = np.concatenate([np.ones(np.sum(seen)), np.full(own.shape[1], np.inf)])
+            explained = lsq_linear(directions, one.ravel(), (-room, room)).x
+            found.append(one - (directions @ explained).reshape(one.shape))
+        else:
+            found.append(one)
+    return found
+
+
+def _share(problem: Problem, z: FloatArray, residual: Sequence[FloatArray], conditions: bool) -> float:
+    """Return the part of a residual that is predicted where it was withheld, 0 to 1."""
     seen = _seen(problem, z)
     if seen is None:
         return 0.0
-    residual = [one / problem.spread for one in mean_residuals(problem, z)]
     stride = max(1, sum(map(len, residual)) // criteria.MOST_LEARNED)
     inside = np.concatenate([one[::stride] for one in seen])
     wanted = np.concatenate([one[::stride] for one in residual])

@@ -19,7 +19,8 @@ class VerdictBasis:
     noise_known
         Whether noise is told from gap: by repeats, or by reading errors that are stated.
     learnable
-        Part of the squared residual that is left, which a model without physics predicts on withheld conditions.
+        Part of the squared residual that is left, which a model without physics predicts of withheld pieces of time,
+        and which no scatter of parameters from trial to trial makes.
     effects, parameters
         Number of causes of each kind.
     """

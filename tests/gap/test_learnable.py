@@ -8,11 +8,13 @@ import pytest
 from swings import dataset_of, swing
 
 from labrun.gap.averaging import averaged
-from labrun.gap.learnable import learnable_share
+from labrun.gap.learnable import learnable_share, learned_beyond_scatter
 from labrun.gap.recalibration import recalibrate
 from labrun.gap.what_is_left import Learnable
 from labrun.models import load_model
 from labrun.report.gap_text import gap_lines
+
+from .benches import CONDITIONS, TRUE, nothing, pendulum, recorded
 
 
 def left_by(sensor):
@@ -32,6 +34,31 @@ def test_of_noise_nothing_can_be_learned_and_of_an_error_that_goes_with_the_moti
     assert learnable_share(noise.problem, noise.z) < 0.1
     assert learnable_share(noise.problem, noise.z, conditions=True) < 0.1
     assert learnable_share(error.problem, error.z) > 0.5
+
+
+def test_parameters_that_scatter_by_trial_are_learned_but_are_no_gap_and_a_law_beyond_them_is():
+    def left(extra, scatter):
+        datasets = [
+            recorded(
+                extra,
+                true={**TRUE, "stiffness": (1 + off) * TRUE["stiffness"]},
+                repeats=1,
+                noise=2e-4,
+                seed=place,
+                conditions=[one],
+            )
+            for place, (one, off) in enumerate(zip(CONDITIONS, scatter, strict=True))
+        ]
+        data = replace(datasets[0], trials=tuple(trial for one in datasets for trial in one.trials))
+        model = pendulum()
+        found = recalibrate(model, averaged(data, model), np.random.default_rng(0), lambda _: None)
+        return found.problem, found.z
+
+    scattered = left(nothing, (0.01, -0.012, 0.008, -0.01, 0.006))
+    assert learnable_share(*scattered) > 0.1
+    assert learned_beyond_scatter(*scattered) < 0.02
+    cogging = left(lambda t, q, v: 0.012 * float(np.sin(8.0 * q)), (0.0,) * 5)
+    assert learned_beyond_scatter(*cogging) > 0.2
 
 
 @pytest.mark.parametrize(
