@@ -5,9 +5,11 @@ import math
 
 import numpy as np
 import pytest
-from labrun_plugins.rigs.buckling_fin.gait_rig import GaitRig
+from labrun_plugins.rigs.buckling_fin.gait_rig import GaitRig, GaitRigSettings, swimmer
+from labrun_plugins.rigs.buckling_fin.model import fin_model
 
 from labrun.devices import Trajectory
+from labrun.models import Stepper
 
 FELT = ("force_x", "force_y", "torque_z")
 
@@ -72,6 +74,30 @@ def test_on_the_arm_an_undulation_pushes_more_than_one_fin_does():
     )
     undulation = mean_load(rig(), alpha=31, f=1.0, phase_deg=300.0)
     assert abs(undulation[1]) > 1.3 * best
+
+
+def let_loose(alpha_deg, second_deg, f, phase_deg, platform):
+    """Return how fast the swimmer goes under a platform with these areas, m/s, once it is up to its speed."""
+    held = swimmer(GaitRigSettings(), short=True)
+    values = dict(zip((one.name for one in held.parameters), held.values.tolist(), strict=True))
+    mount = dict.fromkeys(("mount_stiffness", "mount_damping", "yaw_stiffness", "yaw_damping"), 0.0)
+    free = fin_model("free-swimmer", fins=2, free=("x", "y", "yaw")).with_values(
+        {**values, **mount, **platform}
+    )
+    time_s = np.arange(0.0, 20.0, 5e-4)
+    turn = 2 * np.pi * f * time_s
+    told = np.column_stack([alpha_deg * np.sin(turn), second_deg * np.sin(turn + np.radians(phase_deg))])
+    seen = Stepper(free, step_s=5e-4).advance(np.radians(told))
+    half = len(time_s) // 2
+    return np.hypot(*(seen[-1, 3:5] - seen[half, 3:5])) / (time_s[-1] - time_s[half])
+
+
+@pytest.mark.parametrize(
+    "platform", [{"body_side_area": 0.01, "yaw_drag": 0.01}, {"body_side_area": 0.03, "yaw_drag": 0.05}]
+)
+def test_let_loose_the_undulation_that_pushes_more_swims_slower(platform):
+    flapping = let_loose(60, 0, 0.8, 0, platform)
+    assert let_loose(31, 31, 1.0, 300, platform) < 0.8 * flapping
 
 
 def test_what_is_stuck_stays_long():
