@@ -108,10 +108,11 @@ class Rehearsal:
         """Return the same after a real recalibration: Gauss-Newton steps over a growing beginning of each trial.
 
         Over the whole of a long swing a frequency that is off by a percent is a phase that is off by a turn, which no
-        first step can put right.
+        first step can put right. Nor can it where a trial begins much later, as a strip that is mounted slacker does.
         """
         signals = self._signals_with([hidden])
         errors, plain, slopes = dict.fromkeys(self._loose, 0.0), self._plain, self._slopes
+        later = np.zeros(len(plain))
         for share in _BEGINNINGS:
             seen = self._beginning(share)
             white = self._whitened(_difference(signals, plain))
@@ -121,9 +122,11 @@ class Rehearsal:
                 name: (1 + error) * (1 + step) - 1
                 for (name, error), step in zip(errors.items(), steps.tolist(), strict=True)
             }
+            if self._free_beginning:
+                later -= found[len(errors) :: 2]
             try:
-                plain = self._signals_with([], errors)
-                slopes = self._sensitivities(plain, errors)
+                plain = _later(self._signals_with([], errors), later)
+                slopes = self._sensitivities(plain, errors, later)
             except ExperimentError:  # so far off that the bench blew up
                 break
         return self._largest(_left(self._whitened(_difference(signals, plain)), slopes))
@@ -148,12 +151,16 @@ class Rehearsal:
         least: FloatArray = np.maximum(np.maximum(noise, _QUIET * self._spread), 1e-12)
         return least
 
-    def _sensitivities(self, plain: Sequence[FloatArray], errors: Mapping[str, float]) -> FloatArray:
+    def _sensitivities(
+        self, plain: Sequence[FloatArray], errors: Mapping[str, float], later: FloatArray | None = None
+    ) -> FloatArray:
         """Return what small errors of loose parameters, then of where a swing begins, change; whitened columns."""
         columns = []
         for name in self._loose:
             more = {**errors, name: (1 + errors[name]) * (1 + _STEP) - 1}
-            columns.append(self._whitened(_difference(self._signals_with([], more), plain)))
+            changed = self._signals_with([], more)
+            changed = changed if later is None else _later(changed, later)
+            columns.append(self._whitened(_difference(changed, plain)))
         for index, one in enumerate(plain if self._free_beginning else ()):
             for moved in (np.gradient(one, axis=0), one):
                 alone = [np.zeros_like(other) for other in plain]
@@ -252,6 +259,15 @@ class Rehearsal:
 
 def _difference(signals: Sequence[FloatArray], plain: Sequence[FloatArray]) -> list[FloatArray]:
     return [ours - theirs for ours, theirs in zip(signals, plain, strict=True)]
+
+
+def _later(conditions: Sequence[FloatArray], samples: FloatArray) -> list[FloatArray]:
+    """Return the signals of each condition so many samples later; beyond their ends they stay as they are."""
+    found = []
+    for signals, by in zip(conditions, samples, strict=True):
+        count = np.arange(len(signals))
+        found.append(np.column_stack([np.interp(count - by, count, column) for column in signals.T]))
+    return found
 
 
 def _left(white: FloatArray, slopes: FloatArray) -> FloatArray:

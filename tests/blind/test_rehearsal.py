@@ -30,6 +30,15 @@ def test_a_strip_that_is_mounted_anew_is_no_noise(strip):
     assert strip.size(entry("bias", "force", "output", offset=2.0)) > 1.0
 
 
+def test_a_late_cell_is_slack_which_each_strip_has_of_its_own(strip):
+    # a shift of 0.07 or 0.27 mm, by far too long for a first step: a real recalibration makes up for it
+    late = entry("delay", "force", "output", delay=0.4)
+    assert strip.size(late) > 1.0
+    assert strip.recalibrated_size(late) < 0.01
+    later = entry("delay", "force", "output", delay=1.6)
+    assert strip.recalibrated_size(later) < 0.3 * strip.size(later)
+
+
 def test_what_would_push_the_grip_out_of_its_limits_on_the_way_back_is_too_large(strip):
     # twelve times as fast as the test: a drag that shows in the test is 144 times as large there
     assert strip.size(entry("quadratic-drag", "strip", "joint", coefficient=2e8)) == float("inf")
