@@ -172,8 +172,8 @@ def _draw_by_setting(axes: Axes, view: RunView, points: Sequence[Point]) -> list
         number = colours.index(condition_key(setting))
         at = places.index(condition_key(own)) + (number - (len(colours) - 1) / 2) * step
         _draw_point(axes, at, point, COLOURS[number % len(COLOURS)], 0.36 * step)
-    for number, setting in enumerate(settings.values()):
-        text = condition_text(setting, view.experiment.units)
+    for number, one in enumerate(settings.values()):
+        text = condition_text(one, view.experiment.units)
         axes.plot([], [], color=COLOURS[number % len(COLOURS)], linewidth=2, label=text)
     axes.legend(
         loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=min(len(colours), 4), frameon=False, fontsize=8
