@@ -331,6 +331,7 @@ def conclude(
     if selection.chosen:
         shrunk = shrinkage(search.data, noise, search.held_out, selection.held_out, rng)
     kinds = [one.name.kind for one in selection.chosen]
+    settled = noise.known and shrunk is not None and shrunk.low > 0.0
     findings = VerdictBasis(
         sizes,
         search.recalibrated.gap > floor,
@@ -339,7 +340,7 @@ def conclude(
         kinds.count("effect"),
         kinds.count("parameter"),
         shrunk,
-        0.0 if noise.known else learned_beyond_scatter(final.problem, final.z),
+        0.0 if settled else learned_beyond_scatter(final.problem, final.z),
     )
     decided = verdict(findings)
     moved = scatter(final, search.null.draws(final))

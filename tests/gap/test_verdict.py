@@ -17,6 +17,7 @@ def findings(
         effects,
         parameters,
         None if share is None else Shrinkage(*share),
+        more.get("learnable", 0.0),
     )
 
 
@@ -72,6 +73,8 @@ def test_a_wrong_parameter_that_leaves_next_to_nothing_stays_one_however_little_
 
 def test_a_gap_that_nothing_explains_is_not_in_the_library_only_where_it_is_told_from_noise():
     unexplained = {"effects": 0, "share": None, "sizes": (5.0, 0.8, 0.8, 0.3)}
-    assert verdict(findings(**unexplained)) == "not-in-library"
+    assert verdict(findings(**unexplained, learnable=0.5)) == "not-in-library"
+    assert verdict(findings(**unexplained)) != "not-in-library"
+    assert verdict(findings(**{**unexplained, "sizes": (5.0, 1.2, 1.2, 0.3)})) == "not-in-library"
     assert verdict(findings(**unexplained, repeated=False)) == "parameter"
     assert verdict(findings(**unexplained, significant=False)) == "parameter"
