@@ -279,3 +279,12 @@ def test_a_joint_without_inertia_ends_the_simulation_and_not_the_process():
         parse_model(text, "p.toml"), TIME_S, np.zeros((301, 1)), initial_state=[0.1, 0, 0, 0], substeps=1
     )
     assert not found.finite
+
+
+def test_a_state_to_begin_in_belongs_to_whoever_asked_for_it(parallelogram):
+    first = parallelogram.initial_state({})
+    kept = first.copy()
+    first[:] = 0.0
+    np.testing.assert_array_equal(parallelogram.initial_state({}), kept)
+    leaning = parallelogram.with_initial({"left": 0.3})
+    assert leaning.initial_state({})[leaning.tree.joints.index("left")] == pytest.approx(0.3)

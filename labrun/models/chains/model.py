@@ -124,6 +124,9 @@ def functions(
     return {**made, **reaching}
 
 
+_KEPT_STARTS = 1000
+
+
 @dataclass(frozen=True)
 class ClosedChain(Model):
     """A model like any other, which begins where its loop is closed.
@@ -150,6 +153,9 @@ class ClosedChain(Model):
     guesses: Mapping[str, float] = field(kw_only=True)
     resting: tuple[str, ...] = field(kw_only=True, default=())
     held: tuple[str, ...] = field(kw_only=True, default=())
+    _begun: dict[tuple[object, ...], FloatArray] = field(
+        init=False, repr=False, compare=False, default_factory=dict
+    )  # a fit begins the same trial again for every parameter that it tries
 
     def numbers(
         self, parameters: FloatArray | Mapping[str, float] | None = None, condition: Condition | None = None
@@ -199,9 +205,19 @@ class ClosedChain(Model):
         ModelError
             As `Model.initial_state`; and where the loop cannot close, with how far it stays open.
         """
+        state = super().initial_state(condition, first=first, free=free)
+        asked = (state.tobytes(), *sorted(condition.items()))
+        begun = self._begun.get(asked)
+        if begun is None:
+            begun = self._closed(condition, state)
+            if len(self._begun) >= _KEPT_STARTS:
+                self._begun.clear()
+            self._begun[asked] = begun
+        return begun.copy()
+
+    def _closed(self, condition: Condition, state: FloatArray) -> FloatArray:
         from labrun.models.chains.starting import closed, moving_together, settled
 
-        state = super().initial_state(condition, first=first, free=free)
         count = len(self.tree.joints)
         values = self.numbers(None, condition)
         resting = self._places(self.resting)
