@@ -226,7 +226,8 @@ def _best_again(best: Rated, one: Rated) -> bool:
     simple, rich = best.candidate, one.candidate
     if simple.attached is None or rich.attached is None or simple.name.site != rich.name.site:
         return False
-    return simple.name.effect in rich.attached.effect.contains and one.score <= best.score
+    mutual = rich.name.effect in simple.attached.effect.contains  # neither is the richer one
+    return simple.name.effect in rich.attached.effect.contains and not mutual and one.score <= best.score
 
 
 def _richer(one: Rated, other: Rated) -> bool:

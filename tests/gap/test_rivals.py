@@ -1,0 +1,29 @@
+"""What is told as a rival of a cause."""
+
+from types import SimpleNamespace
+
+from labrun.effects import Scale, load_effect
+from labrun.gap.diagnosis import Name
+from labrun.gap.rating import rivals_of
+
+SCALE = Scale(coordinate=1.0, rate=1.0, acceleration=1.0, force=1.0, signal=1.0, time_s=1.0)
+
+
+def rated(effect: str, score: float):
+    attached = load_effect(effect, "joint").attach("strip", SCALE)
+    candidate = SimpleNamespace(name=Name(kind="effect", effect=effect, site="strip"), attached=attached)
+    return SimpleNamespace(candidate=candidate, score=score, evidence=5.0, share=0.95, left=0.05)
+
+
+def names(best, others):
+    return [one.candidate.name.effect for one, _ in rivals_of(best, [best, *others], relative=False)[0]]
+
+
+def test_two_forms_that_contain_each_other_are_rivals_whichever_fits_better():
+    # pulled one way only, a strip does not tell how a force with a memory would turn round
+    for first, second in (("presliding-friction", "hysteresis"), ("hysteresis", "presliding-friction")):
+        assert names(rated(first, 50.0), [rated(second, 40.0)]) == [second]
+
+
+def test_a_richer_form_that_earns_nothing_is_the_best_again_and_no_rival():
+    assert names(rated("coulomb-friction", 50.0), [rated("hysteresis", 49.5)]) == []
