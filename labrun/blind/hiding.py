@@ -249,6 +249,21 @@ class Draw:
             for one, shape in zip(self.effect.parameters, self._shape, strict=True)
         }
 
+    def simpler(self, site: str, values: Mapping[str, float]) -> list[dict[str, Any]]:
+        """Return the effects that this one contains, at its strength: what an experiment may show of it and no more.
+
+        Stribeck friction at one speed is Coulomb friction. Two that contain each other are rivals to a diagnosis.
+        """
+        found = []
+        for name in self.effect.contains:
+            simple = load_effect(name, self.effect.kind)
+            if self.effect.id not in simple.contains:
+                own = {one.name: one.start_values(self._scale)[0] for one in simple.parameters}
+                found.append(
+                    _entry(simple, site, {**own, **{key: values[key] for key in own if key in values}})
+                )
+        return found
+
     def _value(self, one: EffectParameter, shape: float, factor: float) -> float:
         starts = one.start_values(self._scale)
         value = starts[self._start % len(starts)]
@@ -273,7 +288,8 @@ def _of_size(size: float, draw: Draw, site: str, rehearsal: Rehearsal) -> dict[s
         found = rehearsal.size(hidden)
         if size / _CLOSE <= found <= size * _CLOSE:
             left = rehearsal.recalibrated_size(hidden)
-            return hidden if _SMALLEST / 2 <= left <= 2 * size else None
+            told = [rehearsal.apart(hidden, one) for one in draw.simpler(site, hidden["values"])]
+            return hidden if min([left, *told]) >= _SMALLEST / 2 and left <= 2 * size else None
         low, high = (low, middle) if found > size else (middle, high)
     return None
 

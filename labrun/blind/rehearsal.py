@@ -131,6 +131,18 @@ class Rehearsal:
                 break
         return self._largest(_left(self._whitened(_difference(signals, plain)), slopes))
 
+    def apart(self, hidden: Mapping[str, Any], other: Mapping[str, Any]) -> float:
+        """Return how large an effect shows once another one, however strong, has explained what it can."""
+        try:
+            signals, others = self._signals_with([hidden]), self._signals_with([other])
+        except ExperimentError:  # the bench blew up: they differ
+            return math.inf
+        columns = np.column_stack([self._slopes, self._whitened(_difference(others, self._plain))])
+        white = self._whitened(_difference(signals, self._plain))
+        if not (np.isfinite(columns).all() and np.isfinite(white).all()):
+            return math.inf
+        return self._largest(_left(white, columns))
+
     def _largest(self, white: FloatArray) -> float:
         """Return the greatest root mean square of any signal that moves."""
         per_signal = white.reshape(len(self._signals), -1)[self._moves]

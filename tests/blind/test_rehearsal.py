@@ -53,3 +53,14 @@ def test_an_output_is_judged_by_the_signal_that_shows_it():
     # the place of a body on a circle would show a gain that its angle does not
     swing = rehearsal_of("hinge-repeatability", "run.conditions=[{test=1,release=20}]")
     assert swing.size(entry("gain-error", "angle", "output", error=0.05)) < 0.1
+
+
+def test_stribeck_friction_at_one_speed_far_beyond_its_own_is_coulomb_friction(strip):
+    friction = {"torque": 6.0, "transition_speed": 2e-6}
+    stribeck = entry(
+        "stribeck-friction", "strip", "joint", **friction, static_excess=6.0, stribeck_speed=1.5e-5
+    )
+    coulomb = entry("coulomb-friction", "strip", "joint", **friction)
+    assert strip.recalibrated_size(stribeck) > 1.0
+    assert strip.apart(stribeck, coulomb) < 0.1
+    assert strip.apart(stribeck, entry("cubic-stiffness", "strip", "joint", coefficient=1e9)) > 1.0
