@@ -158,11 +158,11 @@ def score(stored: Mapping[str, Any], hidden: Sequence[Hidden]) -> Score:
         if cause["kind"] == "effect" or together & truth:
             named.append(name)
             sets.append(together)
+    if not truth:
+        return "false alarm" if named or stored["verdict"] == "not-in-library" else "right"
     if not named:
         unseen = all(_too_small(one, stored.get("candidates", [])) for one in hidden)
-        return "right" if not truth else "too small to be seen" if unseen else "missed"
-    if not truth:
-        return "false alarm"
+        return "too small to be seen" if unseen else "missed"
     found = {one for one in truth if any(one in together for together in sets)}
     useless = [together for together in sets if not together & truth]
     if found == truth and not useless:

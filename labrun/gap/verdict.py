@@ -149,6 +149,12 @@ def sentence(
     if causes:
         said = _of_causes(verdict, sizes, causes, removed, unit, conditions=conditions, sure=noise_known)
         return f"{said[:-1]}; that rest is more than noise: {_OTHER_FORM}." if rest else said
+    if verdict == "no-gap" and sizes.recalibrated > sizes.floor:
+        return (
+            f"No gap that can be told from noise: model and measurement differ by {recalibrated} times {unit}, more "
+            f"than repeats let expect ({significant(sizes.floor)}), but nothing of it can be predicted: noise that "
+            "is slow beside a trial does that."
+        )
     if verdict == "no-gap":
         return (
             f"No gap beyond noise: what model and measurement differ by ({recalibrated} times {unit}) is what noise "

@@ -61,6 +61,7 @@ def run_hiding(folder, *hidden, says):
         ([INERTIA], examples.explained, "wrong"),
         ([INERTIA], examples.no_gap, "missed"),
         ([], examples.explained, "false alarm"),
+        ([], examples.not_in_library, "false alarm"),
         ([], examples.no_gap, "right"),
         ([], examples.parameter, "right"),
         ([{**TRUTH, "effect": "backlash"}], examples.explained, "wrong"),

@@ -58,3 +58,9 @@ def test_a_rest_beyond_noise_is_said_beside_a_cause_that_explains_the_gap() -> N
     assert not replace(plain, sizes=Sizes(12.0, 10.0, 0.12, 0.1)).rest
     assert not replace(plain, noise_known=False).rest
     assert replace(plain, noise_known=False, learnable=0.5).rest  # what a regression predicts is no noise
+
+
+def test_a_gap_above_the_floor_that_is_called_noise_is_not_said_to_be_below_it() -> None:
+    told = sentence("no-gap", Sizes(0.9, 0.79, 0.79, 0.39), (), None, None, conditions=4)
+    assert "0.79 times one trial's noise, more than repeats let expect (0.39)" in told
+    assert "up to" in sentence("no-gap", Sizes(0.9, 0.3, 0.3, 0.39), (), None, None, conditions=4)
