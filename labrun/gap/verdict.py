@@ -149,17 +149,8 @@ def sentence(
     if causes:
         said = _of_causes(verdict, sizes, causes, removed, unit, conditions=conditions, sure=noise_known)
         return f"{said[:-1]}; that rest is more than noise: {_OTHER_FORM}." if rest else said
-    if verdict == "no-gap" and sizes.recalibrated > sizes.floor:
-        return (
-            f"No gap that can be told from noise: model and measurement differ by {recalibrated} times {unit}, more "
-            f"than repeats let expect ({significant(sizes.floor)}), but nothing of it can be predicted: noise that "
-            "is slow beside a trial does that."
-        )
     if verdict == "no-gap":
-        return (
-            f"No gap beyond noise: what model and measurement differ by ({recalibrated} times {unit}) is what noise "
-            f"leaves (up to {significant(sizes.floor)})."
-        )
+        return _of_noise(recalibrated, unit, sizes)
     if verdict == "undecided":
         return (
             f"Nothing that was tried explains what is left ({recalibrated} times {unit}): it is a gap, or disturbances "
@@ -175,6 +166,20 @@ def sentence(
     return (
         f"The cause is not in the library: a gap of {recalibrated} times {unit} remains after "
         f"recalibration{nearest}."
+    )
+
+
+def _of_noise(recalibrated: str, unit: str, sizes: Sizes) -> str:
+    floor = significant(sizes.floor)
+    if sizes.recalibrated > sizes.floor:
+        return (
+            f"No gap that can be told from noise: model and measurement differ by {recalibrated} times {unit}, more "
+            f"than repeats let expect ({floor}), but nothing of it can be predicted: noise that is slow beside a "
+            "trial does that."
+        )
+    return (
+        f"No gap beyond noise: what model and measurement differ by ({recalibrated} times {unit}) is what noise "
+        f"leaves (up to {floor})."
     )
 
 
