@@ -16,7 +16,7 @@ ALL_P = ("P-100", "P-109", "P-120")
 
 @pytest.fixture(
     scope="module",
-    params=[1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)],
+    params=[pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3)],
 )
 def found(request, tmp_path_factory):
     """Return every accepted value of each objective by controller, of one whole dry run."""
