@@ -51,16 +51,21 @@ def write_h5(path, time_s, goals, angles):
     return path
 
 
-def write_lerobot(folder, goals, angles, *, scale=1.0, names=JOINTS, episodes=3):
-    """Write the layout of LeRobot's datasets, version 2: meta/info.json and a file an episode."""
+def write_lerobot(folder, goals, angles, *, scale=1.0, names=JOINTS, episodes=3, version=2):
+    """Write the layout of LeRobot's datasets: meta/info.json and a file an episode; since version 3 one of several."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     (folder / "meta").mkdir(parents=True)
     (folder / "data" / "chunk-000").mkdir(parents=True)
     feature = {"dtype": "float32", "shape": [len(names)], "names": [f"{name}.pos" for name in names]}
-    info = {"fps": RATE_HZ, "features": {"observation.state": feature, "action": feature}}
+    info = {
+        "codebase_version": f"v{version}.0",
+        "fps": RATE_HZ,
+        "features": {"observation.state": feature, "action": feature},
+    }
     (folder / "meta" / "info.json").write_text(json.dumps(info))
+    tables, chunk = [], folder / "data" / "chunk-000"
     for episode, rows in enumerate(np.array_split(np.arange(len(goals)), episodes)):
         table = pa.table({
             "observation.state": (scale * angles[rows]).tolist(),
@@ -69,7 +74,16 @@ def write_lerobot(folder, goals, angles, *, scale=1.0, names=JOINTS, episodes=3)
             "episode_index": [episode] * len(rows),
             "frame_index": list(range(len(rows))),
         })  # fmt: skip
-        pq.write_table(table, folder / "data" / "chunk-000" / f"episode_{episode:06d}.parquet")
+        tables.append(table)
+    if version == 2:
+        for episode, table in enumerate(tables):
+            pq.write_table(table, chunk / f"episode_{episode:06d}.parquet")
+    else:
+        pq.write_table(pa.concat_tables(tables[:2]), chunk / "file-000.parquet")
+        pq.write_table(pa.concat_tables(tables[2:]), chunk / "file-001.parquet")
+        told = pa.table({"episode_index": range(episodes), "length": [len(table) for table in tables]})
+        (folder / "meta" / "episodes" / "chunk-000").mkdir(parents=True)
+        pq.write_table(told, folder / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
     return folder
 
 

@@ -31,12 +31,16 @@ WRITERS = {
     "csv": lambda folder, *made: logs.write_csv(folder / "log.csv", *made),
     "npz": lambda folder, *made: logs.write_npz(folder / "log.npz", *made),
     "lerobot": lambda folder, *made: logs.write_lerobot(folder / "set", made[1], made[2]),
+    "lerobot3": lambda folder, *made: logs.write_lerobot(folder / "set", made[1], made[2], version=3),
     "rosbag2": lambda folder, *made: logs.write_bag(folder / "bag", *made),
     "mcap": lambda folder, *made: next(logs.write_bag(folder / "bag", *made).glob("*.mcap")),
     "db3": lambda folder, *made: next(logs.write_bag(folder / "bag", *made, storage="sqlite").glob("*.db3")),
     "ros1": lambda folder, *made: logs.write_bag(folder / "log.bag", *made, storage="ros1"),
 }
-NEEDS = {"lerobot": "pyarrow", "rosbag2": "rosbags", "mcap": "rosbags", "db3": "rosbags", "ros1": "rosbags"}
+NEEDS = {
+    **dict.fromkeys(("lerobot", "lerobot3"), "pyarrow"),
+    **dict.fromkeys(("rosbag2", "mcap", "db3", "ros1"), "rosbags"),
+}
 
 
 @pytest.mark.parametrize("kind", WRITERS)
