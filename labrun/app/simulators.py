@@ -24,6 +24,20 @@ _ISAAC = {
     "body_mass": ("randomize_rigid_body_mass", "mass_distribution_params", "body_names"),
 }
 """Isaac Lab's events (isaaclab.envs.mdp), the parameter that takes the range, and what says of whom."""
+_MJLAB = {
+    "dof_damping": ("dr.joint_damping", "joint_names"),
+    "dof_frictionloss": ("dr.joint_friction", "joint_names"),
+    "dof_armature": ("dr.joint_armature", "joint_names"),
+    "jnt_stiffness": ("dr.joint_stiffness", "joint_names"),
+    "body_mass": ("dr.body_mass", "body_names"),
+}
+"""mjlab's functions (mjlab.envs.mdp.dr, from 1.2 on), and what says of whom."""
+_REMARKS = (
+    "asset_cfg holds the arguments of SceneEntityCfg; call the robot as your scene does.",
+    "Isaac Lab: randomize_joint_parameters draws dynamic and viscous friction from friction_distribution_params, too; "
+    'with operation "abs" a torque becomes a damping of the same number, so set the viscous part afterwards.',
+    "mjlab: dr.body_mass leaves the inertia as it is; dr.pseudo_inertia scales both.",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,16 +150,17 @@ def _ranges(found: list[MjcfRange], stored: Mapping[str, Any]) -> dict[str, Any]
         if one.array in _ISAAC:
             event, parameter, whose = _ISAAC[one.array]
             name = one.joint if whose == "joint_names" and one.joint else one.element
-            isaac.append({
-                "func": event, "mode": "startup",
-                "params": {whose: [name], parameter: [one.low, one.high], "operation": "abs"},
-            })  # fmt: skip
-        mjlab.append({
-            "func": "randomize_field", "mode": "startup",
-            "params": {
-                "field": one.array, "names": [one.element], "ranges": [one.low, one.high], "operation": "abs",
-            },
-        })  # fmt: skip
+            isaac.append(_event(event, whose, name, {parameter: [one.low, one.high], "operation": "abs"}))
+        if one.array in _MJLAB:
+            event, whose = _MJLAB[one.array]
+            mjlab.append(
+                _event(event, whose, one.element, {"ranges": [one.low, one.high], "operation": "abs"})
+            )
+        elif one.array == "actuator_gainprm" and one.value > 0.0:
+            gains = {"kp_range": [one.low / one.value, one.high / one.value], "kd_range": [1.0, 1.0]}
+            mjlab.append(
+                _event("dr.pd_gains", "actuator_names", one.element, {**gains, "operation": "scale"})
+            )
     effects = [
         {"effect": cause["effect"], "site": cause["site"], "values": cause["values"]}
         for cause in stored.get("causes", [])
@@ -157,4 +172,10 @@ def _ranges(found: list[MjcfRange], stored: Mapping[str, Any]) -> dict[str, Any]
         "effects": effects,
         "isaac_lab": isaac,
         "mjlab": mjlab,
+        "remarks": list(_REMARKS),
     }
+
+
+def _event(function: str, whose: str, name: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    asset = {"name": "robot", whose: [name]}
+    return {"func": function, "mode": "startup", "params": {"asset_cfg": asset, **parameters}}

@@ -105,7 +105,7 @@ def read_parquet(path: Path, rate_hz: float | None) -> list[Stream]:
             f"{path} needs the package pyarrow", hint='pip install "labrun[parquet]"'
         ) from None
     files = (
-        sorted(path.glob("data/**/*.parquet")) or sorted(path.glob("**/*.parquet"))
+        sorted(path.glob("data/**/*.parquet" if (path / "meta" / "info.json").is_file() else "**/*.parquet"))
         if path.is_dir()
         else [path]
     )

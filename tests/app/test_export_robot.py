@@ -80,12 +80,15 @@ def test_ranges_are_fields_of_isaac_lab_and_mjlab(tmp_path):
     isaac = {next(key for key in one["params"] if key.endswith("_params")): one for one in found["isaac_lab"]}
     damping = isaac["damping_distribution_params"]
     assert damping["func"] == "randomize_actuator_gains"
-    assert damping["params"]["joint_names"] == ["shoulder"]
+    assert damping["params"]["asset_cfg"] == {"name": "robot", "joint_names": ["shoulder"]}
     assert damping["params"]["damping_distribution_params"] == [
         ranges["dof_damping"]["low"], ranges["dof_damping"]["high"],
     ]  # fmt: skip
-    assert isaac["mass_distribution_params"]["params"]["body_names"] == ["upper"]
-    mass = next(one["params"] for one in found["mjlab"] if one["params"]["field"] == "body_mass")
-    assert mass["names"] == ["upper"]
-    assert mass["operation"] == "abs"
+    assert isaac["mass_distribution_params"]["params"]["asset_cfg"]["body_names"] == ["upper"]
+    mjlab = {one["func"]: one["params"] for one in found["mjlab"]}
+    assert mjlab["dr.body_mass"]["asset_cfg"] == {"name": "robot", "body_names": ["upper"]}
+    assert mjlab["dr.body_mass"]["operation"] == "abs"
+    low, high = mjlab["dr.pd_gains"]["kp_range"]
+    assert low < 1.0 < high
+    assert mjlab["dr.pd_gains"]["kd_range"] == [1.0, 1.0]
     assert mujoco.MjModel.from_xml_path(str(made.file)).dof_damping.ravel()[0] == pytest.approx(0.29)

@@ -1,5 +1,7 @@
 """Goals as trajectories, a bare Parquet file, encoders of other resolutions, and columns that cannot be right."""
 
+import shutil
+
 import numpy as np
 import pytest
 import robot_logs as logs
@@ -170,3 +172,12 @@ def test_a_python_file_as_model_is_told_what_to_name(tmp_path):
     file.write_text("MODEL = None\n")
     with pytest.raises(ModelError, match=r"--model mk:MODEL"):
         load_model(file)
+
+
+def test_a_lerobot_folder_whose_data_are_missing_is_refused_and_its_meta_is_no_log(tmp_path):
+    pytest.importorskip("pyarrow")
+    _, goals, angles = logs.motion()
+    folder = logs.write_lerobot(tmp_path / "set", goals, angles, version=3)
+    shutil.rmtree(folder / "data")
+    with pytest.raises(RecordingError, match=r"holds no \.parquet file"):
+        read_log(folder)
