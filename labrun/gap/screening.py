@@ -1,7 +1,7 @@
 """Fits of one problem with one candidate more: several starts, the most promising of them followed to their ends."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -205,7 +205,7 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
         )
         ends.append((problem.squares(z), problem, z))
     squares, problem, z = min(ends, key=lambda one: one[0])
-    return replace(_screened(base, surveyed, z, squares), problem=problem)
+    return _screened(base, surveyed, problem, z, squares)
 
 
 def _in_steps_for(problem: Problem, z: FloatArray) -> tuple[Problem, list[FloatArray] | None]:
@@ -241,7 +241,7 @@ def follow(base: Base, begun: Screened) -> Screened:
         secant=True,
         beside=beside,
     )
-    return _screened(base, begun.survey, z, problem.squares(z))
+    return _screened(base, begun.survey, problem, z, problem.squares(z))
 
 
 def screen_all(
@@ -307,9 +307,9 @@ def refit(problem: Problem, z: FloatArray, *, tolerance: float = 1e-6) -> FloatA
     return minimise(problem, z, tolerance=tolerance, evaluations=80, secant=True)
 
 
-def _screened(base: Base, surveyed: Survey, z: FloatArray, squares: float) -> Screened:
+def _screened(base: Base, surveyed: Survey, problem: Problem, z: FloatArray, squares: float) -> Screened:
     gain = max(base.squares - squares, 0.0)
-    return Screened(surveyed.candidate, surveyed.problem, z, squares, gain, surveyed)
+    return Screened(surveyed.candidate, problem, z, squares, gain, surveyed)
 
 
 def _released(base: Base, problem: Problem) -> tuple[FloatArray, float]:

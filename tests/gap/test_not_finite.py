@@ -30,6 +30,11 @@ def when_small(t, q, rate, acceleration, load, stiffness, values, z, dz):
     return -0.01 * math.sqrt(0.5 - values[0]) * rate
 
 
+def stiff(t, q, rate, acceleration, load, stiffness, values, z, dz):
+    """Return a drag that wants steps of a quarter of the base's where it is large."""
+    return -2.0 * values[0] * rate
+
+
 def effect(name, law) -> Effect:
     torque = EffectParameter("torque", "force", neutral=0.0, lower=0.0, upper=2.0, starts=(0.4,))
     return Effect(id=name, kind="joint", parameters=(torque,), function=force_law(law), form="-", source="-")
@@ -63,6 +68,16 @@ def test_a_candidate_without_any_finite_start_promises_nothing_and_is_not_fitted
     assert looked.lines.shape[1] == 0
     fitted = screen_all(base, [looked, survey(base, candidate(WHEN_SMALL))])
     assert [one.candidate.name.effect for one in fitted] == ["breaks-when-large"]
+
+
+def test_a_candidate_that_wants_shorter_steps_keeps_them_after_its_fit(base: Base) -> None:
+    attached = effect("stiff", stiff).attach("hinge")
+    looked = survey(base, Candidate(Name("stiff", "hinge"), attached, Scale(), ((0.4,),)))
+    assert looked.problem.finite_residuals(looked.starts[0]) is None
+    (fitted,) = screen_all(base, [looked])
+    assert fitted.problem.substeps > base.problem.substeps
+    assert fitted.squares == fitted.problem.squares(fitted.z)
+    assert fitted.problem.finite_residuals(fitted.z) is not None
 
 
 def test_an_effect_that_gives_no_numbers_is_not_ruled_out_but_said_not_to_have_been_tried(
