@@ -27,7 +27,7 @@ from labrun.gap.diagnosis import (
 )
 from labrun.gap.held_out import fitted_excess, floor_of, mean_residuals
 from labrun.gap.intervals import effect_units, parameter_value, scatter, values_of
-from labrun.gap.kin import family, kin
+from labrun.gap.kin import family
 from labrun.gap.learnable import learnable_share, learned_beyond_scatter
 from labrun.gap.noise import from_residual
 from labrun.gap.nuisance import information
@@ -75,8 +75,8 @@ def causes_of(search: Search, dataset: Dataset, moved: FloatArray) -> tuple[Caus
 
 def _kinship(one: Chosen) -> str:
     """Return the family of a cause and its rivals, where they have one."""
-    alike = [rival.candidate.name for rival, _ in one.rivals if kin(one.name, rival.candidate.name)]
-    return f"{family(one.name)}: what mends one of the forms mends the other" if alike else ""
+    shared = next(filter(None, (family(one.name, rival.candidate.name) for rival, _ in one.rivals)), "")
+    return f"{shared}: what mends one of the forms mends the other" if shared else ""
 
 
 def _form_remark(one: Chosen) -> str:

@@ -111,7 +111,7 @@ class Cause:
     values
         Its parameters; for a parameter, its value.
     indistinguishable_from
-        What explains these data as well.
+        What explains these data about as well.
     remark
         What to know about it: at a bound, far beyond its tolerance ("1.31 times the stated value") ...
     """

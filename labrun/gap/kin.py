@@ -10,12 +10,13 @@ FAMILIES: Mapping[str, tuple[str, ...]] = {
         "stribeck-friction",
         "asymmetric-friction",
         "load-dependent-friction",
+        "presliding-friction",
     ),
     "hysteretic friction": ("presliding-friction", "hysteresis"),
     "lost motion": ("backlash", "dead-band", "end-stop"),
     "lateness": ("lag", "delay"),
 }
-"""Effects of one family, the common ones first."""
+"""Effects of one family, the common ones first. Presliding friction is dry friction that yields before it slips."""
 
 COMMON = (
     "coulomb-friction", "viscous-damping", "constant-force", "bias", "gain-error", "delay", "lag", "backlash",
@@ -26,14 +27,12 @@ COMMON = (
 here comes last."""
 
 
-def family(one: Name) -> str:
-    """Return the family of an effect; empty if it has none."""
-    return next((name for name, members in FAMILIES.items() if one.effect in members), "")
-
-
-def kin(one: Name, other: Name) -> bool:
-    """Tell whether two effects at one site are of one family."""
-    return one != other and one.site == other.site and family(one) != "" and family(one) == family(other)
+def family(one: Name, other: Name) -> str:
+    """Return the family that two effects at one site share; empty if they share none, or are the same."""
+    if one == other or one.site != other.site:
+        return ""
+    both = {one.effect, other.effect}
+    return next((name for name, members in FAMILIES.items() if both <= set(members)), "")
 
 
 def rank(one: Name) -> int:

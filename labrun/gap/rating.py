@@ -9,7 +9,7 @@ from labrun.arrays import FloatArray
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
 from labrun.gap.held_out import ExcessResidual, held_out_excess
-from labrun.gap.kin import kin, rank
+from labrun.gap.kin import family, rank
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import NoiseThreshold
 from labrun.gap.screening import Base, Screened
@@ -216,9 +216,20 @@ def rivals_of(
     ordered = sorted(zip(near, shares, strict=True), key=lambda pair: -pair[1])
     rivals = [(one, float(weight)) for one, weight in ordered if one is not best]
     found = [pair for pair in rivals if pair[1] >= criteria.RIVAL_WEIGHT]
-    # of forms that one would mend in the same way, the data hardly ever know which is nature's
-    family = [pair for pair in rivals if kin(best.candidate.name, pair[0].candidate.name)]
-    return tuple(found or family[:1]), own
+    return tuple(found or _kin(best, rated)), own
+
+
+def _kin(best: Rated, rated: Sequence[Rated]) -> list[tuple[Rated, float]]:
+    """Return what one would mend in the same way: the data hardly ever know which of such forms is nature's."""
+    near = [
+        one
+        for one in rated
+        if family(best.candidate.name, one.candidate.name)
+        and one.evidence > criteria.RIVAL_EVIDENCE
+        and one.share >= best.share - criteria.SHARE_BEHIND_BEST
+        and not _best_again(best, one)
+    ]
+    return [(max(near, key=lambda one: one.score), 0.0)] if near else []
 
 
 def _best_again(best: Rated, one: Rated) -> bool:

@@ -97,7 +97,7 @@ def _unexplained(found: VerdictBasis) -> bool:
     if not found.noise_known:
         return found.learnable >= criteria.LEARNABLE and found.sizes.recalibrated >= 1.0
     floor = found.sizes.floor
-    if found.sizes.recalibrated >= max(criteria.FAR_ABOVE_FLOOR * floor, 1.0):
+    if found.sizes.recalibrated >= max(criteria.FAR_ABOVE_FLOOR * floor, criteria.SMALL_GAP_UNEXPLAINED):
         return True
     # slow noise has few independent numbers a trial: the mean of a few repeats is then above the floor by chance
     small = max(criteria.BEYOND_FLOOR * floor, criteria.SMALL_GAP_UNEXPLAINED)

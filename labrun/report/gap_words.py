@@ -10,7 +10,7 @@ from labrun.report.text import counted, number, percent, spaced, unit_text
 
 VERDICTS: Mapping[CandidateVerdict, str] = {
     "cause": "cause",
-    "indistinguishable": "explains these data as well",
+    "indistinguishable": "explains these data about as well",
     "ruled-out": "ruled out",
     "not-visible": "not visible in these data",
 }
