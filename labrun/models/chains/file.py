@@ -9,7 +9,8 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field
 
 from labrun.effects import Site
-from labrun.models.chains.model import AT_REST, CLOSED, MEASURES, OPENINGS, ClosedChain, Tree, functions
+from labrun.models.chains.model import AT_REST, MEASURES, OPENINGS, ClosedChain, functions
+from labrun.models.chains.tree import CLOSED, Tree
 from labrun.models.model import Output
 from labrun.models.tables import (
     Equation,
@@ -225,7 +226,7 @@ def _tree(file: ModelFile, given: ChainFile) -> Tree:
         file.note(("bodies", body), "no joint holds it", "take it out, or name it in the `to` of a joint")
     file.refuse()
     bodies = tuple(given.joints[name].to_body for name in order)
-    return Tree(tuple(order), bodies, tuple(parents), first, second)
+    return Tree(given.name, tuple(order), bodies, tuple(parents), first, second)
 
 
 def _fixed(file: ModelFile, given: ChainFile) -> str:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from labrun.arrays import FloatArray, IntArray
 from labrun.compiled import NativeFunction, ThroughAddresses, equations, generated
 from labrun.errors import ModelError
+from labrun.models.chains.tree import Tree
 from labrun.models.model import Condition, Model
 from labrun.toml import Expression
 
@@ -18,8 +19,6 @@ MEASURES = ("loop_angle_rad", "loop_distance_m", "kinetic_energy_j", "potential_
 """What outputs of such a model may name besides what those of any model may."""
 OPENINGS = frozenset(MEASURES[:2])
 """How far the loop is open."""
-CLOSED = 1e-9
-"""A loop is closed within this, rad and m."""
 _IMPORTS = """
 from labrun.compiled import kernel
 from labrun.models.engine.calling import call_model
@@ -44,39 +43,6 @@ def output(t, x, u, p, force, out):
         seen[k] = force[k]
     readings(t, x, u, p, seen, out)
     return"""
-
-
-@dataclass(frozen=True, slots=True)
-class Tree:
-    """What hangs on what.
-
-    Attributes
-    ----------
-    joints
-        Their names, parents before children.
-    bodies
-        Of each joint, the body it places. The one that closes the loop is placed twice.
-    parents
-        Of each joint, which joint places the body it hangs on; -1 for the fixed body.
-    first, second
-        Which joints place the two copies of the closing body; -1 where there is no loop.
-    """
-
-    joints: tuple[str, ...]
-    bodies: tuple[str, ...]
-    parents: tuple[int, ...]
-    first: int
-    second: int
-
-    @property
-    def numbers(self) -> tuple[int, ...]:
-        """As the kernels take it."""
-        return (len(self.joints), self.first, self.second, *self.parents)
-
-    @property
-    def array(self) -> IntArray:
-        """As the kernels take it."""
-        return np.array(self.numbers, dtype=np.int64)
 
 
 def functions(
@@ -221,10 +187,10 @@ class ClosedChain(Model):
         count = len(self.tree.joints)
         values = self.numbers(None, condition)
         resting = self._places(self.resting)
-        angles = closed(self, values, state[:count], self._places(self.held))
+        angles = closed(self.tree, values, state[:count], self._places(self.held))
         if resting.size:
-            angles = settled(self, values, angles, resting)
-        return np.concatenate([angles, moving_together(self, values, angles, state[count:])])
+            angles = settled(self.tree, values, angles, resting)
+        return np.concatenate([angles, moving_together(self.tree, values, angles, state[count:])])
 
     def with_initial(self, rules: Mapping[str, float | str]) -> "ClosedChain":
         """Return the model with other rules of how trials begin."""
@@ -264,7 +230,7 @@ class ClosedChain(Model):
                 f"model {self.name} has {count} joints; angles of shape {given.shape} were given"
             )
         values = self.numbers(parameters, dict.fromkeys(self.conditions, 0.0))
-        rows = [opening(self, values, row) for row in given.reshape(-1, count)]
+        rows = [opening(self.tree, values, row) for row in given.reshape(-1, count)]
         return np.array(rows).reshape(*given.shape[:-1], 2)
 
     def turns(self, angles: FloatArray, parameters: Mapping[str, float] | None = None) -> FloatArray:
@@ -277,7 +243,7 @@ class ClosedChain(Model):
         """
         from labrun.models.chains.starting import turns
 
-        return turns(self, self.numbers(parameters, dict.fromkeys(self.conditions, 0.0)), angles)
+        return turns(self.tree, self.numbers(parameters, dict.fromkeys(self.conditions, 0.0)), angles)
 
     def _places(self, names: Sequence[str]) -> IntArray:
         return np.array(

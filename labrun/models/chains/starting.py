@@ -6,8 +6,6 @@ constraint (Nocedal & Wright, Numerical Optimization, 2nd ed. 2006, section 18.1
 so that it does not stop at an unstable balance.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy.linalg import null_space
 from scipy.optimize import least_squares
@@ -15,10 +13,7 @@ from scipy.optimize import least_squares
 from labrun.arrays import FloatArray, IntArray
 from labrun.errors import ModelError
 from labrun.models.chains import dynamics, geometry
-from labrun.models.chains.model import CLOSED
-
-if TYPE_CHECKING:
-    from labrun.models.chains.model import ClosedChain
+from labrun.models.chains.tree import CLOSED, Tree
 
 _STILL = 1e-10
 """Angles are at rest when Newton would move them by no more, rad."""
@@ -31,9 +26,9 @@ _DEPENDENT = 1e-8
 class _Layout:
     """Everything in its place at some angles."""
 
-    def __init__(self, model: "ClosedChain", values: FloatArray, angles: FloatArray) -> None:
-        count = len(model.tree.joints)
-        self.tree = model.tree.array
+    def __init__(self, tree: Tree, values: FloatArray, angles: FloatArray) -> None:
+        count = len(tree.joints)
+        self.tree = tree.array
         self.rotation, self.origin = np.empty((count, 3, 3)), np.empty((count, 3))
         self.axis, self.hinge = np.empty((count, 3)), np.empty((count, 3))
         self.values = values
@@ -54,21 +49,21 @@ class _Layout:
         return found
 
 
-def opening(model: "ClosedChain", values: FloatArray, angles: FloatArray) -> FloatArray:
+def opening(tree: Tree, values: FloatArray, angles: FloatArray) -> FloatArray:
     """Return how far the loop is open: rad, m."""
-    error = _Layout(model, values, np.ascontiguousarray(angles)).apart()
+    error = _Layout(tree, values, np.ascontiguousarray(angles)).apart()
     return np.array([np.linalg.norm(error[:3]), np.linalg.norm(error[3:])])
 
 
-def turns(model: "ClosedChain", values: FloatArray, angles: FloatArray) -> FloatArray:
+def turns(tree: Tree, values: FloatArray, angles: FloatArray) -> FloatArray:
     """Return the rotation of every body at every sample, shape (samples, joints, 3, 3)."""
     rows = np.ascontiguousarray(angles, dtype=float)
-    return np.array([_Layout(model, values, row).rotation for row in rows]).reshape(
-        len(rows), len(model.tree.joints), 3, 3
+    return np.array([_Layout(tree, values, row).rotation for row in rows]).reshape(
+        len(rows), len(tree.joints), 3, 3
     )
 
 
-def closed(model: "ClosedChain", values: FloatArray, angles: FloatArray, held: IntArray) -> FloatArray:
+def closed(tree: Tree, values: FloatArray, angles: FloatArray, held: IntArray) -> FloatArray:
     """Return angles near these at which the loop is closed; those of `held` stay.
 
     Raises
@@ -76,7 +71,7 @@ def closed(model: "ClosedChain", values: FloatArray, angles: FloatArray, held: I
     ModelError
         The loop stays open.
     """
-    if model.tree.first < 0 or np.max(opening(model, values, angles)) < CLOSED:
+    if tree.first < 0 or np.max(opening(tree, values, angles)) < CLOSED:
         return angles
     moving = np.setdiff1d(np.arange(len(angles)), held)
     found = angles.copy()
@@ -84,7 +79,7 @@ def closed(model: "ClosedChain", values: FloatArray, angles: FloatArray, held: I
 
         def at(some: FloatArray) -> _Layout:
             found[moving] = some
-            return _Layout(model, values, found)
+            return _Layout(tree, values, found)
 
         def apart(some: FloatArray) -> FloatArray:
             return at(some).apart()
@@ -96,14 +91,13 @@ def closed(model: "ClosedChain", values: FloatArray, angles: FloatArray, held: I
             apart, angles[moving], jacobian, xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=_MOST_STEPS
         )
         found[moving] = best.x
-    left = opening(model, values, found)
+    left = opening(tree, values, found)
     if np.max(left) < CLOSED:
         return found
-    raise _stays_open(model, found, left, held)
+    raise _stays_open(tree, found, left, held)
 
 
-def _stays_open(model: "ClosedChain", angles: FloatArray, left: FloatArray, held: IntArray) -> ModelError:
-    tree = model.tree
+def _stays_open(tree: Tree, angles: FloatArray, left: FloatArray, held: IntArray) -> ModelError:
     joint, body = tree.joints[tree.second], tree.bodies[tree.second]
     where = ", ".join(f"{name} {angle:.4g}" for name, angle in zip(tree.joints, angles, strict=True))
     kept = ", ".join(tree.joints[place] for place in held)
@@ -113,13 +107,13 @@ def _stays_open(model: "ClosedChain", angles: FloatArray, left: FloatArray, held
         else "see whether axes and points of the joints can meet at all, and give a better guess_rad"
     )
     return ModelError(
-        f"the loop of model {model.name} does not close at joint {joint}: the two ends of {body} stay "
+        f"the loop of model {tree.model} does not close at joint {joint}: the two ends of {body} stay "
         f"{left[0]:.3g} rad and {left[1]:.3g} m apart (angles, rad: {where})",
         hint=hint,
     )
 
 
-def settled(model: "ClosedChain", values: FloatArray, angles: FloatArray, resting: IntArray) -> FloatArray:
+def settled(tree: Tree, values: FloatArray, angles: FloatArray, resting: IntArray) -> FloatArray:
     """Return angles at which springs and weights are in balance, and stay so; joints not in `resting` keep theirs.
 
     Raises
@@ -130,13 +124,13 @@ def settled(model: "ClosedChain", values: FloatArray, angles: FloatArray, restin
     held = np.setdiff1d(np.arange(len(angles)), resting)
     found = angles.copy()
     for _ in range(_MOST_STEPS):
-        jacobian = _Layout(model, values, found).jacobian()[:, resting]
+        jacobian = _Layout(tree, values, found).jacobian()[:, resting]
         free = null_space(jacobian, rcond=_DEPENDENT)
-        push = _push(model, values, found)[resting]
+        push = _push(tree, values, found)[resting]
         if free.shape[1] == 0:
             return found
         multipliers = np.asarray(np.linalg.lstsq(jacobian.T, push, rcond=_DEPENDENT)[0], dtype=float)
-        curvature = free.T @ _hessian(model, values, found, resting, multipliers) @ free
+        curvature = free.T @ _hessian(tree, values, found, resting, multipliers) @ free
         sizes, directions = np.linalg.eigh(0.5 * (curvature + curvature.T))
         down = directions.T @ (free.T @ push)
         step = free @ directions @ (down / np.maximum(np.abs(sizes), 1e-9 * np.max(np.abs(sizes)) + 1e-300))
@@ -146,18 +140,18 @@ def settled(model: "ClosedChain", values: FloatArray, angles: FloatArray, restin
                 break
             return found
         found[resting] += step * min(1.0, _LONGEST_STEP_RAD / longest)
-        found = closed(model, values, found, held)
-    names = ", ".join(model.tree.joints[place] for place in resting)
+        found = closed(tree, values, found, held)
+    names = ", ".join(tree.joints[place] for place in resting)
     raise ModelError(
-        f"model {model.name} finds no stable rest of {names} from its guess",
+        f"model {tree.model} finds no stable rest of {names} from its guess",
         hint='give another guess_rad, or let the joints begin at numbers or at "first"',
     )
 
 
-def _push(model: "ClosedChain", values: FloatArray, angles: FloatArray) -> FloatArray:
+def _push(tree: Tree, values: FloatArray, angles: FloatArray) -> FloatArray:
     """Return the torque that springs and weights exert at every joint when nothing moves."""
     count = len(angles)
-    one = _Layout(model, values, angles)
+    one = _Layout(tree, values, angles)
     push = np.empty(count)
     dynamics.unconstrained(
         one.tree, values, np.concatenate([angles, np.zeros(count)]), np.zeros(count), one.rotation, one.origin,
@@ -167,7 +161,7 @@ def _push(model: "ClosedChain", values: FloatArray, angles: FloatArray) -> Float
 
 
 def _hessian(
-    model: "ClosedChain", values: FloatArray, angles: FloatArray, resting: IntArray, multipliers: FloatArray
+    tree: Tree, values: FloatArray, angles: FloatArray, resting: IntArray, multipliers: FloatArray
 ) -> FloatArray:
     """Return the second derivative of energy and constraint, by central differences."""
     columns = []
@@ -176,29 +170,27 @@ def _hessian(
         for sign in (1.0, -1.0):
             moved = angles.copy()
             moved[place] += sign * _DIFFERENCE_RAD
-            jacobian = _Layout(model, values, moved).jacobian()[:, resting]
-            ends.append(jacobian.T @ multipliers - _push(model, values, moved)[resting])
+            jacobian = _Layout(tree, values, moved).jacobian()[:, resting]
+            ends.append(jacobian.T @ multipliers - _push(tree, values, moved)[resting])
         columns.append((ends[0] - ends[1]) / (2 * _DIFFERENCE_RAD))
     return np.array(columns).T
 
 
-def moving_together(
-    model: "ClosedChain", values: FloatArray, angles: FloatArray, rates: FloatArray
-) -> FloatArray:
+def moving_together(tree: Tree, values: FloatArray, angles: FloatArray, rates: FloatArray) -> FloatArray:
     """Return the rates nearest to these, in kinetic energy, with which the loop stays closed."""
-    if model.tree.first < 0 or not np.any(rates):
+    if tree.first < 0 or not np.any(rates):
         return rates
-    jacobian = _Layout(model, values, angles).jacobian()
-    answer = np.linalg.solve(mass_matrix(model, values, angles), jacobian.T)
+    jacobian = _Layout(tree, values, angles).jacobian()
+    answer = np.linalg.solve(mass_matrix(tree, values, angles), jacobian.T)
     return np.asarray(
         rates - answer @ np.linalg.lstsq(jacobian @ answer, jacobian @ rates, rcond=_DEPENDENT)[0]
     )
 
 
-def mass_matrix(model: "ClosedChain", values: FloatArray, angles: FloatArray) -> FloatArray:
+def mass_matrix(tree: Tree, values: FloatArray, angles: FloatArray) -> FloatArray:
     """Return the mass matrix of the tree, (joints, joints), kg m^2."""
     count = len(angles)
-    one, mass = _Layout(model, values, angles), np.empty((count, count))
+    one, mass = _Layout(tree, values, angles), np.empty((count, count))
     dynamics.unconstrained(
         one.tree, values, np.concatenate([angles, np.zeros(count)]), np.zeros(count), one.rotation, one.origin,
         one.axis, one.hinge, mass, np.empty(count), np.zeros(6),
