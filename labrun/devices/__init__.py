@@ -3,7 +3,7 @@
 from labrun.arrays import FloatArray
 from labrun.devices.clock import Clock
 from labrun.devices.limits import Excess, Limits
-from labrun.devices.listening import Listener, SampleBuffer
+from labrun.devices.listening import Listener, SampleBuffer, listened
 from labrun.devices.orientation import EulerAngles, HingeAngle, OrientationAngles, turn_about, unknown_bodies
 from labrun.devices.pacing import CommandStream, Pacing
 from labrun.devices.plugin import DeviceContext, DevicePlugin, DeviceSettings, EmergencyStop, Port
@@ -63,6 +63,7 @@ __all__ = [
     "Terminal",
     "Tracker",
     "Trajectory",
+    "listened",
     "turn_about",
     "unknown_bodies",
 ]

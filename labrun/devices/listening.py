@@ -1,14 +1,19 @@
 """A thread that hears a device, and where it keeps what it heard until the runner asks for it."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from labrun.arrays import FloatArray
+from labrun.devices.clock import Clock
 from labrun.devices.newest import Newest
+from labrun.devices.protocols import Sensor
 from labrun.devices.samples import Samples
+
+_LOOK_EVERY_S = 0.02
 
 
 class SampleBuffer:
@@ -168,3 +173,25 @@ class Listener:
         ) as failure:  # whatever a driver meets on the wire is told by `check`, in the runner's thread
             if not ending.is_set():
                 self._failure = failure
+
+
+@contextmanager
+def listened(sensor: Sensor, clock: Clock, duration_s: float, *, streams: bool) -> Iterator[None]:
+    """Listen for a while before the body; whatever did not stream before is stopped after it.
+
+    Parameters
+    ----------
+    streams
+        Whether it streams already: what comes is then left to whoever started it.
+    """
+    if not streams:
+        sensor.start()
+    try:
+        until_s = clock.now() + duration_s
+        while clock.now() < until_s:
+            clock.sleep(_LOOK_EVERY_S)
+            sensor.health() if streams else sensor.read()
+        yield
+    finally:
+        if not streams:
+            sensor.stop()

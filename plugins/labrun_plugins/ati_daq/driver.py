@@ -12,6 +12,7 @@ from labrun.devices import (
     Remark,
     SampleBuffer,
     Samples,
+    listened,
 )  # fmt: skip
 from labrun_plugins.ati_daq import calibration, examination
 from labrun_plugins.ati_daq.nidaqmx_reader import NidaqmxReader
@@ -22,6 +23,7 @@ from labrun_plugins.ati_daq.socket_reader import SocketReader
 from labrun_plugins.ati_netft.reception import CHANNELS
 
 _NEAR_END = 0.9
+_LISTEN_S = 1.0
 
 
 class AtiDaq:
@@ -169,7 +171,10 @@ class AtiDaq:
 
     def examine(self) -> list[Remark]:
         """Say what there is to say about the set-up; samples for a second if it does not yet."""
-        return examination.examine(self)
+        with listened(self, self.clock, _LISTEN_S, streams=self._reception is not None):
+            reception = self._reception
+        assert reception is not None  # noqa: S101  it ran
+        return examination.examine(reception, self.calibration, self.settings, self.rate_hz)
 
 
 def _numbers(values: Any) -> str:

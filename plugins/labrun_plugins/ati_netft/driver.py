@@ -20,6 +20,7 @@ from labrun.devices import (
     Remark,
     SampleBuffer,
     Samples,
+    listened,
 )  # fmt: skip
 from labrun_plugins.ati_netft import examination, network, status
 from labrun_plugins.ati_netft.box_info import BoxInfo, box_rate
@@ -29,6 +30,7 @@ from labrun_plugins.ati_netft.single import ask_status
 from labrun_plugins.ati_netft.source import BoxSource, Source
 
 _NEAR_END = 0.9
+_LISTEN_S = 1.0
 
 
 class AtiNetFt:
@@ -213,7 +215,13 @@ class AtiNetFt:
 
     def examine(self) -> list[Remark]:
         """Say what there is to say about the set-up; listens to the stream for a second if it is not running."""
-        return examination.examine(self)
+        with listened(self, self.clock, _LISTEN_S, streams=self._reception is not None):
+            reception, counted = self._reception, self.health().notes[0]
+        assert reception is not None  # noqa: S101  it ran
+        return [
+            *examination.stream(reception, counted, self.info, self.settings, self.rate_hz),
+            *examination.box(self.name, self.clock, self.info, self.settings, self.own),
+        ]
 
     def _check(self) -> None:
         if self._listener is not None:

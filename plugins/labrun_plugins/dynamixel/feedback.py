@@ -18,14 +18,14 @@ from labrun_plugins.dynamixel.control_table import (
     PRESENT_VELOCITY,
     SPEED_UNIT_RAD_S,
 )
-from labrun_plugins.dynamixel.driver import Dynamixel
+from labrun_plugins.dynamixel.servos import DynamixelServos
 from labrun_plugins.dynamixel.settings import DynamixelSettings
 
 _NAP_S = 0.02
 _BUSY_S = 0.005
 
 
-class DynamixelWithFeedback(Dynamixel):
+class DynamixelWithFeedback(DynamixelServos):
     """Actuator and sensor on one bus.
 
     One group read a sample; the device time is that of the first servo's millisecond counter. A sample that a servo did
@@ -51,7 +51,7 @@ class DynamixelWithFeedback(Dynamixel):
         self._heard = 0
 
     def open(self) -> None:
-        """Connect, see `Dynamixel.open`."""
+        """Connect, see `DynamixelServos.open`."""
         super().open()
         self._listener = Listener(self.name, self._receive)  # what the last one met is over
 
@@ -136,7 +136,7 @@ class DynamixelWithFeedback(Dynamixel):
         self._stream.start()
 
     def pose(self) -> Mapping[str, float]:
-        """Return the measured angles, rad, see `Dynamixel.pose`; those heard last while a loop has the bus."""
+        """Return the measured angles, rad, see `DynamixelServos.pose`; those heard last while a loop has the bus."""
         if not self._looping:
             return super().pose()
         self._check_threads()
@@ -147,14 +147,14 @@ class DynamixelWithFeedback(Dynamixel):
         }
 
     def health(self) -> Health:
-        """Ask every servo, see `Dynamixel.health`; while a loop has the bus nothing is asked."""
+        """Ask every servo, see `DynamixelServos.health`; while a loop has the bus nothing is asked."""
         if not self._looping:
             return super().health()
         self._check_threads()
         return Health(notes=("a loop has the bus: temperatures are not asked for",))
 
     def safe_stop(self) -> None:
-        """Stop, see `Dynamixel.safe_stop`: a loop that has the bus sends nothing from now on."""
+        """Stop, see `DynamixelServos.safe_stop`: a loop that has the bus sends nothing from now on."""
         wire = self._lent
         if wire is not None:
             wire.state[HALT] = 1.0
