@@ -66,7 +66,7 @@ def causes_of(search: Search, dataset: Dataset, moved: FloatArray) -> tuple[Caus
                 name,
                 confidence(search, one),
                 values,
-                tuple(rival.candidate.name for rival, _ in one.rivals),
+                tuple(rival.candidate.name for rival, _ in one.rivals[:1]),
                 remark,
             )
         )
@@ -105,9 +105,9 @@ def candidate_table(
     rated = {one.candidate.name: one for one in first.rated}
     chosen = {cause.name: cause for cause in causes}
     rivals: dict[Name, list[Name]] = {}
-    for cause in causes:
-        for rival in cause.indistinguishable_from:
-            rivals.setdefault(rival, []).append(cause.name)
+    for one in search.selection.chosen if causes else ():
+        for rival, _ in one.rivals:
+            rivals.setdefault(rival.candidate.name, []).append(one.name)
     told = _far_off(search)
     found = []
     for candidate in search.candidates:
@@ -346,6 +346,7 @@ def conclude(
     moved = scatter(final, search.null.draws(final))
     announced = decided not in ("no-gap", "undecided", "not-in-library") and not findings.unproven
     causes = causes_of(search, dataset, moved) if announced else ()
+    rivals = [[rival.candidate.name for rival, _ in one.rivals] for one in selection.chosen if announced]
     if findings.unproven:
         sizes = replace(sizes, recalibrated=search.recalibrated.gap, after=search.recalibrated.gap)
     learnable = None
@@ -415,7 +416,7 @@ def conclude(
             *search.remarks,
             *_unannounced(search, findings),
         ),
-        what_next=tuple(what_next(decided, causes, repeats=repeats)),
+        what_next=tuple(what_next(decided, causes, rivals, repeats=repeats)),
         channels=channels,
         input_channels=tuple((one.name, one.unit) for one in dataset.inputs),
         noise={one.name: float(sd) for one, sd in zip(dataset.outputs, noise.sd, strict=True)},

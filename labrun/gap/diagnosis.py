@@ -107,11 +107,11 @@ class Cause:
     Attributes
     ----------
     confidence
-        Probability that this, or the first of `indistinguishable_from`, is the right one; calibrated on known cases.
+        Probability that this, or what it is told together with, is the right one; calibrated on known cases.
     values
         Its parameters; for a parameter, its value.
     indistinguishable_from
-        What explains these data about as well.
+        What explains these data about as well: the likeliest, or nothing. Further ones are marked among the candidates.
     remark
         What to know about it: at a bound, far beyond its tolerance ("1.31 times the stated value") ...
     """

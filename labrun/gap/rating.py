@@ -213,7 +213,10 @@ def rivals_of(
         )
         shares /= shares.sum()
     own = float(shares[near.index(best)])
-    ordered = sorted(zip(near, shares, strict=True), key=lambda pair: -pair[1])
+    # of what is as probable, the common comes first
+    ordered = sorted(
+        zip(near, shares, strict=True), key=lambda pair: (-round(pair[1], 2), rank(pair[0].candidate.name))
+    )
     rivals = [(one, float(weight)) for one, weight in ordered if one is not best]
     found = [pair for pair in rivals if pair[1] >= criteria.RIVAL_WEIGHT]
     return tuple(found or _kin(best, rated)), own
@@ -226,31 +229,30 @@ def _kin(best: Rated, rated: Sequence[Rated]) -> list[tuple[Rated, float]]:
         for one in rated
         if family(best.candidate.name, one.candidate.name)
         and one.evidence > criteria.RIVAL_EVIDENCE
-        and one.share >= best.share - criteria.SHARE_BEHIND_BEST
+        and one.share
+        >= best.share - (criteria.SHARE_BEHIND_BEST if _contains(best, one) else criteria.RIVAL_SHARE)
         and not _best_again(best, one)
     ]
     return [(max(near, key=lambda one: one.score), 0.0)] if near else []
 
 
+def _contains(rich: Rated, simple: Rated) -> bool:
+    """Tell whether a candidate is a richer form of another one at its site; not if each contains the other."""
+    one, other = rich.candidate, simple.candidate
+    if one.attached is None or other.attached is None or one.name.site != other.name.site:
+        return False
+    mutual = one.name.effect in other.attached.effect.contains
+    return other.name.effect in one.attached.effect.contains and not mutual
+
+
 def _best_again(best: Rated, one: Rated) -> bool:
     """Tell whether this is the best again, a richer form at its site that earns nothing by what it has more."""
-    simple, rich = best.candidate, one.candidate
-    if simple.attached is None or rich.attached is None or simple.name.site != rich.name.site:
-        return False
-    mutual = rich.name.effect in simple.attached.effect.contains  # neither is the richer one
-    return simple.name.effect in rich.attached.effect.contains and not mutual and one.score <= best.score
+    return _contains(one, best) and one.score <= best.score
 
 
 def _richer(one: Rated, other: Rated) -> bool:
     """Tell whether a candidate contains another one at its site that predicts as well."""
-    rich, simple = one.candidate, other.candidate
-    if rich.attached is None or simple.attached is None or rich.name.site != simple.name.site:
-        return False
-    contains = (
-        simple.name.effect in rich.attached.effect.contains
-        and rich.name.effect not in simple.attached.effect.contains
-    )
-    return contains and other.share >= one.share - criteria.SIMPLER_SHARE
+    return _contains(one, other) and other.share >= one.share - criteria.SIMPLER_SHARE
 
 
 def more_common(best: Rated, rated: Sequence[Rated]) -> Rated:
