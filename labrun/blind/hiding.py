@@ -255,8 +255,10 @@ class Draw:
         Stribeck friction at one speed is Coulomb friction. Two that contain each other are rivals to a diagnosis.
         """
         found = []
-        for name in self.effect.contains:
-            simple = load_effect(name, self.effect.kind)
+        simpler = (
+            one for one in effects() if one.id in self.effect.contains and one.kind == self.effect.kind
+        )
+        for simple in simpler:
             if self.effect.id not in simple.contains:
                 own = {one.name: one.start_values(self._scale)[0] for one in simple.parameters}
                 found.append(

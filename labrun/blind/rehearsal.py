@@ -67,6 +67,8 @@ class Rehearsal:
         self._signals = self._signals or list(scene.signals)
         self._forces = np.array([scene.signals[name] in _FORCES for name in self._signals])
         self._forces &= experiment.trial.tare is not None
+        rig = Rig.build(concealed(experiment, []), clock=SimulatedClock(), seed=0, dry_run=True)
+        self._bounds = np.array([_bound(rig, scene.signals[name]) for name in self._signals])
         self._plain = self._signals_with([])
         self._spread = np.array([np.std(column) for column in self._stacked(self._plain)])
         self._moves = self._spread > 0
@@ -80,12 +82,14 @@ class Rehearsal:
         """Return how large an effect shows in the signal that shows it best, in units of the scatter between trials.
 
         That is the root mean square of its change, less what recalibration can imitate to first order; infinite where
-        the bench blows up or the change swamps what it does.
+        the bench blows up, a device's limit would end the run, or the change swamps what it does.
         """
         try:
             signals = self._signals_with([hidden])
         except ExperimentError:  # the bench blew up
             return math.inf
+        if np.any(np.abs(np.concatenate(signals)) > self._bounds):
+            return math.inf  # the run would end there
         change = _difference(signals, self._plain)
         if not all(np.isfinite(one).all() for one in change):
             return math.inf
@@ -267,6 +271,12 @@ class Rehearsal:
         signals = self._observed(rig, scene, motion.duration_s)
         tared: FloatArray = signals - np.where(self._forces, before.mean(axis=0), 0.0)
         return tared
+
+
+def _bound(rig: Rig, unit: str) -> float:
+    """Return the greatest size of a signal of a unit that a device lets pass."""
+    bounds = ({"N": one.force_n, "N m": one.torque_n_m}.get(unit) for one in rig.limits.values())
+    return max((one for one in bounds if one is not None), default=math.inf)
 
 
 def _difference(signals: Sequence[FloatArray], plain: Sequence[FloatArray]) -> list[FloatArray]:

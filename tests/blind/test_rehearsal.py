@@ -64,3 +64,12 @@ def test_stribeck_friction_at_one_speed_far_beyond_its_own_is_coulomb_friction(s
     assert strip.recalibrated_size(stribeck) > 1.0
     assert strip.apart(stribeck, coulomb) < 0.1
     assert strip.apart(stribeck, entry("cubic-stiffness", "strip", "joint", coefficient=1e9)) > 1.0
+
+
+def test_what_would_end_the_run_at_a_limit_of_a_device_is_too_large(strip):
+    weaker_cell = rehearsal_of(
+        "polyester-tensile", "run.conditions=[{specimen=1}]", "rig.devices.stage.limits.force_n=92"
+    )
+    bias = entry("bias", "force", "output", offset=20.0)
+    assert strip.size(bias) < float("inf")
+    assert weaker_cell.size(bias) == float("inf")

@@ -104,7 +104,7 @@ def test_the_emulated_scene_is_towed_as_in_a_dry_run(bench):
     samples = arm.read()
     dry = Towed()
     dry.move(from_m, from_m + 0.05, 0.1, 0.0)
-    begin_s = np.interp(from_m + 0.025, samples.values[:, 0], samples.device_time_s) - 0.35
+    begin_s = np.interp(from_m + 0.025, samples.values[:, 0], samples.device_time_s) - 0.375
     expected, _, _ = dry.motion(np.maximum(samples.device_time_s - begin_s, 1e-9))
     assert np.sqrt(np.mean((samples.values[:, 0] - expected) ** 2)) < 1e-4
     assert scene_position(bench) == pytest.approx(from_m + 0.05, abs=2e-4)

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from labrun_plugins.simulated.bench import ACCELERATION_M_S2
 from labrun_plugins.simulated.bench import Carriage as Towed
-from labrun_plugins.ur5.emulated_motion import StraightMove, braking, half_way_s
+from labrun_plugins.ur5.emulated_motion import ROUNDING_S, StraightMove, braking, half_way_s
 
 HOME = np.array([-0.35, -0.4, 0.3, 0.0, 3.14, 0.0])
 WAY = st.floats(1e-3, 0.8)
@@ -31,6 +31,19 @@ def test_the_tool_moves_as_the_scenes_carriage_does(way_m, speed_m_s):
         assert pose[[0, 2, 3, 4, 5]] == pytest.approx(HOME[[0, 2, 3, 4, 5]])
 
 
+@given(WAY, SPEED)
+def test_acceleration_rises_and_falls_at_a_constant_rate_and_the_way_stays_the_same(way_m, speed_m_s):
+    towed = Towed()
+    towed.move(0.0, way_m, speed_m_s, 0.0)
+    times = np.linspace(0.0, straight(way_m, speed_m_s, ACCELERATION_M_S2).duration_s, 2001)
+    position, speed, acceleration = towed.motion(times)
+    jerk = ACCELERATION_M_S2 / ROUNDING_S
+    assert np.abs(np.diff(acceleration)).max() <= 2.01 * jerk * times[1]  # twice where both ramps meet
+    assert position[-1] == pytest.approx(way_m)
+    assert speed[-1] == pytest.approx(0.0, abs=1e-12)
+    assert np.trapezoid(speed, times) == pytest.approx(way_m, rel=1e-3)
+
+
 @given(WAY, SPEED, st.floats(0.1, 3.0), st.floats(0.01, 0.99), st.floats(0.5, 10.0))
 def test_braking_begins_where_and_as_fast_as_the_tool_is_and_ends_at_rest(way_m, speed, a, share, brake):
     move = straight(way_m, speed, a)
@@ -41,9 +54,9 @@ def test_braking_begins_where_and_as_fast_as_the_tool_is_and_ends_at_rest(way_m,
     at_pose, at_velocity = stop.at(begin_s)
     assert at_pose == pytest.approx(pose, abs=1e-9)
     assert at_velocity == pytest.approx(velocity, abs=1e-6)
-    assert stop.duration_s - begin_s == pytest.approx(velocity[1] / brake, rel=1e-6)
+    assert stop.duration_s - begin_s == pytest.approx(velocity[1] / brake, rel=1e-6, abs=1e-9)
     end, rest = stop.at(stop.duration_s)
-    assert end[1] - pose[1] == pytest.approx(velocity[1] ** 2 / (2 * brake), rel=1e-6)
+    assert end[1] - pose[1] == pytest.approx(velocity[1] ** 2 / (2 * brake), rel=1e-6, abs=1e-9)
     assert not rest.any()
 
 

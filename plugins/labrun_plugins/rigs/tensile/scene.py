@@ -51,7 +51,7 @@ class Layup:
 
 LAYUPS: Mapping[str, Layup] = {
     "polyester": Layup(HARDENING_SHARE, 120.0),
-    "sandwich": Layup(2.0 * HARDENING_SHARE, 165.0),
+    "sandwich": Layup(1.6 * HARDENING_SHARE, 145.0),
 }
 """The plain sheet, and fabric - polyester - fabric. That they begin with the same slope and the sandwich bears more the
 source says (section 2.1); by how much, it shows in a picture: chosen."""

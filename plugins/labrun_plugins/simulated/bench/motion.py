@@ -11,6 +11,8 @@ from labrun_plugins.simulated.bench.history import packed, unpacked
 
 ACCELERATION_M_S2 = 0.5
 """Ramp length v^2 / 2a: 1 cm at 0.1 m/s. The value is common for a linear move of a UR5 (chosen)."""
+ROUNDING_S = 0.05
+"""An arm's acceleration does not jump: it takes this long to rise and to fall (chosen)."""
 
 
 @dataclass
@@ -144,24 +146,32 @@ class Carriage:
         self._from_m, self._to_m, self._speed_m_s, self._start_s, self._acceleration_m_s2 = move
 
     def _current(self, time_s: FloatArray) -> FloatArray:
-        """Return position, speed, acceleration of the current move, shape (3, n): a trapezoid of speed."""
-        way = abs(self._to_m - self._from_m)
-        if way == 0.0 or self._speed_m_s <= 0.0:
+        """Return position, speed, acceleration of the current move, shape (3, n): a trapezoid of speed, rounded.
+
+        Rounded by the mean over the last `ROUNDING_S`, so that the acceleration goes straight up and down.
+        """
+        if self._to_m == self._from_m or self._speed_m_s <= 0.0:
             still = np.zeros((3, len(time_s)))
             still[0] = self._to_m
             return still
-        ramp = self._acceleration_m_s2
+        since_s = time_s - self._start_s
+        moved = (self._sharp(since_s) - self._sharp(since_s - ROUNDING_S)) / ROUNDING_S
+        moved *= math.copysign(1.0, self._to_m - self._from_m)
+        moved[0] += self._from_m
+        return moved
+
+    def _sharp(self, since_s: FloatArray) -> FloatArray:
+        """Return the integral of the way, the way, and the speed of a trapezoid of speed, shape (3, n)."""
+        way, ramp = abs(self._to_m - self._from_m), self._acceleration_m_s2
         top = min(self._speed_m_s, math.sqrt(ramp * way))
         ramp_s = top / ramp
         end_s = way / top + ramp_s
-        t = np.clip(time_s - self._start_s, 0.0, end_s)
+        t = np.clip(since_s, 0.0, end_s)
         up, down = np.minimum(t, ramp_s), np.maximum(0.0, t - (end_s - ramp_s))
-        speed = ramp * (up - down)
-        position = ramp * (0.5 * up**2 + ramp_s * (t - up) - 0.5 * down**2)
-        moving = (time_s > self._start_s) & (time_s < self._start_s + end_s)
-        acceleration = ramp * moving * ((t < ramp_s) * 1.0 - (t > end_s - ramp_s))
-        sign = math.copysign(1.0, self._to_m - self._from_m)
-        return np.stack([self._from_m + sign * position, sign * speed, sign * acceleration])
+        even = t - up
+        gone = ramp * (0.5 * up**2 + ramp_s * even - 0.5 * down**2)
+        summed = ramp * (up**3 / 6.0 + 0.5 * ramp_s * even * (ramp_s + even) - down**3 / 6.0)
+        return np.stack([summed + way * np.maximum(since_s - end_s, 0.0), gone, ramp * (up - down)])
 
     def snapshot(self) -> list[object]:
         """Return the moves as JSON-ready values."""
