@@ -56,7 +56,11 @@ def widened(base: Base, screened: Screened) -> Screened:
 
 
 def _further(one: EffectParameter, size: float) -> EffectParameter:
-    if one.neutral != 0.0 or one.quantity == "ratio" or size < (1.0 - criteria.AT_BOUND) * one.upper:
+    if one.neutral != 0.0 or one.quantity == "ratio":
+        return one
+    if one.lower < 0.0 and size <= (1.0 - criteria.AT_BOUND) * one.lower:
+        return replace(one, lower=criteria.WIDER * one.lower)
+    if size < (1.0 - criteria.AT_BOUND) * one.upper:
         return one
     return replace(one, upper=criteria.WIDER * one.upper)
 
