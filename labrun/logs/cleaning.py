@@ -26,6 +26,7 @@ LEAST_TRIAL_S = 0.5
 LEAST_SAMPLES = 20
 LONG_S = 30.0
 CUT_S = 10.0
+OFFSET_S = 0.005
 STUCK_S = 0.3
 PUSH_AFTER_S = 2.0
 _LIVELY = 0.5
@@ -201,7 +202,20 @@ def table_of(matches: Sequence[Match]) -> tuple[LogTable, list[str]]:
             f"stamps of {base.name} count; goals stand until the next one, other measurements run straight between "
             f"theirs: {', '.join(others)}"
         )
-    return LogTable(at - at[0], values, tuple(matches), broken[inside]), said
+    return LogTable(at - at[0], values, tuple(matches), broken[inside]), [*said, *_offset(streams)]
+
+
+def _offset(streams: Sequence[Stream]) -> list[str]:
+    """Return a sentence if the stamps of one stream lie further before their receipt than those of another."""
+    told = sorted((one.before_receipt_s, one.name) for one in streams if one.before_receipt_s is not None)
+    if not told or told[-1][0] - told[0][0] <= OFFSET_S:
+        return []
+    (least, early), (most, late) = told[0], told[-1]
+    return [
+        f"stamps of {late} lie {1e3 * most:.3g} ms before their receipt, those of {early} {1e3 * least:.3g} ms: the "
+        f"{1e3 * (most - least):.3g} ms between are the way to the recorder or a clock that is off, which the log "
+        "cannot tell; stamps are taken as they are"
+    ]
 
 
 def _measures(stream: Stream, matches: Sequence[Match]) -> bool:

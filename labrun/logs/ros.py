@@ -58,15 +58,14 @@ def _streams(topic: str, kind: str, messages: list[tuple[float, Any]], zero: int
     said = [message for _, message in messages]
     if kind in _TRAJECTORIES:
         time_s, columns = _points(topic, received, said)
-        yield Stream(topic, time_s, tuple(columns), received=True)
+        yield Stream(topic, time_s, tuple(columns), received=True, before_receipt_s=0.0)
         return
     if kind in _ARRAYS:
         values = [np.atleast_1d(np.asarray(message.data, dtype=np.float64)) for message in said]
         width = max(len(one) for one in values)
         kept = [index for index, one in enumerate(values) if len(one) == width]
-        yield Stream(
-            topic, received[kept], tuple(vector(topic, np.array([values[i] for i in kept]))), received=True
-        )
+        numbers = tuple(vector(topic, np.array([values[i] for i in kept])))
+        yield Stream(topic, received[kept], numbers, received=True, before_receipt_s=0.0)
         return
     time_s, by_receipt, remarks = _stamps(topic, received, said, zero)
     names = tuple(_names(said[0]))
@@ -80,7 +79,8 @@ def _streams(topic: str, kind: str, messages: list[tuple[float, Any]], zero: int
             if not np.isnan(table[:, place]).all():
                 unit = "rad" if part in ("position", "reference") else ""
                 columns.append(column(f"{topic}/{part}", name, table[:, place], unit=unit))
-    yield Stream(topic, time_s, tuple(columns), by_receipt, None, remarks)
+    before = float(np.median(received - time_s))
+    yield Stream(topic, time_s, tuple(columns), by_receipt, None, remarks, before)
 
 
 def _state_parts(messages: list[Any]) -> dict[str, list[Any]]:

@@ -75,6 +75,8 @@ class Stream:
         Which part of a log that was cut already a sample belongs to; None if it was not.
     remarks
         What was done to read it.
+    before_receipt_s
+        How far its stamps lie before their receipt, by the median; 0 for stamps of receipt, None where there is none.
     """
 
     name: str
@@ -83,6 +85,7 @@ class Stream:
     received: bool = False
     episode: NDArray[np.int64] | None = None
     remarks: tuple[str, ...] = field(default=())
+    before_receipt_s: float | None = None
 
 
 def column(

@@ -154,6 +154,17 @@ def test_a_robot_whose_clock_is_another_is_shifted_to_the_recorders(tmp_path, ar
     assert made.duration_s > 10
 
 
+@pytest.mark.parametrize(("clock_s", "told"), [(-0.02, "lie 22 ms before their receipt"), (0.0, "")])
+def test_a_topic_that_is_stamped_early_is_told(tmp_path, arm, clock_s, told):
+    pytest.importorskip("rosbags")
+    bag = logs.write_bag(tmp_path / "bag", *logs.motion(), clock_s=clock_s, named_goals=False)
+    goals = ["shoulder_command=/goal_command[0]", "elbow_command=/goal_command[1]"]
+    made = import_log(bag, arm, tmp_path / "recording", mapping=goals)
+    found = " ".join(one for one in made.remarks if "before their receipt" in one)
+    assert told in found
+    assert bool(told) == bool(found)
+
+
 def test_stamps_are_repaired_by_the_rule_or_refused(tmp_path, arm):
     time_s, goals, angles = logs.motion()
     twice = time_s.copy()

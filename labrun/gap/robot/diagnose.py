@@ -1,7 +1,8 @@
 """A whole robot diagnosed: every joint by itself, then all that was found together in the whole robot."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,12 +10,13 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect
-from labrun.fit import Dataset, Note, silent, workers
+from labrun.fit import Dataset, Note, silent
 from labrun.gap import criteria
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Diagnosis
 from labrun.gap.robot.one_joint import OneJoint, Prescribed, one_joint, prescribed
 from labrun.models import Model, Robot, RobotJoint, simulate, suggest_substeps
+from labrun.workers import Pool, pool, spread
 
 OF_THE_WHOLE = ("gravity-tilt", "payload")
 """Effects that one joint shows and the whole robot has."""
@@ -143,7 +145,7 @@ def diagnose_robot(
     model
         The model of the whole robot, as `labrun.models.load_model` makes it from that file.
     options
-        ``workers`` joints are looked at at once.
+        ``workers`` joints are looked at at once, each in a process of its own.
 
     Raises
     ------
@@ -157,33 +159,46 @@ def diagnose_robot(
     note("finding what each joint carries along the measured motion")
     found = prescribed(robot, model, dataset)
     alone = replace(options, workers=1, places=False, brisk=True)
-    done: list[str] = []
-
-    def look(place: int, found: Prescribed = found) -> tuple[OneJoint, Diagnosis]:
-        one = one_joint(found, place)
-        answer = diagnose_dataset(
-            one.dataset, one.model, alone, note=_told(note, done, robot, one.joint.name)
-        )
-        answer = _announced(answer)
-        done.append(one.joint.name)
-        note(f"{len(done)} of {len(robot.joints)} joints: {one.joint.name} {answer.verdict}")
-        return one, answer
-
-    with workers(options.workers) as each:
-        answers = each(look, range(len(robot.joints)))
+    every = range(len(robot.joints))
+    # a process a joint: half of a diagnosis is Python, which threads would wait for in turn
+    with nullcontext() if options.workers <= 1 else pool(min(options.workers, len(every)), None) as there:
+        answers = _looked(found, every, alone, there, note)
         whole = _of_the_whole(answers)
         again = _without_whole(answers) if whole else []
         if again:
             note(
                 "looking again at the joints that say something else, the base and the load as others tell them"
             )
-            done.clear()
-            known = found.with_whole(**_around(whole))
-            answers = _explained_by_whole(
-                answers, dict(zip(again, each(lambda k: look(k, known), again), strict=True))
-            )
+            second = _looked(found.with_whole(**_around(whole)), again, alone, there, note)
+            answers = _explained_by_whole(answers, dict(zip(again, second, strict=True)))
     note("simulating the whole robot with what was found")
     return _together(found, answers, start)
+
+
+def _looked(
+    found: Prescribed, places: Sequence[int], options: Options, there: Pool | None, note: Note
+) -> list[tuple[OneJoint, Diagnosis]]:
+    """Diagnose joints, on processes if there are some; the answers are the same and come in the joints' order."""
+    joints = {place: one_joint(found, place) for place in places}
+    answers: dict[int, Diagnosis] = {}
+
+    def told(text: str) -> None:
+        note(f"{len(answers)} of {len(joints)} joints{text}")
+
+    def here() -> Iterator[tuple[int, Diagnosis]]:
+        for place, one in joints.items():
+            yield place, diagnose_dataset(one.dataset, one.model, options, note=_about(one, told))
+
+    jobs = ((place, diagnose_dataset, (one.dataset, one.model, options)) for place, one in joints.items())
+    told("")
+    for place, answer in here() if there is None else spread(there, jobs):
+        answers[place] = _announced(answer)
+        told(f": {joints[place].joint.name} {answers[place].verdict}")
+    return [(one, answers[place]) for place, one in joints.items()]
+
+
+def _about(one: OneJoint, told: Note) -> Note:
+    return lambda text: told(f" done; {one.joint.name}: {text}")
 
 
 def _announced(answer: Diagnosis) -> Diagnosis:
@@ -232,10 +247,6 @@ def _explained_by_whole(
         else one
         for place, one in enumerate(answers)
     ]
-
-
-def _told(note: Note, done: Sequence[str], robot: Robot, joint: str) -> Callable[[str], None]:
-    return lambda text: note(f"{len(done)} of {len(robot.joints)} joints done; {joint}: {text}")
 
 
 def _together(

@@ -12,6 +12,7 @@ from labrun.errors import ModelError
 from labrun.models.mjcf.around import around, heavy_bodies
 from labrun.models.mjcf.inverse import JointDrive, robot_terms
 from labrun.models.mjcf.plant import imported
+from labrun.models.mjcf.refusal import refusal
 
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 """Files that are read as a robot."""
@@ -226,7 +227,7 @@ def robot_spec(path: Path) -> tuple[Any, list[str]]:
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
-        raise ModelError(f"MuJoCo cannot read {path}: {str(error).strip()}") from None
+        raise refusal(path, error) from None
     folder = path.parent / (spec.meshdir or "")
     missing = {
         mesh.name or Path(mesh.file).stem
@@ -257,7 +258,7 @@ def _compile(spec: Any, path: Path) -> Any:
     try:
         return spec.compile()
     except ValueError as error:
-        raise ModelError(f"MuJoCo cannot build {path}: {str(error).strip()}") from None
+        raise refusal(path, error, doing="build") from None
 
 
 def _simple(mujoco: Any) -> tuple[Any, Any]:
