@@ -194,7 +194,8 @@ def _driven(path: Path, streams: Sequence[Stream], asked: Mapping[str, str]) -> 
 def _of_robot(robot: Robot) -> list[Wanted]:
     roles: dict[str, tuple[Any, ...]] = {
         "position": ("command",), "velocity": ("velocity-command", "command"),
-        "torque": ("torque-command", "torque", "command"), "other": ("command", "torque-command", "torque"),
+        "torque": ("torque-command", "torque", "command"),
+        **dict.fromkeys(("geared", "other"), ("command", "torque-command", "torque")),
     }  # fmt: skip
     outputs = [
         Wanted(

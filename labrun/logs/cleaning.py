@@ -33,6 +33,8 @@ _LIVELY = 0.5
 """A sensor of which more than this share of samples differs from the one before cannot stand still by chance."""
 _COARSE = 0.5
 """Fewer different numbers than this share of the samples, and a sensor's steps are coarser than its noise."""
+_OFTEN = 0.02
+"""So is one that repeats a number more often than this where it is not frozen: friction holds joints still."""
 _JUMP = 2.0
 """A coarse sensor was frozen if it goes on with a step so many times its fastest ones."""
 
@@ -234,11 +236,13 @@ def unusable(table: LogTable) -> Iterator[tuple[Piece, str]]:
             continue  # an encoder's steps: standing still is nothing special
         steps = np.abs(np.diff(course))
         # where an encoder's steps show through, a joint at rest stands on one number: only a jump afterwards tells
-        jump = (
-            _JUMP * float(np.quantile(steps, 0.99)) if len(np.unique(course)) < _COARSE * len(course) else 0.0
-        )
-        for piece in _runs(same):
-            if jump and (piece.end >= len(course) or steps[piece.end - 1] <= jump):
+        runs = _runs(same)
+        short = sum(one.end - one.first for one in runs if one.end - one.first < long)
+        coarse = len(np.unique(course)) < _COARSE * len(course) or short > _OFTEN * len(course)
+        jump = _JUMP * float(np.quantile(steps, 0.99)) if coarse else 0.0
+        for piece in runs:
+            ended = piece.end >= len(course) or bool(table.broken[piece.end])
+            if jump and (ended or steps[piece.end - 1] <= jump):
                 continue
             if piece.end - piece.first >= long:
                 ends = (course.min(), course.max())

@@ -87,6 +87,16 @@ def test_a_joint_at_rest_behind_a_coarse_encoder_is_not_frozen_but_one_that_jump
     ]
 
 
+def test_a_joint_that_friction_holds_still_is_not_frozen(tmp_path, arm):
+    time_s, goals, angles = logs.motion(moves=3)
+    held, still = angles.copy(), time_s % 4.0 > 3.2
+    for row in range(1, len(held)):
+        if still[row] or row % 10 == 0:
+            held[row] = held[row - 1]
+    made = import_log(logs.write_csv(tmp_path / "a.csv", time_s, goals, held), arm, tmp_path / "one")
+    assert not [text for text in made.remarks if "left out" in text]
+
+
 def test_a_table_with_semicolons_and_decimal_commas_is_the_same_table(tmp_path, arm):
     made = logs.motion(moves=2)
     first = logs.write_csv(tmp_path / "a.csv", *made)

@@ -293,7 +293,7 @@ def _effort(joint: RobotJoint, drive: RobotActuator | None, found: Prescribed) -
     gains_name = _gain(joint, drive)
     gains = found.own.drives[joint.name]
     q, rate = joint.output, f"{joint.output}_rate"
-    if drive.command == "torque":
+    if drive.command in ("torque", "geared"):
         effort = f"{gains.gear!r}*{drive.input}"
     elif drive.command == "velocity":
         effort = f"{gains_name}*({drive.input} - {rate})"

@@ -18,7 +18,8 @@ SUFFIXES = (".xml", ".mjcf", ".urdf")
 """Files that are read as a robot."""
 EDITS_ROBOTS = (4, 0)
 """The MuJoCo that writes values back into a description (`MjSpec.copy_back`); model files need only 3.2."""
-Command = Literal["position", "velocity", "torque", "other"]
+Command = Literal["position", "velocity", "torque", "geared", "other"]
+"""What a control is: a goal, a torque at the joint, what a gear or gain makes one of, or neither."""
 Drive = Literal["position", "torque"]
 SERVO_HZ = 5.0
 SERVO_DAMPING = 0.8
@@ -28,7 +29,7 @@ _MASS_TOLERANCE = 0.05
 _GAIN_TOLERANCE = 0.1
 """What a description of a robot says of masses and gains is good to this (chosen); of damping it knows nothing."""
 _SUFFIX: Mapping[Command, str] = {
-    "position": "command", "velocity": "rate_command", "torque": "torque", "other": "control",
+    "position": "command", "velocity": "rate_command", "torque": "torque", "geared": "control", "other": "control",
 }  # fmt: skip
 
 
@@ -309,7 +310,8 @@ def _actuator(mujoco: Any, spec: Any, actuator: Any) -> RobotActuator:
     command = _command(mujoco, actuator)
     units: dict[Command, str] = {
         "position": "m" if slides else "rad", "velocity": "m/s" if slides else "rad/s",
-        "torque": "1" if joint is None else "N" if slides else "N m", "other": "1",
+        "torque": "1" if joint is None else "N" if slides else "N m", "geared": "1",
+        "other": "1",
     }  # fmt: skip
     name = actuator.name if joint is None else joint.name
     sole = sum(one.target == actuator.target for one in spec.actuators) == 1
@@ -331,7 +333,9 @@ def _command(mujoco: Any, actuator: Any) -> Command:
     ):  # fmt: skip
         return "other"
     if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
-        return "torque" if gain[0] == 1.0 and actuator.gear[0] == 1.0 else "other"
+        return "torque" if gain[0] == 1.0 and actuator.gear[0] == 1.0 else "geared"
+    if actuator.gear[0] != 1.0:
+        return "other"
     if np.isclose(bias[1], -gain[0]) and gain[0] != 0.0:
         return "position"
     if bias[1] == 0.0 and np.isclose(bias[2], -gain[0]) and gain[0] != 0.0:
@@ -401,6 +405,7 @@ def _effort(robot: Robot, joint: RobotJoint, drive: JointDrive | None) -> str:
     rate = f"{joint.output}_rate"
     efforts = {
         "torque": f"{drive.gear!r}*{found[0].input}",
+        "geared": f"{drive.gear!r}*{found[0].input}",
         "position": f"{identifier(found[0].name)}_kp*({found[0].input} - {joint.output}) - {drive.kv!r}*{rate}",
     }
     effort = efforts.get(found[0].command, "")

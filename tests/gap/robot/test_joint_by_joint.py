@@ -115,6 +115,18 @@ def test_friction_is_named_at_its_joint_and_nothing_at_the_other(tmp_path):
     assert any("2 of 2 joints" in one for one in said)
 
 
+def test_a_motor_behind_a_gear_drives_its_joint_with_what_the_gear_makes_of_its_control(tmp_path):
+    _, _, dataset = arm(tmp_path)
+    servo = '<position name="elbow" joint="elbow" kp="40" kv="2"/>'
+    file = tmp_path / "geared.xml"
+    file.write_text(XML.replace(servo, '<motor name="elbow" joint="elbow" gear="48"/>'), encoding="utf-8")
+    robot, model = read_robot(file), load_model(file)
+    assert [(one.input, one.unit) for one in robot.actuators][1] == ("elbow_control", "1")
+    inputs = tuple(SignalInfo(one.name, one.unit) for one in model.inputs)
+    elbow = one_joint(prescribed(robot, model, dataclasses.replace(dataset, inputs=inputs)), 1).model
+    assert next(site.load for site in elbow.sites if site.name == "elbow") == "48.0*elbow_control"
+
+
 def test_what_cannot_be_taken_apart_is_told(tmp_path):
     robot, _, dataset = arm(tmp_path)
     assert why_not(robot, dataset) == ""
