@@ -228,7 +228,7 @@ def in_si(matches: Sequence[Match], asked: Unit | None, ticks: int = TICKS) -> t
     Raises
     ------
     RequestError
-        The unit cannot be told.
+        The unit cannot be told, or makes angles that the joint cannot have.
     """
     made: list[Match] = []
     said: list[str] = []
@@ -253,10 +253,30 @@ def in_si(matches: Sequence[Match], asked: Unit | None, ticks: int = TICKS) -> t
             f"{told}: a log hardly has both",
             hint="say --unit deg or --unit rad; a small motion in degrees looks like radians",
         )
+    said += [told for one in made if one.wanted.kind == "output" and (told := _beyond(one))]
     order = {id(one.wanted): place for place, one in enumerate(matches)}
     return sorted(made, key=lambda one: order[id(one.wanted)]), said
 
 
+def _beyond(match: Match) -> str:
+    """Return a sentence if a joint was measured outside of its range; refuse what lies out by more than all of it."""
+    if match.column is None or match.wanted.range is None or not np.isfinite(match.column.values).any():
+        return ""
+    least, most = (float(one) for one in np.nanquantile(values_of(match), [0.01, 0.99]))
+    low, high = match.wanted.range
+    out = max(low - least, most - high)
+    name, unit = match.wanted.channel, match.wanted.unit
+    there = f"{low:.3g} to {high:.3g}"
+    told = f"{name} is measured from {least:.3g} to {most:.3g} {unit}, and its range in the model is {there}"
+    if out > high - low:
+        raise RequestError(
+            told, hint="another unit, or another column: --unit, --map; or the model's range is wrong"
+        )
+    return f"{told}: is the unit right, and the zero?" if out > _OUTSIDE * (high - low) else ""
+
+
+_OUTSIDE = 0.05
+"""Part of its range by which a joint may be measured beyond it without a word: zeros are set by hand."""
 _BY_RANGE = "by their range"
 _WORDS: Mapping[Unit, str] = {
     "rad": "radians", "deg": "degrees", "ticks": "ticks",

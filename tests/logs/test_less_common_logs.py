@@ -87,6 +87,19 @@ def test_a_joint_at_rest_behind_a_coarse_encoder_is_not_frozen_but_one_that_jump
     ]
 
 
+def test_a_unit_that_takes_a_joint_far_out_of_its_range_is_refused_and_a_wrong_zero_is_told(tmp_path, arm):
+    time_s, goals, angles = logs.motion(moves=2)
+    log = logs.write_csv(tmp_path / "deg.csv", time_s, np.rad2deg(goals), np.rad2deg(angles))
+    with pytest.raises(
+        RequestError, match=r"shoulder is measured from .* rad, and its range in the model is -2 to 2"
+    ):
+        import_log(log, arm, tmp_path / "one", unit="rad")
+    assert not (tmp_path / "one").exists()
+    log = logs.write_csv(tmp_path / "zero.csv", time_s, goals, angles + 2.0)
+    made = import_log(log, arm, tmp_path / "two")
+    assert any("shoulder is measured" in one and "the zero" in one for one in made.remarks)
+
+
 def test_a_joint_that_friction_holds_still_is_not_frozen(tmp_path, arm):
     time_s, goals, angles = logs.motion(moves=3)
     held, still = angles.copy(), time_s % 4.0 > 3.2
