@@ -12,6 +12,7 @@ in the file; and with frictionloss of every joint beside these, as somebody woul
 labrun is told neither.
 """
 
+import resource
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -147,18 +148,29 @@ def _like(old: object, value: float) -> object:
     return shaped
 
 
+def _since(began: tuple[float, float]) -> str:
+    wall, processor = (now - then for now, then in zip(_clocks(), began, strict=True))
+    return f"{wall:.1f} s, {processor:.1f} s of processors"
+
+
+def _clocks() -> tuple[float, float]:
+    """Return seconds on the wall, and of processors with those of processes that have ended."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return time.perf_counter(), sum(one.ru_utime + one.ru_stime for one in used)
+
+
 if __name__ == "__main__":
     log = recorded()
     for friction in (False, True):
-        began = time.perf_counter()
+        began = _clocks()
         values, error = by_sysid(log, friction=friction)
         told = ", ".join(f"{name} {value:.4g}" for name, value in values.items())
         print(f"mujoco.sysid{' with frictionloss' if friction else '':<18} {1e3 * error:.3f} mrad"
-              f"  {time.perf_counter() - began:.1f} s  {told}")  # fmt: skip
-    began = time.perf_counter()
+              f"  {_since(began)}  {told}")  # fmt: skip
+    began = _clocks()
     answer, error = by_labrun(log)
     for one in answer.joints:
         steps = " > ".join(f"{1e3 * error:.3f}" for error in (one.stated, one.recalibrated, one.corrected))
         print(f"  {one.joint.name}, motions that were seen: {steps} mrad")
-    print(f"labrun{'':<24} {1e3 * error:.3f} mrad  {time.perf_counter() - began:.1f} s  {answer.sentence}")
+    print(f"labrun{'':<24} {1e3 * error:.3f} mrad  {_since(began)}  {answer.sentence}")
     print(f"noise of the encoders {1e3 * NOISE_RAD:.3f} mrad")
