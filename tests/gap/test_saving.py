@@ -15,9 +15,9 @@ from labrun.runner import SilentProgress
 from labrun.spec import load_named
 
 SMALL = (
-    "run.conditions=[{release=15},{release=30},{release=45}]",
-    "trial.repeats=3",
-    "trial.duration_s=2.5",
+    "run.conditions=[{release=15},{release=45}]",
+    "trial.repeats=2",
+    "trial.duration_s=2",
 )
 QUICK = Options(places=False, workers=2)
 

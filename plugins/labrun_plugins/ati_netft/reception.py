@@ -10,7 +10,7 @@ from labrun_plugins.ati_netft.sequence import Ordered, Sequencer
 from labrun_plugins.ati_netft.settings import BOX_RATE_HZ, AtiNetFtSettings, full_scale
 from labrun_plugins.ati_netft.source import Source
 
-CHANNELS = (
+CHANNELS: tuple[Channel, ...] = (
     Channel("force_x", "N"), Channel("force_y", "N"), Channel("force_z", "N"),
     Channel("torque_x", "N m"), Channel("torque_y", "N m"), Channel("torque_z", "N m"),
 )  # fmt: skip
