@@ -17,7 +17,7 @@ from labrun.store import SignalInfo
 def unit(seed, **physics):
     rng = np.random.default_rng(seed)
     made = []
-    for release in (0.2, 0.4, 0.6, 0.8):
+    for release in (0.3, 0.8):
         time_s, angle = swing(release, duration_s=2.0, rate_hz=120.0, **physics)
         made.append((time_s, angle + 2e-3 * rng.standard_normal(len(angle))))
     return dataset_of(made)

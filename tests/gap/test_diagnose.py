@@ -64,9 +64,12 @@ def test_a_richer_effect_that_explains_no_more_is_no_rival(with_friction: Diagno
     assert richer.name not in with_friction.causes[0].indistinguishable_from
 
 
+@pytest.mark.slow
 def test_friction_that_differs_by_direction_is_coulomb_friction_and_a_pull_while_the_joint_moves() -> None:
-    uneven = recorded(lambda t, q, v: -(0.006 + 0.002 * np.tanh(v / 0.02)) * np.tanh(v / 0.02))
-    found = diagnose_dataset(uneven, pendulum(), QUICK)
+    def uneven(t: float, q: float, v: float) -> float:
+        return float(-(0.006 + 0.002 * np.tanh(v / 0.02)) * np.tanh(v / 0.02))
+
+    found = diagnose_dataset(recorded(uneven), pendulum(), QUICK)
     friction, pull = found.causes
     assert not any("not tried" in one for one in found.notes)
     assert any(one.name.effect == "asymmetric-friction" for one in found.candidates)
@@ -148,7 +151,7 @@ def test_the_same_data_and_seed_give_the_same_answer() -> None:
     assert {**first, "seconds": 0} == {**second, "seconds": 0}
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_wrong_parameters_alone_are_not_blamed_on_an_effect(seed: int, without_effect: Diagnosis) -> None:
     again = seed != 1  # which the fixture has diagnosed
     diagnosis = diagnose_dataset(recorded(seed=seed), pendulum(), QUICK) if again else without_effect
@@ -181,7 +184,7 @@ def test_a_delayed_sensor_is_told_from_everything_in_the_joint() -> None:
 
 
 def test_an_effect_taken_out_of_the_library_is_not_blamed_on_a_neighbour() -> None:
-    stiffening = recorded(lambda t, q, v: -0.12 * q**3, noise=0.002)
+    stiffening = recorded(lambda t, q, v: -0.12 * q**3, noise=0.002, conditions=CONDITIONS[:3])
     known = diagnose_dataset(stiffening, pendulum(), QUICK)
     assert names(known) == ["cubic-stiffness at hinge"]
     unknown = diagnose_dataset(stiffening, pendulum(), Options(places=False, withhold=("cubic-stiffness",)))

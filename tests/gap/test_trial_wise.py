@@ -10,7 +10,7 @@ from labrun.fit.per_trial import deviated
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.trial_wise import found_alone, shape_of, words
 
-from .benches import FloatArray, dry_friction, nothing, pendulum, recorded
+from .benches import CONDITIONS, FloatArray, dry_friction, nothing, pendulum, recorded
 
 QUICK = Options(places=False)
 
@@ -23,7 +23,9 @@ def with_zeros_set_anew(data: Dataset, sd: float, common: float = 0.0) -> Datase
 
 def test_friction_is_found_behind_zeros_that_are_set_anew() -> None:
     found = diagnose_dataset(
-        with_zeros_set_anew(recorded(dry_friction(0.006), noise=0.002), 0.03), pendulum(), QUICK
+        with_zeros_set_anew(recorded(dry_friction(0.006), noise=0.002, conditions=CONDITIONS[:3]), 0.03),
+        pendulum(),
+        QUICK,
     )
     assert found.differs == ("bias at angle differs by trial (standard deviation 0.043 rad)",)  # as drawn
     assert found.sentence.startswith("Bias at angle differs by trial")

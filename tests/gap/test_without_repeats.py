@@ -12,7 +12,7 @@ from labrun.gap.noise import of_sensor
 from labrun.gap.noise_threshold import NoiseThreshold
 from labrun.gap.null import independent_share
 
-from .benches import dry_friction, nothing, pendulum, recorded
+from .benches import CONDITIONS, dry_friction, nothing, pendulum, recorded
 
 QUICK = Options(places=False)
 
@@ -52,7 +52,9 @@ def test_the_noise_of_a_sensor_is_seen_beside_a_slow_gap(slow: float) -> None:
 
 
 def test_friction_is_named_from_trials_that_were_never_repeated() -> None:
-    found = diagnose_dataset(recorded(dry_friction(0.006), repeats=1), pendulum(), QUICK)
+    found = diagnose_dataset(
+        recorded(dry_friction(0.006), repeats=1, conditions=CONDITIONS[:3]), pendulum(), QUICK
+    )
     assert [str(one.name) for one in found.causes] == ["coulomb-friction at hinge"]
     assert found.causes[0].values["torque"].value == pytest.approx(0.006, rel=0.1)
     assert found.verdict == "explained"
