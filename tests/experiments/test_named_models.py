@@ -31,8 +31,8 @@ SMALLER = {
         "by_hand.mountings=3",
     ),
 }
-LONG = ("fin-step", "tail-sweep")
-"""What takes tens of seconds."""
+LONG = ("fin-step", "tail-sweep", "driven-joint-bushing")
+"""What takes long; the bushing is on the bench of the driven joint."""
 STRONG = {
     "hinge": "coulomb-friction@hinge:torque=4e-4",
     "fin-step": "cross-talk@torque_x:share=-0.3",

@@ -19,7 +19,7 @@ def test_the_fit_is_that_of_scipy_with_and_without_survivors():
         assert found.scale == pytest.approx(scale, rel=1e-3)
 
 
-@pytest.mark.parametrize("limit", [np.inf, 3200.0])
+@pytest.mark.parametrize("limit", [pytest.param(np.inf, marks=pytest.mark.slow), 3200.0])
 def test_intervals_hold_the_median_and_the_shape_as_often_as_they_say(limit):
     rng = np.random.default_rng(2)
     draws = np.random.default_rng(3)

@@ -96,7 +96,7 @@ def write(tmp_path: Path):
 def dry_run(tmp_path: Path):
     """Run an experiment file to its end, or to a limit, in simulated time."""
 
-    def run(path: Path, *, limit=None, seed=5, results="results", progress=None):
+    def run(path: Path, *, limit=None, seed=5, results="results", progress=None, draw=False):
         return execute(
             load_experiment(path),
             results=tmp_path / results,
@@ -104,7 +104,7 @@ def dry_run(tmp_path: Path):
             seed=seed,
             limit=limit,
             progress=progress or SilentProgress(),
-            draw=True,
+            draw=draw,
         )
 
     return run

@@ -37,9 +37,8 @@ def test_every_level_has_a_search_a_winner_and_a_verdict_of_its_own(whole):
     assert order == sorted(order)
 
 
-@pytest.mark.parametrize("stop", [3, 60])
-def test_stopped_and_resumed_it_ends_as_in_one_go(each, whole, dry_run, stop):
-    part = dry_run(each, limit=stop, results="parts")
+def test_stopped_and_resumed_it_ends_as_in_one_go(each, whole, dry_run):
+    part = dry_run(each, limit=60, results="parts")
     ended = resume(part.run)
     assert ended.winners == whole.winners
     assert ended.verdicts == whole.verdicts

@@ -23,7 +23,7 @@ def objectives(run):
 
 
 def test_a_sweep_runs_to_its_honest_best_its_file_and_its_picture(write, dry_run, recorder):
-    result = dry_run(write("sweep"), progress=recorder)
+    result = dry_run(write("sweep"), progress=recorder, draw=True)
     assert result.finished
     assert (result.run / "run.h5").is_file()
     assert result.figure is not None
@@ -63,7 +63,7 @@ def test_without_a_goal_there_is_no_best(write, dry_run, tmp_path):
     assert result.to_json()["best"] is None
 
 
-@pytest.mark.parametrize(("kind", "limit"), [("sweep", 5), ("sweep", 15), ("cmaes", 9), ("cmaes", 30)])
+@pytest.mark.parametrize(("kind", "limit"), [("sweep", 5), ("cmaes", 9), ("cmaes", 30)])
 def test_a_limited_run_resumes_to_the_result_of_an_uninterrupted_one(write, dry_run, kind, limit, recorder):
     path = write(kind)
     whole = dry_run(path, results="whole")

@@ -87,8 +87,7 @@ def test_a_sweep_measures_each_point_at_each_setting_and_names_the_best_point(wr
     assert plan.trials == len(measured) + 2 * 3 * 2 + 3 * 2
 
 
-@pytest.mark.parametrize("stop", [1, 13, 30])
-def test_a_search_over_settings_that_was_stopped_and_resumed_ends_as_one_in_one_go(write, dry_run, stop):
+def test_a_search_over_settings_that_was_stopped_and_resumed_ends_as_one_in_one_go(write, dry_run):
     from labrun.app.resume import resume
 
     path = write("cmaes").rename(write("cmaes").with_name("over.toml"))
@@ -97,7 +96,7 @@ def test_a_search_over_settings_that_was_stopped_and_resumed_ends_as_one_in_one_
     )
     path.write_text(text.replace("[cmaes]", '[cmaes]\ncombine = "worst"'))
     whole = dry_run(path)
-    part = dry_run(path, limit=stop, results="parts")
+    part = dry_run(path, limit=13, results="parts")
     assert not part.finished
     ended = resume(part.run)
     assert ended.to_json()["best"] == whole.to_json()["best"]
