@@ -346,7 +346,7 @@ def conclude(
     moved = scatter(final, search.null.draws(final))
     announced = decided not in ("no-gap", "undecided", "not-in-library") and not findings.unproven
     causes = causes_of(search, dataset, moved) if announced else ()
-    rivals = [[rival.candidate.name for rival, _ in one.rivals] for one in selection.chosen if announced]
+    doubts = [[rival.candidate.name for rival in one.doubts] for one in selection.chosen if announced]
     if findings.unproven:
         sizes = replace(sizes, recalibrated=search.recalibrated.gap, after=search.recalibrated.gap)
     learnable = None
@@ -416,7 +416,7 @@ def conclude(
             *search.remarks,
             *_unannounced(search, findings),
         ),
-        what_next=tuple(what_next(decided, causes, rivals, repeats=repeats)),
+        what_next=tuple(what_next(decided, causes, doubts, repeats=repeats)),
         channels=channels,
         input_channels=tuple((one.name, one.unit) for one in dataset.inputs),
         noise={one.name: float(sd) for one, sd in zip(dataset.outputs, noise.sd, strict=True)},

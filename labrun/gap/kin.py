@@ -19,12 +19,12 @@ FAMILIES: Mapping[str, tuple[str, ...]] = {
 """Effects of one family, the common ones first. Presliding friction is dry friction that yields before it slips."""
 
 COMMON = (
-    "coulomb-friction", "viscous-damping", "constant-force", "bias", "gain-error", "delay", "lag", "backlash",
-    "stribeck-friction", "load-dependent-friction", "saturation", "end-stop", "dead-band", "quadratic-drag",
-    "cubic-stiffness",
+    "coulomb-friction", "viscous-damping", "constant-force", "bias", "added-mass", "added-inertia", "gain-error",
+    "delay", "lag", "backlash", "stribeck-friction", "load-dependent-friction", "saturation", "end-stop", "dead-band",
+    "quadratic-drag", "cubic-stiffness",
 )  # fmt: skip
-"""How often a bench lacks it, most often first (judged, not counted): friction and offsets are everywhere. What is not
-here comes last."""
+"""How often a bench lacks it, most often first (judged, not counted): friction and offsets are everywhere, and so is
+inertia that nobody drew (of a rotor, of water). What is not here comes last."""
 
 
 def family(one: Name, other: Name) -> str:

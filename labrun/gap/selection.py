@@ -51,7 +51,8 @@ class Chosen:
     rated
         As it was rated when it was taken in.
     rivals
-        What explains the data as well, most probable first, with its weight.
+        What explains the data as well, most probable first, with its weight; or a form that is mended in the same way,
+        of next to none.
     weight
         The cause's own beside those.
     base, held_out
@@ -68,6 +69,11 @@ class Chosen:
     def name(self) -> Name:
         """What the cause is called."""
         return self.rated.candidate.name
+
+    @property
+    def doubts(self) -> list[Rated]:
+        """The rivals that the data cannot tell from it: not those that are told beside it as its kin only."""
+        return [rival for rival, weight in self.rivals if weight >= criteria.RIVAL_WEIGHT]
 
 
 @dataclass(frozen=True)

@@ -256,17 +256,17 @@ def limitations(
 
 
 def what_next(
-    verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Sequence[Name]], *, repeats: int
+    verdict: Verdict, causes: Sequence[Cause], doubts: Sequence[Sequence[Name]], *, repeats: int
 ) -> list[str]:
     """Return what to do now.
 
     Parameters
     ----------
-    rivals
-        Per cause, all that explains the data about as well, the likeliest first.
+    doubts
+        Per cause, all that the data cannot tell from it, the likeliest first.
     """
     found = []
-    doubtful = [(cause, others) for cause, others in zip(causes, rivals, strict=True) if others]
+    doubtful = [(cause, others) for cause, others in zip(causes, doubts, strict=True) if others]
     for cause, alike in doubtful:
         others = " or ".join(name.words for name in alike[:3])
         found.append(

@@ -102,9 +102,7 @@ def rivals_of(search: Search) -> Rivals:
     base = selection.rounds[0].base
     null = Rival(NOTHING, None, base.problem, base.z, 0, base.squares)
     dispersion = selection.rounds[0].threshold.dispersion
-    doubtful = [
-        (cause.rated, [rival for rival, _ in cause.rivals]) for cause in selection.chosen if cause.rivals
-    ]
+    doubtful = [(cause.rated, cause.doubts) for cause in selection.chosen if cause.doubts]
     if doubtful:
         # several doubtful causes: the one taken in last stands beside all others
         cause, others = doubtful[-1]

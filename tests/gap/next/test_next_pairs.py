@@ -16,20 +16,25 @@ SEED = 1
 
 @dataclass(frozen=True)
 class Pair:
-    """What a dry run hides, what it is called, and what must be in doubt at first and ruled out at last."""
+    """What a dry run hides, what it is called, and what must be in doubt at first and ruled out at last.
+
+    Of what one would mend in the same way, such as a lag and a delay, the truth comes first at last, and the other may
+    stand beside it: no form is nature's to the last digit.
+    """
 
     experiment: str
     hide: str
     truth: str
     other: str
+    mended_alike: bool = False
 
 
 SETTLED = {
     "a lag, no delay": Pair(
-        "driven-joint", "lag@base:time_constant=0.02", "lag at base", "delay at base"
+        "driven-joint", "lag@base:time_constant=0.02", "lag at base", "delay at base", mended_alike=True
     ),
     "a delay, no lag": Pair(
-        "driven-joint", "delay@base:delay=0.02", "delay at base", "lag at base"
+        "driven-joint", "delay@base:delay=0.02", "delay at base", "lag at base", mended_alike=True
     ),
     "a bent strip, no false zero": Pair(
         "driven-joint", "rest-offset@hinge:offset=0.05", "rest-offset at hinge", "bias at angle"
@@ -74,9 +79,8 @@ def test_what_slow_motion_leaves_open_the_proposed_experiment_settles(case, tmp_
     second = dry_run(tmp_path, proposal.file.stem, f"same-as:{pair.experiment}")
     found = diagnose(first, more=[second], workspace=tmp_path, options=Options(places=False))
     (cause,) = found.causes
-    left = {str(cause.name), *(str(name) for name in cause.indistinguishable_from)}
-    assert pair.truth in left
-    assert pair.other not in left
+    assert str(cause.name) == pair.truth
+    assert pair.mended_alike or pair.other not in {str(name) for name in cause.indistinguishable_from}
 
 
 @pytest.mark.slow
