@@ -1,8 +1,9 @@
 """`labrun` without the second that Python takes to import it: every command is forked from one process that has.
 
-Each worker of the tests starts that process once. What is typed is a program `labrun`, or `forked-python FILE`, that
-hands its arguments, folder, environment and streams to it, and ends as the forked command did. Tests of signals and of
-what is imported when start labrun as a person does.
+Each worker of the tests starts that process once. What is typed is a program `labrun`, or `forked-python FILE` or
+`forked-python -m MODULE`, that hands its arguments, folder, environment and streams to it, and ends as the forked
+command did. Emulators and their scenes are begun likewise. Tests of signals, of processes that are killed, and of what
+is imported when start them as a person does.
 """
 
 import atexit
@@ -22,6 +23,7 @@ from pathlib import Path
 from select import select
 
 import labrun.cli
+from labrun.runner import emulated_bench
 
 _TYPED = """#!{python} -IS
 import json, os, socket, sys
@@ -79,6 +81,10 @@ def _serve(address: str) -> None:
     for package in ("app", "cli", "fit", "gap", "report"):
         for module in pkgutil.walk_packages([str(Path(labrun.__path__[0]) / package)], f"labrun.{package}."):
             importlib.import_module(module.name)
+    for name in ("labrun.devices.processes.scene", "labrun.devices.processes.emulator"):
+        importlib.import_module(name)
+    importlib.import_module("labrun_plugins.simulated.bench")
+    emulated_bench._PYTHON = str(Path(address).with_name("forked-python"))
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(address)
         listener.listen()
@@ -119,14 +125,20 @@ def _carry_out(connection: socket.socket) -> None:
     ]
     sys.path[:0] = added
     if Path(program).name == "forked-python":
-        sys.argv = arguments
-        code = _code_of(lambda: runpy.run_path(arguments[0], run_name="__main__"))
+        code = _code_of(lambda: _python(arguments))
     else:
         sys.argv = ["labrun", *arguments]
         code = _code_of(labrun.cli.main)
     atexit._run_exitfuncs()
     connection.send(bytes([code & 0xFF]))
     os._exit(0)
+
+
+def _python(arguments: list[str]) -> None:
+    if arguments[0] == "-m":
+        sys.exit(importlib.import_module(arguments[1]).main())
+    sys.argv = arguments
+    runpy.run_path(arguments[0], run_name="__main__")
 
 
 def _code_of(main: Callable[[], object]) -> int:

@@ -21,6 +21,7 @@ from labrun.runner.resolve import resolve_device, stand_in_name
 from labrun.toml import PluginTable
 
 _GROUP = "labrun.emulators"
+_PYTHON = sys.executable
 _START_S = 60.0
 """Compiling a scene for the first time takes the longest part of it."""
 _END_S = 5.0
@@ -224,7 +225,7 @@ class EmulatedBench:
 
 def _started(module: str, task: Mapping[str, Any]) -> "subprocess.Popen[bytes]":
     process = subprocess.Popen(
-        [sys.executable, "-m", module],
+        [_PYTHON, "-m", module],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         start_new_session=True,  # Ctrl-C in the terminal goes to the runner alone
