@@ -18,7 +18,8 @@ import subprocess
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from select import select
 
@@ -73,6 +74,16 @@ def run_labrun(
         timeout=timeout,
         check=False,
     )
+
+
+@contextmanager
+def forked_emulators() -> Iterator[None]:
+    """Fork what an `EmulatedBench` starts meanwhile."""
+    usual, emulated_bench._PYTHON = emulated_bench._PYTHON, str(forked_programs() / "forked-python")
+    try:
+        yield
+    finally:
+        emulated_bench._PYTHON = usual
 
 
 def _serve(address: str) -> None:

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from forked_labrun import forked_emulators
+
 from labrun.runner import EmulatedBench, RealClock, Rig, Session, SilentProgress
 from labrun.spec import Experiment
 from labrun.store import RunFolder
@@ -105,7 +107,7 @@ def emulated_lab(tmp_path: Path, *, seed: int = 1, **changes: Any) -> Iterator[E
     """Open a lab with changes to the experiment; everything ends with the block."""
     experiment = experiment_with(**changes)
     folder = RunFolder.create(tmp_path / "results", "tank", "title = 'x'", {"seed": seed})
-    with EmulatedBench(experiment.rig.devices, experiment.rig.scene, seed=seed) as bench:
+    with forked_emulators(), EmulatedBench(experiment.rig.devices, experiment.rig.scene, seed=seed) as bench:
         lab = EmulatedLab(bench, experiment, folder, seed)
         try:
             yield lab

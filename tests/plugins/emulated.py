@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from forked_labrun import forked_emulators
 
 from labrun.devices import DeviceContext
 from labrun.runner import EmulatedBench, RealClock, resolve_device
@@ -74,7 +75,10 @@ def emulated(
     table = PluginTable.model_validate({"plugin": plugin, **(settings or {})})
     bench_of = {"plugin": scene, **(scene_settings or {})}
     scene_table = None if scene is None else PluginTable.model_validate(bench_of)
-    with EmulatedBench({name: table}, scene_table, seed=seed, faults={name: faults or {}}) as bench:
+    with (
+        forked_emulators(),
+        EmulatedBench({name: table}, scene_table, seed=seed, faults={name: faults or {}}) as bench,
+    ):
         item = resolve_device(name, bench.table(name), dry_run=False)
         clock = RealClock()
         driver = item.make(name, item.settings, DeviceContext(clock, np.random.default_rng(seed)))
