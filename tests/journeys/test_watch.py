@@ -47,6 +47,7 @@ def test_a_dry_run_is_seen_from_its_first_trial_to_its_honest_best(sweep, labrun
     watcher = Watcher(run, RealClock())
     looks = [watcher.look()]
     while looks[-1].state != "finished":
+        time.sleep(0.05)  # the run wants the processor, too
         looks.append(watcher.look())
         assert looks[-1].state in ("starting", "running", "finished")
     output, _ = process.communicate(timeout=60)
@@ -73,7 +74,7 @@ def test_a_killed_run_is_found_dead_with_the_way_to_go_on(sweep, labrun):
     process, run = sweep
     watcher = Watcher(run, RealClock())
     while watcher.look().total < 10:
-        pass
+        time.sleep(0.05)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     before = _content(run)
