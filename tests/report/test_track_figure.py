@@ -1,8 +1,12 @@
 """The picture and the findings of a closed-loop run, from a short dry run."""
 
+import numpy as np
+import pytest
+
 from labrun.app.carry_out import draw
 from labrun.app.report import read_source
 from labrun.report.data import RunView, experiment_of
+from labrun.report.figures.track import turned_deg
 from labrun.report.findings import findings
 from labrun.report.run_page import run_page
 from labrun.report.timing import LoopHealth, loop_health, loop_words
@@ -42,3 +46,10 @@ def test_an_open_loop_run_has_no_loop_to_tell_of(tracked):
     with open_run(tracked) as stored:
         experiment = experiment_of(stored.experiment_toml, stored.name).model_copy(update={"track": None})
         assert loop_health(RunView(stored, experiment, None), [0]) is None
+
+
+def test_an_orientation_is_drawn_as_the_angle_by_which_it_is_off():
+    half = np.deg2rad(10.0) / 2.0
+    there = np.array([[-np.cos(half), -np.sin(half), 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]])
+    level = np.array([[1.0, 0.0, 0.0, 0.0]] * 2)
+    assert turned_deg(there, level) == pytest.approx([10.0, np.nan], nan_ok=True)

@@ -23,6 +23,8 @@ _ROW_IN = 2.75
 _MOST_OBJECTIVES = 4
 _MOST_TICKS = 120
 _OBJECTIVES_IN = 2.5
+_ORIENTATION = ("qw", "qx", "qy", "qz")
+"""Components of which nobody reads a course: drawn is by how much the feedback is turned from the reference."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +99,19 @@ def _draw(view: RunView, panel: _Panel, above: Axes, below: Axes, *, first: bool
     assert track is not None  # noqa: S101  (only runs of kind track are drawn this way)
     loop = track.loops[name]
     shape, streams = loop.shape, panel.streams
-    for axes, quantity, parts in ((above, "feedback", shape.components), (below, "drive", shape.drives)):
+    turned = tuple(shape.components) == _ORIENTATION
+    if turned:
+        for number, stream in enumerate(streams):
+            above.plot(
+                stream.time_s,
+                turned_deg(*(_quaternions(stream, name, one) for one in ("feedback", "reference"))),
+                color=COLOURS[number % len(COLOURS)],
+                linewidth=0.9,
+                alpha=0.75,
+            )
+        above.set_ylim(bottom=0.0)
+    shown = () if turned else shape.components
+    for axes, quantity, parts in ((above, "feedback", shown), (below, "drive", shape.drives)):
         # colours tell repeats apart; where there are several numbers, these, of the first repeat
         curves = [
             (stream, part) for part in parts for stream in streams[: len(streams) if len(parts) == 1 else 1]
@@ -115,7 +129,7 @@ def _draw(view: RunView, panel: _Panel, above: Axes, below: Axes, *, first: bool
             axes.legend(loc="upper right", fontsize=6, ncols=len(parts), frameon=False)
     if streams:
         whole = streams[0]
-        for part in shape.components:
+        for part in shown:
             above.plot(
                 whole.time_s,
                 _column(whole, name, "reference", part),
@@ -130,9 +144,24 @@ def _draw(view: RunView, panel: _Panel, above: Axes, below: Axes, *, first: bool
     above.set_title(condition_title(view, panel.trials[0]) + (f"\nloop {name}" if several else ""))
     if not first:
         return
-    above.set_ylabel(f"{name} ({_unit(panel, name, 'feedback', shape.components[0])})")
+    if turned:
+        above.set_ylabel(f"{name}: error (deg)")
+    else:
+        above.set_ylabel(f"{name} ({_unit(panel, name, 'feedback', shape.components[0])})")
     driven = "drives" if len(loop.drives) > 1 else loop.drives[0]
     below.set_ylabel(f"{driven} ({_unit(panel, name, 'drive', shape.drives[0])})")
+
+
+def _quaternions(stream: Signals, loop: str, quantity: str) -> FloatArray:
+    return np.column_stack([_column(stream, loop, quantity, part) for part in _ORIENTATION])
+
+
+def turned_deg(there: FloatArray, wanted: FloatArray) -> FloatArray:
+    """Return the angles (n,) between orientations (n, 4), deg: of quaternions, whatever their signs and lengths."""
+    lengths = np.linalg.norm(there, axis=1) * np.linalg.norm(wanted, axis=1)
+    along = np.abs(np.sum(there * wanted, axis=1))
+    cosine = np.divide(along, lengths, out=np.full(len(there), np.nan), where=lengths > 0)
+    return np.asarray(np.degrees(2.0 * np.arccos(np.clip(cosine, 0.0, 1.0))))
 
 
 def _draw_trainings(axes: Axes, stream: Signals, loop: str) -> None:
@@ -168,6 +197,10 @@ def _subtitle(view: RunView, conditions: int, shown: int) -> str:
     rate = f"loop at {track.rate_hz:g} Hz" if track is not None else ""
     accepted = sum(outcome.status == "done" for outcome in view.run.outcomes)
     single = track is not None and all(len(loop.shape.components) == 1 for loop in track.loops.values())
-    text = f"{conditions} conditions, {accepted} accepted trials, {rate}; dashed: the reference"
+    shapes = [] if track is None else [loop.shape for loop in track.loops.values()]
+    turned = any(tuple(shape.components) == _ORIENTATION for shape in shapes)
+    text = f"{conditions} conditions, {accepted} accepted trials, {rate}"
+    text += "; error: angle between feedback and reference" * turned
+    text += "; dashed: the reference" * any(tuple(shape.components) != _ORIENTATION for shape in shapes)
     text += ", colours: repeats" * single
     return text + (f" (the first {shown} conditions are shown)" if shown < conditions else "")

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labrun.devices import Trajectory
+from labrun.devices import Scene, Trajectory
 from labrun.devices.emulation import EmulatorContext
 from labrun_plugins.arduino_servo.emulated_board import ServoBoardEmulator
 from labrun_plugins.tendon_slider.changeover import SLIDER
@@ -27,6 +27,7 @@ class TendonSliderEmulator(ServoBoardEmulator):
         super().__init__(name, context, kind=KIND, channels=settings.channel + 1, switches=self._closed)
         self._settings = settings
         self._pulled = 0.0
+        self._reached = math.inf
 
     def pulsed(self, channel: int, pulse_us: int, now_s: float) -> None:
         """Let the slider follow its tendon."""
@@ -46,7 +47,8 @@ class TendonSliderEmulator(ServoBoardEmulator):
         return min(self._pulled, most)
 
     def _closed(self) -> Sequence[bool]:
-        place = self._place()
+        self._look()
+        place = min(self._place(), self._reached)
         return (place <= _END, place >= 1.0 - _END)
 
     def _slide(self, now_s: float) -> None:
@@ -55,3 +57,13 @@ class TendonSliderEmulator(ServoBoardEmulator):
         if scene is not None and SLIDER in scene.joints:
             motion = Trajectory((SLIDER,), np.zeros(1), np.array([[place]]))
             self.bench.do(lambda: scene.drive(SLIDER, motion, now_s))
+
+    def _look(self) -> None:
+        """Have it found out how far the bench's own slider gets: it may be stuck there."""
+        scene = self.context.scene
+        if scene is not None and SLIDER in scene.signals:
+            self.bench.do(lambda: self._found(scene))
+
+    def _found(self, scene: Scene) -> None:
+        at_s = np.array([self.context.clock.now()])
+        self._reached = float(scene.observe((SLIDER,), at_s)[0, 0])

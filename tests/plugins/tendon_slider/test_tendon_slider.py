@@ -67,6 +67,17 @@ def test_a_slider_that_does_not_arrive_is_stopped_and_said_and_goes_on_once_it_i
     bench.wait_until(bench.driver.arrived)
 
 
+@pytest.mark.slow
+def test_a_slider_that_is_stuck_on_the_bench_does_not_arrive_either():
+    stuck = {"scene": "gait-rig", "scene_settings": {"slider_stuck_at": 0.4}}
+    with emulated("tendon-slider", KEYS, name="slider", **stuck) as bench:
+        bench.driver.open()
+        bench.driver.arrange({"beam": "short"})
+        with pytest.raises(DeviceError, match="did not arrive"):
+            bench.wait_until(bench.driver.arrived)
+        bench.driver.close()
+
+
 def test_a_slider_that_leaves_its_state_makes_the_device_unwell(bench):
     bench.driver.arrange({"beam": "short"})
     bench.wait_until(bench.driver.arrived)
