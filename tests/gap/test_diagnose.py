@@ -64,6 +64,12 @@ def test_a_richer_effect_that_explains_no_more_is_no_rival(with_friction: Diagno
     assert richer.name not in with_friction.causes[0].indistinguishable_from
 
 
+def test_what_is_ruled_out_is_told_with_the_range_that_was_searched(with_friction: Diagnosis) -> None:
+    play = next(one for one in with_friction.candidates if one.name.effect == "backlash")
+    assert play.verdict == "ruled-out"
+    assert play.remark.startswith("searched: gap 0 to ")
+
+
 @pytest.mark.slow
 def test_friction_that_differs_by_direction_is_coulomb_friction_and_a_pull_while_the_joint_moves() -> None:
     def uneven(t: float, q: float, v: float) -> float:

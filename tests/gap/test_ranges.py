@@ -11,8 +11,6 @@ from labrun.fit import Dataset, OutputNoise
 from labrun.fit.dataset import FitTrial
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import untried
-from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.gap.diagnosis import Diagnosis
 from labrun.gap.intervals import scatter
 from labrun.gap.recalibration import stated, stated_problem, unit_remarks
 from labrun.gap.screening import Base
@@ -50,17 +48,6 @@ def test_what_a_model_has_no_place_for_is_said_with_what_to_add() -> None:
     assert "backlash" in said
     assert 'add stiffness = "..." to [sites.hinge]' in said
     assert not untried(pendulum())
-
-
-@pytest.fixture(scope="module")
-def found() -> Diagnosis:
-    return diagnose_dataset(recorded(dry_friction(0.006)), pendulum(), Options(places=False))
-
-
-def test_what_is_ruled_out_is_told_with_the_range_that_was_searched(found: Diagnosis) -> None:
-    play = next(one for one in found.candidates if one.name.effect == "backlash")
-    assert play.verdict == "ruled-out"
-    assert play.remark.startswith("searched: gap 0 to ")
 
 
 SWING = """

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from forked_labrun import forked_emulators
 
 from labrun.devices import DeviceContext, DeviceError, Identity
 from labrun.runner import (
@@ -36,7 +37,7 @@ CLOCK = RealClock()
 
 @pytest.fixture(scope="module")
 def bench():
-    with EmulatedBench(EXPERIMENT.rig.devices, EXPERIMENT.rig.scene, seed=1) as made:
+    with forked_emulators(), EmulatedBench(EXPERIMENT.rig.devices, EXPERIMENT.rig.scene, seed=1) as made:
         yield made
 
 

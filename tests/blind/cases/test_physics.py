@@ -103,7 +103,7 @@ def test_what_is_hidden_is_integrated_as_scipy_does_with_tighter_tolerance(effec
         HingeDrive, lambda one: one.inputs[0].between == "hold" and one.parameters[0].tolerance == 0.0
     )
     programme = plant.programme(np.random.default_rng(0), 2)
-    programme.time_s, programme.inputs = programme.time_s[:200], programme.inputs[:, :200]
+    programme.time_s, programme.inputs = programme.time_s[:100], programme.inputs[:, :100]
     bare = Bench(plant, programme, plant.truth)
     measures = measure(bare, fixed(bare), "joint", "hinge")
     hidden = [Hidden(FORMS["joint", effect]("hinge", measures, np.random.default_rng(1)), 0.3)]
@@ -184,7 +184,7 @@ def test_every_effect_vanishes_with_its_size_and_grows_with_it(key: tuple[str, s
             break
     site = fitting[0][2]
     programme = plant.programme(np.random.default_rng(seed), 2)
-    programme.time_s, programme.inputs = programme.time_s[:250], programme.inputs[:, :250]
+    programme.time_s, programme.inputs = programme.time_s[:125], programme.inputs[:, :125]
     bare = Bench(plant, programme, plant.truth)
     plain = fixed(bare)
     mechanism = FORMS[key](site, measure(bare, plain, kind, site), np.random.default_rng(5))

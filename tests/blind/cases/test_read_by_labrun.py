@@ -64,7 +64,7 @@ def test_a_hidden_site_is_a_place_of_the_model(made: tuple[Path, Done]) -> None:
 
 
 @pytest.mark.parametrize("kind", PLANTS, ids=lambda kind: kind.__name__)
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_controls_are_controls_labrun_simulates_the_same_from_the_true_parameters(
     kind: type, seed: int, tmp_path: Path
 ) -> None:

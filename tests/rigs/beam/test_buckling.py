@@ -97,7 +97,7 @@ def test_keys_of_the_objective_that_do_not_hold_are_refused():
         BucklingLimitObjective("stage.force", {"over": "stage.displacement", "lever_mm": -1})
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 5))])
 def test_the_fit_says_that_the_arc_holds_and_finds_the_published_limits(seed, tmp_path):
     conditions = ",".join(
         f'{{beam="{beam}",specimen={number},reach={reach}}}'
