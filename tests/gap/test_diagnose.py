@@ -166,6 +166,10 @@ def test_wrong_parameters_alone_are_not_blamed_on_an_effect(seed: int, without_e
     assert diagnosis.gap.recalibrated <= diagnosis.gap.floor
 
 
+def test_noise_alone_differs_by_nothing_from_trial_to_trial(without_effect: Diagnosis) -> None:
+    assert not without_effect.differs
+
+
 def test_a_model_that_is_right_has_no_gap() -> None:
     stated = {"inertia": 1.2e-3, "gravity": 0.06, "stiffness": 0.068, "damping": 1.0e-3}
     assert diagnose_dataset(recorded(true=stated), pendulum(), QUICK).verdict == "no-gap"

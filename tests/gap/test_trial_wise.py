@@ -46,10 +46,6 @@ def test_a_bias_common_to_all_trials_stays_one() -> None:
     assert "bias at angle" in names
 
 
-def test_noise_alone_differs_by_nothing() -> None:
-    assert not diagnose_dataset(recorded(nothing), pendulum(), QUICK).differs
-
-
 def never_repeated() -> Dataset:
     return recorded(repeats=1)
 
