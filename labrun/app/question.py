@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from labrun.errors import RequestError
-from labrun.fit import Dataset, FitPlan, load_dataset, until_peak
+from labrun.fit import Dataset, FitPlan, load_dataset, thinned, until_peak
 from labrun.gap import Question
 from labrun.models import Model, load_model
 from labrun.spec import FitTable, GapTable, find_model_file, loads_experiment, shipped_experiments
@@ -146,7 +146,11 @@ def load_held(target: Path, model: Model, signals: Mapping[str, str]) -> Dataset
         Its ``[gap]`` names an output that the model does not have.
     """
     dataset, table = load_dataset(target, model, signals), _gap_table(target)
-    if table is None or table.until_peak is None:
+    if table is None:
+        return dataset
+    if table.rate_hz is not None or table.until_s is not None:
+        dataset = thinned(dataset, table.rate_hz, table.until_s)
+    if table.until_peak is None:
         return dataset
     names = [one.name for one in dataset.outputs]
     if table.until_peak not in names:

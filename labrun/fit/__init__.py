@@ -5,7 +5,7 @@ import sys
 from labrun import UseCasePackage
 from labrun.estimate import Estimate, rounded
 from labrun.fit.comparison import ComparedPoint, Comparison, Pair, compared, predictions
-from labrun.fit.dataset import Dataset, FitTrial, OutputsAlone, load_dataset, until_peak
+from labrun.fit.dataset import Dataset, FitTrial, OutputsAlone, load_dataset, thinned, until_peak
 from labrun.fit.figure import Curve, FigureData, Panel, Stack
 from labrun.fit.jacobian import Jacobian
 from labrun.fit.levenberg_marquardt import NormalEquations, minimise
@@ -83,6 +83,7 @@ __all__ = [
     "search",
     "silent",
     "student",
+    "thinned",
     "told_apart",
     "until_peak",
     "workers",

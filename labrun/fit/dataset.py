@@ -237,6 +237,29 @@ def until_peak(data: Dataset, output: int) -> Dataset:
     return replace(data, trials=tuple(trials), notes=(*data.notes, note))
 
 
+def thinned(data: Dataset, rate_hz: float | None = None, until_s: float | None = None) -> Dataset:
+    """Return trials up to `until_s` after their first samples, with every so manieth of them that they are `rate_hz`.
+
+    Samples are left out and not averaged, which would flatten what is fast.
+    """
+
+    def cut(trial: FitTrial) -> FitTrial:
+        since_s = trial.time_s - trial.time_s[0]
+        samples = len(since_s) if until_s is None else int(np.searchsorted(since_s, until_s, side="right"))
+        every = 1 if rate_hz is None else max(round(1.0 / (rate_hz * float(np.median(np.diff(since_s))))), 1)
+        kept = slice(0, max(samples, 2), every)
+        return replace(
+            trial, time_s=trial.time_s[kept], inputs=trial.inputs[kept], outputs=trial.outputs[kept]
+        )
+
+    said = [
+        "" if until_s is None else f"up to {until_s:g} s",
+        "" if rate_hz is None else f"at about {rate_hz:g} Hz",
+    ]
+    note = f"as [gap] says, trials were looked at {' and '.join(filter(None, said))}"
+    return replace(data, trials=tuple(cut(one) for one in data.trials), notes=(*data.notes, note))
+
+
 def _run_trials(
     outcome: TrialOutcome,
     model: Ports,

@@ -86,12 +86,15 @@ class GapTable(Table):
     `model` and `signals` are as in `FitTable`. ``--hide random`` draws among what this model could lack. `repeats`
     names conditions that tell repeats of one thing apart, as numbers of specimens do; a diagnosis does not. A trial
     counts up to where the output `until_peak` of the model is greatest: what breaks there is another thing afterwards.
+    It counts up to `until_s`, and so many of its samples that they are `rate_hz` a second.
     """
 
     model: str
     signals: dict[str, str] = Field(default_factory=dict)
     repeats: list[str] = Field(default_factory=list)
     until_peak: str | None = None
+    until_s: PositiveFloat | None = None
+    rate_hz: PositiveFloat | None = None
 
 
 class Experiment(Table):

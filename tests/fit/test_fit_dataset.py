@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from labrun.devices import Channel, Samples, Trajectory
 from labrun.errors import FitError, RequestError
-from labrun.fit.dataset import load_dataset, resample, until_peak
+from labrun.fit.dataset import load_dataset, resample, thinned, until_peak
 from labrun.models import Model, parse_model
 from labrun.store import RunFolder, TrialOutcome, import_recording
 
@@ -203,3 +203,15 @@ def test_a_trial_counts_up_to_where_a_signal_is_greatest_if_something_breaks_the
     assert found.notes == ("1 trial counts up to where angle is greatest only",)
     saturated = replace(broken, outputs=np.minimum(dataset.trials[0].outputs, 2.0))
     assert until_peak(replace(dataset, trials=(saturated,)), 0).trials == (saturated,)
+
+
+def test_a_trial_is_cut_and_thinned_as_asked_and_says_so(recording: Path, model: Model) -> None:
+    dataset = load_dataset(recording, model)
+    time_s = dataset.trials[0].time_s
+    rate_hz = 1.0 / (time_s[1] - time_s[0])
+    found = thinned(dataset, rate_hz / 3.0, float(time_s[7] - time_s[0]) + 1e-9)
+    np.testing.assert_array_equal(found.trials[0].time_s, time_s[[0, 3, 6]])
+    np.testing.assert_array_equal(found.trials[0].outputs, dataset.trials[0].outputs[[0, 3, 6]])
+    assert "trials were looked at up to" in found.notes[-1]
+    same = thinned(dataset, 100.0 * rate_hz).trials[0]
+    np.testing.assert_array_equal(same.inputs, dataset.trials[0].inputs)
