@@ -32,7 +32,7 @@ SMALLER = {
         "--set sweep.axes.alpha=[60] --set sweep.axes.beta=[0] --set sweep.axes.f=[1.4] --set trial.repeats=3 "
         "--set leaders={count=1,repeats=2}"
     ),
-    "swimmer": "--set design.stop.iterations=2 --set leaders={count=1,repeats=3}",
+    "swimmer": "--set design.stop.iterations=4 --set leaders={count=1,repeats=3}",
     "rowing": "--set cmaes.population=4 --set cmaes.stop.iterations=2 --set leaders={count=1,repeats=2}",
     "fin-step": "--set trial.repeats=4",
     "level": "--set trial.duration_s=18",
@@ -55,6 +55,7 @@ SLOW = (
     "buckling-fins.md",
     "closed-chains.md",
     "closed-loop.md",
+    "design-a-robot.md",
     "designed-swimmer.md",
     "diagnose-the-gap.md",
     "hold-a-prediction.md",
