@@ -27,9 +27,9 @@ _GUESS_ROUNDS = 3
 _MOST_SUBSTEPS = 64
 _PROBED_TRIALS = 3
 _READ = 0.01
+"""Part of an output's spread that a state read from its first samples is taken to be uncertain by, noise unknown."""
 _AWAY = 1e-3
 """Scaled, where free states are put to see which of them change."""
-"""Part of an output's spread that a state read from its first samples is taken to be uncertain by, noise unknown."""
 
 
 @dataclass(frozen=True, eq=False)
