@@ -9,14 +9,14 @@ FAMILIES: Mapping[str, tuple[str, ...]] = {
         "coulomb-friction",
         "stribeck-friction",
         "asymmetric-friction",
-        "load-dependent-friction",
         "presliding-friction",
     ),
     "hysteretic friction": ("presliding-friction", "hysteresis"),
     "lost motion": ("backlash", "dead-band", "end-stop"),
     "lateness": ("lag", "delay"),
 }
-"""Effects of one family, the common ones first. Presliding friction is dry friction that yields before it slips."""
+"""Effects of one family, the common ones first. Presliding friction is dry friction that yields before it slips;
+friction that grows with the load is not of the family: another load shows it."""
 
 COMMON = (
     "coulomb-friction", "viscous-damping", "constant-force", "bias", "added-mass", "added-inertia", "gain-error",
