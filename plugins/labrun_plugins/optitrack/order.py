@@ -68,7 +68,8 @@ class FrameOrder:
                 return []
             self._held[frame.number] = new
             return self._in_turn() + self.flush(host_s)
-        if -self._window <= ahead < 0 and exposed_s <= last.exposed_s + 0.5 / self._rate_hz:
+        late_s = last.exposed_s - exposed_s  # of another clock where it is longer than numbers so near take
+        if -self._window <= ahead < 0 and -0.5 / self._rate_hz <= late_s <= _WINDOW_S:
             self.stale += 1
             return self.flush(host_s)
         return self._begin_anew(new)

@@ -104,6 +104,14 @@ def test_a_new_count_of_a_new_clock_loses_nothing_that_anyone_could_count():
     assert [a.frame.number for a in out][-5:] == [0, 1, 2, 3, 4]
 
 
+def test_a_server_that_begins_anew_after_a_few_frames_is_noticed_by_its_clock():
+    before = [(n, 300 + n / RATE_HZ, n / RATE_HZ) for n in range(20)]
+    order, out = _run(before + [(n, n / RATE_HZ, 0.3 + n / RATE_HZ) for n in range(5)])
+    assert order.restarts == 1
+    assert order.stale == 0
+    assert [a.frame.number for a in out] == [*range(20), *range(5)]
+
+
 def test_a_single_number_from_nowhere_is_dropped():
     order, out = _run([*_plain(range(5)), (2**30, 0.05, 0.055), *_plain(range(6, 10))])
     assert order.restarts == 0
