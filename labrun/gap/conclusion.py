@@ -149,6 +149,10 @@ def conclude(
         0.0 if settled else learned_beyond_scatter(final.problem, final.z),
     )
     decided = verdict(findings)
+    if (
+        shrunk is not None and not noise.known
+    ):  # what cannot be learned of the rest may be noise, and no gap that is left
+        shrunk = replace(shrunk, high=max(shrunk.high, findings.known_share + criteria.FORM_ERROR))
     moved = scatter(final, search.null.draws(final))
     announced = decided not in ("no-gap", "undecided", "not-in-library") and not findings.unproven
     causes = causes_of(search, dataset, moved) if announced else ()

@@ -100,10 +100,11 @@ def shrinkage(
             shares.append(1.0 - float(sizes[chosen] @ second[chosen]) / total)
     value = 1.0 - after.total / before.total if before.total > 0 else 0.0
     low, high = np.percentile(shares, [5.0, 95.0]) if shares else (value, value)
+    value = min(value, 1.0)
     # new conditions ask for more than those between the old ones: forms and parameters are extrapolated
     low = min(low, value) - criteria.FORM_ERROR - criteria.EXTRAPOLATED * max(1.0 - value, 0.0)
     high = max(high, value) + criteria.FORM_ERROR
-    return Shrinkage(float(min(value, 1.0)), float(low), float(high))
+    return Shrinkage(float(value), float(low), float(high))
 
 
 def _shaken(mean: FloatArray, drawn: FloatArray, sd: FloatArray, floor: FloatArray) -> float:
