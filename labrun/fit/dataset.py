@@ -191,8 +191,9 @@ def from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
 
     Outputs of the device that gives the first one stay as they were sampled; other outputs are interpolated onto their
     times, commands run linearly between their points. Tares are subtracted. Only samples between the start and
-    the end of the trial count. A trial that went on until something happened is as many trials as cycles whose samples
-    were kept, each from its own beginning, with its number (from 0) as the condition ``cycle``.
+    the end of the trial count, and where something is commanded the last one before the start. A trial that went on
+    until something happened is as many trials as cycles whose samples were kept, each from its own beginning, with its
+    number (from 0) as the condition ``cycle``.
 
     Raises
     ------
@@ -271,7 +272,11 @@ def _run_trials(
     base = measured[sources[model.outputs[0].name][0]].time_s
     end_s = outcome.duration_s if outcome.duration_s > 0 else np.inf
     # a sample of the very start may be dated a moment before it: clocks are only estimated
-    time_s = base if whole else base[(base >= -1e-3) & (base <= end_s + 1e-3)]
+    first, last = np.searchsorted(base, [-1e-3, end_s + 1e-3])
+    commanded = any(sources[port.name][0] == COMMAND for port in model.inputs)
+    if commanded and CYCLES not in measured and 0 < first < last and base[first] > 0.0:
+        first -= 1  # until a motion starts, a bench stands where it begins: there a simulation can begin, too
+    time_s = base if whole else base[first:last]
     if len(time_s) < 2:
         raise RecordingError(
             f"trial {outcome.index} has {len(time_s)} samples of {'.'.join(sources[model.outputs[0].name])} "

@@ -59,12 +59,14 @@ def recording(tmp_path: Path) -> Path:
     return folder
 
 
-def stored_run(folder: Path, statuses: tuple[str, ...] = ("done", "rejected", "done")) -> Path:
+def stored_run(
+    folder: Path, statuses: tuple[str, ...] = ("done", "rejected", "done"), camera_begins_s: float = -0.2
+) -> Path:
     """Return a run of a 50 Hz camera and a 20 Hz gauge beside a commanded joint."""
     run = RunFolder.create(folder, "arm", 'title = "arm"\n[rig]\n', {})
     for index, status in enumerate(statuses):
         writer = run.writer(index)
-        camera_s = np.arange(-0.2, 2.2, 0.02)
+        camera_s = np.arange(camera_begins_s, 2.2, 0.02)
         gauge_s = np.arange(-0.2, 2.2, 0.05)
         writer.append("cameras", (Channel("angle", "rad"),), 50.0, samples(camera_s, np.sin(camera_s)))
         writer.append("gauge", (Channel("force", "N"),), 20.0, samples(gauge_s, 3.0 + 2.0 * gauge_s))
@@ -148,6 +150,15 @@ def test_a_run_gives_accepted_trials_between_start_and_end(tmp_path: Path, model
     assert trial.time_s[-1] == pytest.approx(2.0, abs=1e-3)
     np.testing.assert_allclose(trial.outputs[:, 0], np.sin(trial.time_s), atol=1e-12)
     np.testing.assert_allclose(trial.inputs[:, 0], 1.0 - np.abs(trial.time_s - 1.0), atol=1e-9)
+
+
+def test_a_commanded_trial_begins_with_the_last_sample_before_its_start_where_the_bench_still_stands(
+    tmp_path: Path, model: Model
+) -> None:
+    signals = {"angle": "cameras.angle", "command": "command.tail"}
+    trial = load_dataset(stored_run(tmp_path, camera_begins_s=-0.193), model, signals).trials[0]
+    np.testing.assert_allclose(trial.time_s[:2], [-0.013, 0.007], atol=1e-9)
+    np.testing.assert_allclose(trial.inputs[:2, 0], [0.0, 0.007], atol=1e-9)
 
 
 def test_outputs_of_two_devices_share_the_time_base_of_the_first_and_lose_their_tare(tmp_path: Path) -> None:

@@ -1,14 +1,17 @@
 """The swimmer on its rail: it swims, sticks, is pulled back, is stopped where the tank ends; one limb turns it."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from labrun_plugins.rigs.buckling_fin.rail_rig import RailRig
-from labrun_plugins.rigs.buckling_fin.swimmers import free_swimmer
+from labrun_plugins.rigs.buckling_fin.swimmers import free_swimmer, swimmer_on_rail
 
+from labrun.app.question import ask
 from labrun.app.run import run
 from labrun.devices import Trajectory
+from labrun.effects import Scale, load_effect
 from labrun.models import simulate
 from labrun.spec import load_experiment, shipped_experiments
 from labrun.store import open_run
@@ -53,6 +56,40 @@ def test_the_fastest_gait_of_the_search_is_at_its_end_before_the_tank_is():
     rig = rowed(stroke_rad=np.radians(50.5), back_rad=np.radians(-64.3), hz=0.945)
     way = seen(rig, "position", 3.0 + experiment.trial.duration_s + 0.2)[0]
     assert 0.8 < way < experiment.trial.within["cameras.swimmer_x"][1]
+
+
+def test_the_sensor_feels_the_rail_as_the_model_says_wherever_its_friction_comes_from():
+    friction = load_effect("coulomb-friction", "joint")
+    hidden = {
+        "effect": "coulomb-friction",
+        "site": "rail",
+        "values": {"torque": 0.3, "transition_speed": 0.01},
+    }
+    rig = rowed(as_modelled=True, hide=[hidden], noise=0.0)
+    # without servo, frames and cameras: the rig was told what its shafts do
+    model = replace(swimmer_on_rail(), effects=()).with_values({**DESIGN, "servo_frequency": 300.0})
+    time_s = np.arange(0, 4, 0.004)
+    told = (BACK_RAD + STROKE_RAD * np.sin(2 * np.pi * HZ * time_s))[:, None]
+    start = model.initial_state({}, first={"told": BACK_RAD, "x": 0.0})
+    rubs = friction.attach("rail", Scale(), **hidden["values"])
+    found = simulate(model, time_s, told, initial_state=start, effects=[rubs], substeps=8)
+    begins = seen(rig, "position", 3.0)[0]
+    assert np.abs(seen(rig, "position", *(3.0 + time_s)) - begins - found.outputs[:, 0]).max() < 0.005
+    assert np.std(seen(rig, "force_x", *(3.0 + time_s)) - found.outputs[:, 1]) < 0.05 * np.std(
+        found.outputs[:, 1]
+    )
+
+
+@pytest.mark.slow
+def test_the_model_of_the_gap_is_the_rig_with_nothing_hidden_but_for_noise(tmp_path):
+    made = run("rowing", dry_run=True, overrides=SHORT, seed=3, hide=["none"], results=tmp_path)
+    asked = ask(made.run, None, workspace=shipped_experiments().parent)
+    for trial in asked.dataset.trials:
+        start = asked.model.initial_state(trial.condition, first={"told": trial.inputs[0, 0], "x": 0.0})
+        found = simulate(asked.model, trial.time_s, trial.inputs, initial_state=start, substeps=8)
+        way_m, force_n = np.sqrt(np.mean(np.square(trial.outputs - found.outputs), axis=0))
+        assert way_m < 5e-4  # noise of the cameras: 1e-4
+        assert force_n < 0.035  # noise of water and sensor: 0.028
 
 
 def test_a_stroke_below_the_rails_stiction_does_not_move_the_carriage():

@@ -15,7 +15,7 @@ from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import ExperimentError
 from labrun.models import Model, Stepper
-from labrun_plugins.rigs.buckling_fin.swimmers import two_fin_swimmer
+from labrun_plugins.rigs.buckling_fin.swimmers import LINK_DAMPING, LINK_HZ, two_fin_swimmer
 from labrun_plugins.rigs.buckling_fin.wing_scene import POSE, poses
 from labrun_plugins.simulated.bench import (
     Bench,
@@ -31,8 +31,7 @@ from labrun_plugins.simulated.bench import (
 
 _SCALE = Scale(coordinate=0.5, rate=0.3, acceleration=3.0, force=1.0, signal=0.5, time_s=2.0)
 _X, _SPEED = 0, 3
-_COUPLED = {"servo_frequency": 30.0, "servo_damping": 1.0}
-"""Links follow the servos' shafts at 30 Hz (chosen): how a shaft follows its command is the servo's own, 6 Hz here."""
+_LINKS = {"servo_frequency": LINK_HZ, "servo_damping": LINK_DAMPING}
 _SENSOR_SD_N = 0.02
 """Of what the water does to the sensor at random (chosen)."""
 
@@ -96,7 +95,7 @@ class RailRig(Bench):
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
         keys = self._settings
-        self._model: Model = self._with_errors(two_fin_swimmer().with_values({**_COUPLED, **keys.design}))
+        self._model: Model = self._with_errors(two_fin_swimmer().with_values({**_LINKS, **keys.design}))
         on_joints = [one for one in keys.hide if one.site in self.joints]
         on_swimmer = [one for one in keys.hide if one.site not in self.joints]
         joint_effects = hidden_effects(on_joints, joint_model(self.joints), _SCALE)
@@ -199,22 +198,15 @@ class RailRig(Bench):
     def _signals(self, rows: FloatArray, told: FloatArray) -> FloatArray:
         names = self._outputs
         x, acceleration = rows[:, names.index("x")], rows[:, names.index("acceleration")]
-        speed, zero = rows[:, names.index("speed")], np.zeros(len(rows))
+        zero = np.zeros(len(rows))
         base = rows[:, names.index("base_1")]
         link, plate = poses(base, base + rows[:, names.index("bend_1")], *self._lengths_m)
         side = np.array([0.0, 0.5 * self._spacing_m, 0.0])
         for part in (link, plate):
             part[:, :3] += side + np.column_stack([x, zero, zero])
-        friction = np.zeros(len(rows))
-        for effect in self._rail:
-            values = effect.named_values
-            torque = values["torque"] + values["static_excess"] * np.exp(
-                -((speed / values["stribeck_speed"]) ** 2)
-            )
-            friction = torque * np.tanh(speed / values["transition_speed"])
         force_x = rows[:, names.index("force_x")]
         if self._settings.rail == "free":
-            force_x = force_x + self._settings.carriage_kg * acceleration + friction
+            force_x = force_x + self._settings.carriage_kg * acceleration - rows[:, names.index("rail_force")]
         noise = self._settings.noise * _SENSOR_SD_N * self._rng.standard_normal((len(rows), 2))
         return np.column_stack([
             force_x + noise[:, 0], rows[:, names.index("force_y")] + noise[:, 1], zero,

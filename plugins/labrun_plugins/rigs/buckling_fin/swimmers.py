@@ -4,6 +4,7 @@ Along its course a swimmer is its own mirror image: what sits at the ``hinge`` o
 Beside those and ``body`` there is ``rail``, a joint: what a carriage's rail does to the body along x.
 """
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -31,6 +32,13 @@ _BUILT = ("link", "arm", "plate_area", "plate_mass", "added_mass", "opposite_lim
 sense is never reached."""
 _CARRIAGE = Parameter("carriage_mass", 0.3, 0.0, "kg", lower=0.0)
 """What of the body's mass is above the sensor (chosen)."""
+LINK_HZ, LINK_DAMPING = 30.0, 1.0
+"""Natural frequency and damping ratio with which a link follows its servo's shaft on the rig (chosen): how a shaft
+follows its command is the servo's own, 6 Hz here."""
+_FRAME_S = 0.02
+"""From one command that an RC servo takes note of to the next."""
+_CAMERAS_S = 0.0055
+"""From the exposure of the cameras to the receipt of the frame, whose time it gets."""
 
 
 _derivative, _output, _site_values = kernel(model.derivative), kernel(model.output), kernel(model.site_values)
@@ -42,8 +50,9 @@ def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:
 
 
 def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:
-    """Write outputs: see `model.OUTPUTS`."""
+    """Write outputs: see `model.OUTPUTS`; behind them what the rail does to the body along x."""
     _output(t, x, u, p, (force[0], force[0], force[1], force[1], force[2] + force[3]), y)
+    y[18] = force[3]
 
 
 def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
@@ -64,6 +73,7 @@ def two_fin_swimmer(*, held: bool = False) -> Model:
     made = fin_model("two-fin-swimmer", fins=2, free=() if held else ("x",))
     return replace(
         made,
+        outputs=(*made.outputs, Output("rail_force", "N")),
         sites=SITES,
         derivative=native("model", derivative),
         output=native("model", output),
@@ -73,10 +83,13 @@ def two_fin_swimmer(*, held: bool = False) -> Model:
 
 
 @kernel
-def _course(x: Any, u: Any, p: Any, force: Any) -> Any:
+def _course(x: Any, p: Any, force: Any) -> Any:
     """Return what one of two equal fins does, and the accelerations of body and bend."""
     state = (x[0], 0.0, 0.0, x[1], 0.0, 0.0, x[2], x[3], x[4], x[5])
-    one = fin(1.0, 6, u[0], state, p, force[0], force[1])
+    behind = (
+        p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], LINK_HZ, LINK_DAMPING, p[13], p[14], p[15],
+    )  # fmt: skip
+    one = fin(1.0, 6, x[6], state, behind, force[0], force[1])
     push = 2.0 * ((one[7] - one[6]) * one[0] - one[14] * one[8] * one[3])
     drag = -p[10] * p[14] * x[1] * abs(x[1]) + force[2] + force[3]
     ahead = (push + drag) / (p[13] + 2.0 * one[14] * one[3] * one[3])
@@ -85,14 +98,16 @@ def _course(x: Any, u: Any, p: Any, force: Any) -> Any:
 
 def course(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
     """Write rates of the states of a swimmer that is its own mirror image."""
-    one, ahead, bend = _course(x, u, p, force)
+    one, ahead, bend = _course(x, p, force)
     dx[0], dx[1] = x[1], ahead
     dx[2], dx[3], dx[4], dx[5] = x[3], one[10], x[5], bend
+    natural = 2.0 * math.pi * p[11]
+    dx[6], dx[7] = x[7], natural * natural * (u[0] - x[6]) - 2.0 * p[12] * natural * x[7]
 
 
 def seen(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
     """Write where the body is, and what the swimmer does to the carriage above the sensor."""
-    _, ahead, _ = _course(x, u, p, force)
+    _, ahead, _ = _course(x, p, force)
     y[0], y[1] = x[0], p[23] * ahead - force[3]
 
 
@@ -109,12 +124,15 @@ def seen_sites(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> Non
 def swimmer_on_rail() -> Model:
     """Return the same swimmer as a person at the rig would have it: seen by cameras, on a sensor under a carriage.
 
-    Servos of 6 Hz take note of a command every 20 ms, which makes them 15 ms late, and another 11 ms pass until the
-    links have followed their shafts. Both fins are told the same and are alike, so that one is computed; they begin at
-    rest where the command does. The rail is taken to have no friction: what it has is to be found out.
+    A link follows its shaft, and the shaft a servo of 6 Hz, which takes note of a command every 20 ms: on average half
+    of that late. The cameras' frames get the time of their receipt. Both fins are told the same and are alike, so that
+    one is computed; they begin at rest where the command does. The rail is taken to have no friction: what it has is to
+    be found out.
     """
-    states = ("x", "speed", "base", "base_rate", "bend", "bend_rate")
-    late = load_effect("delay", "input").attach("told", Scale(0.5, 0.3, 3.0, 1.0, 0.5, 2.0), delay=0.026)
+    states = ("x", "speed", "base", "base_rate", "bend", "bend_rate", "shaft", "shaft_rate")
+    scale = Scale(0.5, 0.3, 3.0, 1.0, 0.5, 2.0)
+    told = load_effect("delay", "input").attach("told", scale, delay=0.5 * _FRAME_S)
+    stamped = load_effect("delay", "output").attach("x", scale, delay=_CAMERAS_S)
     made = Model(
         name="swimmer-on-rail",
         states=states,
@@ -126,14 +144,14 @@ def swimmer_on_rail() -> Model:
         ),
         conditions=(),
         sites=SITES,
-        initial={**dict.fromkeys(states, 0.0), "x": "first", "base": "told"},
+        initial={**dict.fromkeys(states, 0.0), "x": "first", "base": "told", "shaft": "told"},
         derivative=native("model", course),
         output=native("model", seen),
         site_values=native("model", seen_sites),
         constants=np.empty(0),
         source="a swimmer of two fins under a carriage",
     )
-    return made.with_effects([late])
+    return made.with_effects([told, stamped])
 
 
 def free_swimmer() -> Model:
