@@ -6,6 +6,7 @@ in water. The rest is chosen: it shows its wings in pictures. Two beams side by 
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -31,6 +32,9 @@ SHORT_BEAM = (3.0, 0.65, 1.02, 0.15)
 bench (chosen)."""
 OF_THE_BEAM = ("stiffness", "equal_limit", "opposite_limit", "buckled_stiffness", "damping")
 """Parameters that come with the beam."""
+COUPLING: Mapping[Medium, tuple[float, float]] = {"water": (60.0, 1.0), "air": (12.0, 0.6)}
+"""Natural frequency (Hz) and damping ratio with which a link follows its servo's shaft (chosen): as the scenes of
+``wing-water`` and ``wing-air`` have it."""
 OUTPUTS = (
     Output("force_x", "N"), Output("force_y", "N"), Output("torque_z", "N m"),
     Output("link", "rad"), Output("plate", "rad"),
@@ -109,11 +113,51 @@ def wing(medium: Medium) -> Model:
     return model if medium == "water" else model.with_values(IN_AIR)
 
 
+_derivative, _output = kernel(derivative), kernel(output)
+
+
+@kernel
+def _behind(p: Any) -> Any:
+    """Return the parameters of a wing behind its shaft: there the link follows it in place of the servo."""
+    return (
+        p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[20], p[21], p[13], p[14], p[15],
+        p[16], p[17], p[18], p[19],
+    )  # fmt: skip
+
+
+def told_derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:
+    """Write as `derivative` does of a link that follows its shaft, and of the shaft, which follows what it is told."""
+    _derivative(t, x, (x[4],), _behind(p), force, dx)
+    natural = 2.0 * math.pi * p[11]
+    dx[4], dx[5] = x[5], natural * natural * (u[0] - x[4]) - 2.0 * p[12] * natural * x[5]
+
+
+def told_output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
+    """Write outputs: see `OUTPUTS`."""
+    _output(t, x, (x[4],), _behind(p), force, y)
+
+
+def told_wing(medium: Medium) -> Model:
+    """Return the wing as a person at the rig would have it: told by a command, and its link on the shaft of a servo.
+
+    ``servo_frequency`` and ``servo_damping`` are the servo's; how the link follows the shaft is the scene's.
+    """
+    model = wing(medium)
+    return replace(
+        model,
+        states=(*model.states, "shaft", "shaft_rate"),
+        initial={**dict.fromkeys(model.states, 0.0), "link": "wing", "shaft": "wing", "shaft_rate": 0.0},
+        derivative=native("model", told_derivative),
+        output=native("model", told_output),
+        constants=np.append(model.constants, COUPLING[medium]),
+    )
+
+
 def wing_in_water() -> Model:
     """Return the wing in water."""
-    return wing("water")
+    return told_wing("water")
 
 
 def wing_in_air() -> Model:
     """Return the wing in air."""
-    return wing("air")
+    return told_wing("air")
