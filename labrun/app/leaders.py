@@ -1,15 +1,14 @@
 """The leaders of a run as conditions of another: gaits that were found on one bench, tried on the next."""
 
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomli_w
 
-from labrun.arrays import FloatArray
 from labrun.errors import RequestError
 from labrun.report import experiment_of
 from labrun.search import NUMBER, conditions, leading_conditions, levels_of
@@ -24,24 +23,6 @@ from labrun.spec import (
     loads_experiment,
 )
 from labrun.store import TrialOutcome, find_run, is_finished, mean_truncation, open_run
-
-
-@dataclass(frozen=True, slots=True)
-class _Values:
-    """The trials of one condition, as `leading_conditions` takes them."""
-
-    condition: Condition
-    outcomes: Sequence[TrialOutcome]
-
-    def values(self, objective: str) -> FloatArray:
-        return np.array([one.objectives[objective] for one in self.outcomes], dtype=float)
-
-    def truncation(self, objective: str) -> float:
-        return mean_truncation(self.outcomes, objective)
-
-    @property
-    def mountings(self) -> Sequence[int | None]:
-        return [one.mounting for one in self.outcomes]
 
 
 def with_leaders(loaded: LoadedExperiment, results: Path, *, planned: bool = False) -> LoadedExperiment:
@@ -161,9 +142,16 @@ def leaders_of(run: Path, count: int, wanted: Experiment | None = None) -> list[
             if one.role in roles and one.status == "done" and name in one.objectives:
                 own = own_values(one.condition, experiment)
                 grouped.setdefault(condition_key(own), []).append(replace(one, condition=own))
-        measured = [_Values(group[0].condition, group) for group in grouped.values()]
+        measured = [
+            (
+                group[0].condition,
+                np.array([one.objectives[name] for one in group]),
+                mean_truncation(group, name),
+            )
+            for group in grouped.values()
+        ]
         known = {condition_key(one) for one in led}
-        ranked = leading_conditions(measured, name, direction, len(measured))
+        ranked = leading_conditions(measured, direction)
         led += [one for one in ranked if condition_key(one) not in known]
     if len(led) < count:
         raise RequestError(

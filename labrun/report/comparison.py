@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 
 from labrun.fit import ComparedPoint, Comparison, Curve, FigureData, Pair, Panel, Stack
-from labrun.report.text import condition_text, counted, percent, quantity_text, spaced, value_text, with_unit
+from labrun.report.text import (
+    aligned,
+    condition_text,
+    counted,
+    percent,
+    quantity_text,
+    spaced,
+    value_text,
+    with_unit,
+)
 
 _SHOWN = 12
 _OVERLAYS, _ACROSS = 6, 3
@@ -27,7 +36,7 @@ def comparison_text(comparison: Comparison, width: int) -> str:
     several = len(comparison.units()) > 1
     rows = [("worst first", *(["channel"] if several else []), "measured", "predicted", "RMSE", "relative")]
     rows += [(_where(point), *([point.channel] if several else []), *_numbers(point)) for point in shown]
-    lines += _aligned(rows, left=2 if several else 1)
+    lines += [f"  {line}" for line in aligned(rows, words=2 if several else 1)]
     if len(comparison.points) > len(shown):
         lines.append(f"  and {len(comparison.points) - len(shown)} more")
     lines += ["", "  root mean square of measured - predicted"]
@@ -130,18 +139,6 @@ def _point_json(point: ComparedPoint) -> dict[str, Any]:
         "relative": point.relative if math.isfinite(point.relative) else None,
         "at_s": point.at_s,
     }
-
-
-def _aligned(rows: Sequence[Sequence[str]], left: int) -> list[str]:
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return [
-        "  "
-        + "  ".join(
-            f"{cell:<{width}}" if column < left else f"{cell:>{width}}"
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
 
 
 def _over_conditions(comparison: Comparison) -> list[Stack]:

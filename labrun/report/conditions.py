@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from labrun.arrays import FloatArray
 from labrun.report.data import Point, RunView, by_condition
 from labrun.report.page import PageTable
 from labrun.report.text import (
@@ -78,31 +77,6 @@ class ConditionResult:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    """A point in the form the ranking of leaders takes."""
-
-    point: Point
-
-    @property
-    def condition(self) -> Mapping[str, Value]:
-        return self.point.condition
-
-    @property
-    def outcomes(self) -> Sequence[object]:
-        return self.point.trials
-
-    @property
-    def mountings(self) -> Sequence[int | None]:
-        return self.point.mountings
-
-    def values(self, objective: str) -> FloatArray:  # noqa: ARG002 (a point has one objective)
-        return self.point.values
-
-    def truncation(self, objective: str) -> float:  # noqa: ARG002
-        return self.point.truncation
-
-
 def condition_results(view: RunView) -> list[ConditionResult]:
     """Return what every condition gave, in the order of `in_order`."""
     groups = by_condition(outcome for outcome in view.run.outcomes if outcome.role != "reference")
@@ -135,8 +109,8 @@ def most_promising(view: RunView, results: Sequence[ConditionResult]) -> list[Co
         return list(results)
     name, direction = goal
     found = {condition_key(r.condition): r for r in results if name in r.points}
-    asked = [_Asked(result.points[name]) for result in found.values()]
-    order = leading_conditions(asked, name, direction, len(asked))
+    points = (result.points[name] for result in found.values())
+    order = leading_conditions(((one.condition, one.values, one.truncation) for one in points), direction)
     ranked = [found[condition_key(condition)] for condition in order]
     return ranked + [result for result in results if name not in result.points]
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from labrun.report.text import aligned
 from labrun.search import NUMBER, Agreement, Ranking
 from labrun.spec import condition_text
 
@@ -24,14 +25,10 @@ def ranking_text(ranking: Ranking) -> str:
                 text += f" ({cell.ci95[0]:.4g} to {cell.ci95[1]:.4g})"
             row.append(text)
         rows.append(row)
-    widths = [max(len(row[place]) for row in rows) for place in range(len(rows[0]))]
     lines = [
         f"{ranking.objective} {ranking.unit}, mean with 95 % interval; laboratory: mean".replace("  ", " ")
     ]
-    lines += [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    ]
-    lines.append("")
+    lines += [*aligned(rows), ""]
     for path, lab in zip(ranking.laboratories, labs, strict=True):
         for column, head in zip(ranking.columns, heads, strict=True):
             lines += _agreement_lines(column.agreements[path], lab, head)

@@ -1,6 +1,6 @@
 """A robot diagnosed joint by joint: its lines in a terminal, its page, and its figure."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from labrun.report.gap_page import parameter_table
 from labrun.report.gap_words import HEADLINES, VERDICTS, bound_words, ranked, times_noise, value_words
 from labrun.report.page import PageTable, drawn, render
 from labrun.report.style import COLOURS, heading, new_figure
-from labrun.report.text import listed, number, percent, short_time_text
+from labrun.report.text import aligned, listed, number, percent, short_time_text
 
 _ALONE = {"parameter": "none: recalibrated", "no-gap": "none"}
 """What stands at a joint without a cause where the file's physics is enough."""
@@ -45,7 +45,7 @@ def joint_rows(found: RobotDiagnosis) -> list[list[str]]:
 def robot_lines(found: RobotDiagnosis, files: Mapping[str, Path] | None = None) -> list[str]:
     """Return the verdict, a line a joint, the sizes of what was found, and what was written."""
     heads = ["joint", "cause", "sure", "gap", "with cause", "stated", "recalibrated", "corrected"]
-    lines = [found.sentence, "", *_aligned([heads, *joint_rows(found)])]
+    lines = [found.sentence, "", *aligned([heads, *joint_rows(found)])]
     sizes = [
         f"{cause.name.words}: {'; '.join(value_words(cause.values))}"
         for one in found.joints
@@ -56,13 +56,6 @@ def robot_lines(found: RobotDiagnosis, files: Mapping[str, Path] | None = None) 
     joints = "joint" if len(found.joints) == 1 else "joints"
     lines.append(f"{len(found.joints)} {joints} in {short_time_text(found.seconds)}")
     return [*lines, *(f"{label}  {path}" for label, path in (files or {}).items())]
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    ]
 
 
 _SHOWN = 12

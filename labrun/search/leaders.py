@@ -6,7 +6,7 @@ of the leaders name the winner, and as many again of the winner alone give its v
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal, Protocol
 
 import numpy as np
@@ -90,7 +90,8 @@ def honest_best(
     Best or None
         None if no trial was accepted.
     """
-    top = leading_conditions(found, objective, goal, leaders.count)
+    measured = ((m.condition, m.values(objective), m.truncation(objective)) for m in found)
+    top = leading_conditions(measured, goal, leaders.count)
     if not top:
         return None
     known = {condition_key(one) for one in top}
@@ -120,8 +121,12 @@ def honest_best(
     )
 
 
-def leading_conditions(found: Sequence[Measured], objective: str, goal: Goal, count: int) -> list[Condition]:
-    """Return the most promising distinct conditions, best first, by shrunken means.
+def leading_conditions(
+    found: Iterable[tuple[Condition, FloatArray, float]], goal: Goal, count: int | None = None
+) -> list[Condition]:
+    """Return the most promising distinct conditions, best first, by shrunken means; all of them without a `count`.
+
+    Each measurement is a condition, its accepted values, and what cut cycles may have done to their mean.
 
     Each condition's mean is drawn towards the mean of all by the share of it that is noise (empirical Bayes):
     ``m + (mean - m) * t2 / (t2 + s2 / n)`` with s2 the pooled variance within conditions and t2 that between them.
@@ -132,11 +137,11 @@ def leading_conditions(found: Sequence[Measured], objective: str, goal: Goal, co
     pooled: dict[tuple[tuple[str, object], ...], list[FloatArray]] = {}
     conditions: dict[tuple[tuple[str, object], ...], Condition] = {}
     cut: dict[tuple[tuple[str, object], ...], float] = {}
-    for measurement in found:
-        key = condition_key(measurement.condition)
-        conditions.setdefault(key, measurement.condition)
-        cut[key] = max(cut.get(key, 0.0), measurement.truncation(objective))
-        pooled.setdefault(key, []).append(measurement.values(objective))
+    for condition, values, truncation in found:
+        key = condition_key(condition)
+        conditions.setdefault(key, condition)
+        cut[key] = max(cut.get(key, 0.0), truncation)
+        pooled.setdefault(key, []).append(values)
     samples = {key: values for key, blocks in pooled.items() if len(values := np.concatenate(blocks))}
     if not samples:
         return []

@@ -57,14 +57,19 @@ def measured(condition, values, status="done"):
     return Measurement(condition, "measure", tuple(outcomes))
 
 
+def leading(found, goal, count=None):
+    values = ((one.condition, one.values("thrust"), one.truncation("thrust")) for one in found)
+    return leading_conditions(values, goal, count)
+
+
 def test_what_a_cut_may_have_added_makes_nothing_lead():
     flattered = TrialOutcome(
         1, {"k": 1.0}, 1, status="done", objectives={"thrust": 0.30}, truncation={"thrust": 0.1}
     )
     whole = TrialOutcome(2, {"k": 2.0}, 2, status="done", objectives={"thrust": 0.25})
     found = [Measurement(one.condition, "measure", (one,)) for one in (flattered, whole)]
-    assert [one["k"] for one in leading_conditions(found, "thrust", "maximise", 2)] == [2.0, 1.0]
-    assert [one["k"] for one in leading_conditions(found, "thrust", "minimise", 2)] == [2.0, 1.0]
+    assert [one["k"] for one in leading(found, "maximise")] == [2.0, 1.0]
+    assert [one["k"] for one in leading(found, "minimise")] == [2.0, 1.0]
 
 
 def test_a_condition_measured_once_does_not_lead_by_luck():
@@ -73,12 +78,12 @@ def test_a_condition_measured_once_does_not_lead_by_luck():
     lucky = measured({"k": 99.0}, [6.0])
     best = max(m.mean("thrust") for m in found)
     assert lucky.mean("thrust") > best
-    assert leading_conditions([*found, lucky], "thrust", "maximise", 1) != [{"k": 99.0}]
+    assert leading([*found, lucky], "maximise", 1) != [{"k": 99.0}]
 
 
 def test_measurements_of_one_condition_are_pooled_and_it_leads_once():
     found = [measured({"k": 1.0}, [3.0, 3.2]), measured({"k": 2.0}, [1.0]), measured({"k": 1.0}, [2.9])]
-    assert leading_conditions(found, "thrust", "maximise", 5) == [{"k": 1.0}, {"k": 2.0}]
+    assert leading(found, "maximise", 5) == [{"k": 1.0}, {"k": 2.0}]
 
 
 def test_without_an_accepted_trial_there_is_no_best():
