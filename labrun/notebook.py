@@ -8,12 +8,7 @@ from pathlib import Path
 def as_html(told: str, figure: Path | None = None) -> str:
     """Return what a notebook shows of a result.
 
-    Parameters
-    ----------
-    told
-        What the terminal shows of it.
-    figure
-        Its picture, a PNG; left out if it is not there any more.
+    `told`: what the terminal shows of it. `figure`: its picture, a PNG; left out if it is not there any more.
     """
     picture = ""
     if figure is not None and figure.is_file():

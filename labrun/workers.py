@@ -48,10 +48,7 @@ def cores() -> int:
 def pool(workers: int, cluster: str | None) -> Iterator[Pool]:
     """Open processes of this machine, or a cluster where one is named.
 
-    Raises
-    ------
-    RequestError
-        Dask is not installed, or no scheduler answers.
+    Raises RequestError: dask is not installed, or no scheduler answers.
     """
     if cluster is None:
         with _processes(workers) as found:
@@ -64,13 +61,7 @@ def pool(workers: int, cluster: str | None) -> Iterator[Pool]:
 def spread(
     pool: Pool, jobs: Iterator[tuple[Key, Callable[..., Result], tuple[Any, ...]]]
 ) -> Iterator[tuple[Key, Result]]:
-    """Run jobs, and give each result with its key as it comes.
-
-    Raises
-    ------
-    LabrunError
-        A worker died.
-    """
+    """Run jobs, and give each result with its key as it comes. Raises LabrunError: a worker died."""
     pending: dict[Future[Result], Key] = {}
     try:
         while True:

@@ -44,10 +44,7 @@ class CheckFolder:
     def ask(self, asked: Mapping[str, Any]) -> str:
         """Write down what was asked for and the seal, or check that the same was asked before; return the seal.
 
-        Raises
-        ------
-        RequestError
-            The folder holds another check, or its seal is no longer the one that was printed.
+        Raises RequestError: the folder holds another check, or its seal is no longer the one that was printed.
         """
         path = self.path / _ASKED
         seal = seal_of(self.path)
@@ -203,13 +200,7 @@ def _made(command: Sequence[str], note: Note) -> str:
 
 
 def seal_of(folder: Path) -> str:
-    """Return the hash over all answers, as the folder's seal states it.
-
-    Raises
-    ------
-    RequestError
-        The folder has no seal.
-    """
+    """Return the hash over all answers, as the folder's seal states it. Raises RequestError: the folder has no seal."""
     return _stated(folder).over_all
 
 
@@ -221,15 +212,8 @@ def sealed_cases(folder: Path) -> list[str]:
 def open_answers(folder: Path, printed: str) -> list[dict[str, Any]]:
     """Check every answer against the seal that was printed before, then return them in the order of their names.
 
-    Parameters
-    ----------
-    printed
-        Hash over all answers, as it was told before the first diagnosis.
-
-    Raises
-    ------
-    LabrunError
-        The seal is another than the one that was printed, or an answer is not the one that was sealed.
+    `printed`: hash over all answers, as it was told before the first diagnosis. Raises LabrunError: the seal is another
+    than the one that was printed, or an answer is not the one that was sealed.
     """
     seal = _stated(folder)
     faults = []

@@ -73,13 +73,7 @@ def concealed(
 
 
 def hiding_scene(experiment: Experiment) -> HidingScene:
-    """Return the scene of an experiment.
-
-    Raises
-    ------
-    RequestError
-        It names none, or one that cannot hide anything.
-    """
+    """Return the scene of an experiment. Raises RequestError: it names none, or one that cannot hide anything."""
     name = _named_scene(experiment).plugin
     rig = Rig.build(concealed(experiment, []), clock=SimulatedClock(), seed=0, dry_run=True)
     scene: Any = rig.scene

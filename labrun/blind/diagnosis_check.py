@@ -175,13 +175,7 @@ def check(
 
 
 def kind_named(only: str) -> str:
-    """Return the kind of case that a person means, in the singular.
-
-    Raises
-    ------
-    RequestError
-        There is no such kind.
-    """
+    """Return the kind of case that a person means, in the singular. Raises RequestError: there is no such kind."""
     if only.removesuffix("s") in KINDS:
         return only.removesuffix("s")
     raise RequestError(f"there is no kind of case {only!r}", hint=suggest(only, KINDS, kind="kinds"))

@@ -227,12 +227,7 @@ def candidates(scene: HidingScene, model: Model, *, tared: bool) -> list[tuple[E
 class Draw:
     """One drawn effect whose strength is still open: the shape of its values, and where its sizes start.
 
-    Parameters
-    ----------
-    scale
-        Typical magnitudes on the bench.
-    rng
-        Draws the sign and the shape.
+    `scale`: typical magnitudes on the bench. `rng`: draws the sign and the shape.
     """
 
     def __init__(self, effect: Effect, scale: Scale, rng: np.random.Generator) -> None:

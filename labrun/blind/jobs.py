@@ -32,12 +32,7 @@ _COUNTED = 2.0
 def diagnose_case(name: str, files: Files, seed: int) -> dict[str, Any]:
     """Diagnose one case; return what ``labrun gap diagnose --json`` prints, or ``error`` with its reason.
 
-    Parameters
-    ----------
-    files
-        Name and content of the recording's files and of ``model.toml``.
-    seed
-        Of resamples and simulated noise.
+    `files`: name and content of the recording's files and of ``model.toml``. `seed`: of resamples and simulated noise.
     """
     began = time.perf_counter()
     with TemporaryDirectory(prefix="labrun-check-") as made:

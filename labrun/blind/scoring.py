@@ -311,13 +311,7 @@ def shrinkage_score(judged: Sequence[Judged]) -> ShrinkageScore:
 
 
 def reliability(stated: Sequence[tuple[float, bool]]) -> Reliability:
-    """Sort (confidence, was right) into tenths.
-
-    Raises
-    ------
-    ValueError
-        A confidence outside of 0 to 1.
-    """
+    """Sort (confidence, was right) into tenths. Raises ValueError: a confidence outside of 0 to 1."""
     sorted_in: list[list[tuple[float, bool]]] = [[] for _ in range(_TENTHS)]
     for confidence, right in stated:
         if not 0.0 <= confidence <= 1.0:

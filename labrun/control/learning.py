@@ -36,13 +36,7 @@ class LearnerTask:
 
     @property
     def start(self) -> Network:
-        """The affine map to begin with.
-
-        Raises
-        ------
-        ExperimentError
-            The network is none.
-        """
+        """The affine map to begin with. Raises ExperimentError: the network is none."""
         try:
             return self.network.collapsed()
         except ValueError as error:
@@ -79,13 +73,7 @@ class Learner(Protocol):
         """Start; return at once."""
 
     def ready(self) -> bool:
-        """Tell whether it has come up.
-
-        Raises
-        ------
-        ExperimentError
-            It never will.
-        """
+        """Tell whether it has come up. Raises ExperimentError: it never will."""
 
     def end(self) -> None:
         """End, at once."""

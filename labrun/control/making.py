@@ -40,10 +40,7 @@ def make_references(
 ) -> Callable[[float], Numbers]:
     """Return the reference of a loop under a condition, a number for each of its `count` components.
 
-    Raises
-    ------
-    SpecError
-        Keys that do not hold, or another number of components than the feedback has.
+    Raises SpecError: keys that do not hold, or another number of components than the feedback has.
     """
     made = [make_reference(loop, table, condition) for table in tables]
     if len(tables) == 1 and getattr(registry.load(REFERENCES, tables[0].plugin), "several", False):
@@ -75,12 +72,8 @@ def make_controllers(
     """Return a controller of a loop under a condition, new.
 
     A controller of one number is made once for each component of the feedback, which then sets the drive of the same
-    place.
-
-    Raises
-    ------
-    SpecError
-        Keys that do not hold, or a controller of one number with another number of drives than components.
+    place. Raises SpecError: keys that do not hold, or a controller of one number with another number of drives than
+    components.
     """
     plugin: ControllerPlugin = registry.load(CONTROLLERS, table.plugin)
     settings = _resolved(plugin, table, condition)
@@ -130,12 +123,8 @@ class OneForEach:
 def controller_of(loop: str, table: LoopTable, condition: Condition) -> str:
     """Return the name of the controller that a condition puts in charge of a loop.
 
-    A loop with a single controller needs no word of it in the condition.
-
-    Raises
-    ------
-    SpecError
-        The condition names none that the loop has.
+    A loop with a single controller needs no word of it in the condition. Raises SpecError: the condition names none
+    that the loop has.
     """
     named = condition.get("controller")
     if isinstance(named, str) and named in table.controllers:

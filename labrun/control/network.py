@@ -59,19 +59,9 @@ class NetworkSettings(Table):
 class NetworkController:
     """What a network says to the reference, on top of an analytic inverse where it was fitted to correct one.
 
-    The reference's components are the network's inputs, by name; the loop's drives its outputs.
-
-    Parameters
-    ----------
-    settings
-        See `NetworkSettings`.
-    context
-        Of the loop, whose names, units and bench must be those of the model.
-
-    Raises
-    ------
-    SpecError
-        A model of another bench, inputs that the loop does not have, drives it does not set, or other units.
+    The reference's components are the network's inputs, by name; the loop's drives its outputs. `settings`: see
+    `NetworkSettings`. `context`: of the loop, whose names, units and bench must be those of the model. Raises
+    SpecError: a model of another bench, inputs that the loop does not have, drives it does not set, or other units.
     """
 
     Settings: ClassVar[type[Table]] = NetworkSettings

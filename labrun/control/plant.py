@@ -75,17 +75,9 @@ class PlantModel(TransferTable):
 def read_plant(path: Path, response: str | None = None) -> dict[str, Any]:
     """Return the keys of a `PlantModel` from a fitted model's file; whatever else stands there is left.
 
-    Parameters
-    ----------
-    path
-        A TOML file with these keys, or with a table of them for each response, as the fits write it.
-    response
-        Which table; not needed where there is one.
-
-    Raises
-    ------
-    SpecError
-        The file cannot be read, holds no such model, or several and none is named.
+    `path`: a TOML file with these keys, or with a table of them for each response, as the fits write it. `response`:
+    which table; not needed where there is one. Raises SpecError: the file cannot be read, holds no such model, or
+    several and none is named.
     """
     data = parsed(text_of(path, kind=SpecError, what="model file"), str(path), kind=SpecError)
     table, _ = response_table(data, f"model file {path}", response)

@@ -62,10 +62,7 @@ class DesignConstraints:
     def violations(of: list[Constraint], names: Mapping[str, object]) -> Violations:
         """Return what is violated: how many, and how far in shares of the bounds.
 
-        Raises
-        ------
-        ConstraintError
-            One of them cannot be computed.
+        Raises ConstraintError: one of them cannot be computed.
         """
         sizes, texts = [], []
         for constraint in of:
@@ -79,10 +76,7 @@ class DesignConstraints:
     def margins(self, names: Mapping[str, object], spans: Mapping[str, float]) -> list[Margin]:
         """Return how a simulated design stands to every constraint, in the order of the file.
 
-        Parameters
-        ----------
-        spans
-            Range that every summarised channel runs through.
+        `spans`: range that every summarised channel runs through.
         """
         found = []
         for constraint in sorted((*self.before, *self.after), key=lambda one: str(one.key)):

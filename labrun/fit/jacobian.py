@@ -46,12 +46,7 @@ def difference_quotient(
     """Return the derivative at `centre` by differences, inside bounds.
 
     To both sides if `central`, else to one; to the other side alone where the simulation is not finite, zero where it
-    is so nowhere.
-
-    Parameters
-    ----------
-    base
-        The residual at `centre`.
+    is so nowhere. `base`: the residual at `centre`.
     """
     before, after = max(centre - _STEP, low), min(centre + _STEP, high)
     ahead = residual(after) if after > centre else None

@@ -96,12 +96,8 @@ class Priors:
     def with_effects(self, effects: Sequence[AttachedEffect], scales: Sequence[Scale], first: int) -> Self:
         """Return priors with the parameters of further effects, of which all that are not held are variables.
 
-        Parameters
-        ----------
-        scales
-            What is typical at the site of each.
-        first
-            Number of the first of them among all effects, which names their variables: "0.torque".
+        `scales`: what is typical at the site of each. `first`: number of the first of them among all effects, which
+        names their variables: "0.torque".
         """
         added = [
             (parameter, value, number, typical.of(parameter.quantity))

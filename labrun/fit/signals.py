@@ -205,10 +205,8 @@ def trailing_mean(values: FloatArray, samples: int) -> FloatArray:
 class _Channels:
     """The channels of one trial on an even time base.
 
-    Parameters
-    ----------
-    bare
-        Whether channels are named without their device, as in a recording, and count from its first sample to its last.
+    `bare`: whether channels are named without their device, as in a recording, and count from its first sample to its
+    last.
     """
 
     def __init__(

@@ -62,10 +62,7 @@ def workers(count: int) -> Iterator[Each]:
 def stop_if_told() -> None:
     """End the work of this thread if its results are not wanted any more; long work calls it often.
 
-    Raises
-    ------
-    CancelledError
-        In a thread of `workers` only.
+    Raises CancelledError: in a thread of `workers` only.
     """
     stop = getattr(_OF_THREAD, "stop", None)
     if stop is not None and stop.is_set():

@@ -94,10 +94,7 @@ class Layout:
 def layout(model: Model, effects: Sequence[AttachedEffect]) -> Layout:
     """Return the layout, made once for each combination of effects and sites of a model.
 
-    Raises
-    ------
-    ModelError
-        An effect does not fit, or a value of it is missing or not a number.
+    Raises ModelError: an effect does not fit, or a value of it is missing or not a number.
     """
     total = 0.0
     for one in effects:

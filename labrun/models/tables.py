@@ -69,13 +69,7 @@ def alone(key: str) -> BeforeValidator:
 
 
 def numeric(expression: Expression) -> Expression:
-    """Refuse what no model computes with.
-
-    Raises
-    ------
-    PydanticCustomError
-        Words in quotes, or names that are not plain.
-    """
+    """Refuse what no model computes with. Raises PydanticCustomError: words in quotes, or names that are not plain."""
     problem = _strange(expression)
     if problem is not None:
         raise PydanticCustomError("expression", "{text}", {"text": fault_of(problem)})
@@ -270,17 +264,8 @@ FileTable = TypeVar("FileTable", bound=Table)
 class ModelFile:
     """A model file while it is read.
 
-    Parameters
-    ----------
-    name
-        What it is called in messages; a path in it is counted from its folder.
-    text
-        Its content.
-
-    Raises
-    ------
-    ModelError
-        It is not TOML.
+    `name`: what it is called in messages; a path in it is counted from its folder. `text`: its content. Raises
+    ModelError: it is not TOML.
     """
 
     def __init__(self, name: str, text: str) -> None:
@@ -290,13 +275,7 @@ class ModelFile:
         self._faults: list[Fault] = []
 
     def read(self, model: type[FileTable]) -> FileTable:
-        """Return its tables.
-
-        Raises
-        ------
-        ModelError
-            All keys that do not hold.
-        """
+        """Return its tables. Raises ModelError: all keys that do not hold."""
         value, faults = validate(model, self.data)
         self._faults += [self._with_caret(fault) for fault in faults]
         self.refuse()

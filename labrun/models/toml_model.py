@@ -27,10 +27,7 @@ Expressions = Mapping[KeyPath, Expression]
 def equations_model(file: ModelFile) -> Model:
     """Return the model of a file with equations.
 
-    Raises
-    ------
-    ModelError
-        All that does not hold, each with file, line, key, and for an equation the place in it.
+    Raises ModelError: all that does not hold, each with file, line, key, and for an equation the place in it.
     """
     given = file.read(EquationsFile)
     inputs = inputs_of(given.inputs)
@@ -244,11 +241,8 @@ def _unused_inputs(expressions: Expressions, inputs: Sequence[Input]) -> tuple[s
 def read_effects(file: ModelFile, tables: Sequence[EffectTable], model: Model) -> tuple[AttachedEffect, ...]:
     """Return the effects a file puts at sites of its model, in its order.
 
-    Raises
-    ------
-    ModelError
-        All that does not hold: an unknown effect, site or value; a site that lacks what the effect needs; a value that
-        is missing or out of range; each with the line it stands on.
+    Raises ModelError: all that does not hold: an unknown effect, site or value; a site that lacks what the effect
+    needs; a value that is missing or out of range; each with the line it stands on.
     """
     found = [_attached(file, ("effects", index), one, model) for index, one in enumerate(tables)]
     file.refuse()

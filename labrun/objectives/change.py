@@ -48,13 +48,7 @@ class RateOfChange(ChannelObjective):
         return f"{super().unit(channel_unit)}/s"
 
     def __call__(self, signals: TrialSignals) -> float:
-        """Return the rate, in the unit of `unit`.
-
-        Raises
-        ------
-        ExperimentError
-            No whole cycle is left.
-        """
+        """Return the rate, in the unit of `unit`. Raises ExperimentError: no whole cycle is left."""
         start_s, end_s, period_s = signals.start_s, signals.end_s, signals.period_s
         if period_s is not None:
             start_s += signals.discard_cycles * period_s

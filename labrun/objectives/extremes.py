@@ -49,10 +49,7 @@ class Extremes(ChannelObjective):
     def __call__(self, signals: TrialSignals) -> float:
         """Return the number.
 
-        Raises
-        ------
-        ExperimentError
-            An interval over fewer than two cycles, or a cycle without samples.
+        Raises ExperimentError: an interval over fewer than two cycles, or a cycle without samples.
         """
         start_s, end_s = signals.window()
         period_s = signals.period_s or end_s - start_s

@@ -114,14 +114,8 @@ def truncation_bound(signal: Signal, frequencies_hz: Iterable[float]) -> float:
     The amplitude of each line is read from the signal itself, under a Hann window. A beat of which the signal holds
     less than two cycles has at most the amplitude with which, at its flattest, it would swing as far as the means over
     cycles do; and at most that of the sum of the same two frequencies, which the product of two sines makes as strong.
-    Lines that the window cannot tell apart count once; the phases are taken at their worst.
-
-    Parameters
-    ----------
-    signal
-        What the mean is taken of; at least two samples.
-    frequencies_hz
-        Of every joint that moves.
+    Lines that the window cannot tell apart count once; the phases are taken at their worst. `signal`: what the mean is
+    taken of; at least two samples. `frequencies_hz`: of every joint that moves.
     """
     length_s = float(signal.time_s[-1] - signal.time_s[0])
     lines = _lines(frequencies_hz)

@@ -63,13 +63,7 @@ class Work(ChannelObjective):
         return "%" if self._part == "efficiency" else "J"
 
     def __call__(self, signals: TrialSignals) -> float:
-        """Return the number.
-
-        Raises
-        ------
-        ExperimentError
-            An efficiency where no work was done; no such channel or joint.
-        """
+        """Return the number. Raises ExperimentError: an efficiency where no work was done; no such channel or joint."""
         positive = negative = 0.0
         ways = self._ways(signals)
         for piece in map(self._scaled, signals.counting_pieces(self.channel)):
@@ -106,11 +100,7 @@ def split_work(force: FloatArray, way: FloatArray, by: Literal["force", "power"]
     """Return how much work was done where the force, or the power, is positive, and where it is negative; both >= 0.
 
     Between samples both run straight; an interval in which the force changes its sign is divided where it does.
-
-    Parameters
-    ----------
-    force, way : (n,)
-        At the same times.
+    `force`, `way`, (n,): at the same times.
     """
     step = np.diff(way)
     first, last = force[:-1], force[1:]

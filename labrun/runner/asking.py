@@ -92,17 +92,8 @@ class Asking:
     def ask(self, index: int, about: str) -> dict[str, float]:
         """Return the value of each typed result of a trial, in the unit of its objective.
 
-        Parameters
-        ----------
-        index
-            Of the trial.
-        about
-            Its condition, in words.
-
-        Raises
-        ------
-        ExperimentError
-            Too many answers were none, or the scene of a dry run answers with what is none.
+        `index`: of the trial. `about`: its condition, in words. Raises ExperimentError: too many answers were none, or
+        the scene of a dry run answers with what is none.
         """
         names = list(self._questions)
         if not names:

@@ -116,12 +116,7 @@ _BEATS_PER_TIMEOUT = 8.0
 class Watchdog:
     """A running watchdog process.
 
-    Parameters
-    ----------
-    process
-        The process; its standard input is the pipe.
-    timeout_s
-        After how long without a sign of life it acts.
+    `process`: the process; its standard input is the pipe. `timeout_s`: after how long without a sign of life it acts.
     """
 
     def __init__(self, process: "subprocess.Popen[bytes]", timeout_s: float) -> None:

@@ -69,13 +69,7 @@ def needs_baseline(rule: Settle | None) -> bool:
 
 
 def measure_baseline(bench: Bench, rule: Settle) -> Bounds:
-    """Measure how still the undisturbed bench is.
-
-    Raises
-    ------
-    ExperimentError
-        Too few samples came in to judge.
-    """
+    """Measure how still the undisturbed bench is. Raises ExperimentError: too few samples came in to judge."""
     watched = watched_channels(rule, bench.rig)
     meter = BaselineMeter(watched, rule.hold_s)
     bench.start_sensors()

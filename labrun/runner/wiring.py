@@ -16,10 +16,7 @@ _ORDER_WITHOUT_RAMPS = 2
 def check_wiring(experiment: Experiment, rig: Rig, gait_joints: Iterable[str]) -> None:
     """Check every name in the file that stands for a joint, a channel or a device.
 
-    Raises
-    ------
-    SpecError
-        All that the rig does not have, at once.
+    Raises SpecError: all that the rig does not have, at once.
     """
     problems: list[str] = []
     channels = {f"{name}.{c.name}" for name, sensor in rig.sensors.items() for c in sensor.channels}

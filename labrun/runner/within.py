@@ -62,13 +62,7 @@ class _Watched(SampleCollector):
         self._tare = tare
 
     def take(self, blocks: Mapping[str, Samples]) -> None:
-        """Keep one look's samples, then judge them.
-
-        Raises
-        ------
-        _LeftError
-            A channel has left its bounds.
-        """
+        """Keep one look's samples, then judge them. Raises _LeftError: a channel has left its bounds."""
         self._collector.take(blocks)
         for name, (low, high) in self._bounds.items():
             device, _, channel = name.partition(".")

@@ -131,13 +131,9 @@ class Strategy:
     def tell(self, points: Sequence[FloatArray], costs: Sequence[float], *, known: int = 0) -> None:
         """Learn from a generation: the lower the cost, the better.
 
-        Parameters
-        ----------
-        points, costs
-            As many as the population.
-        known
-            The first so many points were not drawn in this generation. Their distance from the mean is
-            clipped, so that they cannot blow up the step size (Hansen 2011, arXiv:1110.4181).
+        `points`, `costs`: as many as the population. `known`: the first so many points were not drawn in this
+        generation. Their distance from the mean is clipped, so that they cannot blow up the step size (Hansen 2011,
+        arXiv:1110.4181).
         """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)

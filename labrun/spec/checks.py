@@ -48,12 +48,8 @@ from labrun.toml import (
 def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Fault]:
     """Return everything that does not fit together.
 
-    Parameters
-    ----------
-    data
-        The file as it was read.
-    path
-        The file; without it (a spec stored with a run) nothing beside it is looked for.
+    `data`: the file as it was read. `path`: the file; without it (a spec stored with a run) nothing beside it is looked
+    for.
     """
     faults: list[Fault] = []
     devices: dict[str, DeviceInfo] = {}

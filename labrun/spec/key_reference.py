@@ -125,10 +125,7 @@ def model_of(name: str) -> type[BaseModel]:
 def explained(model: type[BaseModel]) -> list[Key]:
     """Return the keys of a table of the file.
 
-    Raises
-    ------
-    ValueError
-        A key that `keys.toml` does not explain, or an explained one that is none.
+    Raises ValueError: a key that `keys.toml` does not explain, or an explained one that is none.
     """
     words, keys = WORDS.get(model.__name__, {}), dict(_fields(model))
     if unsaid := [key for key in keys if key not in words]:

@@ -20,12 +20,8 @@ def read_columns(
 ) -> tuple[Mapping[str, FloatArray] | None, list[str]]:
     """Return the wanted columns by name, or None with every fault found.
 
-    Parameters
-    ----------
-    wanted
-        Column names; the first is time, which must increase from row to row. Other columns of the file are ignored.
-    listed_at
-        Where the file is named ("recording.toml:12"), for a file that is not there.
+    `wanted`: column names; the first is time, which must increase from row to row. Other columns of the file are
+    ignored. `listed_at`: where the file is named ("recording.toml:12"), for a file that is not there.
     """
     text, fault = _read_text(path, listed_at)
     if text is None:

@@ -23,14 +23,8 @@ _held: "weakref.WeakSet[FileLock]" = weakref.WeakSet()
 class FileLock:
     """An advisory lock (flock) on a small file that says who holds it.
 
-    The kernel releases it when the holder dies, however it dies; the file itself stays and means nothing.
-
-    Parameters
-    ----------
-    path
-        The file; made when missing.
-    subject
-        What is locked, for the message to whoever comes second.
+    The kernel releases it when the holder dies, however it dies; the file itself stays and means nothing. `path`: the
+    file; made when missing. `subject`: what is locked, for the message to whoever comes second.
     """
 
     def __init__(self, path: Path, subject: str) -> None:
@@ -41,10 +35,7 @@ class FileLock:
     def acquire(self) -> None:
         """Take the lock or raise at once.
 
-        Raises
-        ------
-        RigBusyError
-            Someone else holds it: names process id, start and command.
+        Raises RigBusyError: someone else holds it: names process id, start and command.
         """
         descriptor = _opened(self.path)
         try:

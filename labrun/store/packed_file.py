@@ -118,15 +118,8 @@ def _write_table(file: h5py.File, found: Sequence[Variable]) -> h5py.Dataset:
 class PackedTrials:
     """The trials of a packed file, open for reading until `close`.
 
-    Parameters
-    ----------
-    locked
-        As for `labrun.store.trial_file.TrialFile`.
-
-    Raises
-    ------
-    RecordingError
-        The file is missing, damaged, or no run; or a run of older code.
+    `locked`: as for `labrun.store.trial_file.TrialFile`. Raises RecordingError: the file is missing, damaged, or no
+    run; or a run of older code.
     """
 
     def __init__(self, path: Path, *, locked: bool = True) -> None:
@@ -177,10 +170,7 @@ def holds(path: Path, outcomes: Mapping[int, TrialOutcome], sums: Mapping[str, S
 def read_outcomes(path: Path) -> dict[int, TrialOutcome]:
     """Return the outcomes in a packed run by index; empty if there is no such file.
 
-    Raises
-    ------
-    RecordingError
-        The file is damaged, or no run; or a run of older code.
+    Raises RecordingError: the file is damaged, or no run; or a run of older code.
     """
     if not path.is_file():
         return {}

@@ -83,13 +83,7 @@ def trial_files(trials: Path) -> dict[int, Path]:
 
 
 def write_trial(path: Path, outcome: TrialOutcome, tables: Iterable[Signals | LongSignals]) -> None:
-    """Write a trial's file; memory stays bounded.
-
-    Raises
-    ------
-    OSError
-        The disk is full or fails.
-    """
+    """Write a trial's file; memory stays bounded. Raises OSError: the disk is full or fails."""
     tables = list(tables)
     require_room(path, sum(8 * len(table) * (len(TIMES) + len(table.columns)) for table in tables))
     with flush_errors(), closing(h5f.create(os.fsencode(path), h5f.ACC_TRUNC, fapl=_LOCKED)) as file:
@@ -134,15 +128,8 @@ def _described(head: Signals) -> dict[str, Any]:
 class TrialFile:
     """A trial's file, open for reading within a ``with``.
 
-    Parameters
-    ----------
-    locked
-        Whether HDF5 locks it, which a network folder may refuse or hand on to the machine that runs.
-
-    Raises
-    ------
-    OSError, KeyError, ValueError
-        The file is missing, cut short, or no trial's.
+    `locked`: whether HDF5 locks it, which a network folder may refuse or hand on to the machine that runs. Raises
+    OSError, KeyError, ValueError: the file is missing, cut short, or no trial's.
     """
 
     def __init__(self, path: Path, *, locked: bool = True) -> None:
@@ -216,16 +203,8 @@ def digest_of(content: bytes) -> str:
 def check(path: Path, described: Mapping[str, Any] | None) -> TrialOutcome:
     """Read a trial's outcome after making sure that its file is whole.
 
-    Parameters
-    ----------
-    described
-        The journal's ``trial`` event of this file (size and digest); None where that line was lost: then every
-        dataset is read instead.
-
-    Raises
-    ------
-    RecordingError
-        The file is cut short or altered; says how.
+    `described`: the journal's ``trial`` event of this file (size and digest); None where that line was lost: then every
+    dataset is read instead. Raises RecordingError: the file is cut short or altered; says how.
     """
     size = path.stat().st_size
     if described is not None and described.get("bytes", size) != size:

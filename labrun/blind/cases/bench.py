@@ -72,12 +72,7 @@ class _Parts:
 class Bench:
     """A plant, its trials, its parameters, and what is hidden.
 
-    Parameters
-    ----------
-    parameters
-        Of each, a number or one value per trial.
-    start : (states, trials)
-        None for the programme's own.
+    `parameters`: of each, a number or one value per trial. `start`, (states, trials): none for the programme's own.
     """
 
     def __init__(

@@ -35,12 +35,8 @@ class Recalibration:
     """The bare model beside one programme of trials, as the person at the bench would calibrate it.
 
     Free are all parameters that are not known exactly, each held by its tolerance, and per trial the initial states
-    that the model file calls "free". All difference quotients run side by side in one simulation.
-
-    Parameters
-    ----------
-    stated
-        The parameters as the model file has them.
+    that the model file calls "free". All difference quotients run side by side in one simulation. `stated`: the
+    parameters as the model file has them.
     """
 
     def __init__(self, plant: Plant, programme: Programme, stated: Mapping[str, float]) -> None:

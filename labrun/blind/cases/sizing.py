@@ -126,10 +126,7 @@ def alike(first: FloatArray, second: FloatArray) -> float:
 def sensor_factor(residual: FloatArray, sensor: FloatArray, scattered: FloatArray, aim: float) -> float:
     """Return the factor on the sensors' noise that makes a residual's gap the one aimed at, to four digits.
 
-    Raises
-    ------
-    OutOfReachError
-        The noise would have to be more than 5 times smaller, or 4 times larger.
+    Raises OutOfReachError: the noise would have to be more than 5 times smaller, or 4 times larger.
     """
 
     def gap(factor: float) -> float:
@@ -147,10 +144,7 @@ def sensor_factor(residual: FloatArray, sensor: FloatArray, scattered: FloatArra
 def find_size(gap: Callable[[float], float], aim: float, start: float, most: float) -> float:
     """Return the size, to four digits, at which `gap` is near `aim`.
 
-    Raises
-    ------
-    OutOfReachError
-        There is none up to `most`.
+    Raises OutOfReachError: there is none up to `most`.
     """
     low, high = 0.0, most
     size, best, best_miss = min(start, most), 0.0, np.inf

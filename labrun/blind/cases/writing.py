@@ -48,10 +48,7 @@ def write_recording(
 ) -> None:
     """Write `recording.toml` and a CSV file for each trial.
 
-    Parameters
-    ----------
-    trials
-        Condition, repeat, inputs (inputs, samples), measured outputs (outputs, samples).
+    `trials`: condition, repeat, inputs (inputs, samples), measured outputs (outputs, samples).
     """
     folder.mkdir(parents=True, exist_ok=True)
     lines = [f'experiment = "{name}"']

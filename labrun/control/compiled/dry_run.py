@@ -126,10 +126,7 @@ class CompiledDryRun:
     def block(self, until_s: float, references: Any) -> BlockResult:
         """Run the next block, up to a time at the latest, and hand the samples to their devices.
 
-        Parameters
-        ----------
-        references
-            Returns the reference at a time of the trial.
+        `references`: returns the reference at a time of the trial.
         """
         points = min(round(_BLOCK_S / self._step_s), max(1, math.ceil((until_s - self.now_s) / self._step_s)))
         last_s = (self._grid + points - 1) * self._step_s

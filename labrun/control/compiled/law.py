@@ -54,13 +54,7 @@ def law_of(
     wiring: Wiring,
     channels: Channels,
 ) -> Law:
-    """Return a loop under its controller, new.
-
-    Raises
-    ------
-    SpecError
-        A controller without a compiled form.
-    """
+    """Return a loop under its controller, new. Raises SpecError: a controller without a compiled form."""
     none = _affine(np.zeros((2, 1)), (), (), 1)
     if isinstance(controller, OneForEach):
         plain = [one for one in controller.controllers if isinstance(one, PidController)]
@@ -136,10 +130,7 @@ def wiring_of(
 def straight_gait(steering: Steering, drives: Sequence[str]) -> FloatArray:
     """Return the angles of a gait that is straight in its drives at all times, (joints, drives + 1), rad.
 
-    Raises
-    ------
-    SpecError
-        It is not: its angles depend on time, or bend.
+    Raises SpecError: it is not: its angles depend on time, or bend.
     """
     probes = np.vstack([np.zeros(len(drives)), np.eye(len(drives)), np.full(len(drives), 0.37)])
     times = np.linspace(0.0, 7.3, len(probes))

@@ -155,10 +155,7 @@ class MlpFit:
 def fit_network(samples: TrainingSamples, table: NetworkTable, seed: int) -> Fitted:
     """Train a network, and solve the affine least squares on the same samples.
 
-    Raises
-    ------
-    FitError
-        The training did not come to finite weights.
+    Raises FitError: the training did not come to finite weights.
     """
     outputs = corrected(samples, table.inverse) if table.inverse else samples.outputs
     kept, out = samples.withheld == 0, samples.withheld == 1

@@ -72,16 +72,9 @@ def load_samples(
     """Load a run's samples; a share of its trials is withheld, drawn by lot.
 
     Where there are fewer than three trials, every trial is cut into ten blocks of time, and blocks are withheld.
-
-    Parameters
-    ----------
-    unit
-        Of the outputs: what the loop's drives are in. Channels of the same dimension are converted.
-
-    Raises
-    ------
-    RequestError, FitError
-        As `load_signals`; a name that is both input and output; an output of another dimension; too few samples.
+    `unit`: of the outputs: what the loop's drives are in. Channels of the same dimension are converted. Raises
+    RequestError, FitError: as `load_signals`; a name that is both input and output; an output of another dimension; too
+    few samples.
     """
     signals = load_signals(target, joined(inputs, outputs), where=where, rate_hz=rate_hz)
     factors = [_factor(signals.units[name], unit, name) for name in outputs]

@@ -30,10 +30,7 @@ _COLLINEAR = 1e-6
 def term_values(term: str, signals: Mapping[str, FloatArray], step_s: float) -> FloatArray:
     """Return a term's values, (n,); derivatives are per second, by central differences.
 
-    Raises
-    ------
-    RequestError
-        A term that cannot be read, or a signal that is not among the inputs.
+    Raises RequestError: a term that cannot be read, or a signal that is not among the inputs.
     """
     values = np.ones(len(next(iter(signals.values()))))
     for factor in term.replace(" ", "").split("*"):

@@ -148,12 +148,8 @@ def best_fit(
     Starts come from linear least squares on input and output filtered alike, at several speeds of the filter, which is
     then replaced by the denominator found (the refined method of Young and Jakeman 1980, without its noise model).
 
-    `near` are starts that are followed besides.
-
-    Raises
-    ------
-    FitError
-        An input or output that does not move, or fewer samples than numbers to be found.
+    `near` are starts that are followed besides. Raises FitError: an input or output that does not move, or fewer
+    samples than numbers to be found.
     """
     _require(shape, trials)
     low, high = bounds(shape, trials)

@@ -45,13 +45,9 @@ def load_response(
     """Load input and output of every trial that `where` admits.
 
     The magnitude of a force at rest is that of its noise, never zero. So what is loaded as magnitude is the force along
-    the mean direction of the trial, with its sign: where there is force, it is the same, and where there is none,
-    it is zero on average. A direction is left out where there is too little force to have one.
-
-    Raises
-    ------
-    RequestError, FitError
-        As `load_signals`; an input that is a vector; no sample between `from_s` and `to_s`.
+    the mean direction of the trial, with its sign: where there is force, it is the same, and where there is none, it is
+    zero on average. A direction is left out where there is too little force to have one. Raises RequestError, FitError:
+    as `load_signals`; an input that is a vector; no sample between `from_s` and `to_s`.
     """
     if given.take != "value":
         raise RequestError(f"an input is one channel, not the {given.take} of two")

@@ -137,13 +137,7 @@ class TransferFunction:
 
     @property
     def lag_s(self) -> float:
-        """Time constant of a first-order transfer function, s.
-
-        Raises
-        ------
-        RequestError
-            It is of another order.
-        """
+        """Time constant of a first-order transfer function, s. Raises RequestError: it is of another order."""
         if not self.is_first_order:
             raise RequestError(
                 f"a transfer function with {self.order} poles and {len(self.numerator) - 1} zeros has no one lag",
@@ -159,10 +153,7 @@ class TransferFunction:
     def to_control(self, pade_order: int | None = None) -> Any:
         """Return a ``control.TransferFunction`` with names of input and output.
 
-        Parameters
-        ----------
-        pade_order
-            Order of the Padé approximation that stands for the dead time; None leaves the dead time out.
+        `pade_order`: order of the Padé approximation that stands for the dead time; None leaves the dead time out.
         """
         import control
 

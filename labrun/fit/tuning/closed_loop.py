@@ -241,10 +241,7 @@ def step_figures(track: LoopResponse, steady_error: float) -> StepFigures:
 def steady_error(gains: Gains, gain: float) -> float:
     """Return what is left of a constant reference, relative to it: ``(1 - K F) / (1 + K p)``, 0 with an integral.
 
-    Parameters
-    ----------
-    gain
-        K, the plant's static gain; F is the feed-forward's, 0 without one.
+    `gain`: K, the plant's static gain; F is the feed-forward's, 0 without one.
     """
     if gains.i_per_s:
         return 0.0

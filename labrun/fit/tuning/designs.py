@@ -131,12 +131,8 @@ class ControllerDesign:
     ) -> dict[float, tuple[float, float]]:
         """Return the mean magnitude of the error over the first and the second arch of a reference.
 
-        Parameters
-        ----------
-        bounds
-            Range of the drive, which starts at the end nearest to zero.
-        factors
-            The plant's gain over the one that the controller was made for.
+        `bounds`: range of the drive, which starts at the end nearest to zero. `factors`: the plant's gain over the one
+        that the controller was made for.
         """
         found = {}
         for factor in factors:
@@ -205,10 +201,7 @@ def _interval(values: FloatArray) -> tuple[float, float]:
 def design_all(loop: OpenLoop, settings: PidFitSettings) -> tuple[list[ControllerDesign], list[str]]:
     """Return the designs, those that were given last, and what to know about them.
 
-    Raises
-    ------
-    FitError
-        The plant does not settle, or no design could be made.
+    Raises FitError: the plant does not settle, or no design could be made.
     """
     require_stable(loop)
     designs: list[ControllerDesign] = []

@@ -46,12 +46,8 @@ def margins(gains: Gains, loop: OpenLoop, *, refine: bool = True) -> Margins:
     """Return the margins of a loop with its controller.
 
     The plant must be stable: then a loop of small gain, driving the right way, is stable, and it stays so up to the
-    gain at which its curve first passes through -1. That holds for dead times of any length.
-
-    Parameters
-    ----------
-    refine
-        Find crossings exactly; without, they are interpolated on the grid, to some 1e-4: for many plants.
+    gain at which its curve first passes through -1. That holds for dead times of any length. `refine`: find crossings
+    exactly; without, they are interpolated on the grid, to some 1e-4: for many plants.
     """
     omega, response = loop.grid_rad_s, loop.grid_response
     curve = gains.frequency_response(omega, loop.step_s) * response
@@ -97,14 +93,9 @@ def allowed_gain(
 ) -> float:
     """Return the largest factor of a loop's gain that keeps margins, on the points of its curve.
 
-    At no smaller factor are they lost either, so that a conditionally stable loop is never taken.
-
-    Parameters
-    ----------
-    curve : (n,)
-        The open loop on a dense grid.
-    gain_margin, phase_margin_deg, max_sensitivity
-        What is to be kept; None asks for no sensitivity.
+    At no smaller factor are they lost either, so that a conditionally stable loop is never taken. `curve`, (n,): the
+    open loop on a dense grid. `gain_margin`, `phase_margin_deg`, `max_sensitivity`: what is to be kept; None asks for
+    no sensitivity.
     """
     size, angle = np.abs(curve), np.abs(np.angle(-curve))
     limit = np.inf

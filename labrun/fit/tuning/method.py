@@ -142,13 +142,7 @@ def plant_of(fitted: FitSummary, response: str | None, resamples: int) -> Fitted
 
 
 def chosen(names: Sequence[str], wanted: str | None) -> str:
-    """Return which response is meant.
-
-    Raises
-    ------
-    RequestError
-        There is none of that name.
-    """
+    """Return which response is meant. Raises RequestError: there is none of that name."""
     if wanted is None:
         return names[0]
     if wanted in names:
@@ -172,13 +166,7 @@ def _settling(resampled: Sequence[TransferFunction]) -> tuple[TransferFunction, 
 
 
 def averaged_over(job: FitJob, settings: PidFitSettings) -> float:
-    """Return the time over which the feedback is a mean, s.
-
-    Raises
-    ------
-    RequestError
-        It is not known.
-    """
+    """Return the time over which the feedback is a mean, s. Raises RequestError: it is not known."""
     if settings.feedback == "latest":
         return 0.0
     if settings.period_s is not None:

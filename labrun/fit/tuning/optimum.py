@@ -115,10 +115,7 @@ def loop_error(loop: OpenLoop, gains: Gains, wanted: Requirements) -> float:
 def kept(gains: Gains, loop: OpenLoop, wanted: Requirements, factor: float = 1.0) -> Gains:
     """Return gains made smaller until the margins are kept, between the points of the grid too.
 
-    Parameters
-    ----------
-    factor
-        The margins are those of a plant whose gain is so many times larger.
+    `factor`: the margins are those of a plant whose gain is so many times larger.
     """
     for _ in range(200):
         if keeps(gains.scaled(factor), loop, wanted):

@@ -64,17 +64,8 @@ def study(
 ) -> Study:
     """Design and judge.
 
-    Parameters
-    ----------
-    plant, plants
-        The fitted one, and those that the data do not tell apart from it.
-    average_s
-        Over which the feedback is a mean; 0 for none.
-
-    Raises
-    ------
-    FitError
-        The plant does not settle, or no design could be made.
+    `plant`, `plants`: the fitted one, and those that the data do not tell apart from it. `average_s`: over which the
+    feedback is a mean; 0 for none. Raises FitError: the plant does not settle, or no design could be made.
     """
     loop = OpenLoop(plant, settings.rate_hz, settings.compute_s, average_s)
     designs, warnings = design_all(loop, settings)

@@ -125,10 +125,7 @@ _ZERO = Expression.of(0.0)
 def chain_model(file: ModelFile) -> ClosedChain:
     """Return the model of a file with bodies on hinges.
 
-    Raises
-    ------
-    ModelError
-        All that does not hold, each with file, line, key, and for an equation the place in it.
+    Raises ModelError: all that does not hold, each with file, line, key, and for an equation the place in it.
     """
     given = file.read(ChainFile)
     tree = _tree(file, given)

@@ -66,10 +66,7 @@ def turns(tree: Tree, values: FloatArray, angles: FloatArray) -> FloatArray:
 def closed(tree: Tree, values: FloatArray, angles: FloatArray, held: IntArray) -> FloatArray:
     """Return angles near these at which the loop is closed; those of `held` stay.
 
-    Raises
-    ------
-    ModelError
-        The loop stays open.
+    Raises ModelError: the loop stays open.
     """
     if tree.first < 0 or np.max(opening(tree, values, angles)) < CLOSED:
         return angles
@@ -116,10 +113,7 @@ def _stays_open(tree: Tree, angles: FloatArray, left: FloatArray, held: IntArray
 def settled(tree: Tree, values: FloatArray, angles: FloatArray, resting: IntArray) -> FloatArray:
     """Return angles at which springs and weights are in balance, and stay so; joints not in `resting` keep theirs.
 
-    Raises
-    ------
-    ModelError
-        There is no such balance near these angles.
+    Raises ModelError: there is no such balance near these angles.
     """
     held = np.setdiff1d(np.arange(len(angles)), resting)
     found = angles.copy()

@@ -22,12 +22,7 @@ MOST_PANELS = 4
 def draw_drift(view: RunView, found: Sequence[Drift]) -> Figure:
     """Return the figure as SVG, one panel an objective, at most `MOST_PANELS`.
 
-    Parameters
-    ----------
-    view
-        The run.
-    found
-        Its drift, from `labrun.report.statistics.drift`.
+    `view`: the run. `found`: its drift, from `labrun.report.statistics.drift`.
     """
     shown = found[:MOST_PANELS]
     with new_figure(7.4, 0.5 + 1.75 * len(shown)) as figure:

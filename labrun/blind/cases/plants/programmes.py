@@ -84,12 +84,7 @@ def driven(
 ) -> Programme:
     """Return amplitudes times frequencies of one kind of signal, or a mixture of kinds, below and above resonance.
 
-    Parameters
-    ----------
-    peaks
-        The largest amplitude of each input.
-    kinds
-        Which signals to choose from.
+    `peaks`: the largest amplitude of each input. `kinds`: which signals to choose from.
     """
     mixed = rng.random() < 0.4
     kind = str(rng.choice(kinds))
