@@ -14,7 +14,11 @@ Bounds = Mapping[str, Sequence[float]]
 
 
 class _LeftError(Exception):
-    """A channel has left its bounds; the text says which, where and when."""
+    """A channel has left its bounds; the text says which and where, `after` whether the motion was over by then."""
+
+    def __init__(self, text: str, *, after: bool) -> None:
+        super().__init__(text)
+        self.after = after
 
 
 def bounds_of(experiment: Experiment, role: str) -> Bounds:
@@ -28,7 +32,8 @@ def bounds_of(experiment: Experiment, role: str) -> Bounds:
 def within_bounds(recorder: Recorder, experiment: Experiment) -> Recorder:
     """Return a way to record that stops a trial, and rejects it, when a channel leaves its bounds.
 
-    A trial that does is no fault of the bench: actuators stop, what was recorded is kept, and the run goes on.
+    A trial that does is no fault of the bench: actuators stop, what was recorded is kept, and the run goes on. What
+    leaves its bounds only when the motion is over is stopped as well, and the trial counts.
     """
     if not bounds_of(experiment, "measure"):
         return recorder
@@ -38,7 +43,14 @@ def within_bounds(recorder: Recorder, experiment: Experiment) -> Recorder:
         if not bounds:
             recorder(recording)
             return
-        recording.collector = _Watched(recording.collector, bounds, recording.tare)
+        watched = recording.collector = _Watched(recording.collector, bounds, recording.tare)
+        on_begin = recording.on_begin
+
+        def begun(start_s: float) -> None:
+            watched.ends_s = start_s + recording.motion.duration_s
+            on_begin(start_s)
+
+        recording.on_begin = begun
         try:
             recorder(recording)
         except _LeftError as left:
@@ -47,13 +59,16 @@ def within_bounds(recorder: Recorder, experiment: Experiment) -> Recorder:
                 raise DeviceError(
                     "rig", f"{left}; not everything could be stopped: {'; '.join(failures)}"
                 ) from left
-            recording.fault = f"{left}: stopped"
+            if not left.after:
+                recording.fault = f"{left}: stopped"
 
     return record
 
 
 class _Watched(SampleCollector):
-    """Hands samples on, and looks at those that have bounds."""
+    """Hands samples on, and looks at those that have bounds; `ends_s` is the clock's time at which the motion ends."""
+
+    ends_s = np.inf
 
     def __init__(self, collector: SampleCollector, bounds: Bounds, tare: Mapping[str, float]) -> None:
         super().__init__(collector.bench, collector.writer)
@@ -74,9 +89,10 @@ class _Watched(SampleCollector):
             values = block.values[:, place] - self._tare.get(name, 0.0)
             left = (values < low) | (values > high)
             if left.any():
-                value = float(values[int(np.argmax(left))])
+                first = int(np.argmax(left))
                 raise _LeftError(
-                    f"{name} = {value:.4g} {channels[place].unit} is outside {low:g} ... {high:g}"
+                    f"{name} = {values[first]:.4g} {channels[place].unit} is outside {low:g} ... {high:g}",
+                    after=bool(block.host_time_s[first] > self.ends_s),
                 )
 
 
