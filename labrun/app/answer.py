@@ -19,9 +19,9 @@ from labrun.search import (
     at_settings,
     conditions,
     excess_at_settings,
-    expected_trials,
     honest_best,
     levels_of,
+    most_trials,
     search_by_cmaes,
     settings_of,
 )
@@ -56,7 +56,7 @@ def measure_all(
     if experiment.over and experiment.goal is not None:
         measures = OverSettings(session, settings, experiment.combine, experiment.goal[1])
     if experiment.cmaes is not None and experiment.kind == "cmaes":
-        _expect(session, folder, expected_trials(experiment, ()))
+        _expect(session, folder, most_trials(experiment, ()))
         planner = Planner(experiment, rig, session.motions)
 
         def guarded(condition: Condition) -> list[Excess]:
@@ -67,7 +67,7 @@ def measure_all(
         return _searched(experiment, measures, feasibility, folder, seed, unit, progress)
     planned = conditions(experiment, seed)
     table = {"run": experiment.run, "track": experiment.track}.get(experiment.kind, experiment.sweep)
-    _expect(session, folder, expected_trials(experiment, planned))
+    _expect(session, folder, most_trials(experiment, planned))
     order: Literal["shuffled", "as-listed"] = "shuffled" if table is None else table.order
     if experiment.goal is None:
         session.measure(at_settings(planned, settings), order=order)

@@ -149,8 +149,8 @@ def _counted(found: Plan, experiment: Experiment, chosen: Sequence[Condition], c
     """
     repeats, leaders = experiment.trial.repeats, experiment.leaders.count
     own = chosen[:count]  # as many as there are without settings: they are counted alone
-    least = most_trials(experiment, own)
-    most = most_trials(experiment, own, repeats=repeats.max)
+    least = most_trials(experiment, own, repeats=repeats.min)
+    most = most_trials(experiment, own)
     notes = found.notes
     written = "count" in experiment.leaders.model_fields_set
     if experiment.goal is not None and chosen and count < leaders and written:

@@ -98,46 +98,27 @@ def design(
             f"{loaded.name} is a design: its trials are simulations, and nothing of it runs on a bench",
             hint=f"labrun design {experiment} --dry-run",
         )
-    with SilentProgress() if progress is None else progress as told:
-        return begin(
-            loaded, seed=seed, workers=workers, cluster=cluster, limit=limit,
-            results=Path(results), workspace=Path(workspace), progress=told, draw=draw,
-        )  # fmt: skip
-
-
-def begin(
-    loaded: LoadedExperiment,
-    *,
-    seed: int | None,
-    workers: int | None = None,
-    cluster: str | None = None,
-    limit: int | None = None,
-    results: Path,
-    workspace: Path = Path(),
-    progress: Progress,
-    draw: bool = True,
-) -> RunResult:
-    """Begin a new run of a design; see `design`."""
     if seed is None:
         seed = int(np.random.default_rng().integers(2**32))
-    progress.phase("checking the design")
-    simulator = simulator_of(loaded.experiment, loaded.path)
-    share = require_simulable(simulator)
-    texts = _templates(loaded.experiment, loaded.path, workspace)
-    origin = {
-        **collect(loaded.path.resolve().parent, seed=seed),
-        **source_of(loaded.path),
-        "dry_run": True,
-        "emulated": False,
-    }
-    folder = RunFolder.create(results, loaded.name, loaded.resolved_toml, origin)
-    for name, text in texts.items():
-        replace_durably(folder.path / f"template-{name}.toml", text.encode())
-    progress.note(f"{100 * share:.2g} % of the space satisfies the constraints known beforehand")
-    return go_on(
-        simulator, folder, seed=seed, workers=workers, cluster=cluster, limit=limit,
-        workspace=workspace, progress=progress, draw=draw,
-    )  # fmt: skip
+    with SilentProgress() if progress is None else progress as told:
+        told.phase("checking the design")
+        simulator = simulator_of(loaded.experiment, loaded.path)
+        share = require_simulable(simulator)
+        texts = _templates(loaded.experiment, loaded.path, Path(workspace))
+        origin = {
+            **collect(loaded.path.resolve().parent, seed=seed),
+            **source_of(loaded.path),
+            "dry_run": True,
+            "emulated": False,
+        }
+        folder = RunFolder.create(Path(results), loaded.name, loaded.resolved_toml, origin)
+        for name, text in texts.items():
+            replace_durably(folder.path / f"template-{name}.toml", text.encode())
+        told.note(f"{100 * share:.2g} % of the space satisfies the constraints known beforehand")
+        return go_on(
+            simulator, folder, seed=seed, workers=workers, cluster=cluster, limit=limit,
+            workspace=Path(workspace), progress=told, draw=draw,
+        )  # fmt: skip
 
 
 def design_plan(loaded: LoadedExperiment) -> Plan:

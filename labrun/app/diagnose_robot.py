@@ -31,6 +31,7 @@ class StoredRobotDiagnosis:
     page: Path | None = None
     figure: Path | None = None
     model: Path | None = None
+    warning: str = ""
 
     def to_text(self) -> list[str]:
         """Return a line a joint, and what to open."""

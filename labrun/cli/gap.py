@@ -35,6 +35,12 @@ Model = Annotated[
         "if not given.",
     ),
 ]
+ExperimentFile = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="Experiment file to write; in experiments/ if not given.", dir_okay=False
+    ),
+]
 More = Annotated[
     list[str] | None,
     typer.Option("--with", metavar="TARGET", help="A further run or recording of the same body; repeatable."),
@@ -135,7 +141,9 @@ def diagnose(
     Example:  labrun gap diagnose recordings/ring-down --model pendulum.toml --save-model corrected.toml
     """
     with reported(as_json, "interrupted; no diagnosis was written"):
+        from labrun.app.diagnose import StoredDiagnosis
         from labrun.app.diagnose import diagnose as diagnose_target
+        from labrun.app.diagnose_robot import StoredRobotDiagnosis, diagnose_joints, joint_by_joint
 
         if log is not None:
             from labrun.app.logs import import_log
@@ -146,77 +154,35 @@ def diagnose(
             target = str(made.folder)
             if not as_json:
                 typer.echo(made.to_text(), err=True)
-        reason = (
-            None if whole or model or more or full_guard or explain_rest else _joint_by_joint(target, results)
-        )
-        if reason == "":
-            page = _diagnose_joints(
-                target,
-                withhold or (),
-                seed,
-                workers,
-                save_model,
-                results,
-                report=report or open_page,
-                as_json=as_json,
-            )
-            if open_page:
-                typer.launch(str(page))
-            return
-        if reason and log is not None and not as_json:
-            typer.echo(f"not joint by joint: {reason}", err=True)
+        apart = not (whole or model or more or full_guard or explain_rest)
+        why_together = joint_by_joint(target, results) if apart else None
+        if why_together and log is not None and not as_json:
+            typer.echo(f"not joint by joint: {why_together}", err=True)
+        stored: StoredDiagnosis | StoredRobotDiagnosis
         with status() as note:
-            stored = diagnose_target(
-                target,
-                model=model,
-                more=more or (),
-                withhold=withhold or (),
-                full_guard=full_guard,
-                seed=seed,
-                workers=workers,
-                save_model=save_model,
-                explain_rest=explain_rest,
-                page=report or open_page,
-                results=results,
-                note=note,
-            )
+            if why_together == "":
+                stored = diagnose_joints(
+                    target, withhold=withhold or (), seed=seed, workers=workers, save_model=save_model,
+                    page=report or open_page, results=results, note=note,
+                )  # fmt: skip
+            else:
+                stored = diagnose_target(
+                    target, model=model, more=more or (), withhold=withhold or (), full_guard=full_guard,
+                    seed=seed, workers=workers, save_model=save_model, explain_rest=explain_rest,
+                    page=report or open_page, results=results, note=note,
+                )  # fmt: skip
         if as_json:
             print_json(stored.to_json())
         else:
             from rich.console import Console
 
-            console = Console(highlight=False)
+            console = Console(highlight=False, markup=False, emoji=False)
             for line in stored.to_text():
                 console.print(line, soft_wrap=True)
         if stored.warning:
             typer.echo(f"labrun: {stored.warning}", err=True)
     if open_page:
         typer.launch(str(stored.page))
-
-
-def _joint_by_joint(target: str, results: Path) -> str | None:
-    from labrun.app.diagnose_robot import joint_by_joint
-
-    return joint_by_joint(target, results)
-
-
-def _diagnose_joints(
-    target: str, withhold: Sequence[str], seed: int | None, workers: int | None, save_model: Path | None,
-    results: Path, *, report: bool, as_json: bool,
-) -> Path | None:  # fmt: skip
-    """Diagnose a robot's recording joint by joint, print the answer, and return its page."""
-    from labrun.app.diagnose_robot import diagnose_joints
-
-    with status() as note:
-        stored = diagnose_joints(
-            target, withhold=withhold, seed=seed, workers=workers, save_model=save_model, page=report,
-            results=results, note=note,
-        )  # fmt: skip
-    if as_json:
-        print_json(stored.to_json())
-    else:
-        typer.echo("\n".join(stored.to_text()))
-    return stored.page
 
 
 def save(
@@ -343,12 +309,7 @@ def plan(
         ),
     ] = None,
     repeats: Annotated[int, typer.Option(min=1, help="Of each trial.")] = 3,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Experiment file to write; in experiments/ if not given.", dir_okay=False
-        ),
-    ] = None,
+    out: ExperimentFile = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Of the conditions looked at; 0 if not given.")
     ] = None,
@@ -367,15 +328,9 @@ def plan(
 
         with status() as note:
             found = plan_trials(
-                model,
-                rig,
-                noise=_sizes(noise or ()),
-                repeats=repeats,
-                out=out,
-                seed=seed,
-                workers=workers,
+                model, rig, noise=_sizes(noise or ()), repeats=repeats, out=out, seed=seed, workers=workers,
                 note=note,
-            )
+            )  # fmt: skip
         print_result(found, as_json, plan_text)
 
 
@@ -418,12 +373,7 @@ def next_(
     target: options.Target,
     model: Model = None,
     more: More = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Experiment file to write; in experiments/ if not given.", dir_okay=False
-        ),
-    ] = None,
+    out: ExperimentFile = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of the search; 0 if not given.")] = None,
     results: options.Results = options.RESULTS,
     as_json: options.Json = False,
@@ -439,13 +389,7 @@ def next_(
 
         with status() as note:
             proposal = propose_next(
-                target,
-                model=model,
-                more=more or (),
-                out=out,
-                seed=seed,
-                results=results,
-                note=note,
+                target, model=model, more=more or (), out=out, seed=seed, results=results, note=note
             )
         print_result(proposal, as_json)
 

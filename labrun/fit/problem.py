@@ -399,13 +399,16 @@ class Problem:
             Derivatives near `z` by the first of the shared variables, and by the trials' own, that are taken as they
             are: only those by the variables behind them are computed.
         """
-        if beside is not None:
-            return self._more_columns(z, self.residuals(z) if residual is None else residual, beside)
         residual = self.residuals(z) if residual is None else residual
-        parameters = self.parameters(z)
-        shared, own = [], []
+        parameters, shared, own = self.parameters(z), [], []
         for index, base in enumerate(residual):
             start = self.own(z, index)
+            if beside is not None:
+                known = beside.shared[index]
+                behind = range(known.shape[1], self.size)
+                added = [self._by_parameter(parameters, index, start, one, base, False) for one in behind]
+                shared.append(np.column_stack([known, *added]))
+                continue
             by_parameter = [
                 self._by_parameter(parameters, index, start, variable, base, central)
                 if moving is None or moving[variable]
@@ -418,18 +421,7 @@ class Problem:
             ]
             shared.append(columns(by_parameter, len(base)))
             own.append(columns(by_state, len(base)))
-        return Jacobian(shared, own, residual)
-
-    def _more_columns(self, z: FloatArray, residual: list[FloatArray], beside: Jacobian) -> Jacobian:
-        parameters, shared = self.parameters(z), []
-        for index, (base, known) in enumerate(zip(residual, beside.shared, strict=True)):
-            start = self.own(z, index)
-            added = [
-                self._by_parameter(parameters, index, start, variable, base, False)
-                for variable in range(known.shape[1], self.size)
-            ]
-            shared.append(np.column_stack([known, *added]))
-        return Jacobian(shared, beside.own, residual)
+        return Jacobian(shared, own if beside is None else beside.own, residual)
 
     def guess(self, parameters: FloatArray) -> FloatArray:
         """Return free initial states, scaled, one trial after the other, from the first samples of each trial.

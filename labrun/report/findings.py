@@ -11,7 +11,7 @@ import numpy as np
 from labrun.report.conditions import ConditionResult, condition_results, most_promising
 from labrun.report.data import by_condition
 from labrun.report.report_source import ReportSource
-from labrun.report.statistics import Drift, Repeatability, Settling, as_json, settling
+from labrun.report.statistics import Drift, Repeatability, Settling, settling
 from labrun.report.stored_fits import StoredFit
 from labrun.report.timing import LoopHealth, StreamHealth
 from labrun.runner import unsettled
@@ -115,13 +115,13 @@ class Findings:
             "conditions": [result.to_json(self.objective_units) for result in self.conditions],
             "conditions_total": self.conditions_total,
             "figure": None if self.figure is None else str(self.figure),
-            "repeatability": as_json(self.repeatability),
-            "drift": as_json(self.drift),
+            "repeatability": [asdict(one) for one in self.repeatability],
+            "drift": [asdict(one) for one in self.drift],
             "unsettled": self.unsettled,
             "damage": list(self.damage),
             "remarks": list(self.remarks),
             "settling": None if self.settling is None else asdict(self.settling),
-            "streams": as_json(self.streams),
+            "streams": [asdict(one) for one in self.streams],
             "streams_from_trials": self.streams_of,
             "faults": self.faults,
             "loop": None if self.loop is None else asdict(self.loop),

@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -131,11 +131,6 @@ def settling(outcomes: Iterable[TrialOutcome]) -> Settling | None:
     durations = np.array([summary.duration_s for summary in summaries])
     reasons = dict(Counter(summary.reason for summary in summaries).most_common())
     return Settling(reasons, float(np.median(durations)), float(durations.max()))
-
-
-def as_json(items: Sequence[Any]) -> list[dict[str, Any]]:
-    """Return dataclasses as JSON-ready values."""
-    return [asdict(item) for item in items]
 
 
 def _between(points: Sequence[Point]) -> float | None:

@@ -38,7 +38,7 @@ from labrun.search.result import (
     unsettled_text,
     winner_lines,
 )
-from labrun.search.survey import allowed_points, at_points, expected_trials, most_trials, survey_space
+from labrun.search.survey import allowed_points, at_points, most_trials, survey_space
 from labrun.search.verdict import Verdict
 
 __all__ = [
@@ -71,7 +71,6 @@ __all__ = [
     "axis_values",
     "conditions",
     "excess_at_settings",
-    "expected_trials",
     "honest_best",
     "keep_generation",
     "leading_conditions",

@@ -127,35 +127,24 @@ def _limit_break(several: Sequence[Excess], share: float) -> SpaceBreak:
     return SpaceBreak(text, share)
 
 
-def expected_trials(experiment: Experiment, conditions: Sequence[Condition]) -> int | None:
-    """Return the greatest number of trials that a whole run can have; None would be an open end, and no run has one.
-
-    Parameters
-    ----------
-    conditions
-        Of a `run` or a `sweep`; of a search, which has no list, they do not matter.
-
-    Notes
-    -----
-    Counts the greatest number of repeats, the reference trials, and the trials that name and confirm the honest best.
-    A search that stagnates ends sooner, and candidates that may not run take no trial.
-    """
-    return most_trials(experiment, conditions, repeats=experiment.trial.repeats.max)
-
-
 def most_trials(
     experiment: Experiment, conditions: Sequence[Condition], *, repeats: int | None = None
 ) -> int:
     """Return the number of trials with so many repeats of a condition, for a search the most its stop rules allow.
 
+    Reference trials count, and those that name and confirm the honest best. A search that stagnates ends sooner, and
+    candidates that may not run take no trial.
+
     Parameters
     ----------
+    conditions
+        Of a `run` or a `sweep`; of a search, which has no list, they do not matter.
     repeats
-        The least number that the file allows, if None.
+        The greatest number that the file allows, if None.
     """
     settings = len(settings_of(experiment))
     least = experiment.trial.repeats.min
-    repeats = least if repeats is None else repeats
+    repeats = experiment.trial.repeats.max if repeats is None else repeats
     candidates, levels = len(conditions), 1
     mountings = 1 if experiment.by_hand is None else experiment.by_hand.mountings
     measured = candidates * repeats * mountings * settings

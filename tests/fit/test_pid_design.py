@@ -28,7 +28,7 @@ from labrun.fit.tuning.figure import shown_designs
 from labrun.fit.tuning.loop import OpenLoop
 from labrun.fit.tuning.margins import margins, ultimate
 from labrun.fit.tuning.method import FittedPlant, plant_of, summary
-from labrun.fit.tuning.optimum import Requirements, loop_error, optimum
+from labrun.fit.tuning.optimum import loop_error, optimum
 from labrun.fit.tuning.rules import Reduced, reduce_order, rules, simc
 from labrun.fit.tuning.settings import PidFitSettings
 from labrun.fit.tuning.study import Study, study
@@ -205,7 +205,7 @@ def test_a_controller_that_drives_the_wrong_way_is_not_called_stable():
 @settings(max_examples=8, deadline=None)
 def test_an_optimum_keeps_the_margins_that_were_asked_for(plant, structure, gain, phase_deg, most, average_s):
     loop = OpenLoop(plant, 20.0, 0.0, average_s)
-    wanted = Requirements(gain, phase_deg, most)
+    wanted = PidFitSettings(gain_margin=gain, phase_margin_deg=phase_deg, max_sensitivity=most)
     found = margins(optimum(loop, structure, wanted), loop)
     assert found.stable
     assert found.gain >= gain
@@ -214,7 +214,7 @@ def test_an_optimum_keeps_the_margins_that_were_asked_for(plant, structure, gain
 
 
 def test_an_optimum_has_less_error_than_simc_and_than_its_neighbours():
-    wanted = Requirements(2.0, 45.0)
+    wanted = PidFitSettings()
     best = optimum(BENCH, "PI", wanted)
     least = loop_error(BENCH, best, wanted)
     assert least < loop_error(BENCH, simc(BENCH, "PI"), wanted)
@@ -224,16 +224,18 @@ def test_an_optimum_has_less_error_than_simc_and_than_its_neighbours():
 
 
 def test_the_error_of_the_optimum_is_the_one_that_a_simulation_finds():
-    gains = optimum(BENCH, "PI")
+    gains = optimum(BENCH, "PI", PidFitSettings())
     step = run_loop(gains, BENCH, lambda _: 1.0, 30.0)
     load = run_loop(gains, BENCH, lambda _: 0.0, 30.0, load=lambda _: 1.0 / GAIN)
     area = (np.sum(np.abs(1.0 - step.output)) + np.sum(np.abs(load.output))) * BENCH.step_s
-    assert loop_error(BENCH, gains, Requirements()) * (BENCH.delay_s + 0.34) == pytest.approx(area, rel=0.01)
+    assert loop_error(BENCH, gains, PidFitSettings()) * (BENCH.delay_s + 0.34) == pytest.approx(
+        area, rel=0.01
+    )
 
 
 def test_a_plant_that_does_not_settle_is_refused():
     with pytest.raises(FitError, match="right half plane or at 0"):
-        optimum(OpenLoop(TransferFunction((1.0,), (1.0, 0.0), 0.1), 20.0), "PI")
+        optimum(OpenLoop(TransferFunction((1.0,), (1.0, 0.0), 0.1), 20.0), "PI", PidFitSettings())
 
 
 # --- the closed loop in time

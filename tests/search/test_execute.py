@@ -181,15 +181,15 @@ def test_a_seed_that_is_not_given_is_drawn_and_stored(write, tmp_path):
 
 
 def test_the_trials_of_a_search_are_promised_as_the_most_there_can_be():
-    from labrun.search import expected_trials
+    from labrun.search import most_trials
 
     variables = {"a": {"from": 0, "to": 1}, "b": {"from": 0, "to": 1}}
     bounded = search_experiment(variables, population=10, stop={"iterations": 7})
-    assert expected_trials(bounded, ()) == 70 + 6 * 5
+    assert most_trials(bounded, ()) == 70 + 6 * 5
     stagnating = search_experiment(variables, population=10, stop={"iterations": 7, "stagnation": 3})
-    assert expected_trials(stagnating, ()) == 70 + 6 * 5
+    assert most_trials(stagnating, ()) == 70 + 6 * 5
     restarted = search_experiment(variables, population=10, restarts=1, stop={"iterations": 7, "trials": 100})
-    assert expected_trials(restarted, ()) == 100 + 6 * 5
+    assert most_trials(restarted, ()) == 100 + 6 * 5
 
 
 def test_the_plan_of_a_sweep_counts_every_trial_the_run_has(write, dry_run):

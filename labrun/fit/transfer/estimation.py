@@ -7,7 +7,7 @@ only, and the others follow by least squares at every point (variable projection
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -329,7 +329,7 @@ def derivatives(point: CandidatePoint, trials: Sequence[ResponseTrial]) -> list[
         at_bound = shape.dead_time and place == shape.poles and point.moved[place] < width
         ahead[place] += width
         behind[place] -= 0.0 if at_bound else width
-        sides = [_answers_of(point, trials, moved) for moved in (ahead, behind)]
+        sides = [replace(point, moved=moved).simulated(trials) for moved in (ahead, behind)]
         moving.append([(a - b) / (ahead[place] - behind[place]) for a, b in zip(*sides, strict=True)])
     answers = Answers(shape, point.moved)
     found = []
@@ -339,13 +339,6 @@ def derivatives(point: CandidatePoint, trials: Sequence[ResponseTrial]) -> list[
         )
         found.append(without(columns, answers.span(trial)))
     return found
-
-
-def _answers_of(
-    point: CandidatePoint, trials: Sequence[ResponseTrial], moved: FloatArray
-) -> list[FloatArray]:
-    other = CandidatePoint(point.shape, moved, point.linear, point.own, point.residuals, point.squares)
-    return other.simulated(trials)
 
 
 def _scales(shape: Shape, trials: Sequence[ResponseTrial]) -> FloatArray:

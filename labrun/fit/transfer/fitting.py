@@ -115,14 +115,13 @@ def fit_transfer(
     blocks = 0
     if len(parts) == 1:
         blocks = _BLOCKS
-        pairs = zip(
-            np.array_split(columns[0], blocks), np.array_split(point.residuals[0], blocks), strict=True
-        )
-        parts = list(pairs)
+        split = (np.array_split(whole, blocks) for whole in parts[0])
+        parts = list(zip(*split, strict=True))
     information = np.array([j.T @ j for j, _ in parts])
     score = np.array([j.T @ r for j, r in parts])
     drawn = resample_trials(information, score, rng=rng, resamples=1000).draws
-    draws = point.numbers + np.clip(drawn, -_scale(shape, point), _scale(shape, point))
+    farthest = np.where(np.arange(shape.size) < shape.poles, _FARTHEST, np.inf)
+    draws = point.numbers + np.clip(drawn, -farthest, farthest)
     return TransferFit(
         shape,
         tuple(trials),
@@ -132,12 +131,6 @@ def fit_transfer(
         tuple(transfer_of(shape, numbers) for numbers in draws),
         blocks,
     )
-
-
-def _scale(shape: Shape, point: CandidatePoint) -> FloatArray:
-    limits = np.full(len(point.numbers), np.inf)
-    limits[: shape.poles] = _FARTHEST
-    return limits
 
 
 def best_fit(

@@ -22,7 +22,7 @@ from labrun.fit.tuning.closed_loop import (
 )
 from labrun.fit.tuning.loop import OpenLoop
 from labrun.fit.tuning.margins import Margins, margins
-from labrun.fit.tuning.optimum import Requirements, optimum, require_stable
+from labrun.fit.tuning.optimum import optimum, require_stable
 from labrun.fit.tuning.rules import Structure, simc
 from labrun.fit.tuning.settings import GivenTable, PidFitSettings
 
@@ -219,18 +219,6 @@ def design_all(loop: OpenLoop, settings: PidFitSettings) -> tuple[list[Controlle
     return designs + given(loop, settings.compare, settings.lead_s), warnings
 
 
-def wanted_of(settings: PidFitSettings) -> Requirements:
-    """Return what an optimum keeps and minimises."""
-    return Requirements(
-        settings.gain_margin,
-        settings.phase_margin_deg,
-        settings.max_sensitivity,
-        settings.criterion,
-        settings.load_weight,
-        settings.derivative_filter,
-    )
-
-
 def given(loop: OpenLoop, tables: Mapping[str, GivenTable], lead_s: float) -> list[ControllerDesign]:
     """Return gains that were written down as designs."""
     found = []
@@ -264,13 +252,12 @@ def _of(loop: OpenLoop, settings: PidFitSettings, structure: Structure, rule: st
                 )
             )
         return made
-    wanted = wanted_of(settings)
-    made = [ControllerDesign(name, rule, optimum(loop, structure, wanted), loop)]
+    made = [ControllerDesign(name, rule, optimum(loop, structure, settings), loop)]
     if also:
         gains = optimum(
             loop,
             structure,
-            wanted,
+            settings,
             feedforward=inverse,
             lead_s=settings.lead_s,
             gain_error=settings.gain_error,

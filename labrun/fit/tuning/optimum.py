@@ -1,8 +1,6 @@
 """Gains that follow best under margins that must be kept."""
 
 import math
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -12,8 +10,7 @@ from labrun.fit.tuning.closed_loop import Gains, horizon_s
 from labrun.fit.tuning.loop import ComplexArray, OpenLoop, sample_plant
 from labrun.fit.tuning.margins import allowed_gain, margins
 from labrun.fit.tuning.rules import Structure
-
-Criterion = Literal["iae", "itae"]
+from labrun.fit.tuning.settings import PidFitSettings
 
 _TIME_FACTORS = (0.02, 50.0)
 """Bounds of integral and derivative time, over the loop's own time."""
@@ -26,34 +23,10 @@ _CONTINUOUS_STEPS = 400
 _MOST_STEPS = 1 << 15
 
 
-@dataclass(frozen=True, slots=True)
-class Requirements:
-    """What an optimum keeps, and what it minimises.
-
-    Attributes
-    ----------
-    gain_margin, phase_margin_deg, max_sensitivity
-        Kept; None asks for no sensitivity.
-    criterion
-        Integral of the magnitude of the error, or of that times the time since the step.
-    load_weight
-        A step at the plant's input that moves the output by 1 counts so much, a step of the reference by 1 counts 1.
-    derivative_filter
-        N, derivative time over the filter's time constant.
-    """
-
-    gain_margin: float = 2.0
-    phase_margin_deg: float = 45.0
-    max_sensitivity: float | None = None
-    criterion: Criterion = "iae"
-    load_weight: float = 1.0
-    derivative_filter: float = 10.0
-
-
 def optimum(
     loop: OpenLoop,
     structure: Structure,
-    wanted: Requirements | None = None,
+    wanted: PidFitSettings,
     *,
     feedforward: float | None = None,
     lead_s: float = 0.0,
@@ -71,7 +44,7 @@ def optimum(
     loop
         Around a stable plant.
     wanted
-        Margins and criterion.
+        Margins, criterion, weight of the load and filter of the derivative.
     feedforward, lead_s
         As of `Gains`: the feedback then has to mend what the feed-forward leaves.
     gain_error
@@ -85,7 +58,6 @@ def optimum(
     """
     from scipy.optimize import minimize
 
-    wanted = wanted or Requirements()
     require_stable(loop)
     error = _Error(loop, wanted, feedforward, lead_s, gain_error)
     size = {"P": 1, "PI": 2, "PID": 3}[structure]
@@ -107,12 +79,12 @@ def optimum(
     return kept(error.gains(best[1]), loop, wanted, 1.0 + gain_error)
 
 
-def loop_error(loop: OpenLoop, gains: Gains, wanted: Requirements) -> float:
+def loop_error(loop: OpenLoop, gains: Gains, wanted: PidFitSettings) -> float:
     """Return the error that `optimum` minimises, relative to the loop's own time; the loop must be stable."""
     return _Error(loop, wanted, gains.feedforward, gains.lead_s, gain_error=0.0)(gains)
 
 
-def kept(gains: Gains, loop: OpenLoop, wanted: Requirements, factor: float = 1.0) -> Gains:
+def kept(gains: Gains, loop: OpenLoop, wanted: PidFitSettings, factor: float = 1.0) -> Gains:
     """Return gains made smaller until the margins are kept, between the points of the grid too.
 
     `factor`: the margins are those of a plant whose gain is so many times larger.
@@ -127,7 +99,7 @@ def kept(gains: Gains, loop: OpenLoop, wanted: Requirements, factor: float = 1.0
     )
 
 
-def keeps(gains: Gains, loop: OpenLoop, wanted: Requirements) -> bool:
+def keeps(gains: Gains, loop: OpenLoop, wanted: PidFitSettings) -> bool:
     """Tell whether a loop is stable with the margins that were asked for."""
     found = margins(gains, loop)
     return (
@@ -168,7 +140,7 @@ class _Error:
     def __init__(
         self,
         loop: OpenLoop,
-        wanted: Requirements,
+        wanted: PidFitSettings,
         feedforward: float | None,
         lead_s: float,
         gain_error: float,

@@ -53,7 +53,8 @@ class PidFitSettings(_Keys):
     gain_margin, phase_margin_deg, max_sensitivity
         What the optimum keeps.
     criterion, load_weight
-        What it minimises: see `labrun.fit.tuning.optimum.Requirements`.
+        What it minimises: integral of the magnitude of the error ("iae"), or of that times the time since the step
+        ("itae"). A step at the plant's input that moves the output by 1 counts `load_weight`, one of the reference 1.
     tau_c_s
         Time constant that SIMC asks of the closed loop; the effective dead time, if not said.
     derivative_filter

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from labrun.fit.transfer import TransferFunction
-from labrun.fit.tuning.designs import ControllerDesign, Spread, design_all, wanted_of
+from labrun.fit.tuning.designs import ControllerDesign, Spread, design_all
 from labrun.fit.tuning.loop import OpenLoop
 from labrun.fit.tuning.optimum import keeps, loop_error
 from labrun.fit.tuning.settings import PidFitSettings
@@ -95,7 +95,7 @@ def _errors(designs: Sequence[ControllerDesign], settings: PidFitSettings) -> di
 def _score(design: ControllerDesign, errors: Errors | None, settings: PidFitSettings) -> float:
     if errors is not None:
         return max(0.5 * (first + second) for first, second in errors.values())
-    return loop_error(design.loop, design.gains, wanted_of(settings))
+    return loop_error(design.loop, design.gains, settings)
 
 
 def _best(
@@ -104,12 +104,11 @@ def _best(
     scores: Mapping[str, float],
     settings: PidFitSettings,
 ) -> str | None:
-    wanted = wanted_of(settings)
     fit = [
         one
         for one in stable
         if one.source != "given"
-        and keeps(one.gains, one.loop, wanted)
+        and keeps(one.gains, one.loop, settings)
         and not (one.name in spreads and lost(spreads[one.name]))
         and (settings.reference is not None or one.figures.overshoot <= MOST_OVERSHOOT)
     ]

@@ -169,7 +169,7 @@ def _hidden(
         rate = float(np.percentile(np.abs(speeds[:, place]), 99))
         link = body.links[place]
         found[place] = Joint(
-            link.kp, link.kv, link.armature, STEP_S, torque, rate,
+            link.kp, link.kv, link.armature, STEP_S, rate,
             {effect: draw_size(effect, rng, torque, travel)}, draw_shape(rng),
         )  # fmt: skip
     return found, {}

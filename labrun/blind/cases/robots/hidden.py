@@ -22,20 +22,18 @@ class Joint:
     ----------
     sizes
         By effect: one number, in the unit that `draw` says.
-    torque_scale, rate_scale
-        Typical torque and peak speed of the joint.
+    rate_scale
+        Typical peak speed of the joint.
     """
 
     kp: float
     kv: float
     armature: float
     dt: float
-    torque_scale: float
     rate_scale: float
     sizes: dict[str, float]
     shape: dict[str, float]
     _bristle: float = 0.0
-    _wear: float = 0.0
     _motor: list[float] | None = None
     _late: dict[str, deque[float]] = field(default_factory=dict)
     _played: float | None = None
