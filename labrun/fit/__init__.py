@@ -23,8 +23,9 @@ from labrun.fit.method import (
 )
 from labrun.fit.output_error import FEW_TRIALS, fit_model
 from labrun.fit.per_trial import FIRST_SAMPLES, Deviation, DeviationKind
-from labrun.fit.problem import FEWEST_SAMPLES, OutputNoise, Problem
+from labrun.fit.problem import Problem
 from labrun.fit.resampling import LEVEL, by_mounting, correlation_length, resample_trials, student
+from labrun.fit.residuals import FEWEST_SAMPLES, OutputNoise
 from labrun.fit.result import FitResult, FitSummary, FittedData, TextTable
 from labrun.fit.side_by_side import paired, predicted_numbers, told_apart
 from labrun.fit.simulations import Each, one_by_one, workers

@@ -20,8 +20,9 @@ from labrun.fit.identifiability import (
 )
 from labrun.fit.levenberg_marquardt import minimise
 from labrun.fit.method import FitJob, NoSettings, Note, silent
-from labrun.fit.problem import OutputNoise, Problem
+from labrun.fit.problem import Problem
 from labrun.fit.resampling import by_mounting, correlation_length, resample_trials
+from labrun.fit.residuals import OutputNoise
 from labrun.fit.result import FitResult, FittedData, StartOutcome
 from labrun.fit.starts import Minimum, search
 from labrun.models import Model
