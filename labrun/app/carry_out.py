@@ -114,7 +114,9 @@ def require_answer(result: RunResult, experiment: Experiment) -> RunResult:
         problem = "no trial was accepted"
     elif experiment.goal is not None and result.best is None:
         name, direction = experiment.goal
-        problem = f"nothing can be named that would {direction} {name}: too few trials were accepted"
+        problem = (
+            f"nothing can be named that would {direction} {name}: too few trials of the leaders were accepted"
+        )
     else:
         return result
     counts = f"{result.done} done, {result.rejected} rejected, {result.failed} failed"

@@ -100,11 +100,12 @@ class Rehearsal:
 
     def _harms(self, hidden: Mapping[str, Any]) -> bool:
         """Tell whether the carriage's way back, which may be faster than the trial, would see much more than it."""
-        towed = [motion for motion in self._motions if motion[1].travel is not None]
-        if not towed:
-            return False
         changed = concealed(self._experiment, [hidden], noise=0.0)
-        most = np.max(np.abs(np.concatenate([self._way_back(changed, *motion) for motion in towed])), axis=0)
+        towed = [motion for motion in self._motions if motion[1].travel is not None]
+        back = [one for motion in towed if len(one := self._way_back(changed, *motion))]
+        if not back:
+            return False
+        most = np.max(np.abs(np.concatenate(back)), axis=0)
         usual = np.max(np.abs(np.concatenate(self._plain)), axis=0)
         return bool(np.any((most > (1.0 + _SWAMPED) * usual)[self._moves]))
 
@@ -241,8 +242,14 @@ class Rehearsal:
         back = motion.travel
         if back is None:
             return np.empty((0, len(self._signals)))
-        scene.tow(back.to_m, back.from_m, back.return_speed_m_s, rig.clock.now())
-        return self._observed(rig, scene, abs(back.to_m - back.from_m) / back.return_speed_m_s)
+        now_s, from_m = rig.clock.now(), back.to_m
+        if _is_free(motion):  # it is wherever it went
+            from_m = float(scene.observe(("position",), np.array([now_s]))[0, 0])
+        way_s = abs(from_m - back.from_m) / back.return_speed_m_s
+        if way_s == 0.0:
+            return np.empty((0, len(self._signals)))
+        scene.tow(from_m, back.from_m, back.return_speed_m_s, now_s)
+        return self._observed(rig, scene, way_s)
 
     def _observed(self, rig: Rig, scene: Scene, duration_s: float) -> FloatArray:
         """Return the signals of the next so many seconds, and let them pass."""
@@ -261,6 +268,8 @@ class Rehearsal:
         if move is not None:
             _follow(rig, move)
         rig.clock.sleep(_QUIET_S)
+        if _is_free(motion):
+            self._back(rig, scene, motion)
         start_s = rig.clock.now()
         before = scene.observe(self._signals, start_s + np.arange(-1.0, 0.0, 1 / _RATE_HZ))
         _follow(rig, trajectory)
@@ -271,6 +280,11 @@ class Rehearsal:
         signals = self._observed(rig, scene, motion.duration_s)
         tared: FloatArray = signals - np.where(self._forces, before.mean(axis=0), 0.0)
         return tared
+
+
+def _is_free(motion: TrialMotion) -> bool:
+    """Tell whether the carriage goes where the trial takes it, and is only brought back."""
+    return motion.travel is not None and motion.travel.to_m == motion.travel.from_m
 
 
 def _bound(rig: Rig, unit: str) -> float:

@@ -1,5 +1,6 @@
 """What a hidden effect would show is rehearsed as the run measures it."""
 
+import math
 from pathlib import Path
 
 import pytest
@@ -73,3 +74,9 @@ def test_what_would_end_the_run_at_a_limit_of_a_device_is_too_large(strip):
     bias = entry("bias", "force", "output", offset=20.0)
     assert strip.size(bias) < float("inf")
     assert weaker_cell.size(bias) == float("inf")
+
+
+@pytest.mark.slow
+def test_a_free_carriage_is_brought_back_between_two_trials_and_its_way_is_no_scatter():
+    rowing = rehearsal_of("rowing")
+    assert 1 < rowing.size(entry("coulomb-friction", "rail", "joint", torque=0.05)) < math.inf

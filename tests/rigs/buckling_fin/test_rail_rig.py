@@ -55,7 +55,7 @@ def test_the_fastest_gait_of_the_search_is_at_its_end_before_the_tank_is():
     experiment = load_experiment(shipped_experiments() / "rowing.toml").experiment
     rig = rowed(stroke_rad=np.radians(50.5), back_rad=np.radians(-64.3), hz=0.945)
     way = seen(rig, "position", 3.0 + experiment.trial.duration_s + 0.2)[0]
-    assert 0.8 < way < experiment.trial.within["cameras.swimmer_x"][1]
+    assert 0.7 < way < experiment.trial.within["cameras.swimmer_x"][1]
 
 
 def test_the_sensor_feels_the_rail_as_the_model_says_wherever_its_friction_comes_from():
