@@ -55,10 +55,11 @@ class ChannelFeedback(ABC):
     """
 
     Settings: ClassVar[type[FeedbackSettings]] = FeedbackSettings
+    _keys: FeedbackSettings
     channel_settings: ClassVar[tuple[str, ...]] = ("channel", "side_channel")
 
     def __init__(self, settings: Mapping[str, Any], units: Mapping[str, str]) -> None:
-        keys = checked(self.Settings, settings)
+        self._keys = keys = checked(self.Settings, settings)
         sides = () if keys.side_channel is None else (keys.side_channel,)
         self.channels: tuple[str, ...] = (keys.channel, *sides)
         self.unit, factor = _unit_and_factor(keys, units.get(keys.channel, ""))
@@ -155,17 +156,14 @@ class MovingAverageFeedback(ChannelFeedback):
     """Mean over the last `window_s`; until so much is there, of what there is. It lags by half of its window."""
 
     Settings: ClassVar[type[FeedbackSettings]] = MovingAverageSettings
-
-    def __init__(self, settings: Mapping[str, Any], units: Mapping[str, str]) -> None:
-        super().__init__(settings, units)
-        self._window_s = checked(MovingAverageSettings, settings).window_s
+    _keys: MovingAverageSettings
 
     def memory_s(self, period_s: float | None) -> float:  # noqa: ARG002
         """Return the window."""
-        return self._window_s
+        return self._keys.window_s
 
     def _reduce(self, time_s: FloatArray, values: FloatArray, period_s: float | None) -> float:  # noqa: ARG002
-        return mean_over(time_s, values, self._window_s)
+        return mean_over(time_s, values, self._keys.window_s)
 
 
 class CycleAverageSettings(FeedbackSettings):
@@ -181,10 +179,7 @@ class CycleAverageFeedback(ChannelFeedback):
     """
 
     Settings: ClassVar[type[FeedbackSettings]] = CycleAverageSettings
-
-    def __init__(self, settings: Mapping[str, Any], units: Mapping[str, str]) -> None:
-        super().__init__(settings, units)
-        self._period_s = checked(CycleAverageSettings, settings).period_s
+    _keys: CycleAverageSettings
 
     @staticmethod
     def needs_cycle(settings: Mapping[str, Any]) -> bool:
@@ -205,7 +200,7 @@ class CycleAverageFeedback(ChannelFeedback):
         return mean_over(time_s, values, self._cycle_s(period_s))
 
     def _cycle_s(self, period_s: float | None) -> float:
-        cycle_s = self._period_s or period_s
+        cycle_s = self._keys.period_s or period_s
         if cycle_s is None:
             raise SpecError(
                 "cycle-average needs a gait with a cycle", hint="give it period_s, or use moving-average"

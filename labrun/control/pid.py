@@ -62,10 +62,11 @@ class PidController:
         The loop's period, range and start.
     """
 
-    Settings: ClassVar[type[Table]] = PidSettings
+    Settings: ClassVar[type[PidSettings]] = PidSettings
+    keys: PidSettings
 
     def __init__(self, settings: Mapping[str, Any], context: LoopContext) -> None:
-        self.keys: PidSettings = self._checked(settings)
+        self.keys = checked(self.Settings, settings)
         self._low, self._high = context.low, context.high
         filter_s = self.keys.filter_s
         self.filter_s = 2.0 * context.period_s if filter_s is None else filter_s
@@ -75,9 +76,6 @@ class PidController:
         self._before: float | None = None
         self._requested = 0.0
         self._dt_s = context.period_s
-
-    def _checked(self, settings: Mapping[str, Any]) -> PidSettings:
-        return checked(PidSettings, settings)
 
     def update(self, step: Step) -> float:
         """Return the output for one step; see `labrun.control.protocol.Controller`."""
@@ -163,11 +161,12 @@ class FeedforwardPid(PidController):
         The loop's period, range and start.
     """
 
-    Settings: ClassVar[type[Table]] = FeedforwardSettings
+    Settings: ClassVar[type[PidSettings]] = FeedforwardSettings
+    keys: FeedforwardSettings
 
     def __init__(self, settings: Mapping[str, Any], context: LoopContext) -> None:
         super().__init__(settings, context)
-        keys = checked(FeedforwardSettings, settings)
+        keys = self.keys
         if isinstance(keys.model, str):
             raise SpecError(
                 f'the model "{keys.model}" is a file, and was not read',
@@ -187,9 +186,6 @@ class FeedforwardPid(PidController):
             return dict(settings)  # refused with its place when the settings are checked
         rest = {key: value for key, value in settings.items() if key != "response"}
         return {**rest, "model": read_plant(find(model), response)}
-
-    def _checked(self, settings: Mapping[str, Any]) -> PidSettings:
-        return checked(FeedforwardSettings, settings)
 
     def _feedforward(self, step: Step) -> float:
         return step.reference_at(step.time_s + self._lead_s) / self._gain

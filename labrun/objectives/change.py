@@ -1,7 +1,6 @@
 """How far a channel has gone: from the beginning of the recording to its end, and how fast, over whole cycles."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from pydantic import NonNegativeFloat
@@ -9,7 +8,6 @@ from pydantic import NonNegativeFloat
 from labrun.errors import ExperimentError
 from labrun.objectives.channel import ChannelObjective, ChannelSettings
 from labrun.objectives.protocol import TrialSignals
-from labrun.toml import checked
 
 
 class Change(ChannelObjective):
@@ -38,10 +36,7 @@ class RateOfChange(ChannelObjective):
     """
 
     Settings: ClassVar[type[ChannelSettings]] = RateOfChangeSettings
-
-    def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
-        super().__init__(channel, settings)
-        self._from_s = checked(RateOfChangeSettings, settings).from_s
+    _settings: RateOfChangeSettings
 
     def unit(self, channel_unit: str) -> str:
         """Return the channel's unit per second."""
@@ -52,13 +47,13 @@ class RateOfChange(ChannelObjective):
         start_s, end_s, period_s = signals.start_s, signals.end_s, signals.period_s
         if period_s is not None:
             start_s += signals.discard_cycles * period_s
-        start_s = max(start_s, self._from_s)
+        start_s = max(start_s, self._settings.from_s)
         if period_s is not None:
             start_s = end_s - int((end_s - start_s) / period_s + 1e-6) * period_s
         if not start_s < end_s:
             raise ExperimentError(
                 f"the recording of {signals.end_s - signals.start_s:.4g} s holds no whole cycle after "
-                f"{self._from_s:g} s and {signals.discard_cycles} discarded cycles",
+                f"{self._settings.from_s:g} s and {signals.discard_cycles} discarded cycles",
                 hint="make it longer, or count from an earlier time",
             )
         ends = _at(signals, self.channel, (start_s, end_s))

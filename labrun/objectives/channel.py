@@ -49,6 +49,7 @@ class ChannelObjective(ABC):
     """
 
     Settings: ClassVar[type[ChannelSettings]] = ChannelSettings
+    _settings: ChannelSettings
     needs_channel: ClassVar[bool] = True
 
     def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
@@ -190,11 +191,7 @@ class MeanAbsolute(ReducedChannel):
     """
 
     Settings: ClassVar[type[ChannelSettings]] = MeanAbsoluteSettings
-
-    def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
-        super().__init__(channel, settings)
-        keys = checked(MeanAbsoluteSettings, settings)
-        self._from_s, self._to_s = keys.from_s, keys.to_s
+    _settings: MeanAbsoluteSettings
 
     def __call__(self, signals: TrialSignals) -> float:
         """Return the mean, in the unit of `unit`.
@@ -205,10 +202,11 @@ class MeanAbsolute(ReducedChannel):
             Fewer than two samples lie between `from_s` and `to_s`.
         """
         # A stated end need not be that of a gait cycle: up to there, the whole recording counts.
-        start_s, end_s = (signals.start_s, signals.end_s) if self._to_s is not None else signals.window()
-        start_s = start_s if self._from_s is None else max(start_s, self._from_s)
-        end_s = end_s if self._to_s is None else min(end_s, self._to_s)
-        whole = signals.counting_pieces if self._to_s is None else signals.pieces
+        from_s, to_s = self._settings.from_s, self._settings.to_s
+        start_s, end_s = signals.window() if to_s is None else (signals.start_s, signals.end_s)
+        start_s = start_s if from_s is None else max(start_s, from_s)
+        end_s = end_s if to_s is None else min(end_s, to_s)
+        whole = signals.counting_pieces if to_s is None else signals.pieces
         parts = (piece.between(start_s, end_s) for piece in whole(self.channel))
         first = next((part for part in parts if len(part.time_s) > 1), None)
         if first is None:
@@ -287,10 +285,7 @@ class LoopArea(ChannelObjective):
 
     Settings: ClassVar[type[ChannelSettings]] = LoopAreaSettings
     channel_settings: ClassVar[tuple[str, ...]] = ("over",)
-
-    def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
-        super().__init__(channel, settings)
-        self.over = checked(LoopAreaSettings, settings).over
+    _settings: LoopAreaSettings
 
     def unit(self, channel_unit: str) -> str:  # noqa: ARG002
         """Return "J": force over metres, or torque over radians."""
@@ -299,8 +294,8 @@ class LoopArea(ChannelObjective):
     def __call__(self, signals: TrialSignals) -> float:
         """Return the area."""
         total = 0.0
-        pieces = zip(signals.counting_pieces(self.channel), signals.counting_pieces(self.over), strict=True)
-        for piece, along in pieces:
+        over = signals.counting_pieces(self._settings.over)
+        for piece, along in zip(signals.counting_pieces(self.channel), over, strict=True):
             force = self._scaled(piece)
             way = np.interp(force.time_s, along.time_s, along.values)
             total += float(np.trapezoid(force.values, way))
@@ -322,11 +317,7 @@ class Direction(ChannelObjective):
 
     Settings: ClassVar[type[ChannelSettings]] = DirectionSettings
     channel_settings: ClassVar[tuple[str, ...]] = ("side_channel",)
-
-    def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
-        super().__init__(channel, settings)
-        keys = checked(DirectionSettings, settings)
-        self.side_channel, self._side_scale = keys.side_channel, keys.side_scale
+    _settings: DirectionSettings
 
     def unit(self, channel_unit: str) -> str:  # noqa: ARG002
         """Return "deg": an angle, whatever the channels are."""
@@ -340,10 +331,11 @@ class Direction(ChannelObjective):
         ExperimentError
             Both means are zero: there is no direction.
         """
-        forward = time_mean(signals.counting_pieces(self.channel)) * self._settings.scale
-        side = time_mean(signals.counting_pieces(self.side_channel)) * self._side_scale
+        keys = self._settings
+        forward = time_mean(signals.counting_pieces(self.channel)) * keys.scale
+        side = time_mean(signals.counting_pieces(keys.side_channel)) * keys.side_scale
         if forward == 0 and side == 0:
-            raise ExperimentError(f"{self.channel} and {self.side_channel} are both zero: no direction")
+            raise ExperimentError(f"{self.channel} and {keys.side_channel} are both zero: no direction")
         return math.degrees(math.atan2(side, forward))
 
 

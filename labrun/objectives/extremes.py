@@ -1,8 +1,8 @@
 """Extremes of a channel in each cycle, and how sure they are; the share of the time a channel spends beyond a level."""
 
 import math
-from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar, Literal
+from collections.abc import Iterable
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import NonNegativeFloat, model_validator
@@ -12,7 +12,7 @@ from labrun.errors import ExperimentError
 from labrun.objectives.channel import ChannelObjective, ChannelSettings, Following, ReducedChannel
 from labrun.objectives.protocol import TrialSignals
 from labrun.signals import Signal
-from labrun.toml import TableFaults, checked
+from labrun.toml import TableFaults
 
 
 class ExtremesSettings(ChannelSettings):
@@ -40,30 +40,27 @@ class Extremes(ChannelObjective):
     """
 
     Settings: ClassVar[type[ChannelSettings]] = ExtremesSettings
-
-    def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
-        super().__init__(channel, settings)
-        keys = checked(ExtremesSettings, settings)
-        self._which, self._give, self._smooth_s = keys.which, keys.give, keys.smooth_s
+    _settings: ExtremesSettings
 
     def __call__(self, signals: TrialSignals) -> float:
         """Return the number.
 
         Raises ExperimentError: an interval over fewer than two cycles, or a cycle without samples.
         """
+        keys = self._settings
         start_s, end_s = signals.window()
         period_s = signals.period_s or end_s - start_s
         count = max(round((end_s - start_s) / period_s), 1)
         high, low = np.full(count, -np.inf), np.full(count, np.inf)
         for piece in map(self._scaled, signals.counting_pieces(self.channel)):
-            values = smoothed(piece.time_s, piece.values, self._smooth_s)
+            values = smoothed(piece.time_s, piece.values, keys.smooth_s)
             cycle = np.clip(((piece.time_s - start_s) / period_s).astype(int), 0, count - 1)
             np.maximum.at(high, cycle, values)
             np.minimum.at(low, cycle, values)
-        found = {"largest": high, "smallest": low, "range": high - low}[self._which]
+        found = {"largest": high, "smallest": low, "range": high - low}[keys.which]
         if not np.isfinite(found).all():
             raise ExperimentError(f"{self.channel} has a cycle without samples")
-        if self._give == "mean":
+        if keys.give == "mean":
             return float(found.mean())
         if count < 2:
             raise ExperimentError(
@@ -133,13 +130,7 @@ class ShareOfTime(ReducedChannel):
 
     Settings: ClassVar[type[ChannelSettings]] = ShareOfTimeSettings
     channel_settings: ClassVar[tuple[str, ...]] = ("less",)
-
-    def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
-        super().__init__(channel, settings)
-        keys = checked(ShareOfTimeSettings, settings)
-        self._level = keys.below if keys.above is None else keys.above
-        self._sign = -1.0 if keys.above is None else 1.0
-        self._less = keys.less
+    _settings: ShareOfTimeSettings
 
     def unit(self, channel_unit: str) -> str:  # noqa: ARG002
         """Return "%"."""
@@ -148,17 +139,18 @@ class ShareOfTime(ReducedChannel):
     def __call__(self, signals: TrialSignals) -> float:
         """Return the share."""
         pieces = signals.counting_pieces(self.channel)
-        if self._less is None:
+        if self._settings.less is None:
             return self._number(map(self._scaled, pieces))
-        other = Following(signals.counting_pieces(self._less))
+        other = Following(signals.counting_pieces(self._settings.less))
         return self._number(
             self._scaled(Signal(one.time_s, one.values - other.at(one.time_s), one.unit)) for one in pieces
         )
 
     def _number(self, pieces: Iterable[Signal]) -> float:
+        above, below = self._settings.above, self._settings.below
         inside = whole = 0.0
         for piece in pieces:
-            over = self._sign * (piece.values - (self._level or 0.0))
+            over = piece.values - above if above is not None else (below or 0.0) - piece.values
             first, last = over[:-1], over[1:]
             rise = np.abs(first) + np.abs(last)
             # straight between samples: of an interval that crosses the level, the part on the right side of it

@@ -1,6 +1,5 @@
 """Work of a force along its way, or of a torque through its angle, in each cycle."""
 
-from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -10,7 +9,7 @@ from labrun.arrays import FloatArray
 from labrun.errors import ExperimentError
 from labrun.objectives.channel import ChannelObjective, ChannelSettings, Following
 from labrun.objectives.protocol import TrialSignals
-from labrun.toml import TableFaults, checked, suggest
+from labrun.toml import TableFaults, suggest
 
 
 class WorkSettings(ChannelSettings):
@@ -52,41 +51,37 @@ class Work(ChannelObjective):
 
     Settings: ClassVar[type[ChannelSettings]] = WorkSettings
     channel_settings: ClassVar[tuple[str, ...]] = ("over",)
-
-    def __init__(self, channel: str | None, settings: Mapping[str, Any]) -> None:
-        super().__init__(channel, settings)
-        keys = checked(WorkSettings, settings)
-        self._over, self._joint, self._part, self._by = keys.over, keys.over_command, keys.part, keys.by
+    _settings: WorkSettings
 
     def unit(self, channel_unit: str) -> str:  # noqa: ARG002
         """Return "J", or "%" of an efficiency."""
-        return "%" if self._part == "efficiency" else "J"
+        return "%" if self._settings.part == "efficiency" else "J"
 
     def __call__(self, signals: TrialSignals) -> float:
         """Return the number. Raises ExperimentError: an efficiency where no work was done; no such channel or joint."""
-        positive = negative = 0.0
+        positive, negative, keys = 0.0, 0.0, self._settings
         ways = self._ways(signals)
         for piece in map(self._scaled, signals.counting_pieces(self.channel)):
-            up, down = split_work(piece.values, ways(piece.time_s), self._by)
+            up, down = split_work(piece.values, ways(piece.time_s), keys.by)
             positive, negative = positive + up, negative + down
         start_s, end_s = signals.window()
         cycles = 1.0 if signals.period_s is None else max(round((end_s - start_s) / signals.period_s), 1)
         positive, negative = positive / cycles, negative / cycles
-        if self._part == "efficiency":
+        if keys.part == "efficiency":
             if positive + negative == 0.0:
                 raise ExperimentError(
-                    f"{self.channel} does no work over {self._over or self._joint}: it has no efficiency"
+                    f"{self.channel} does no work over {keys.over or keys.over_command}: it has no efficiency"
                 )
             return 100.0 * abs(positive - negative) / (positive + negative)
         return {
             "positive": positive, "negative": negative, "net": positive - negative, "total": positive + negative,
-        }[self._part]  # fmt: skip
+        }[keys.part]  # fmt: skip
 
     def _ways(self, signals: TrialSignals) -> Any:
         """Return a function that gives the way at ascending times."""
-        if self._over is not None:
-            return Following(signals.counting_pieces(self._over)).at
-        joint, joints = self._joint or "", signals.command.joints
+        if self._settings.over is not None:
+            return Following(signals.counting_pieces(self._settings.over)).at
+        joint, joints = self._settings.over_command or "", signals.command.joints
         if joint not in joints:
             raise ExperimentError(
                 f"over_command = {joint!r}: no such joint was commanded",
