@@ -216,6 +216,14 @@ class Plant(ABC):
         return {one.name: one.true for one in self.parameters}
 
 
+def damping_of(
+    rng: np.random.Generator, name: str, shares: tuple[float, float], stiffness_inertia: float
+) -> Parameter:
+    """Return the damping of a joint: a drawn share of sqrt(stiffness * inertia), left to the fit."""
+    value = four_digits(rng.uniform(*shares) * np.sqrt(stiffness_inertia))
+    return Parameter(name, value, "free", "N m s/rad")
+
+
 def only_if(holds: bool, *items: _Item) -> tuple[_Item, ...]:
     """Return the items, or none of them."""
     return items if holds else ()

@@ -11,6 +11,7 @@ from ..plant import (
     Programme,
     Signal,
     Site,
+    damping_of,
     draw_between,
     four_digits,
     near,
@@ -53,12 +54,7 @@ class HingeDrive(Plant):
                 Parameter("stiffness", spring, "free", "N m/rad"),
                 *only_if(
                     damping,
-                    Parameter(
-                        "damping",
-                        four_digits(rng.uniform(0.06, 0.3) * np.sqrt(total * inertia)),
-                        "free",
-                        "N m s/rad",
-                    ),
+                    damping_of(rng, "damping", (0.06, 0.3), total * inertia),
                 ),
             ),
             equations={
@@ -126,12 +122,7 @@ class PayloadArm(Plant):
                 Parameter("own_gravity", near(rng, 0.05, 1.5), 0.03, "N m"),
                 Parameter("arm", arm, 0.0, "m"),
                 Parameter("loop_gain", loop, "free", "N m/rad"),
-                Parameter(
-                    "loop_damping",
-                    four_digits(rng.uniform(0.3, 0.8) * np.sqrt(loop * held)),
-                    "free",
-                    "N m s/rad",
-                ),
+                damping_of(rng, "loop_damping", (0.3, 0.8), loop * held),
             ),
             equations={
                 "angle": "rate",

@@ -12,6 +12,7 @@ from ..plant import (
     Programme,
     Signal,
     Site,
+    damping_of,
     draw_between,
     four_digits,
     near,
@@ -42,12 +43,7 @@ class ServoFin(Plant):
             parameters=(
                 Parameter("inertia", inertia, 0.0 if known else 0.05, "kg m^2"),
                 Parameter("stiffness", spring, "free", "N m/rad"),
-                Parameter(
-                    "damping",
-                    four_digits(rng.uniform(0.2, 0.7) * np.sqrt(spring * inertia)),
-                    "free",
-                    "N m s/rad",
-                ),
+                damping_of(rng, "damping", (0.2, 0.7), spring * inertia),
                 Parameter("horn", 0.02, 0.0, "m"),
                 *only_if(drag, Parameter("drag", four_digits(0.4 * inertia), "free", "N m s^2/rad^2")),
             ),

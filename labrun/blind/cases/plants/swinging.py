@@ -14,6 +14,7 @@ from ..plant import (
     Programme,
     Signal,
     Site,
+    damping_of,
     four_digits,
     near,
     only_if,
@@ -108,18 +109,8 @@ class Chain(Plant):
                 Parameter("stiffness_1", k1, "free", "N m/rad"),
                 Parameter("stiffness_2", k2, 0.05, "N m/rad"),
                 Parameter("coupling", four_digits(k2 * rng.uniform(0.5, 1.2)), 0.05, "N m/rad"),
-                Parameter(
-                    "damping_1",
-                    four_digits(rng.uniform(0.1, 0.3) * np.sqrt(k1 * inner)),
-                    "free",
-                    "N m s/rad",
-                ),
-                Parameter(
-                    "damping_2",
-                    four_digits(rng.uniform(0.1, 0.3) * np.sqrt(k2 * outer)),
-                    "free",
-                    "N m s/rad",
-                ),
+                damping_of(rng, "damping_1", (0.1, 0.3), k1 * inner),
+                damping_of(rng, "damping_2", (0.1, 0.3), k2 * outer),
                 Parameter("gravity_2", four_digits(k2 * rng.uniform(0.3, 0.7)), 0.03, "N m"),
             ),
             equations={
