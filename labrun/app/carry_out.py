@@ -30,14 +30,7 @@ from labrun.runner import (
     within_bounds,
     worn_specimens,
 )
-from labrun.search import (
-    RESULT_FILE,
-    Best,
-    RunResult,
-    read_generations,
-    reason_lines,
-    resume_line,
-)
+from labrun.search import RESULT_FILE, Best, RunResult, read_generations, reason_lines, resume_line
 from labrun.spec import LOOP_DEVICE, Experiment, Value, condition_key
 from labrun.store import RunFolder, TrialOutcome, open_run, remarks_of, replace_durably, saving
 

@@ -111,12 +111,7 @@ def choose_hidden(
 
 
 def hidden_bench(
-    loaded: LoadedExperiment,
-    hide: Sequence[str],
-    *,
-    seed: int | None,
-    simulated: bool,
-    results: Path,
+    loaded: LoadedExperiment, hide: Sequence[str], *, seed: int | None, simulated: bool, results: Path
 ) -> HiddenBench:
     """Return the bench of a dry run with what it hides, and the seal of that.
 

@@ -195,20 +195,14 @@ class Rehearsal:
         return flat
 
     def _signals_with(
-        self,
-        hidden: Sequence[Mapping[str, Any]],
-        parameters: Mapping[str, float] | None = None,
+        self, hidden: Sequence[Mapping[str, Any]], parameters: Mapping[str, float] | None = None
     ) -> list[FloatArray]:
         """Return the signals of each condition, tared where the experiment tares, shape (samples, signals) each."""
         changed = concealed(self._experiment, hidden, noise=0.0, parameters=parameters)
         return [self._trials(changed, *motion, 1)[0] for motion in self._motions]
 
     def _trials(
-        self,
-        experiment: Experiment,
-        condition: Mapping[str, Value],
-        motion: TrialMotion,
-        repeats: int,
+        self, experiment: Experiment, condition: Mapping[str, Value], motion: TrialMotion, repeats: int
     ) -> list[FloatArray]:
         rig = Rig.build(experiment, clock=SimulatedClock(), seed=0, dry_run=True)
         with rig:

@@ -127,8 +127,7 @@ def read_seal(run: Path, provenance: Mapping[str, Any]) -> Seal:
     """
     if not is_sealed(provenance):
         raise RecordingError(
-            f"nothing is sealed in {run}",
-            hint="labrun run NAME --dry-run --hide random seals what it hides",
+            f"nothing is sealed in {run}", hint="labrun run NAME --dry-run --hide random seals what it hides"
         )
     path = run / SEAL
     try:

@@ -21,7 +21,7 @@ def compare(
         str | None,
         typer.Option(
             help="The model (TOML file, plugin, package.module:object); that which the experiment or the recording "
-            "names if not given.",
+            "names if not given."
         ),
     ] = None,
     tolerance: Annotated[

@@ -90,7 +90,7 @@ def import_(
         Path,
         typer.Argument(
             help="Recording folder (recording.toml beside CSV files), to become a run; or a robot's log, to become "
-            "a recording: .mcap, .bag, .db3, .csv, .npz, .h5, .parquet, a rosbag2 or LeRobot folder.",
+            "a recording: .mcap, .bag, .db3, .csv, .npz, .h5, .parquet, a rosbag2 or LeRobot folder."
         ),
     ],
     model: options.RobotModel = None,

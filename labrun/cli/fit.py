@@ -21,7 +21,7 @@ def fit(
         str | None,
         typer.Option(
             help="A model (TOML file, plugin, package.module:object), or a fit by name: "
-            "least-squares, fopdt, transfer-function, pid.",
+            "least-squares, fopdt, transfer-function, pid."
         ),
     ] = None,
     more: Annotated[

@@ -32,7 +32,7 @@ Model = Annotated[
     str | None,
     typer.Option(
         help="The model (TOML file, plugin, package.module:object); that which the experiment or the recording names "
-        "if not given.",
+        "if not given."
     ),
 ]
 ExperimentFile = Annotated[
@@ -117,8 +117,7 @@ def diagnose(
     whole: Annotated[
         bool,
         typer.Option(
-            "--whole",
-            help="Of a robot's log: fit all joints at once, not joint by joint; far slower.",
+            "--whole", help="Of a robot's log: fit all joints at once, not joint by joint; far slower."
         ),
     ] = False,
     report: Annotated[bool, typer.Option(help="Write the page and its picture.")] = True,
@@ -266,8 +265,7 @@ def test(
 def compare(
     first: options.Target,
     second: Annotated[
-        str,
-        typer.Argument(help="The other one, named likewise.", autocompletion=options.complete_experiment),
+        str, typer.Argument(help="The other one, named likewise.", autocompletion=options.complete_experiment)
     ],
     model: Model = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of the starts; 0 if not given.")] = None,

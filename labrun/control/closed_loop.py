@@ -190,10 +190,7 @@ class ClosedLoopRecorder:
         loops = self._loops(recording.condition, period_s, motion.period_s)
         pieces = Pieces(
             steering_of(
-                self._gait,
-                self._experiment.gait.plugin,
-                recording.condition,
-                list(self._track.steered),
+                self._gait, self._experiment.gait.plugin, recording.condition, list(self._track.steered)
             ),
             motion.trajectory.joints,
             {name: table.start for name, table in self._track.steered.items()},

@@ -152,12 +152,7 @@ class _Learning:
     """What a controller hands to its learner, and takes from it."""
 
     def __init__(
-        self,
-        table: LearnTable,
-        history_s: float,
-        model: LearnedModel,
-        order: list[int],
-        context: LoopContext,
+        self, table: LearnTable, history_s: float, model: LearnedModel, order: list[int], context: LoopContext
     ) -> None:
         strange = set(table.measured) ^ set(model.outputs)
         if strange:

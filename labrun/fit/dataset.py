@@ -111,10 +111,7 @@ class FitTrial:
     def first(self, samples: int) -> "FitTrial":
         """Return its beginning."""
         return replace(
-            self,
-            time_s=self.time_s[:samples],
-            inputs=self.inputs[:samples],
-            outputs=self.outputs[:samples],
+            self, time_s=self.time_s[:samples], inputs=self.inputs[:samples], outputs=self.outputs[:samples]
         )
 
 
@@ -394,11 +391,7 @@ def from_recording(
 
 
 def _columns(
-    ports: Sequence[Port],
-    channels: Sequence[SignalInfo],
-    kind: str,
-    signals: Mapping[str, str],
-    source: Path,
+    ports: Sequence[Port], channels: Sequence[SignalInfo], kind: str, signals: Mapping[str, str], source: Path
 ) -> list[int]:
     names = [channel.name for channel in channels]
     found = []

@@ -102,12 +102,7 @@ class FitSummary:
             {"title": table.title, "header": list(table.header), "rows": [list(row) for row in table.rows]}
             for table in self.tables
         ]
-        return {
-            "fixed": dict(self.fixed),
-            "findings": list(self.findings),
-            "tables": tables,
-            **self.details,
-        }
+        return {"fixed": dict(self.fixed), "findings": list(self.findings), "tables": tables, **self.details}
 
     def _repr_html_(self) -> str:
         return as_html(self.to_text(_NOTEBOOK_WIDTH), self.figure)

@@ -37,12 +37,7 @@ class Training:
 
 
 def train(
-    training: Training,
-    inputs: FloatArray,
-    outputs: FloatArray,
-    *,
-    seed: int,
-    start: Network | None = None,
+    training: Training, inputs: FloatArray, outputs: FloatArray, *, seed: int, start: Network | None = None
 ) -> tuple[Network, float]:
     """Train a network on samples of shape (n, inputs) and (n, outputs).
 

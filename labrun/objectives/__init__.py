@@ -4,12 +4,4 @@ from labrun.objectives.asked import ASKED, Asked
 from labrun.objectives.protocol import Objective, TrialSignals, Truncated, make_objective
 from labrun.signals import Signal
 
-__all__ = [
-    "ASKED",
-    "Asked",
-    "Objective",
-    "Signal",
-    "TrialSignals",
-    "Truncated",
-    "make_objective",
-]
+__all__ = ["ASKED", "Asked", "Objective", "Signal", "TrialSignals", "Truncated", "make_objective"]

@@ -42,10 +42,7 @@ def gap_lines(diagnosis: Diagnosis, width: int, files: Mapping[str, Path] | None
     width = max(width, _NARROWEST)
     room = width - _MARGIN
     head = _fitted([diagnosis.sentence], width, 3)
-    fixed = [
-        ("gap", _gap(diagnosis, room)),
-        ("where", [_cut(line, room) for line in _where(diagnosis)]),
-    ]
+    fixed = [("gap", _gap(diagnosis, room)), ("where", [_cut(line, room) for line in _where(diagnosis)])]
     if diagnosis.rest is not None:
         fixed.append(("rest", _fitted([diagnosis.rest.sentence], room, 3)))
     written = [(label, [str(path)]) for label, path in (files or {}).items()]

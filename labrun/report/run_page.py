@@ -51,10 +51,7 @@ _STEP_WORDS = {
 _TOLD_APART = frozenset(
     {"experiment_text", "versions", "machine", "git", "devices", "command", "dry_run", "emulated", "seed"}
 )
-_LINKS = {
-    "result": "figure",
-    "rejected": "rejected trials",
-}
+_LINKS = {"result": "figure", "rejected": "rejected trials"}
 
 
 def run_page(source: ReportSource) -> str:

@@ -11,14 +11,7 @@ from labrun.runner.bench import Bench
 from labrun.runner.by_hand import SET_ASIDE, Mounting, Mountings, Person, Willing
 from labrun.runner.damage import Damage, Worn
 from labrun.runner.faults import LimitReached
-from labrun.runner.measurement import (
-    OUTLIER,
-    Measurement,
-    Order,
-    block_order,
-    find_outliers,
-    needs_another,
-)
+from labrun.runner.measurement import OUTLIER, Measurement, Order, block_order, find_outliers, needs_another
 from labrun.runner.motion import MotionMaker
 from labrun.runner.progress import Progress, SilentProgress
 from labrun.runner.recording import Recorder, TrialRequest, record_planned

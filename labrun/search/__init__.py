@@ -10,22 +10,9 @@ from labrun.search.constraints import (
     probes,
 )
 from labrun.search.generation import keep_generation, read_generations
-from labrun.search.leaders import (
-    Measured,
-    Measures,
-    honest_best,
-    leading_conditions,
-    pooled_variance,
-)
+from labrun.search.leaders import Measured, Measures, honest_best, leading_conditions, pooled_variance
 from labrun.search.mountings import Scatter, mean_error, scatter, t_interval
-from labrun.search.over import (
-    Combined,
-    OverSettings,
-    at_settings,
-    excess_at_settings,
-    levels_of,
-    settings_of,
-)
+from labrun.search.over import Combined, OverSettings, at_settings, excess_at_settings, levels_of, settings_of
 from labrun.search.planned import axis_values, conditions, start_of_search, sweep_conditions
 from labrun.search.ranking import NUMBER, Agreement, Cell, FieldColumn, Ranking, agreement, pooled_intervals
 from labrun.search.result import (

@@ -268,8 +268,7 @@ def load_named(
     found = loaded.experiment.kind
     if kind is not None and found != kind:
         raise RequestError(
-            f"{loaded.name} is no {kind}: its file says kind = {found!r}",
-            hint=f"labrun {found} {name}",
+            f"{loaded.name} is no {kind}: its file says kind = {found!r}", hint=f"labrun {found} {name}"
         )
     return loaded
 

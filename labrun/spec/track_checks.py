@@ -90,11 +90,7 @@ def _steerable() -> Iterator[str]:
 
 
 def _check_drive(
-    data: Mapping[str, Any],
-    name: str,
-    drives: str,
-    drivers: dict[str, str],
-    conditions: list[str],
+    data: Mapping[str, Any], name: str, drives: str, drivers: dict[str, str], conditions: list[str]
 ) -> Iterator[Fault]:
     path: KeyPath = ("track", "loops", name, "drives")
     if drives in drivers:

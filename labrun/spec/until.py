@@ -161,7 +161,4 @@ def check_until(data: Mapping[str, Any]) -> Iterator[Fault]:
         text = "with until a fault ends the run, so that labrun resume goes on with the same cycles"
         yield Fault(("trial", "on_fault"), text, at_value=True)
     if data.get("kind") == "track":
-        yield Fault(
-            ("trial", "until"),
-            "a closed loop runs for a number of cycles, or a duration",
-        )
+        yield Fault(("trial", "until"), "a closed loop runs for a number of cycles, or a duration")

@@ -251,11 +251,7 @@ class RaggedGroup:
         """Return a column's own name, its unit, and its dataset."""
         if name not in self._columns:
             dataset = self._group[name]
-            self._columns[name] = (
-                dataset.attrs.get("channel", name),
-                dataset.attrs["units"],
-                dataset,
-            )
+            self._columns[name] = (dataset.attrs.get("channel", name), dataset.attrs["units"], dataset)
         return self._columns[name]
 
     def _read(self, name: str, start: int, count: int) -> FloatArray:

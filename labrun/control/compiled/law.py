@@ -48,12 +48,7 @@ def refusal(what: str) -> SpecError:
     return SpecError(f"a compiled loop does not know {what}", hint=_HINT)
 
 
-def law_of(
-    controller: object,
-    context: LoopContext,
-    wiring: Wiring,
-    channels: Channels,
-) -> Law:
+def law_of(controller: object, context: LoopContext, wiring: Wiring, channels: Channels) -> Law:
     """Return a loop under its controller, new. Raises SpecError: a controller without a compiled form."""
     none = _affine(np.zeros((2, 1)), (), (), 1)
     if isinstance(controller, OneForEach):

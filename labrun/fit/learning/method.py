@@ -14,16 +14,7 @@ from labrun.fit.learning.samples import TrainingSamples, corrected, load_samples
 from labrun.fit.method import FitJob
 from labrun.fit.result import FitSummary, TextTable
 from labrun.fit.signals import SignalTable
-from labrun.learned import (
-    Activation,
-    LearnedModel,
-    Network,
-    Solver,
-    Training,
-    exact_affine,
-    files_of,
-    train,
-)
+from labrun.learned import Activation, LearnedModel, Network, Solver, Training, exact_affine, files_of, train
 
 _SHOWN = 600
 

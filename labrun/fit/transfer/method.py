@@ -56,10 +56,7 @@ def load_response(
         wanted["output"] = output
     else:
         wanted["output"] = SignalTable(
-            channel=output.channel,
-            scale=output.scale,
-            divide_by_m=output.divide_by_m,
-            average=output.average,
+            channel=output.channel, scale=output.scale, divide_by_m=output.divide_by_m, average=output.average
         )
         wanted["side"] = SignalTable(
             channel=str(output.side_channel),

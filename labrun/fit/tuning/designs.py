@@ -124,10 +124,7 @@ class ControllerDesign:
         )
 
     def errors(
-        self,
-        reference: HalfSineSettings,
-        bounds: tuple[float, float],
-        factors: Sequence[float],
+        self, reference: HalfSineSettings, bounds: tuple[float, float], factors: Sequence[float]
     ) -> dict[float, tuple[float, float]]:
         """Return the mean magnitude of the error over the first and the second arch of a reference.
 

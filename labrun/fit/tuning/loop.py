@@ -73,11 +73,7 @@ class SampledPlant:
 
 
 def sample_plant(
-    plant: TransferFunction,
-    step_s: float,
-    *,
-    extra_s: float = 0.0,
-    average_s: float = 0.0,
+    plant: TransferFunction, step_s: float, *, extra_s: float = 0.0, average_s: float = 0.0
 ) -> SampledPlant:
     """Return a plant whose drive is held for `step_s` and whose output is sampled as often.
 

@@ -67,17 +67,7 @@ def _margins(study: Study) -> TextTable:
         )
     return TextTable(
         "margins of the loop as it runs (95 %: over the fit's own uncertainty; none: nothing to lose, no crossing)",
-        (
-            "",
-            "gain",
-            "95 %",
-            "phase, deg",
-            "95 %",
-            "delay, s",
-            "Ms",
-            "crossover, rad/s",
-            "stable",
-        ),
+        ("", "gain", "95 %", "phase, deg", "95 %", "delay, s", "Ms", "crossover, rad/s", "stable"),
         tuple(rows),
     )
 

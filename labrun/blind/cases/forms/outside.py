@@ -177,8 +177,4 @@ def hum(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechani
     return Mechanism("", site, kind, "pulsating-gain", law, lambda s: {"size": s, "rad_s": omega}, most=1.0)
 
 
-OUTSIDE_SIGNALS = {
-    "fifth-order-linkage": fifth_order,
-    "own-resonance": resonance,
-    "pulsating-gain": hum,
-}
+OUTSIDE_SIGNALS = {"fifth-order-linkage": fifth_order, "own-resonance": resonance, "pulsating-gain": hum}

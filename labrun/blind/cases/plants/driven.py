@@ -52,10 +52,7 @@ class HingeDrive(Plant):
                 Parameter("inertia", inertia, 0.0 if known else 0.03, "kg m^2"),
                 Parameter("gravity_torque", gravity, 0.03, "N m"),
                 Parameter("stiffness", spring, "free", "N m/rad"),
-                *only_if(
-                    damping,
-                    damping_of(rng, "damping", (0.06, 0.3), total * inertia),
-                ),
+                *only_if(damping, damping_of(rng, "damping", (0.06, 0.3), total * inertia)),
             ),
             equations={
                 "angle": "rate",

@@ -217,14 +217,7 @@ class StaticFin(Plant):
             conditions=("stream_m_s",),
             input_effects={"angle": only_if(side, "delay", "lag", "saturation")},
             output_effects={
-                "torque": (
-                    "lag",
-                    "delay",
-                    "drift",
-                    "bias",
-                    "saturation",
-                    *only_if(side, "cross-talk"),
-                )
+                "torque": ("lag", "delay", "drift", "bias", "saturation", *only_if(side, "cross-talk"))
             }
             | ({"side_force": ("lag", "delay", "drift", "bias", "saturation", "cross-talk")} if side else {}),
         )

@@ -133,10 +133,7 @@ class Chain(Plant):
                 ),
             ),
             initial={"angle_1": 0.0, "rate_1": 0.0, "angle_2": 0.0, "rate_2": 0.0},
-            input_effects={
-                "torque_1": DRIVEN,
-                "torque_2": (*DRIVEN, "bias"),
-            },
+            input_effects={"torque_1": DRIVEN, "torque_2": (*DRIVEN, "bias")},
             output_effects={
                 "angle_1": (*READ, "bias", "gain-error", "cross-talk"),
                 "angle_2": (*READ, "bias", "gain-error", "cross-talk"),
