@@ -10,28 +10,7 @@ from labrun.blind.scoring import Scores, Share
 from labrun.blind.seal import SEALED, Seal, is_sealed, read_seal, redacted, write_seal
 
 __all__ = [
-    "GOOD",
-    "SEALED",
-    "STRENGTHS",
-    "Checked",
-    "CheckedRobots",
-    "Compared",
-    "Hidden",
-    "HiddenBench",
-    "Judged",
-    "JudgedJoint",
-    "Revealed",
-    "Scores",
-    "Seal",
-    "Share",
-    "check",
-    "check_robots",
-    "concealed",
-    "hidden_bench",
-    "is_sealed",
-    "named_model",
-    "read_seal",
-    "redacted",
-    "reveal",
-    "write_seal",
-]
+    "GOOD", "SEALED", "STRENGTHS", "Checked", "CheckedRobots", "Compared", "Hidden", "HiddenBench", "Judged",
+    "JudgedJoint", "Revealed", "Scores", "Seal", "Share", "check", "check_robots", "concealed", "hidden_bench",
+    "is_sealed", "named_model", "read_seal", "redacted", "reveal", "write_seal",
+]  # fmt: skip

@@ -14,18 +14,6 @@ from labrun.compiled.native import (
 )
 
 __all__ = [
-    "IntPointer",
-    "NativeFunction",
-    "Pointer",
-    "Signature",
-    "ThroughAddresses",
-    "compiled",
-    "equations",
-    "generated",
-    "inlined",
-    "is_generated",
-    "kernel",
-    "law",
-    "native",
-    "signal_step",
-]
+    "IntPointer", "NativeFunction", "Pointer", "Signature", "ThroughAddresses", "compiled", "equations",
+    "generated", "inlined", "is_generated", "kernel", "law", "native", "signal_step",
+]  # fmt: skip

@@ -8,15 +8,6 @@ from labrun.control.protocol import LoopContext, Step
 from labrun.control.references import HalfSineReference, HalfSineSettings
 
 __all__ = [
-    "ClosedLoopRecorder",
-    "CompiledLoopRecorder",
-    "FeedforwardPid",
-    "HalfSineReference",
-    "HalfSineSettings",
-    "LoopContext",
-    "PidController",
-    "Step",
-    "TransferTable",
-    "loop_recorder",
-    "response_table",
-]
+    "ClosedLoopRecorder", "CompiledLoopRecorder", "FeedforwardPid", "HalfSineReference", "HalfSineSettings",
+    "LoopContext", "PidController", "Step", "TransferTable", "loop_recorder", "response_table",
+]  # fmt: skip

@@ -9,18 +9,8 @@ from labrun.design.handing_on import MADE, Drawing, dimensions_csv, drawing_of, 
 from labrun.design.simulator import Simulated, Simulator, require_simulable
 
 __all__ = [
-    "MADE",
-    "Candidates",
-    "Drawing",
-    "Margin",
-    "Simulated",
-    "SimulationLimitError",
-    "Simulator",
-    "dimensions_csv",
-    "drawing_of",
-    "model_text",
-    "require_simulable",
-    "written_experiment",
-]
+    "MADE", "Candidates", "Drawing", "Margin", "Simulated", "SimulationLimitError", "Simulator", "dimensions_csv",
+    "drawing_of", "model_text", "require_simulable", "written_experiment",
+]  # fmt: skip
 
 sys.modules[__name__].__class__ = UseCasePackage

@@ -16,19 +16,6 @@ from labrun.effects.effect import (
 from labrun.effects.reading import effects, load_effect, read_effects, shipped
 
 __all__ = [
-    "FORCED",
-    "AttachedEffect",
-    "Effect",
-    "EffectParameter",
-    "Quantity",
-    "Scale",
-    "Site",
-    "SiteKind",
-    "effects",
-    "force_law",
-    "load_effect",
-    "read_effects",
-    "shipped",
-    "signal_filter",
-    "unit_of",
-]
+    "FORCED", "AttachedEffect", "Effect", "EffectParameter", "Quantity", "Scale", "Site", "SiteKind", "effects",
+    "force_law", "load_effect", "read_effects", "shipped", "signal_filter", "unit_of",
+]  # fmt: skip

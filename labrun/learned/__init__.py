@@ -15,21 +15,7 @@ from labrun.learned.network import ACTIVATIONS, Activation, Network, Scaling
 from labrun.learned.training import Solver, Training, train
 
 __all__ = [
-    "ACTIVATIONS",
-    "INVERSES",
-    "Activation",
-    "Inverse",
-    "LearnedModel",
-    "Network",
-    "Scaling",
-    "SlidingAffine",
-    "Solver",
-    "Training",
-    "exact_affine",
-    "files_of",
-    "from_table",
-    "load_inverse",
-    "read_learned",
-    "to_table",
+    "ACTIVATIONS", "INVERSES", "Activation", "Inverse", "LearnedModel", "Network", "Scaling", "SlidingAffine",
+    "Solver", "Training", "exact_affine", "files_of", "from_table", "load_inverse", "read_learned", "to_table",
     "train",
-]
+]  # fmt: skip
