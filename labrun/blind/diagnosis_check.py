@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -199,29 +199,21 @@ def _case(one: Judged) -> dict[str, Any]:
         "repeats": truth.repeats,
         "noise": truth.noise,
         "zeros_by_trial": truth.zeros,
-        "hidden": [
-            {"kind": cause.kind, "effect": cause.effect, "site": cause.site} for cause in truth.causes
-        ],
+        "hidden": [asdict(cause) for cause in truth.causes],
         "forms": list(truth.forms),
         "verdict": said.verdict,
         "named": [
             {
-                "kind": named.top.kind,
-                "effect": named.top.effect,
-                "site": named.top.site,
+                **asdict(named.top),
                 "confidence": named.confidence,
-                "indistinguishable_from": [
-                    {"kind": rival.kind, "effect": rival.effect, "site": rival.site} for rival in named.rivals
-                ],
+                "indistinguishable_from": [asdict(rival) for rival in named.rivals],
             }
             for named in said.announced
         ],
         "predicted_shrinkage": None
         if said.shrinkage is None
         else {"value": said.shrinkage.value, "ci90": [said.shrinkage.low, said.shrinkage.high]},
-        "true_shrinkage": None
-        if shown is None
-        else {"value": shown.value, "counted": shown.counted, "error": shown.error},
+        "true_shrinkage": None if shown is None else asdict(shown),
         "error": said.error,
         "seconds": said.seconds,
     }

@@ -31,6 +31,11 @@ class CauseName:
     effect: str
     site: str = ""
 
+    @classmethod
+    def from_json(cls, named: Mapping[str, Any]) -> "CauseName":
+        """Read one as an answer or a diagnosis writes it."""
+        return cls(named.get("kind", "effect"), named["effect"], named.get("site") or "")
+
     def alike(self, other: "CauseName") -> bool:
         """Tell whether both are the same effect or parameter, wherever it sits."""
         return self.kind == other.kind and self.effect == other.effect
@@ -128,10 +133,7 @@ class Truth:
     @classmethod
     def from_json(cls, answer: Mapping[str, Any]) -> "Truth":
         """Read an answer as the generator writes it."""
-        causes = tuple(
-            CauseName(one.get("kind", "effect"), one["effect"], one.get("site") or "")
-            for one in answer["causes"]
-        )
+        causes = tuple(CauseName.from_json(one) for one in answer["causes"])
         hidden = answer.get("hidden", ())
         true = answer.get("true_parameters", {})
         released = [{one.effect: true[one.effect]} for one in causes if one.effect in true]
@@ -337,10 +339,6 @@ def _is_probability(value: Any) -> bool:
 
 
 def _named(one: Mapping[str, Any]) -> Named:
-    rivals = tuple(
-        CauseName(rival.get("kind", "effect"), rival["effect"], rival.get("site") or "")
-        for rival in one["indistinguishable_from"]
-    )
-    top = CauseName(one["kind"], one["effect"], one.get("site") or "")
+    rivals = tuple(CauseName.from_json(rival) for rival in one["indistinguishable_from"])
     intervals = {name: tuple(value["ci95"]) for name, value in one.get("values", {}).items()}
-    return Named(top, rivals, float(one["confidence"]), intervals)
+    return Named(CauseName.from_json(one), rivals, float(one["confidence"]), intervals)

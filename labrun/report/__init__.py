@@ -19,11 +19,10 @@ from labrun.report.terminal import keys_text, plan_text, print_findings, remark_
 from labrun.report.text import duration_text, interval_text
 
 __all__ = [
-    "BestYet", "Drift", "Findings", "LiveProgress", "PlainProgress", "RecordingFindings", "ReportSource", "RunView",
-    "Snapshot", "State", "StoredFit", "StoredGap", "drift_of", "duration_text", "event_text", "experiment_of",
-    "findings", "interval_text", "keys_text", "plan_text", "print_findings", "ranking_text", "remark_text",
-    "render",
-     "watch", "without_drift",
+    "BestYet", "Drift", "Findings", "LiveProgress", "PlainProgress", "RecordingFindings", "ReportSource",
+    "RunView", "Snapshot", "State", "StoredFit", "StoredGap", "drift_of", "duration_text", "event_text",
+    "experiment_of", "findings", "interval_text", "keys_text", "plan_text", "print_findings", "ranking_text",
+    "remark_text", "render", "watch", "without_drift",
 ]  # fmt: skip
 
 sys.modules[__name__].__class__ = UseCasePackage

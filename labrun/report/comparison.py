@@ -3,6 +3,7 @@
 import math
 import textwrap
 from collections.abc import Sequence
+from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
 
@@ -128,17 +129,7 @@ def _verdict(comparison: Comparison) -> str:
 
 
 def _point_json(point: ComparedPoint) -> dict[str, Any]:
-    return {
-        "condition": dict(point.condition),
-        "channel": point.channel,
-        "unit": point.unit,
-        "trials": point.trials,
-        "measured": point.measured,
-        "predicted": point.predicted,
-        "rmse": point.rmse,
-        "relative": point.relative if math.isfinite(point.relative) else None,
-        "at_s": point.at_s,
-    }
+    return {**asdict(point), "relative": point.relative if math.isfinite(point.relative) else None}
 
 
 def _over_conditions(comparison: Comparison) -> list[Stack]:

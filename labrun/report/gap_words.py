@@ -44,7 +44,7 @@ _PREPOSITIONS: dict[By, str] = {
     "equation": "in",
 }
 _LOCATING = frozenset(
-    (
+    [
         "in",
         "at",
         "on",
@@ -58,7 +58,7 @@ _LOCATING = frozenset(
         "near",
         "after",
         "before",
-    )
+    ]
 )
 """A place that begins so needs no other word before it."""
 _CUT_TWICE = " | "

@@ -1,6 +1,6 @@
 """A run that is being executed elsewhere, at one moment."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -88,18 +88,7 @@ class Snapshot:
             "last_event": {"text": self.event, "time_utc": self.event_utc, "ago_s": self.quiet_s},
             "best_so_far": None if self.best is None else self._best_json(self.best),
             "best": None if self.honest_best is None else self.honest_best.to_json(),
-            "last_trials": [
-                {
-                    "index": trial.index,
-                    "condition": dict(trial.condition),
-                    "repeat": trial.repeat,
-                    "role": trial.role,
-                    "status": trial.status,
-                    "reason": trial.reason,
-                    "objectives": dict(trial.objectives),
-                }
-                for trial in self.last_trials
-            ],
+            "last_trials": [asdict(trial) for trial in self.last_trials],
             "trace": None if self.trace is None else _trace_json(self.trace),
             "units": self.units,
             "resume": self.resume,

@@ -170,7 +170,7 @@ def search_by_cmaes(
     *,
     feasibility: Judge,
     seed: int,
-    progress: "Progress",
+    progress: Progress,
     level: Condition | None = None,
     number: int = 0,
 ) -> Searched:
@@ -201,38 +201,31 @@ def search_by_cmaes(
     return Searched(search.found, search.run())
 
 
+@dataclass
 class _Search:
-    def __init__(
-        self,
-        experiment: Experiment,
-        session: Measures,
-        folder: Path,
-        feasibility: Judge,
-        seed: int,
-        progress: "Progress",
-        level: Condition,
-        number: int,
-    ) -> None:
-        goal, table = experiment.goal, experiment.search
+    experiment: Experiment
+    session: Measures
+    folder: Path
+    feasibility: Judge
+    seed: int
+    progress: Progress
+    level: Condition
+    number: int
+
+    def __post_init__(self) -> None:
+        goal, table = self.experiment.goal, self.experiment.search
         if table is None or goal is None:
             raise PlanError("a search needs a table [cmaes] or [design], and an objective with a goal")
         self._table: CmaEs = table
         self._objective, direction = goal
         self._sign = -1.0 if direction == "maximise" else 1.0
-        self._experiment = experiment
-        self._session = session
-        self._folder = folder
         # The stream of a first search is that of one alone, whatever others come after it.
-        self._stream = (
-            (seed, _SEARCH_STREAM) if number == 0 else (seed, _SEARCH_STREAM, _LEVEL_STREAM, number)
-        )
-        self._level = level
-        self._progress = progress
-        self._feasibility = feasibility
+        behind = (_LEVEL_STREAM, self.number) if self.number else ()
+        self._stream = (self.seed, _SEARCH_STREAM, *behind)
         self._known: dict[object, SearchCandidate] = {}
         self._watch = StopWatch(self._table.stop)
         self._spreads: list[float] = []
-        self._population = table.population_size
+        self._population = self._table.population_size
         self.found: list[Measured] = []
 
     def run(self) -> Verdict:
@@ -242,10 +235,10 @@ class _Search:
             reason = self._descend(restart)
             if self._watch.over or restart == self._table.restarts:
                 break
-            self._progress.note(f"restart {restart + 1} with twice the population: {reason}")
+            self.progress.note(f"restart {restart + 1} with twice the population: {reason}")
         if not any(candidate.violations.feasible for candidate in self._known.values()):
             worst = min(self._known.values(), key=lambda item: (item.violations.number, item.violations.size))
-            at = f" at {condition_text(self._level)}" if self._level else ""
+            at = f" at {condition_text(self.level)}" if self.level else ""
             raise NoCandidateError(
                 f"no candidate of {self._watch.generation} generations may run{at}; the nearest breaks: "
                 + "; ".join(worst.violations.texts),
@@ -259,9 +252,9 @@ class _Search:
             trials=self._watch.trials,
             trials_each=self._trials_of(self._population),
             generations=self._watch.generation,
-            level=self._level or None,
+            level=self.level or None,
         )
-        self._progress.note(f"search {verdict.text}")
+        self.progress.note(f"search {verdict.text}")
         return verdict
 
     def _descend(self, restart: int) -> str:
@@ -291,7 +284,7 @@ class _Search:
 
     def _strategy(self, restart: int, rng: np.random.Generator) -> Strategy:
         table = self._table
-        start = start_of_search(self._experiment)
+        start = start_of_search(self.experiment)
         if restart == 0:
             point = np.array(
                 [(float(start[k]) - v.start) / (v.stop - v.start) for k, v in table.variables.items()]
@@ -312,12 +305,12 @@ class _Search:
         drawn = [
             self._known.setdefault(condition_key(condition), SearchCandidate(point, condition, violations))
             for point, condition, violations in zip(
-                points, conditions, self._feasibility.of(conditions), strict=True
+                points, conditions, self.feasibility.of(conditions), strict=True
             )
         ]
         candidates = [*leaders, *drawn]
         feasible = [item for item in candidates if item.violations.feasible]
-        self._progress.phase(
+        self.progress.phase(
             f"generation {self._watch.generation + 1}: {len(feasible)} of {len(candidates)} candidates may run"
         )
         self._measure(feasible)
@@ -336,7 +329,7 @@ class _Search:
         distinct = list({id(item): item for item in candidates}.values())
         if not distinct:
             return
-        measurements = self._session.measure([item.condition for item in distinct])
+        measurements = self.session.measure([item.condition for item in distinct])
         for item, measurement in zip(distinct, measurements, strict=True):
             item.values += measurement.values(self._objective).tolist()
             item.truncation = measurement.truncation(self._objective) or item.truncation
@@ -344,7 +337,7 @@ class _Search:
         self._watch.trials += sum(len(measurement.outcomes) for measurement in measurements)
 
     def _condition(self, point: FloatArray) -> Condition:
-        condition = dict(self._level)
+        condition = dict(self.level)
         for (name, variable), share in zip(self._table.variables.items(), point.tolist(), strict=True):
             value = variable.start + share * (variable.stop - variable.start)
             condition[name] = float(min(max(value, variable.start), variable.stop))
@@ -365,7 +358,7 @@ class _Search:
         return math.sqrt(variance / float(np.mean([len(values) for values in samples])))
 
     def _trials_of(self, population: int) -> int:
-        return population * self._experiment.trial.repeats.min * len(settings_of(self._experiment))
+        return population * self.experiment.trial.repeats.min * len(settings_of(self.experiment))
 
     def _best(self) -> SearchCandidate | None:
         measured = [
@@ -380,7 +373,7 @@ class _Search:
         variables = self._table.variables
         feasible = [item.violations.feasible for item in candidates[known:]]
         keep_generation(
-            self._folder,
+            self.folder,
             self._watch.generation,
             {
                 "generation": self._watch.generation,
@@ -401,7 +394,7 @@ class _Search:
     def _tell_progress(self, candidates: Sequence[SearchCandidate]) -> None:
         if not any(item.violations.feasible for item in candidates):
             nearest = min(candidates, key=lambda item: (item.violations.number, item.violations.size))
-            self._progress.note(
+            self.progress.note(
                 f"generation {self._watch.generation}: no candidate may run; the nearest breaks: "
                 + "; ".join(nearest.violations.texts)
             )
