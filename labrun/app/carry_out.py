@@ -4,12 +4,11 @@ import json
 import signal
 import threading
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 from labrun.app.answer import Answer, measure_all, search_folder
 from labrun.errors import ExperimentError, LabrunError, PlanError
@@ -31,7 +30,7 @@ from labrun.runner import (
     worn_specimens,
 )
 from labrun.search import RESULT_FILE, Best, RunResult, read_generations, reason_lines, resume_line
-from labrun.spec import LOOP_DEVICE, Experiment, Value, condition_key
+from labrun.spec import LOOP_DEVICE, Experiment, condition_key
 from labrun.store import RunFolder, TrialOutcome, open_run, remarks_of, replace_durably, saving
 
 FIGURE = "figure.png"
@@ -63,8 +62,9 @@ def carry_out(
     """
     goal = experiment.goal
     unit = objective_unit(experiment, rig, goal[0]) if goal is not None else ""
+    taken = None
     if goal is not None and not experiment.over:  # of a part of the settings nothing can be said
-        progress = _BestSoFar(progress, *goal, unit, experiment.trial.repeats.min)
+        taken = _BestSoFar(progress, *goal, unit, experiment.trial.repeats.min)
     with folder.lock(), resumable(folder), terminate_like_interrupt():
         session = Session(
             experiment,
@@ -78,6 +78,7 @@ def carry_out(
             person,
             motions,
             worn_specimens(experiment, rig, folder),
+            taken,
         )
         try:
             answer = measure_all(experiment, rig, session, folder, seed, unit, progress)
@@ -286,19 +287,10 @@ def terminate_like_interrupt() -> Iterator[None]:
 
 
 class _BestSoFar:
-    """A progress display that hears of the best condition as well; everything else is passed on.
+    """Tells a progress display of each new best condition.
 
     The best so far is the best mean among the conditions with the full number of repeats (any, before there is one).
     It is what the search has in hand, and optimistic: the honest best comes at the end of the run.
-
-    Parameters
-    ----------
-    progress
-        Who is told.
-    objective, goal, unit
-        What is best.
-    repeats
-        How many accepted trials a condition needs to count in full.
     """
 
     def __init__(
@@ -317,26 +309,8 @@ class _BestSoFar:
         self._sums: dict[object, tuple[int, float]] = {}
         self._best: tuple[bool, float] | None = None
 
-    def __enter__(self) -> Self:
-        self._progress.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._progress.__exit__(kind, error, trace)
-
-    def total(self, trials: int | None) -> None:
-        """Pass it on."""
-        self._progress.total(trials)
-
-    def phase(self, text: str) -> None:
-        """Pass it on."""
-        self._progress.phase(text)
-
-    def trial(self, outcome: TrialOutcome, done: int, total: int | None, remaining_s: float | None) -> None:
-        """Pass it on, and tell of a new best."""
-        self._progress.trial(outcome, done, total, remaining_s)
+    def __call__(self, outcome: TrialOutcome) -> None:
+        """Take in a trial."""
         if (
             outcome.status != "done"
             or outcome.role == "reference"
@@ -344,19 +318,11 @@ class _BestSoFar:
         ):
             return
         key = condition_key(outcome.condition)
-        count, total_value = self._sums.get(key, (0, 0.0))
-        count, total_value = count + 1, total_value + outcome.objectives[self._objective]
-        self._sums[key] = (count, total_value)
-        mean = total_value / count
+        count, total = self._sums.get(key, (0, 0.0))
+        count, total = count + 1, total + outcome.objectives[self._objective]
+        self._sums[key] = (count, total)
+        mean = total / count
         rank = (count >= self._repeats, self._sign * mean)
         if self._best is None or rank > self._best:
             self._best = rank
             self._progress.best(outcome.condition, mean, self._unit)
-
-    def best(self, condition: Mapping[str, Value], value: float, unit: str) -> None:
-        """Pass it on."""
-        self._progress.best(condition, value, unit)
-
-    def note(self, text: str) -> None:
-        """Pass it on."""
-        self._progress.note(text)

@@ -1,6 +1,6 @@
 """A session at the bench: conditions in, measurements out; every trial stored on the way."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -62,6 +62,8 @@ class Session:
         Those made for the plan, of the same experiment.
     worn
         Specimens that earlier runs left damaged.
+    taken
+        Called with each trial that was taken.
 
     Raises
     ------
@@ -82,6 +84,7 @@ class Session:
         person: Person | None = None,
         motions: MotionMaker | None = None,
         worn: Sequence[Worn] = (),
+        taken: Callable[[TrialOutcome], object] | None = None,
     ) -> None:
         self.motions = MotionMaker(experiment) if motions is None else motions
         """Motion of each condition."""
@@ -92,6 +95,7 @@ class Session:
         self._seed = seed
         self._progress: Progress = progress if progress is not None else SilentProgress()
         self._limit = limit
+        self._told = taken
         self._request = StopRequest()
         self._bench = Bench(rig, clock, self._check_stop, rig.beat)
         self._trials = TrialRunner(
@@ -342,6 +346,8 @@ class Session:
         self.new_trials += 1
         outcome = self._note(result.outcome)
         self._progress.trial(outcome, len(self.outcomes), self._expected, self._remaining_s())
+        if self._told is not None:
+            self._told(outcome)
         if unsettled(outcome):
             self._warn_unsettled(outcome)
         if result.fault is not None:
