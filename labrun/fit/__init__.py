@@ -22,7 +22,7 @@ from labrun.fit.method import (
     silent,
 )
 from labrun.fit.output_error import FEW_TRIALS, fit_model
-from labrun.fit.per_trial import FIRST_SAMPLES, Deviation, DeviationKind
+from labrun.fit.per_trial import FIRST_SAMPLES, SIMULATED, Deviation, DeviationKind
 from labrun.fit.problem import Problem
 from labrun.fit.resampling import LEVEL, by_mounting, correlation_length, resample_trials, student
 from labrun.fit.residuals import FEWEST_SAMPLES, OutputNoise
@@ -33,7 +33,7 @@ from labrun.fit.starts import search
 from labrun.store import is_recording
 
 __all__ = [
-    "FEWEST_SAMPLES", "FEW_TRIALS", "FIRST_SAMPLES", "GROUP", "LEVEL", "ComparedPoint", "Comparison", "Curve",
+    "FEWEST_SAMPLES", "FEW_TRIALS", "FIRST_SAMPLES", "GROUP", "LEVEL", "SIMULATED", "ComparedPoint", "Comparison", "Curve",
     "Dataset", "Deviation", "DeviationKind", "Each", "Estimate", "FigureData", "FitJob", "FitMethod", "FitPlan",
     "FitPlugin", "FitResult", "FitSummary", "FitTrial", "FittedData", "Jacobian", "NoSettings", "NormalEquations",
     "Note", "OutputNoise", "OutputsAlone", "Pair", "Panel", "Problem", "Stack", "TextTable", "by_mounting",

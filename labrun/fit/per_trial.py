@@ -1,7 +1,7 @@
 """What each trial has of its own: how it begins, and small deviations of known spread."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit.dataset import FitTrial
-from labrun.models import Model
+from labrun.models import Drive, Model
 
 FIRST_SAMPLES = 3
 """How many samples "first" averages: few, because the output may already move."""
@@ -102,7 +102,9 @@ class InitialStates:
         return [output.name for output in self.model.outputs]
 
 
-DeviationKind = Literal["bias", "gain", "start time", "initial state"]
+DeviationKind = Literal["bias", "gain", "start time", "initial state", "input bias", "input gain"]
+SIMULATED: tuple[DeviationKind, ...] = ("initial state", "input bias", "input gain")
+"""What a simulation begins with, or is driven by; the others change its outputs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,9 +115,9 @@ class Deviation:
     ----------
     output
         Column of the output that it shows in; None for all, which a start time shifts together. Of an initial state,
-        the place of the state.
+        the place of the state; of an input's bias or gain, the column of the input.
     sd
-        Standard deviation over trials: in the output's or the state's unit, of a factor, or in s.
+        Standard deviation over trials: in the output's, state's or input's unit, of a factor, or in s.
     """
 
     kind: DeviationKind
@@ -123,12 +125,24 @@ class Deviation:
     sd: float
 
 
+def driven(drive: Drive, deviations: Sequence[Deviation], own: FloatArray, count: int) -> Drive:
+    """Return the inputs of the mean of `count` trials with the deviations that are theirs, as `deviated` outputs."""
+    for one, size in zip(deviations, own, strict=True):
+        if one.kind not in ("input bias", "input gain") or one.output is None:
+            continue
+        away, u, last = size * one.sd / np.sqrt(count), drive.u.copy(), drive.u_last.copy()
+        for values in (u, last):
+            values[..., one.output] += away * (values[..., one.output] if one.kind == "input gain" else 1.0)
+        drive = replace(drive, u=u, u_last=last)
+    return drive
+
+
 def deviated(
     outputs: FloatArray, time_s: FloatArray, deviations: Sequence[Deviation], own: FloatArray, count: int
 ) -> FloatArray:
     """Return outputs (n, m) of the mean of `count` trials with their deviations, `own` in standard deviations.
 
-    Initial states are left out: a simulation begins with them.
+    Initial states and inputs are left out: the simulation has them already.
     """
     found = outputs.copy()
     for one, size in zip(deviations, own * [each.sd / np.sqrt(count) for each in deviations], strict=True):

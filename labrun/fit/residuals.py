@@ -11,7 +11,7 @@ from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, Scale
 from labrun.errors import FitError
 from labrun.fit.dataset import Dataset, FitTrial
-from labrun.fit.per_trial import Deviation, InitialStates, deviated
+from labrun.fit.per_trial import Deviation, InitialStates, deviated, driven
 from labrun.fit.priors import Priors
 from labrun.fit.simulations import Simulations, stop_if_told
 from labrun.models import Drive, Model, filtered, prepare, simulate, simulate_unfiltered, suggest_substeps
@@ -227,14 +227,16 @@ class Residuals:
 
     def _simulated(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray | None:
         stop_if_told()
-        effects, drive = self.attached(parameters), self.drives[trial]
+        effects, data, laid_out = self.attached(parameters), self.data.trials[trial], self.drives[trial]
         parameters = parameters[: len(self.model.parameters)]
-        condition, start = self.data.trials[trial].condition, self.initial_state(trial, own)
+        condition, start = data.condition, self.initial_state(trial, own)
+        deviating = own[len(self.states.free) :]
+        drive = driven(laid_out, self.deviations, deviating, data.count)
         if any(one.effect.kind == "output" for one in effects):
             inside = tuple(one for one in effects if one.effect.kind != "output")
             same = tuple((id(one.effect), one.site, one.values) for one in inside)
             before = self.simulations.get(  # effects at outputs share what is before them
-                (id(drive), parameters.tobytes(), start.tobytes(), same),
+                (id(laid_out), parameters.tobytes(), start.tobytes(), deviating.tobytes(), same),
                 lambda: simulate_unfiltered(
                     self.model,
                     drive,
@@ -248,7 +250,7 @@ class Residuals:
             return found.outputs if found.finite else None
         simulation = simulate(
             self.model,
-            self.data.trials[trial].time_s,
+            data.time_s,
             drive,
             parameters=parameters,
             condition=condition,

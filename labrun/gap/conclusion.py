@@ -178,7 +178,11 @@ def conclude(
     rated = selection.rounds[0].rated
     nearest = max(rated, key=lambda one: one.share).candidate.name if rated else None
     channels = tuple((one.name, one.unit) for one in dataset.outputs)
-    differs = tuple(words(one, channels, problem.model.states) for one in remaining(final.problem, final.z))
+    input_channels = tuple((one.name, one.unit) for one in dataset.inputs)
+    differs = tuple(
+        words(one, channels, problem.model.states, input_channels)
+        for one in remaining(final.problem, final.z)
+    )
     recalibrated, last = _named(problem, z), _named(final.problem, final.z)
     repeats = search.data.repeats
     return Diagnosis(
@@ -228,7 +232,7 @@ def conclude(
         ),
         what_next=tuple(what_next(decided, causes, doubts, repeats=repeats)),
         channels=channels,
-        input_channels=tuple((one.name, one.unit) for one in dataset.inputs),
+        input_channels=input_channels,
         noise={one.name: float(sd) for one, sd in zip(dataset.outputs, noise.sd, strict=True)},
         trials=sum(one.count for one in search.data.trials),
         conditions=len(search.data.conditions),

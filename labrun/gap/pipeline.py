@@ -1,11 +1,12 @@
 """The whole search on one dataset: recalibrate, measure the noise, try the library, choose the causes."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labrun.fit import Dataset, Each, Note, one_by_one, silent
+from labrun.arrays import FloatArray
+from labrun.fit import Dataset, Deviation, Each, Note, Problem, one_by_one, silent
 from labrun.gap import criteria
 from labrun.gap.averaging import averaged, without_crowding
 from labrun.gap.candidates import Candidate, candidates, site_scales, untried
@@ -26,7 +27,7 @@ from labrun.gap.recalibration import (
 )
 from labrun.gap.screening import Base, refit, survey
 from labrun.gap.selection import Selection, Selector
-from labrun.gap.trial_wise import beginnings, found_alone
+from labrun.gap.trial_wise import ALSO_SHAPES, found_alone, simulated_changes
 from labrun.models import Model
 
 
@@ -140,9 +141,9 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) ->
     final = found.selection.final
     for problem, z in ((final.problem, final.z), (first.problem, first.z)):
         deviations = found_alone(
-            asked.data, mean_residuals(problem, z), problem.simulated(z), beginnings(problem, z)
+            asked.data, mean_residuals(problem, z), problem.simulated(z), simulated_changes(problem, z)
         )
-        if not deviations:
+        if not deviations or not _make_up_what_is_left(problem, z, deviations):
             break
         asked.note("taking apart what differs from trial to trial, and looking for causes beside it")
         beside, start = with_deviations(first.problem, first.z, deviations)
@@ -151,6 +152,17 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) ->
             return again
         found = again
     return found
+
+
+def _make_up_what_is_left(problem: Problem, z: FloatArray, deviations: Sequence[Deviation]) -> bool:
+    """Tell whether deviations that causes may look like leave next to nothing, once everything is fitted with them."""
+    if not any(one.kind in ALSO_SHAPES for one in deviations):
+        return True
+    beside, start = with_deviations(problem, z, deviations)
+    after, before = mean_residuals(beside, refit(beside, start)), mean_residuals(problem, z)
+    left, all_of_it = (np.mean(np.square(np.concatenate(one)), axis=0) for one in (after, before))
+    ratio = float(np.mean(left / np.where(all_of_it > 0, all_of_it, 1.0)))
+    return ratio <= 1.0 - criteria.DEVIATION_NEARLY_ALL
 
 
 def _fitted_to_motion(search: Search, noise: Noise) -> Search:

@@ -10,14 +10,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit import Dataset, Deviation, DeviationKind, Problem
+from labrun.fit import SIMULATED, Dataset, Deviation, DeviationKind, Problem
 from labrun.gap import criteria
 from labrun.gap.candidates import typical_time_s
 from labrun.gap.noise import fit_whitener
 
 _KINDS: tuple[DeviationKind, ...] = ("bias", "start time", "gain")
+ALSO_SHAPES: tuple[DeviationKind, ...] = ("gain", "start time", "input gain")
+"""What changes with amplitude or frequency looks like these, too, but leaves something once everything is fitted."""
 _NUDGE = 1e-3
-"""Part of the outputs' spread that an initial state is moved by."""
+"""Part of the outputs' spread that an initial state is moved by, and of an input's peak."""
 
 
 @dataclass(frozen=True)
@@ -105,20 +107,33 @@ def _looked_at(
     return taken / total, Deviation(kind, output, float(np.sqrt(variance))), after
 
 
-def beginnings(problem: Problem, z: FloatArray) -> dict[int, list[FloatArray]]:
-    """Return by what the outputs (n, m) of every trial change with each stated initial state that all trials share."""
+def simulated_changes(problem: Problem, z: FloatArray) -> dict[tuple[DeviationKind, int], list[FloatArray]]:
+    """Return by what the outputs (n, m) of every trial change with what a simulation begins with or is driven by.
+
+    Of a bias and a gain of each input that varies, and of each stated initial state that all trials share.
+    """
     before, parameters = problem.simulated(z), problem.parameters(z)
-    step = _NUDGE * float(np.max(problem.spread))
+    inputs = np.concatenate([one.inputs for one in problem.data.trials])
+    varying = [column for column in range(inputs.shape[1]) if np.ptp(inputs[:, column]) > 0]
+    steps: dict[tuple[DeviationKind, int], float] = {
+        ("initial state", state): _NUDGE * float(np.max(problem.spread))
+        for state in range(len(problem.model.states))
+        if state not in problem.states.free
+    }
+    for column in varying:
+        steps["input bias", column] = _NUDGE * float(np.max(np.abs(inputs[:, column])))
+        steps["input gain", column] = _NUDGE
     found = {}
-    known = {one.output for one in problem.deviations if one.kind == "initial state"}
-    for state in set(range(len(problem.model.states))) - set(problem.states.free) - known:
-        nudged = replace(problem, deviations=(*problem.deviations, Deviation("initial state", state, step)))
+    for (kind, place), step in steps.items():
+        if (kind, place) in [(one.kind, one.output) for one in problem.deviations]:
+            continue
+        nudged = replace(problem, deviations=(*problem.deviations, Deviation(kind, place, step)))
         changes = []
         for index, (trial, outputs) in enumerate(zip(problem.data.trials, before, strict=True)):
             own = np.append(problem.own(z, index), np.sqrt(trial.count))
             after = nudged.simulate(parameters, index, own)
             changes.append(np.zeros_like(outputs) if after is None else (after - outputs) / step)
-        found[state] = changes
+        found[kind, place] = changes
     return found
 
 
@@ -165,21 +180,20 @@ def found_alone(
     units: Dataset,
     residual: Sequence[FloatArray],
     simulated: Sequence[FloatArray],
-    begun: Mapping[int, Sequence[FloatArray]] | None = None,
+    changes: Mapping[tuple[DeviationKind, int], Sequence[FloatArray]] | None = None,
 ) -> tuple[Deviation, ...]:
     """Look for what trials that were never repeated differ by as a whole, where no cause explains what is left of them.
 
     A deviation is as large in one block of its trial as in another. One counts if it makes up a good part of what is
     left, and is larger than blocks of a trial differ by (analysis of variance). What all trials plainly share of it is
-    none: it is a gap like any other. Gains and start times have to make up nearly all that is left: what changes with
-    amplitude or frequency looks like them, too, but leaves something.
+    none: it is a gap like any other.
 
     Parameters
     ----------
     residual, simulated : per unit (n, m)
         Of the model with its causes.
-    begun
-        `beginnings` of it: of initial states that are stated.
+    changes
+        `simulated_changes` of it.
     """
     found: list[Deviation] = []
     left = list(residual)
@@ -191,8 +205,8 @@ def found_alone(
         ]
         for kind, output in kinds
     }
-    for state, changes in (begun or {}).items():
-        shapes["initial state", state] = list(changes)
+    for one, change in (changes or {}).items():
+        shapes[one] = list(change)
     while len(found) < criteria.MOST_DEVIATIONS:
         rest = [one for one in shapes if one not in [(other.kind, other.output) for other in found]]
         looked = [_looked_at_alone(left, shapes[one], *one) for one in rest]
@@ -214,7 +228,7 @@ def _looked_at_alone(
     trials, blocks = len(residual), criteria.DEVIATION_BLOCKS
     if trials < criteria.FEWEST_AGREEING or min(map(len, residual)) < blocks:
         return None
-    every = output is None or kind == "initial state"
+    every = output is None or kind in SIMULATED
     columns = slice(None) if every else slice(output, (output or 0) + 1)
     scale = np.sqrt(np.mean(np.square(np.concatenate(residual)), axis=0))
     scale = np.where(scale > 0, scale, 1.0)
@@ -234,8 +248,7 @@ def _looked_at_alone(
 
     shared = _shared(own)
     taken = float(np.sum(np.square(own - shared) * whole))
-    least = criteria.DEVIATION_NEARLY_ALL if kind in ("gain", "start time") else criteria.DEVIATION_SHARE
-    if taken < least * total:
+    if taken < criteria.DEVIATION_SHARE * total:
         return None
     freedom = trials - int(shared != 0.0), trials * (blocks - 1)
     within = float(np.sum(np.square(size - own[:, None]) * energy)) / freedom[1]
@@ -266,12 +279,17 @@ def remaining(problem: Problem, z: FloatArray) -> tuple[Deviation, ...]:
     )
 
 
-def words(one: Deviation, outputs: Sequence[tuple[str, str]], states: Sequence[str] = ()) -> str:
+def words(
+    one: Deviation,
+    outputs: Sequence[tuple[str, str]],
+    states: Sequence[str] = (),
+    inputs: Sequence[tuple[str, str]] = (),
+) -> str:
     """Return a deviation in words.
 
     Parameters
     ----------
-    outputs
+    outputs, inputs
         Names and units.
     states
         Names.
@@ -282,9 +300,10 @@ def words(one: Deviation, outputs: Sequence[tuple[str, str]], states: Sequence[s
         return f"the {state} that a trial begins with differs by trial (standard deviation {size})"
     if one.kind == "start time" or one.output is None:
         return f"the start time differs by trial (standard deviation {one.sd:.2g} s)"
-    name, unit = outputs[one.output]
-    size = f"{100.0 * one.sd:.2g} %" if one.kind == "gain" else f"{one.sd:.2g} {unit}".rstrip("1 ")
-    return f"{one.kind} at {name} differs by trial (standard deviation {size})"
+    kind = one.kind.removeprefix("input ")
+    name, unit = (outputs if kind == one.kind else inputs)[one.output]
+    size = f"{100.0 * one.sd:.2g} %" if kind == "gain" else f"{one.sd:.2g} {unit}".rstrip("1 ")
+    return f"{kind} at {name} differs by trial (standard deviation {size})"
 
 
 def shape_of(kind: DeviationKind, simulated: FloatArray, time_s: FloatArray) -> FloatArray:

@@ -8,7 +8,8 @@ import pytest
 from labrun.fit import Dataset, Deviation, DeviationKind
 from labrun.fit.per_trial import deviated
 from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.gap.trial_wise import found_alone, shape_of, words
+from labrun.gap.recalibration import stated_problem
+from labrun.gap.trial_wise import found_alone, shape_of, simulated_changes, words
 
 from .benches import CONDITIONS, FloatArray, dry_friction, nothing, pendulum, recorded
 
@@ -100,6 +101,49 @@ def test_what_comes_and_goes_within_a_trial_is_no_offset_of_it() -> None:
         for place, one in enumerate(data.trials)
     ]
     assert found_alone(data, slow, swings(data)) == ()
+
+
+GAINS = (1.06, 0.95, 1.02, 0.93, 1.05)
+
+
+def with_an_amplifier_that_is_never_the_same(data: Dataset) -> Dataset:
+    """Return trials in which the motor got so many times what was commanded."""
+    trials = [replace(one, inputs=one.inputs / gain) for one, gain in zip(data.trials, GAINS, strict=True)]
+    return replace(data, trials=tuple(trials))
+
+
+def test_what_a_gain_of_an_input_changes_is_what_a_larger_input_does() -> None:
+    problem = stated_problem(pendulum(), never_repeated())
+    z = problem.begin()
+    changes = simulated_changes(problem, z)["input gain", 0]
+    larger = [replace(one, inputs=1.01 * one.inputs) for one in problem.data.trials]
+    after = problem.on(replace(problem.data, trials=tuple(larger))).simulated(z)
+    for change, now, then in zip(changes, problem.simulated(z), after, strict=True):
+        assert now + 0.01 * change == pytest.approx(then, abs=5e-4)
+
+
+def test_gains_of_an_input_are_told_from_those_of_the_sensor() -> None:
+    data = never_repeated()
+    problem = stated_problem(pendulum(), data)
+    simulated, changes = problem.simulated(problem.begin()), simulated_changes(problem, problem.begin())
+    left = [
+        (gain - 1.0) * change + noise
+        for gain, change, noise in zip(GAINS, changes["input gain", 0], noise_like(data, 1e-4), strict=True)
+    ]
+    (found,) = found_alone(data, left, simulated, changes)
+    assert (found.kind, found.output) == ("input gain", 0)
+    assert words(found, [("angle", "rad")], (), [("torque", "N m")]).startswith("gain at torque differs")
+
+
+@pytest.mark.slow
+def test_friction_is_found_behind_an_amplifier_that_is_never_the_same() -> None:
+    alike = [(0.05, frequency) for frequency in (0.7, 0.75, 0.8, 0.85, 0.9)]
+    data = recorded(dry_friction(0.006), repeats=1, noise=0.001, conditions=alike)
+    data = with_an_amplifier_that_is_never_the_same(data)
+    found = diagnose_dataset(data, pendulum(), QUICK)
+    assert found.differs[0].startswith("gain at torque differs by trial")
+    assert [str(one.name) for one in found.causes] == ["coulomb-friction at hinge"]
+    assert found.causes[0].values["torque"].value == pytest.approx(0.006, rel=0.1)
 
 
 @pytest.mark.slow
