@@ -59,7 +59,7 @@ def test_an_output_is_judged_by_the_signal_that_shows_it():
 def test_stribeck_friction_at_one_speed_far_beyond_its_own_is_coulomb_friction(strip):
     friction = {"torque": 6.0, "transition_speed": 2e-6}
     stribeck = entry(
-        "stribeck-friction", "strip", "joint", **friction, static_excess=6.0, stribeck_speed=1.5e-5
+        "stribeck-friction", "strip", "joint", **friction, static_excess=1.0, stribeck_speed=1.5e-5
     )
     coulomb = entry("coulomb-friction", "strip", "joint", **friction)
     assert strip.recalibrated_size(stribeck) > 1.0

@@ -30,7 +30,7 @@ def _exact(force, inertia=INERTIA):
         (named("drag-error", "body", coefficient=40.0), lambda q, v: -40 * 0.01 * abs(v) * v),
         (
             named(
-                "stribeck-friction", torque=0.5, static_excess=0.6, stribeck_speed=0.3, transition_speed=0.02
+                "stribeck-friction", torque=0.5, static_excess=1.2, stribeck_speed=0.3, transition_speed=0.02
             ),
             lambda q, v: -(0.5 + 0.6 * np.exp(-((v / 0.3) ** 2))) * np.tanh(v / 0.02),
         ),

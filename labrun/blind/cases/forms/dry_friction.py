@@ -42,7 +42,7 @@ def stribeck(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
     return Mechanism(
         "stribeck-friction", site, "joint", "algebraic rounded sign, Stribeck peak with its own exponent", law,
         lambda s: {
-            "torque": s * m.force, "static_excess": s * m.force * excess, "stribeck_speed": speed,
+            "torque": s * m.force, "static_excess": excess, "stribeck_speed": speed,
             "exponent": power, "edge_speed": edge,
         },
         start=0.08, most=1.0, fastest=lambda s: s * (1 + excess) * m.a / edge, rough=True,

@@ -65,6 +65,10 @@ class RailRigSettings(BenchSettings):
     def _rests(self) -> "RailRigSettings":
         if self.rail_at_rest_n < self.rail_n:
             raise ValueError(f"rail_at_rest_n = {self.rail_at_rest_n:g} is below rail_n = {self.rail_n:g}")
+        if self.rail_n == 0 < self.rail_at_rest_n:
+            raise ValueError(
+                f"rail_at_rest_n = {self.rail_at_rest_n:g} needs some friction in motion: rail_n > 0"
+            )
         if not self.ends_m[0] < 0.0 < self.ends_m[1]:
             raise ValueError("ends_m: the carriage's start, 0, is between them")
         return self
@@ -240,7 +244,7 @@ def _friction(settings: RailRigSettings) -> HiddenEffect:
     """Return the rail's friction: more at rest than in motion, which makes a slow swimmer stop and go."""
     values = {
         "torque": settings.rail_n,
-        "static_excess": settings.rail_at_rest_n - settings.rail_n,
+        "static_excess": settings.rail_at_rest_n / settings.rail_n - 1.0,
         "stribeck_speed": 0.02,
         "transition_speed": 0.002,
     }
