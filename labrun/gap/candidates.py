@@ -244,13 +244,24 @@ def candidates(
         for site in model.places:
             if effect.kind == site.kind and (site.kind, site.name) in scales and effect.fits(site):
                 scale = scales[site.kind, site.name]
-                attached = effect.attach(site.name, scale)
+                possible = _as_read(effect) if site.kind == "output" else effect
+                attached = possible.attach(site.name, scale)
                 try:
                     attached.check(model)
                 except ModelError:
                     continue  # it needs a second signal, which this model has not
-                found.append(Candidate(Name(effect.id, site.name), attached, scale, _starts(effect)))
+                found.append(Candidate(Name(effect.id, site.name), attached, scale, _starts(possible)))
     return [*found, *_parameters(model)]
+
+
+def _as_read(effect: Effect) -> Effect:
+    """Return an effect as it may be at an output: a level that readings do not pass is not far below their peak."""
+
+    def possible(one: EffectParameter) -> EffectParameter:
+        level = one.quantity == "signal" and one.neutral == np.inf
+        return replace(one, lower=max(one.lower, criteria.LEAST_LEVEL)) if level else one
+
+    return replace(effect, parameters=tuple(possible(one) for one in effect.parameters))
 
 
 def untried(model: Model, withhold: Collection[str] = ()) -> tuple[str, ...]:

@@ -9,8 +9,9 @@ import pytest
 from labrun.effects import Scale, load_effect
 from labrun.fit import Dataset, OutputNoise
 from labrun.fit.dataset import FitTrial
+from labrun.gap import criteria
 from labrun.gap.averaging import averaged
-from labrun.gap.candidates import untried
+from labrun.gap.candidates import candidates, site_scales, untried
 from labrun.gap.intervals import scatter
 from labrun.gap.recalibration import stated, stated_problem, unit_remarks
 from labrun.gap.screening import Base
@@ -99,3 +100,15 @@ def test_intervals_carry_what_is_stated_of_a_scale_that_the_data_do_not_show() -
     torque = scatter(base, silent)[:, -1] / z[problem.size - 1]
     # all torques scale together with the inertia: of the scale, two statements of 5 % each tell what they can
     assert np.std(torque) == pytest.approx(0.05 / np.sqrt(2.0), rel=0.1)
+
+
+def test_a_sensor_is_not_saturated_below_what_it_read() -> None:
+    problem = stated_problem(pendulum(), recorded(repeats=1))
+    scales = site_scales(problem, problem.begin())
+    levels = {
+        one.name.site: one.attached.effect.parameters[0].lower
+        for one in candidates(problem.model, scales)
+        if one.name.effect == "saturation" and one.attached is not None
+    }
+    assert levels["angle"] == criteria.LEAST_LEVEL
+    assert levels["torque"] < 0.1  # what an amplifier gave is not known
