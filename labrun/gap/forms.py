@@ -73,7 +73,7 @@ def resolved(base: Base, screened: Screened) -> Screened:
     """
     while screened.candidate.attached is not None and screened.problem.substeps < criteria.FINEST:
         finer = screened.problem.with_substeps(criteria.FINER * screened.problem.substeps)
-        if abs(finer.squares(screened.z) - screened.squares) < criteria.STEPS_DO * base.squares:
+        if abs(finer.squares(screened.z) - screened.squares) < criteria.STEPS_DO * screened.squares:
             break
         screened = _ended(base, screened, finer, screened.z)
     return screened
@@ -97,8 +97,43 @@ def _ended(base: Base, screened: Screened, problem: Problem, start: FloatArray) 
 def shaped(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screened:
     """Return the candidate with its shape fitted, if that explains clearly more; else as it was."""
     left = screened.squares - threshold.floor
+    if screened.gain < threshold.gain or left < criteria.SHAPE_REMAINDER * screened.gain:
+        return screened
+    end = _shape_fitted(base, screened)
+    earned = threshold.log_likelihood(end.gain) - threshold.log_likelihood(screened.gain)
+    needed = criteria.SHAPE_PRICE * (end.candidate.variables - screened.candidate.variables)
+    enough = earned >= needed and end.gain - screened.gain >= criteria.SHAPE_EARNS * screened.gain
+    return end if enough else screened
+
+
+def sharpened(base: Base, chosen: Screened, threshold: NoiseThreshold) -> Screened:
+    """Return a chosen cause with the sharpness of its sign fitted, if that explains clearly more of what it leaves.
+
+    Beside it, what the usual sharpness leaves would be taken for a cause of its own.
+
+    Parameters
+    ----------
+    chosen
+        Fitted in units of what it leaves, where noise is not told by repeats.
+    """
+    attached = chosen.candidate.attached
+    if attached is None or not any(
+        one.shape and one.quantity == "rate" for one in attached.effect.parameters
+    ):
+        return chosen
+    in_these_units = replace(base, problem=base.problem.with_noise(chosen.problem.noise), brisk=False)
+    end = _shape_fitted(in_these_units, chosen)
+    relative = np.isfinite(threshold.squares)
+    of_what_is_left = replace(threshold, squares=chosen.squares) if relative else threshold
+    earned = of_what_is_left.log_likelihood(max(chosen.squares - end.squares, 0.0))
+    needed = criteria.SHAPE_PRICE * (end.candidate.variables - chosen.candidate.variables)
+    return replace(end, usual=chosen.usual or chosen) if earned >= needed else chosen
+
+
+def _shape_fitted(base: Base, screened: Screened) -> Screened:
+    """Return the candidate with its shape among what is fitted; as it was if it has none, or that is fitted already."""
     found = _with_shape(screened.candidate)
-    if found is None or screened.gain < threshold.gain or left < criteria.SHAPE_REMAINDER * screened.gain:
+    if found is None:
         return screened
     candidate, choices = found
     problem = candidate.added_to(base.problem).with_substeps(screened.problem.substeps)
@@ -118,16 +153,7 @@ def shaped(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screene
         )
         for sizes in _starts(choices, screened.sizes)
     ]
-    best = min(ends, key=problem.squares)
-    end = replace(_ended(base, screened, problem, best), candidate=candidate)
-    further = candidate.variables - screened.candidate.variables
-    earned = threshold.log_likelihood(end.gain) - threshold.log_likelihood(screened.gain)
-    if (
-        earned < criteria.SHAPE_PRICE * further
-        or end.gain - screened.gain < criteria.SHAPE_EARNS * screened.gain
-    ):
-        return screened
-    return end
+    return replace(_ended(base, screened, problem, min(ends, key=problem.squares)), candidate=candidate)
 
 
 def without_needless_levels(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screened:

@@ -10,7 +10,7 @@ from labrun.fit import Each, Note, Problem
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, without
 from labrun.gap.diagnosis import Name
-from labrun.gap.forms import best_form
+from labrun.gap.forms import best_form, sharpened
 from labrun.gap.held_out import ExcessResidual, held_out_excess
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import NoiseThreshold, noise_threshold
@@ -18,6 +18,13 @@ from labrun.gap.null import Null
 from labrun.gap.rating import Rated, more_common, preferred, promising, rate, rivals_of, room_for_more
 from labrun.gap.recalibration import in_units_of
 from labrun.gap.screening import Base, Screened, ends_of, refit, screen_all, survey
+
+Forms = frozenset[tuple[Name, int]]
+"""A set of causes, each with the number of its variables, which tells whether its shape is fitted."""
+
+
+def _forms(added: Sequence[Candidate]) -> Forms:
+    return frozenset((one.name, one.variables) for one in added)
 
 
 @dataclass(frozen=True)
@@ -117,29 +124,58 @@ class Selector:
     strictness: float
     each: Each
     note: Note
-    _rounds: dict[frozenset[Name], Round] = field(default_factory=dict, repr=False)
+    _rounds: dict[Forms, Round] = field(default_factory=dict, repr=False)
 
     def select(self) -> Selection:
         """Choose the causes; each must beat the threshold given the others, and remove a part of the gap of its own.
 
         What simpler effects together explain as well is theirs: friction that differs by direction is Coulomb friction
-        beside a constant pull, unless the data say more.
+        beside a constant pull, unless the data say more. And where one cause leaves plainly more than noise, two that
+        leave next to nothing are the answer: friction and a lag look like play, nearly.
         """
         found = self._select()
-        compound = {
-            one.name for one in self.candidates if one.attached is not None and one.attached.effect.compound
-        }
-        if not compound & {one.name for one in found.chosen}:
+        doubtful = self._doubtful(found)
+        if not doubtful:
             return found
-        self.note("looking whether simpler effects explain as much")
+        self.note("looking whether other effects explain as much, or more")
         first = self._round(self.base)
-        rounds = {names: one.without(compound) for names, one in self._rounds.items() if not names & compound}
-        rest = without(self.candidates, compound)
-        simpler = replace(self, candidates=rest, _rounds=rounds)._select()
-        room = criteria.SIMPLER_TOGETHER * self.reference.total
-        if not simpler.chosen or simpler.held_out.total > found.held_out.total + room:
+        rounds = {
+            forms: one.without(doubtful)
+            for forms, one in self._rounds.items()
+            if not {name for name, _ in forms} & doubtful
+        }
+        rest = without(self.candidates, doubtful)
+        other = replace(self, candidates=rest, _rounds=rounds)._select()
+        if not other.chosen or not self._better(other, found):
             return found
-        return replace(simpler, rounds=[first, *simpler.rounds[1:]])  # the table is of all candidates
+        return replace(other, rounds=[first, *other.rounds[1:]])  # the table is of all candidates
+
+    def _doubtful(self, found: Selection) -> set[Name]:
+        """Return the effects without which the search is worth another look."""
+        attached = {one.name: one.attached for one in self.candidates if one.attached is not None}
+        chosen = [one.name for one in found.chosen]
+        rich = {name for name in chosen if name in attached and attached[name].effect.contains}
+        if rich:
+            return rich | {name for name, one in attached.items() if one.effect.compound}
+        remains = found.held_out.gap >= criteria.LARGE_REMAINDER and room_for_more(
+            found.held_out, self.reference
+        )
+        return set(chosen) if len(chosen) == 1 and remains else set()
+
+    def _better(self, other: Selection, found: Selection) -> bool:
+        """Tell whether other causes are simpler and leave no more, or leave next to nothing of what is plainly left."""
+        room = criteria.SIMPLER_TOGETHER * self.reference.total
+        compound = any(
+            one.rated.candidate.attached is not None and one.rated.candidate.attached.effect.compound
+            for one in found.chosen
+        )
+        if not compound:  # other effects are met with all that makes them rich
+            room = min(room, criteria.ONE_CAUSE_GAP**2)
+        simpler = other.final.problem.size < found.final.problem.size
+        if (simpler or compound) and other.held_out.total <= found.held_out.total + room:
+            return True
+        plain = found.held_out.gap >= criteria.LARGE_REMAINDER
+        return plain and other.held_out.total <= (1.0 - criteria.SMALL_OF_LEFT) * found.held_out.total
 
     def _select(self) -> Selection:
         first = self._round(self.base)
@@ -151,10 +187,11 @@ class Selector:
         # one of two causes alone may fail where it was not fitted; all that were chosen together must not
         alone = max((one.share for one in first.rated), default=0.0)
         needed = criteria.LEAST_SHARE if alone >= criteria.LEAST_SHARE else criteria.TOGETHER_SHARE
-        if (
-            self.null.relative
-        ):  # what is left may be noise: how much a cause removes says little of whether it is one
-            needed = 0.0
+        beyond_chance = any(one.evidence > 1.0 for one in first.rated)
+        if self.null.relative and beyond_chance:
+            needed = (
+                0.0  # what is left may be noise: how much a cause removes says little of whether it is one
+            )
         if not chosen or self._share(chosen[-1].held_out) < needed:
             return Selection([first], (), self.base, self.reference)
         return Selection(rounds, tuple(chosen), chosen[-1].base, chosen[-1].held_out)
@@ -163,11 +200,17 @@ class Selector:
         return 1.0 - left.total / self.reference.total if self.reference.total > 0 else 0.0
 
     def _forward(self) -> tuple[list[Chosen], list[Round]]:
-        """Take in one cause after the other, each the best beside those before it."""
+        """Take in one cause after the other, each the best beside those before it.
+
+        Where none is beyond chance alone, two may be together: the decay of a swing says little of friction as long as
+        drag is taken for damping.
+        """
         rounds, chosen = [self._round(self.base)], list[Chosen]()
         while len(chosen) < criteria.MOST_CAUSES:
             left = chosen[-1].held_out if chosen else self.reference
             one = self._choose(rounds[-1], left, further=bool(chosen))
+            if one is None and not chosen:
+                one = self._half_of_two(rounds[-1])
             if one is None:
                 break
             self.note(f"found {one.name}; looking whether there is more")
@@ -179,7 +222,14 @@ class Selector:
                 rounds += self._beyond(one)
             if not room:
                 break
-        return chosen, rounds
+        alone = len(chosen) == 1 and not any(one.evidence > 1.0 for one in rounds[0].rated)
+        return ([], rounds[:1]) if alone else (chosen, rounds)
+
+    def _half_of_two(self, first: Round) -> Chosen | None:
+        likely = [one for one in first.rated if one.evidence > criteria.RIVAL_EVIDENCE and one.score > 0.0]
+        if not likely or not self._room(self.reference):
+            return None
+        return self._taken(max(likely, key=lambda one: one.score), first)
 
     def _room(self, left: ExcessResidual) -> bool:
         if self.null.relative and self.reference.gap < criteria.ONE_CAUSE_GAP:
@@ -188,11 +238,9 @@ class Selector:
 
     def _beyond(self, last: Chosen) -> list[Round]:
         """Try every candidate beside all causes: closely only where there is room for one more."""
-        names = frozenset(one.name for one in last.base.added)
-        if names in self._rounds or self._room(last.held_out):
+        if _forms(last.base.added) in self._rounds or self._room(last.held_out):
             return [self._round(last.base)]
-        rest = without(self.candidates, names)
-        return [] if self.base.brisk else [self._tried(last.base, rest, closely=False)]
+        return [] if self.base.brisk else [self._tried(last.base, self._others(last.base), closely=False)]
 
     def _exchanged(self, chosen: list[Chosen]) -> tuple[list[Chosen], list[Round]]:
         """Choose each cause again beside the others: what stood in for two of them gives way."""
@@ -205,12 +253,22 @@ class Selector:
                 if one is None:  # the others do without it
                     chosen = [*chosen[1:-1], replace(chosen[-1], base=beside.base, held_out=left)]
                     break
+                if not self._as_good(one, chosen[-1]):
+                    one = replace(chosen[0], base=chosen[-1].base, held_out=chosen[-1].held_out)
                 chosen = [*chosen[1:], one]
             if {one.name for one in chosen} == before:
                 break
         if len(chosen) == 1:
             chosen = [self._alone(chosen[0])]
         return chosen, [self._round(self.base), *self._beyond(chosen[-1])]
+
+    def _as_good(self, one: Chosen, before: Chosen) -> bool:
+        """Tell whether causes do about as well as others did, on withheld conditions: a fit may have lost its way."""
+        simpler = one.base.problem.size < before.base.problem.size
+        room = criteria.SIMPLER_TOGETHER * self.reference.total if simpler else 0.0
+        return one.held_out.total <= max(
+            before.held_out.total + room, before.held_out.total / criteria.AS_GOOD
+        )
 
     def _alone(self, one: Chosen) -> Chosen:
         """Return a cause that is left alone with the rivals it has there, not those it had beside another."""
@@ -238,29 +296,54 @@ class Selector:
     def _beside(self, chosen: Sequence[Chosen], kept: Sequence[Chosen]) -> tuple[Round, ExcessResidual]:
         """Return all candidates beside some of the causes, and what these leave on withheld conditions."""
         names = frozenset(one.name for one in kept)
-        found = self._rounds.get(names) or self._round(self._refitted(chosen[-1].base, names))
+        forms = _forms([one for one in chosen[-1].base.added if one.name in names])
+        found = self._rounds.get(forms) or self._round(self._refitted(chosen[-1].base, names))
         return found, held_out_excess(found.base.problem, found.base.z, self.noise)
 
     def _choose(self, current: Round, left: ExcessResidual, *, further: bool) -> Chosen | None:
         best = preferred(current.rated, left, self.reference, further=further, relative=self.null.relative)
         if best is None:
             return None
-        if self.null.relative:
-            best = more_common(best, current.rated)
+        return self._taken(more_common(best, current.rated) if self.null.relative else best, current)
+
+    def _taken(self, best: Rated, current: Round) -> Chosen:
+        """Return a candidate as a cause: with its rivals, and fitted in units of what it leaves."""
         rivals, weight = rivals_of(best, current.rated, relative=self.null.relative)
         problem, z = best.screened.problem, best.screened.z
         for _ in range(criteria.REWEIGHED if self.null.relative else 1):
             problem = in_units_of(self.noise, problem, z)
             z = refit(problem, z)
+        fitted = replace(best.screened, problem=problem, z=z, squares=problem.squares(z))
+        sharp = sharpened(current.base, fitted, current.threshold)
+        if sharp is not fitted:
+            problem = in_units_of(self.noise, sharp.problem, sharp.z)
+            z = refit(problem, sharp.z)
+            best = replace(best, screened=sharp)
+        if self.null.relative or sharp is not fitted:  # it was rated in other units, or in another shape
+            best = replace(best, held_out=held_out_excess(problem, z, self.noise))
         base = self._based(problem, z, (*current.base.added, best.candidate))
         return Chosen(best, rivals, weight, base, best.held_out)
 
     def _round(self, base: Base) -> Round:
         """Try every candidate beside a base, once for each set of causes, in whichever order they were found."""
-        names = frozenset(one.name for one in base.added)
-        if names not in self._rounds:
-            self._rounds[names] = self._tried(base, without(self.candidates, names))
-        return self._rounds[names]
+        forms = _forms(base.added)
+        if forms not in self._rounds:
+            self._rounds[forms] = self._tried(base, self._others(base))
+        return self._rounds[forms]
+
+    def _others(self, base: Base) -> list[Candidate]:
+        """Return the candidates beside a base: not its causes, and not what one of them contains."""
+        contained = {
+            (effect, one.name.site)
+            for one in base.added
+            if one.attached is not None
+            for effect in (one.name.effect, *one.attached.effect.contains)
+        }
+        return [
+            one
+            for one in without(self.candidates, {other.name for other in base.added})
+            if (one.name.effect, one.name.site) not in contained
+        ]
 
     def _tried(self, base: Base, candidates: Sequence[Candidate], *, closely: bool = True) -> Round:
         """Try candidates beside a base: fits, the threshold of noise, and the best of them on withheld conditions.

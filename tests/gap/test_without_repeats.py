@@ -1,20 +1,49 @@
 """Without repeats a cause is believed because it explains what chance does not, whatever the size of the noise."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.signal import butter, filtfilt
 
+from labrun.fit.dataset import Dataset, FitTrial
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.noise import of_sensor
 from labrun.gap.noise_threshold import NoiseThreshold
 from labrun.gap.null import independent_share
+from labrun.models import parse_model
+from labrun.store import SignalInfo
 
-from .benches import CONDITIONS, dry_friction, nothing, pendulum, recorded
+from .benches import CONDITIONS, FloatArray, dry_friction, nothing, pendulum, recorded
 
 QUICK = Options(places=False)
+MUSCLE = """
+name = "muscle"
+states = ["position", "speed"]
+inputs = ["pressure"]
+[parameters]
+mass      = { value = 1.2,   tolerance = 0.05,   unit = "kg" }
+gain      = { value = 40.0,  tolerance = "free", unit = "N/bar" }
+stiffness = { value = 300.0, tolerance = 0.1,    unit = "N/m" }
+damping   = { value = 20.0,  tolerance = "free", unit = "N s/m" }
+[equations]
+position = "speed"
+speed = "(gain*pressure - stiffness*position - damping*speed + force.muscle)/mass"
+[outputs]
+position = { equation = "position", unit = "m" }
+[sites.muscle]
+kind = "joint"
+coordinate = "position"
+rate = "speed"
+stiffness = "stiffness"
+[initial]
+position = "first"
+speed = 0.0
+"""
 
 
 @given(st.floats(0.01, 0.98), st.floats(1e-6, 1e6))
@@ -76,3 +105,52 @@ def test_a_law_that_the_library_lacks_is_no_noise_even_without_repeats() -> None
 
 def test_where_nothing_shows_no_gain_is_evidence():
     assert NoiseThreshold(gain=0.0, dispersion=1.0).evidence(3.0) == 0.0
+
+
+def sharp_friction(t: float, q: float, v: float) -> float:
+    return -0.006 * float(np.tanh(v / 0.003))
+
+
+def friction_and_drag(t: float, q: float, v: float) -> float:
+    return -0.006 * float(np.tanh(v / 0.02)) - 0.0008 * abs(v) * v
+
+
+@pytest.mark.slow
+def test_friction_with_a_sharper_sign_is_no_other_friction() -> None:
+    data = recorded(sharp_friction, repeats=1, noise=1e-4)
+    found = diagnose_dataset(data, pendulum(), QUICK)
+    assert [str(one.name) for one in found.causes] == ["coulomb-friction at hinge"]
+    assert found.causes[0].values["torque"].value == pytest.approx(0.006, rel=0.03)
+
+
+@pytest.mark.slow
+def test_two_simple_causes_are_preferred_to_a_rich_one() -> None:
+    found = diagnose_dataset(recorded(friction_and_drag, repeats=1, noise=2e-4), pendulum(), QUICK)
+    assert {one.name.effect for one in found.causes} == {"coulomb-friction", "quadratic-drag"}
+
+
+@pytest.mark.slow
+def test_dry_friction_behind_a_lag_is_not_taken_for_play() -> None:
+    """A pneumatic muscle: moved slowly, friction against a spring looks like play as wide as twice their ratio."""
+    rng = np.random.default_rng(4)
+    time_s = np.arange(0.0, 30.0, 0.02)
+    slow = butter(2, 0.04)
+    pressure = filtfilt(*slow, 2.0 + np.clip(np.cumsum(rng.normal(0.0, 0.06, len(time_s))), -1.5, 1.5))
+
+    def slope(t: float, x: FloatArray) -> list[float]:
+        position, speed, bristle, felt = x
+        force = 45.0 * felt - 300.0 * position - 25.0 * speed - bristle
+        bends = 8000.0 * (speed - abs(speed) * bristle / 4.0)
+        return [speed, force / 1.2, bends, (float(np.interp(t, time_s, pressure)) - felt) / 0.06]
+
+    begins = [45.0 * pressure[0] / 300.0, 0.0, 0.0, pressure[0]]
+    course = solve_ivp(slope, (0.0, time_s[-1]), begins, t_eval=time_s, rtol=1e-7, atol=1e-9, max_step=5e-3)
+    position = course.y[0] + 3e-5 * rng.standard_normal(len(time_s))
+    trial = FitTrial("a log", {}, 1, time_s, pressure[:, None], position[:, None])
+    channels = (SignalInfo("pressure", "bar", "linear"),), (SignalInfo("position", "m", "linear"),)
+    data = Dataset("muscle", Path("muscle"), "recording", *channels, (trial,))
+    found = diagnose_dataset(data, parse_model(MUSCLE, "muscle.toml"), QUICK)
+    sizes = {one.name.effect: one.values for one in found.causes}
+    assert sizes["presliding-friction"]["torque"].value == pytest.approx(4.0, rel=0.05)
+    assert sizes["lag"]["time_constant"].value == pytest.approx(0.06, rel=0.15)
+    assert len(sizes) == 2
