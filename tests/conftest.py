@@ -47,8 +47,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Take one worker more than there are cores: tests of drivers mostly wait for emulated devices in real time."""
-    return (os.cpu_count() or 1) + 1
+    """Take two workers more than there are cores: tests of drivers mostly wait for emulated devices in real time."""
+    return (os.cpu_count() or 1) + 2
 
 
 @pytest.fixture(scope="session")
