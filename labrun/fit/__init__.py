@@ -35,11 +35,11 @@ from labrun.store import is_recording
 __all__ = [
     "FEWEST_SAMPLES", "FEW_TRIALS", "FIRST_SAMPLES", "GROUP", "LEVEL", "SIMULATED", "ComparedPoint", "Comparison",
     "Curve", "Dataset", "Deviation", "DeviationKind", "Each", "Estimate", "FigureData", "FitJob", "FitMethod",
-    "FitPlan", "FitPlugin", "FitResult", "FitSummary", "FitTrial", "FittedData", "Jacobian", "NoSettings", "NormalEquations",
-    "Note", "OutputNoise", "OutputsAlone", "Pair", "Panel", "Problem", "Stack", "TextTable", "by_mounting",
-    "compared", "correlation_length", "fit_model", "is_method", "is_recording", "load_dataset", "make_method",
-    "minimise", "one_by_one", "paired", "predicted_numbers", "predictions", "resample_trials", "rounded",
-    "search", "silent", "student", "thinned", "told_apart", "until_peak", "workers",
+    "FitPlan", "FitPlugin", "FitResult", "FitSummary", "FitTrial", "FittedData", "Jacobian", "NoSettings",
+    "NormalEquations", "Note", "OutputNoise", "OutputsAlone", "Pair", "Panel", "Problem", "Stack", "TextTable",
+    "by_mounting", "compared", "correlation_length", "fit_model", "is_method", "is_recording", "load_dataset",
+    "make_method", "minimise", "one_by_one", "paired", "predicted_numbers", "predictions", "resample_trials",
+    "rounded", "search", "silent", "student", "thinned", "told_apart", "until_peak", "workers",
 ]  # fmt: skip
 
 sys.modules[__name__].__class__ = UseCasePackage
