@@ -38,8 +38,10 @@ def _options(
     pass
 
 
-for module in (workspace, experiment, fit, compare, gap, data, bench):
-    module.register(app)
+for commands in (workspace, experiment, fit, compare, data, bench):
+    for name, command in commands.COMMANDS.items():
+        app.command(name)(command)
+app.add_typer(gap.gap)
 
 
 def main() -> None:

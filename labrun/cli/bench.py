@@ -67,7 +67,4 @@ def doctor(
         raise typer.Exit(1)
 
 
-def register(app: typer.Typer) -> None:
-    """Add this module's commands."""
-    app.command()(plugins)
-    app.command()(doctor)
+COMMANDS = {"plugins": plugins, "doctor": doctor}

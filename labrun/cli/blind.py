@@ -1,5 +1,6 @@
 """`labrun gap check` and `labrun gap reveal`: what was sealed, and how often the diagnosis finds it."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -107,7 +108,4 @@ def reveal(
         print_result(compared, as_json, compared_text)
 
 
-def register(gap: typer.Typer) -> None:
-    """Add this module's commands to those of ``labrun gap``."""
-    gap.command()(check)
-    gap.command()(reveal)
+COMMANDS: dict[str, Callable[..., None]] = {"check": check, "reveal": reveal}

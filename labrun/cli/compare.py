@@ -87,7 +87,4 @@ def rank(
         print_result(found, as_json, ranking_text)
 
 
-def register(app: typer.Typer) -> None:
-    """Add this module's commands."""
-    app.command()(compare)
-    app.command()(rank)
+COMMANDS = {"compare": compare, "rank": rank}

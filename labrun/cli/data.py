@@ -155,9 +155,4 @@ def report(
         typer.echo(f"wrote {written}")
 
 
-def register(app: typer.Typer) -> None:
-    """Add this module's commands."""
-    app.command()(report)
-    app.command()(show)
-    app.command()(export)
-    app.command("import")(import_)
+COMMANDS = {"report": report, "show": show, "export": export, "import": import_}

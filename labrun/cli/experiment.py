@@ -211,11 +211,10 @@ def progress_display() -> "Progress":
     return PlainProgress()
 
 
-def register(app: typer.Typer) -> None:
-    """Add this module's commands."""
-    app.command()(check)
-    for name, (kind, text) in RUNS.items():
-        app.command(name)(_command(kind, text))
-    app.command()(design)
-    app.command()(resume)
-    app.command()(watch)
+COMMANDS = {
+    "check": check,
+    **{name: _command(kind, text) for name, (kind, text) in RUNS.items()},
+    "design": design,
+    "resume": resume,
+    "watch": watch,
+}

@@ -82,6 +82,4 @@ def _status() -> Iterator[Callable[[str], None]]:
         yield lambda text: status.update(escape(text))
 
 
-def register(app: typer.Typer) -> None:
-    """Add this module's command."""
-    app.command()(fit)
+COMMANDS = {"fit": fit}

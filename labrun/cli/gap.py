@@ -1,6 +1,6 @@
 """`labrun gap diagnose`, `save`, `export`, `test`, `compare`, `plan` and `next`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -392,14 +392,9 @@ def next_(
         print_result(proposal, as_json)
 
 
-def register(app: typer.Typer) -> None:
-    """Add this module's commands, under ``labrun gap``."""
-    gap.command()(diagnose)
-    gap.command()(save)
-    gap.command()(export)
-    gap.command()(test)
-    gap.command()(compare)
-    gap.command()(plan)
-    gap.command("next")(next_)
-    blind.register(gap)
-    app.add_typer(gap)
+COMMANDS: dict[str, Callable[..., None]] = {
+    "diagnose": diagnose, "save": save, "export": export, "test": test, "compare": compare, "plan": plan,
+    "next": next_, **blind.COMMANDS,
+}  # fmt: skip
+for _name, _command in COMMANDS.items():
+    gap.command(_name)(_command)

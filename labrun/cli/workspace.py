@@ -110,9 +110,4 @@ def new(
     typer.echo(f"next:  labrun run {path.stem} --dry-run")
 
 
-def register(app: typer.Typer) -> None:
-    """Add this module's commands."""
-    app.command()(init)
-    app.command("list")(list_)
-    app.command()(keys)
-    app.command()(new)
+COMMANDS = {"init": init, "list": list_, "keys": keys, "new": new}

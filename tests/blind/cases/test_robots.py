@@ -18,7 +18,7 @@ STEP_S = 1e-3
 
 def joint(effect: str, size: float) -> Joint:
     shape = draw_shape(np.random.default_rng(0))
-    return Joint(40.0, 2.0, 0.05, STEP_S, 4.0, 2.0, {effect: size}, shape)
+    return Joint(40.0, 2.0, 0.05, STEP_S, 2.0, {effect: size}, shape)
 
 
 def test_a_robot_is_the_same_for_the_same_seed_and_labrun_reads_it(tmp_path):
