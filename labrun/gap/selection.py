@@ -266,9 +266,15 @@ class Selector:
         """Tell whether causes do about as well as others did, on withheld conditions: a fit may have lost its way."""
         simpler = one.base.problem.size < before.base.problem.size
         room = criteria.SIMPLER_TOGETHER * self.reference.total if simpler else 0.0
-        return one.held_out.total <= max(
-            before.held_out.total + room, before.held_out.total / criteria.AS_GOOD
-        )
+
+        def as_good(left: float, had: float) -> bool:
+            return left <= max(had + room, had / criteria.AS_GOOD)
+
+        if as_good(one.held_out.total, before.held_out.total):
+            return True
+        # they were rated in units of what others left
+        again = [held_out_excess(each.base.problem, each.base.z, self.noise).total for each in (one, before)]
+        return as_good(*again)
 
     def _alone(self, one: Chosen) -> Chosen:
         """Return a cause that is left alone with the rivals it has there, not those it had beside another."""
@@ -318,9 +324,7 @@ class Selector:
         if sharp is not fitted:
             problem = in_units_of(self.noise, sharp.problem, sharp.z)
             z = refit(problem, sharp.z)
-            best = replace(best, screened=sharp)
-        if self.null.relative or sharp is not fitted:  # it was rated in other units, or in another shape
-            best = replace(best, held_out=held_out_excess(problem, z, self.noise))
+            best = replace(best, screened=sharp, held_out=held_out_excess(problem, z, self.noise))
         base = self._based(problem, z, (*current.base.added, best.candidate))
         return Chosen(best, rivals, weight, base, best.held_out)
 
