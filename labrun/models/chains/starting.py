@@ -1,10 +1,12 @@
 """Where a closed chain begins: angles at which its loop is closed, at rest where that is asked for, and rates that fit.
 
-Closing is a least-squares problem (Levenberg-Marquardt from SciPy), which takes loops whose six conditions depend on
-one another as they are. Rest is the least potential energy along the loop: Newton's method in the null space of the
-constraint (Nocedal & Wright, Numerical Optimization, 2nd ed. 2006, section 18.1), with negative curvature turned round
-so that it does not stop at an unstable balance.
+Closing is a least-squares problem (Newton's shortest steps where it is nearly closed, else a trust region from SciPy),
+which takes loops whose six conditions depend on one another as they are. Rest is the least potential energy along the
+loop: Newton's method in the null space of the constraint (Nocedal & Wright, Numerical Optimization, 2nd ed. 2006,
+section 18.1), with negative curvature turned round so that it does not stop at an unstable balance.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import null_space
@@ -21,6 +23,9 @@ _MOST_STEPS = 200
 _LONGEST_STEP_RAD = 0.2
 _DIFFERENCE_RAD = 1e-6
 _DEPENDENT = 1e-8
+_FEW_STEPS = 12
+_EXACT = 1e-13
+"""So far apart, rad and m, as good as closed."""
 
 
 class _Layout:
@@ -84,14 +89,34 @@ def closed(tree: Tree, values: FloatArray, angles: FloatArray, held: IntArray) -
         def jacobian(some: FloatArray) -> FloatArray:
             return at(some).jacobian()[:, moving]
 
-        best = least_squares(
-            apart, angles[moving], jacobian, xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=_MOST_STEPS
-        )
-        found[moving] = best.x
+        near = _nearest(apart, jacobian, angles[moving])
+        if near is None:  # far away: with a trust region
+            near = least_squares(
+                apart, angles[moving], jacobian, xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=_MOST_STEPS
+            ).x
+        found[moving] = near
     left = opening(tree, values, found)
     if np.max(left) < CLOSED:
         return found
     raise _stays_open(tree, found, left, held)
+
+
+def _nearest(
+    apart: Callable[[FloatArray], FloatArray],
+    jacobian: Callable[[FloatArray], FloatArray],
+    angles: FloatArray,
+) -> FloatArray | None:
+    """Return where shortest Newton steps close a loop that is nearly closed; None where they do not, or are long."""
+    here, left = angles, apart(angles)
+    for _ in range(_FEW_STEPS):
+        step = np.linalg.lstsq(jacobian(here), -left, rcond=_DEPENDENT)[0]
+        if np.max(np.abs(step)) > _LONGEST_STEP_RAD:
+            return None
+        then = apart(here + step)
+        if np.linalg.norm(then) >= np.linalg.norm(left):  # as exact as rounding lets it be, or astray
+            break
+        here, left = here + step, then
+    return here if np.max(np.abs(left)) < _EXACT else None
 
 
 def _stays_open(tree: Tree, angles: FloatArray, left: FloatArray, held: IntArray) -> ModelError:
