@@ -255,8 +255,9 @@ FAR_ABOVE_FLOOR = 3.0
 gap was at most 1.95 times the floor; slow vortices made 2.3 of a fin that lacked nothing."""
 BEYOND_FLOOR = 1.5
 """How far above the floor a gap is that nothing explains: noise alone is above the floor in 5 of 100 experiments."""
-PROVEN_SHARE = 0.9
-"""Share of the excess beyond which a cause stands, even if few of the conditions show it at all."""
+PROVEN_SHARE, OF_NOTHING = 0.9, 2.0
+"""Share of the excess beyond which a cause stands, even if few of the conditions show it at all; and the end of its
+interval beyond which it is a share of what may be nothing: -0.65 to 15 for ten hinges with nothing hidden."""
 RECALIBRATION_HELPS = 1.5
 """Factor by which recalibration must reduce the gap to be the answer."""
 

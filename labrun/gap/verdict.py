@@ -57,7 +57,8 @@ class VerdictBasis:
         share = self.shrinkage
         if self.effects == 0 or share is None or share.low > 0.0:
             return False
-        return not self.noise_known or share.value < criteria.PROVEN_SHARE
+        proven = share.value >= criteria.PROVEN_SHARE and share.high < criteria.OF_NOTHING
+        return not (self.noise_known and proven)
 
 
 def verdict(found: VerdictBasis) -> Verdict:

@@ -47,6 +47,12 @@ def test_a_plain_gap_stays_one_where_nothing_that_was_found_is_announced():
     assert verdict(found) == "not-in-library"
 
 
+def test_all_of_a_gap_that_may_be_nothing_is_no_proof_of_a_cause():
+    found = findings(sizes=(1.0, 0.4, 0.1, 0.35), share=(1.0, -0.65, 15.0))
+    assert found.unproven
+    assert verdict(found) != "explained"
+
+
 def test_a_cause_that_few_conditions_show_is_announced_where_it_removes_nearly_all():
     found = findings(share=(0.95, -0.04, 0.99))
     assert not found.unproven
