@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from labrun.blind.cases.robots import case
 from labrun.blind.cases.robots.body import draw
 from labrun.blind.cases.robots.case import make_robot
 from labrun.blind.cases.robots.hidden import EFFECTS, Joint, draw_shape
@@ -46,6 +47,16 @@ def test_robots_have_six_to_twelve_joints_and_differ_from_their_file(seed):
     built = stated.scattered(rng, 0.03, 0.05)
     ratios = np.array([b.mass / s.mass for b, s in zip(built.links, stated.links, strict=True)])
     assert 0 < np.std(ratios) < 0.08
+
+
+def test_a_robot_without_anything_hidden_hides_no_error_of_its_integrator(monkeypatch):
+    rng = np.random.default_rng(0)
+    body = draw(rng)
+    goal = case.goals(rng, len(body.links))[:120]
+    coarse = case.run(body, goal, {})[0]
+    monkeypatch.setattr(case, "STEP_S", 0.25 * case.STEP_S)
+    fine = case.run(body, goal, {})[0]
+    assert np.sqrt(np.mean((coarse - fine) ** 2)) < 0.2 * case.NOISE_RAD[0]
 
 
 @pytest.mark.parametrize("effect", [one for one in EFFECTS if one not in ("play", "delay")])
