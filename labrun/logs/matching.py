@@ -197,7 +197,9 @@ def _question(
     near = difflib.get_close_matches(plain(one.names[0]), [plain(column.stem) for column in columns], 1, 0.5)
     proposal = next((column for column in columns if near and plain(column.stem) == near[0]), None)
     if proposal is None:
+        alone = [c for c in columns if c.place is None and not c.stem and one.width == 1]
         proposal = next((c for c in columns if c.place == one.place and c.width == one.width), None)
+        proposal = alone[0] if proposal is None and len(alone) == 1 else proposal
     if proposal is None:  # enc_1, enc_2 ...: numbered in the robot's own order, most likely
         numbered = sorted((int(c.stem), c.name) for c in columns if c.stem.isdigit())
         named = dict(enumerate((name for _, name in numbered), 0)) if len(numbered) == one.width else {}

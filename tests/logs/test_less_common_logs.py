@@ -158,6 +158,20 @@ def test_numbered_columns_are_proposed_by_their_number(tmp_path, arm):
     assert import_log(log, arm, tmp_path / "recording", mapping=proposals).trials == 3
 
 
+def test_the_only_goal_and_angle_of_a_log_are_proposed_for_the_only_joint(tmp_path):
+    robot = tmp_path / "pan.xml"
+    robot.write_text(
+        '<mujoco><worldbody><body><joint name="pan"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
+        '</worldbody><actuator><position name="pan" joint="pan" kp="9"/></actuator></mujoco>'
+    )
+    time_s, goals, angles = logs.motion()
+    names = ["time_s", "goal", "angle"]
+    log = logs.write_csv(tmp_path / "log.csv", time_s, goals[:, :1], angles[:, :1], names=names)
+    with pytest.raises(RequestError) as asked:
+        import_log(log, robot, tmp_path / "recording")
+    assert "if all of these are right: --map pan_command=goal --map pan=angle" in str(asked.value.hint)
+
+
 def test_ticks_of_another_encoder_are_counted_as_said(tmp_path, arm):
     time_s, goals, angles = logs.motion()
     counts = [np.round(one * 16384 / (2 * np.pi) + 8192) for one in (goals, angles)]
