@@ -115,7 +115,8 @@ class EmulatedBench:
         for name, process in self._processes.items():
             answer = json.loads(_answer(process, f"the emulator of {name}"))
             if "error" in answer:
-                raise DeviceError(name, f"its emulator did not open: {answer['error']}")
+                why = answer["error"].removeprefix(f"device {name}: ")
+                raise DeviceError(name, f"its emulator did not open: {why}")
             self.settings[name] = answer["settings"]
         if served is not None:
             self.scene = RemoteScene(served["address"], bytes.fromhex(served["key"]))

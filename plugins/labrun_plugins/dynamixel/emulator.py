@@ -20,6 +20,7 @@ from labrun_plugins.dynamixel.emulated_servo import OVERLOADED, EmulatedServo
 from labrun_plugins.dynamixel.emulated_shaft import EmulatedShaft
 from labrun_plugins.dynamixel.emulated_table import Table
 from labrun_plugins.simulated.dynamixel import TEMPERATURE_C, SimulatedDynamixelSettings
+from labrun_plugins.simulated.joints import require_joints
 
 _MODEL, _FIRMWARE = 1030, 46
 _OVERHEATED_C = 85.0
@@ -38,6 +39,7 @@ class DynamixelEmulator:
     """
 
     def __init__(self, name: str, settings: SimulatedDynamixelSettings, context: EmulatorContext) -> None:
+        self._name = name
         self._settings = settings
         self._context = context
         self._faults = context.faults
@@ -49,7 +51,15 @@ class DynamixelEmulator:
         self._sent: deque[tuple[float, int, bytes]] = deque(maxlen=_KEPT)
 
     def open(self) -> Mapping[str, Any]:
-        """Switch the servos on; return the port by which they are reached."""
+        """Switch the servos on; return the port by which they are reached.
+
+        Raises
+        ------
+        DeviceError
+            The bench has no joint of that name.
+        """
+        if self._context.scene is not None:
+            require_joints(self._name, tuple(self._settings.joints), self._context.scene)
         now = self._context.clock.now()
         model = int(self._faults.value("model") or _MODEL)
         firmware = int(self._faults.value("firmware") or _FIRMWARE)

@@ -1,11 +1,11 @@
 """What the simulated servo devices have in common: joints of the scene, limits, and a shaft each."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from labrun.devices import DeviceContext, DeviceError, FloatArray, Trajectory
+from labrun.devices import DeviceContext, DeviceError, FloatArray, Scene, Trajectory
 from labrun.errors import LimitExceededError
 from labrun_plugins.simulated.bench import packed, unpacked
 from labrun_plugins.simulated.device import SimulatedDevice
@@ -14,6 +14,17 @@ from labrun_plugins.simulated.shaft import Shaft
 
 _SPEED_OVER_S = 1e-3
 """A shaft that is moving when it gets another command keeps its speed, which is taken over this long."""
+
+
+def require_joints(device: str, joints: Sequence[str], scene: Scene) -> None:
+    """Raise DeviceError where the bench lacks a joint of the device."""
+    missing = [joint for joint in joints if joint not in scene.joints]
+    if missing:
+        raise DeviceError(
+            device,
+            f"this bench has no joint {', '.join(missing)}",
+            hint=f"it has {', '.join(scene.joints) or 'none'}; joints are named as in [gait.joints]",
+        )
 
 
 class SimulatedJoints(SimulatedDevice):
@@ -53,13 +64,7 @@ class SimulatedJoints(SimulatedDevice):
         DeviceError
             The bench has no joint of that name.
         """
-        missing = [joint for joint in self.joints if joint not in self.scene.joints]
-        if missing:
-            raise DeviceError(
-                self.name,
-                f"this bench has no joint {', '.join(missing)}",
-                hint=f"it has {', '.join(self.scene.joints) or 'none'}; joints are named as in [gait.joints]",
-            )
+        require_joints(self.name, self.joints, self.scene)
         super().open()
 
     def pose(self) -> Mapping[str, float]:

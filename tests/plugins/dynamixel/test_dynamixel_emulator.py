@@ -1,5 +1,8 @@
 """The emulated servo keeps the rules of the manual."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -9,8 +12,11 @@ from labrun_plugins.dynamixel.emulated_bus import EmulatedBus
 from labrun_plugins.dynamixel.emulated_servo import EmulatedServo
 from labrun_plugins.dynamixel.emulated_shaft import EmulatedShaft
 from labrun_plugins.dynamixel.emulated_table import Table
+from labrun_plugins.dynamixel.emulator import DynamixelEmulator
+from labrun_plugins.simulated.dynamixel import SimulatedDynamixelSettings
 
-from labrun.devices.emulation import EmulatorLog
+from labrun.devices.emulation import EmulatorContext, EmulatorLog, Faults
+from labrun.errors import DeviceError
 
 EEPROM, RAM = [(9, 1), (11, 1), (48, 4), (8, 1)], [(112, 4), (84, 2), (98, 1)]
 
@@ -394,3 +400,15 @@ def test_a_shaft_told_in_small_steps_moves_as_the_stand_ins_does():
     stairs = Trajectory(("tail",), held, np.repeat(goals, 2)[:, None])
     wanted = SHAFT.motion("tail", stairs, 0.0).at(time_s)[:, 0]
     assert np.abs(np.array(found) - wanted).max() < np.radians(0.1)
+
+
+def test_a_joint_that_the_bench_lacks_is_told_before_anything_moves(tmp_path):
+    bench = SimpleNamespace(joints=("shoulder", "elbow"))
+    log = EmulatorLog(None, Clock())
+    context = EmulatorContext(Clock(), np.random.default_rng(1), tmp_path, bench, Faults(), log=log)
+    limits = {"angle_deg": [-90, 90], "speed_deg_s": 90}
+    keys = {"port": "/dev/none", "baud": 57600, "joints": {"sholder": {"id": 1}}, "limits": limits}
+    settings = SimulatedDynamixelSettings.model_validate(keys)
+    with pytest.raises(DeviceError, match="no joint sholder") as told:
+        DynamixelEmulator("servos", settings, context).open()
+    assert "it has shoulder, elbow" in str(told.value)
