@@ -84,7 +84,7 @@ def test_values_and_several_effects_go_together(tmp_path):
     exported = mjcf_of(model)
     own, alone = both(model, exported.xml)
     assert np.sqrt(np.mean((own - alone) ** 2)) < NOISE_RAD
-    assert "body_mass[1] 0.3 became 0.33" in exported.written
+    assert "body_mass of upper: 0.3 became 0.33" in exported.written
 
 
 TWO_LINKS = """

@@ -66,7 +66,10 @@ def mjcf_of(model: Model) -> Exported:
         before, after = place.read(compiled), place.read(corrected)
         if before != after:
             place.write(compiled, after)
-            written.append(f"{place.array}[{place.index}] {before:.6g} became {after:.6g}")
+            if place.array != "actuator_biasprm":  # a servo's bias goes with its gain
+                element = _named(corrected, place.array, place.index)[0] if place.owner == "model" else ""
+                where = f"{place.array} of {element}" if element else f"{place.array}[{place.index}]"
+                written.append(f"{where}: {before:.6g} became {after:.6g}")
     try:
         spec.copy_back(compiled)
     except ValueError as error:
