@@ -19,7 +19,6 @@ from labrun.store import replace_durably, require_writable
 from labrun.workers import cores
 
 ROBOT = "robot.xml"
-_FEWEST_JOINTS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +61,7 @@ def joint_by_joint(target: str | Path, results: str | Path = "results") -> str |
     folder = find_data(target, Path(results))
     if not (folder / ROBOT).is_file() or not (folder / "model.toml").is_file():
         return None
-    robot = read_robot(folder / ROBOT)
-    if len(robot.joints) < _FEWEST_JOINTS:
-        return "it has one joint"
-    return why_not(robot, ask(folder, None).dataset)
+    return why_not(read_robot(folder / ROBOT), ask(folder, None).dataset)
 
 
 def diagnose_joints(

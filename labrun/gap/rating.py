@@ -164,24 +164,26 @@ def _needed(one: Rated, left: ExcessResidual) -> float:
     return criteria.EVIDENCE_ALONE if alone else 1.0
 
 
+def least_to_remove(left: ExcessResidual, reference: ExcessResidual) -> float:
+    """Return the part of what is left that a further cause has to remove to earn its place; above 1, none can."""
+    if left.total <= 0.0 or reference.total <= 0.0:
+        return float("inf")
+    whole = reference.total / left.total
+    ways = [criteria.ANOTHER_SHARE * whole, max(criteria.NOTICED_SHARE * whole, criteria.NOTICED_OF_LEFT)]
+    if left.gap >= criteria.SMALL_GAP:
+        ways.append(max(criteria.SMALL_SHARE * whole, criteria.SMALL_OF_LEFT))
+    return min(ways)
+
+
 def room_for_more(left: ExcessResidual, reference: ExcessResidual) -> bool:
     """Tell whether a further cause could earn its place at all: by removing everything that is left."""
-    share = left.total / reference.total if reference.total > 0 else 0.0
-    return share >= criteria.NOTICED_SHARE or (
-        share >= criteria.SMALL_SHARE and left.gap >= criteria.SMALL_GAP
-    )
+    return least_to_remove(left, reference) <= 1.0
 
 
 def _earns_its_place(one: Rated, left: ExcessResidual, reference: ExcessResidual) -> bool:
     """Tell whether a further cause removes enough on withheld conditions, of the whole gap or of what is left of it."""
-    removed = left.total - one.held_out.total
-    share = removed / reference.total
-    if share >= criteria.ANOTHER_SHARE:
-        return True
-    if share >= criteria.NOTICED_SHARE and removed >= criteria.NOTICED_OF_LEFT * left.total:
-        return True
-    nearly_all = removed >= criteria.SMALL_OF_LEFT * left.total and left.gap >= criteria.SMALL_GAP
-    return share >= criteria.SMALL_SHARE and nearly_all
+    least = least_to_remove(left, reference)
+    return least <= 1.0 and left.total - one.held_out.total >= least * left.total
 
 
 def rivals_of(

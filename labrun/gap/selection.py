@@ -11,11 +11,20 @@ from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, without
 from labrun.gap.diagnosis import Name
 from labrun.gap.forms import best_form, sharpened
-from labrun.gap.held_out import ExcessResidual, held_out_excess
+from labrun.gap.held_out import ExcessResidual, fitted_excess, held_out_excess
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import NoiseThreshold, noise_threshold
 from labrun.gap.null import Null
-from labrun.gap.rating import Rated, more_common, preferred, promising, rate, rivals_of, room_for_more
+from labrun.gap.rating import (
+    Rated,
+    least_to_remove,
+    more_common,
+    preferred,
+    promising,
+    rate,
+    rivals_of,
+    room_for_more,
+)
 from labrun.gap.recalibration import in_units_of
 from labrun.gap.screening import Base, Screened, ends_of, refit, screen_all, survey
 
@@ -359,7 +368,9 @@ class Selector:
         """
         surveys = self.each(lambda one: survey(base, one), candidates)
         threshold = noise_threshold(base, surveys, self.null).times(self.strictness)
-        screened = screen_all(base, surveys, threshold.gain, self.each, known=self._known())
+        screened = screen_all(
+            base, surveys, max(threshold.gain, self._least_gain(base)), self.each, known=self._known()
+        )
         if not closely:
             return Round(base, screened, threshold, [])
         most = max((one.gain for one in screened), default=0.0)
@@ -369,6 +380,14 @@ class Selector:
             promising(screened, threshold, criteria.RATED),
         )
         return Round(base, screened, threshold, rated)
+
+    def _least_gain(self, base: Base) -> float:
+        """Return what a cause beside others has to gain to earn its place, about; only asked where time is short."""
+        if not base.brisk or not base.added:
+            return 0.0
+        left = fitted_excess(base.problem, base.z, self.noise)
+        least = least_to_remove(left, self.reference)
+        return min(least, 1.0) * base.squares * left.total / (1.0 + left.total) if left.total > 0.0 else 0.0
 
     def _known(self) -> dict[Name, FloatArray]:
         """Return the sizes at which fits of candidates ended so far."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pages import blocks
 
-from labrun.app.diagnose import diagnose
+from labrun.app.diagnose_robot import diagnose_joints
 from labrun.app.logs import import_log
 from labrun.app.simulators import export_robot
 
@@ -26,9 +26,9 @@ def test_the_friction_that_the_page_hides_is_found_and_exported(tmp_path, monkey
         if block.language == "python":
             subprocess.run([sys.executable, "-c", block.body], check=True)
     folder = import_log("log.csv", "arm.xml", "recordings/arm").folder
-    found = diagnose(folder, workers=2)
-    assert found.diagnosis.causes[0].name.effect.endswith("-friction")
-    assert found.diagnosis.causes[0].name.site == "shoulder"
+    found = diagnose_joints(folder, workers=2)
+    assert found.diagnosis.joints[0].diagnosis.causes[0].name.effect.endswith("-friction")
+    assert found.diagnosis.joints[0].diagnosis.causes[0].name.site == "shoulder"
     made = export_robot(folder, Path("corrected.xml"), ranges=Path("ranges.json"))
     ranges = json.loads(Path("ranges.json").read_text())
     assert {one["params"]["operation"] for one in ranges["isaac_lab"]} == {"abs"}
