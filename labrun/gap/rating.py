@@ -91,15 +91,24 @@ def score(screened: Screened, threshold: NoiseThreshold) -> float:
     return threshold.log_likelihood(screened.gain) - price
 
 
-def promising(screened: Sequence[Screened], threshold: NoiseThreshold, most: int) -> list[Screened]:
-    """Return the candidates worth a closer look, best first: those that beat noise, and the best few in any case."""
+def promising(
+    screened: Sequence[Screened], threshold: NoiseThreshold, most: int, least: float = 0.0
+) -> list[Screened]:
+    """Return the candidates worth a closer look, best first: those that beat noise, and the best few in any case.
+
+    Parameters
+    ----------
+    least
+        What they have to gain besides, about.
+    """
+    needed = max(threshold.gain, criteria.WORTH_A_FIT * least)
     ordered = sorted(screened, key=lambda one: -score(one, threshold))
     best = score(ordered[0], threshold) if ordered else 0.0
     return [
         one
         for place, one in enumerate(ordered[:most])
         if place < criteria.RATED_ANYWAY
-        or (one.gain > threshold.gain and score(one, threshold) > criteria.RATED_BESIDE_BEST * best)
+        or (one.gain > needed and score(one, threshold) > criteria.RATED_BESIDE_BEST * best)
     ]
 
 

@@ -368,16 +368,15 @@ class Selector:
         """
         surveys = self.each(lambda one: survey(base, one), candidates)
         threshold = noise_threshold(base, surveys, self.null).times(self.strictness)
-        screened = screen_all(
-            base, surveys, max(threshold.gain, self._least_gain(base)), self.each, known=self._known()
-        )
+        least = self._least_gain(base)
+        screened = screen_all(base, surveys, max(threshold.gain, least), self.each, known=self._known())
         if not closely:
             return Round(base, screened, threshold, [])
         most = max((one.gain for one in screened), default=0.0)
         screened = self.each(lambda one: best_form(base, one, most, threshold), screened)
         rated = self.each(
             lambda one: rate(base, one, threshold, self.noise, self.reference),
-            promising(screened, threshold, criteria.RATED),
+            promising(screened, threshold, criteria.RATED, least),
         )
         return Round(base, screened, threshold, rated)
 

@@ -1,7 +1,7 @@
 """A whole robot diagnosed: every joint by itself, then all that was found together in the whole robot."""
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect
-from labrun.fit import Dataset, Note, silent
+from labrun.fit import Dataset, FitTrial, Note, silent
 from labrun.gap import criteria
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Diagnosis
@@ -163,14 +163,15 @@ def diagnose_robot(
     # a process a joint: half of a diagnosis is Python, which threads would wait for in turn
     with nullcontext() if options.workers <= 1 else pool(min(options.workers, len(every)), None) as there:
         answers = _looked(found, every, alone, there, note)
-        whole = _of_the_whole(answers)
-        again = _without_whole(answers) if whole else []
+        whole, beside = _of_the_whole(answers), _beside_sensors(answers)
+        again = _that_others_may_explain(answers, beside) if whole or beside else []
         if again:
             note(
-                "looking again at the joints that say something else, the base and the load as others tell them"
+                "looking again at joints that say something else, with base, load and links as others tell them"
             )
-            second = _looked(found.with_whole(**_around(whole)), again, alone, there, note)
-            answers = _explained_by_whole(answers, dict(zip(again, second, strict=True)))
+            around = (found.with_links(beside) if beside else found).with_whole(**_around(whole))
+            second = _looked(around, again, alone, there, note)
+            answers = _explained_by_others(answers, dict(zip(again, second, strict=True)))
     note("simulating the whole robot with what was found")
     return _together(found, answers, start)
 
@@ -225,19 +226,50 @@ def _around(whole: Sequence[tuple[str, tuple[str, ...], Mapping[str, float]]]) -
     }
 
 
-def _without_whole(answers: Sequence[tuple[OneJoint, Diagnosis]]) -> list[int]:
-    """Return the joints at which a cause was found, and none of the robot as a whole."""
+def _beside_sensors(answers: Sequence[tuple[OneJoint, Diagnosis]]) -> dict[int, list[FloatArray]]:
+    """Return, by place and trial, how far joints are from what was measured of them, as the causes at sensors say.
+
+    A joint whose encoder has play moves while its encoder stands still: joints that it carries feel the true motion.
+    """
+    found = {}
+    for place, (one, answer) in enumerate(answers):
+        sensors = [effect for effect in answer.effects if effect.effect.kind == "output"]
+        if not sensors:
+            continue
+        rest = [effect for effect in answer.effects if effect not in sensors]
+        link = one.model.with_values(answer.corrected).with_effects(rest)
+        found[place] = [
+            _alone(link, trial, one.joint) - _alone(link.with_effects(sensors), trial, one.joint)
+            for trial in one.dataset.trials
+        ]
+    return {place: by for place, by in found.items() if np.isfinite(np.concatenate(by)).all()}
+
+
+def _alone(model: Model, trial: FitTrial, joint: RobotJoint) -> FloatArray:
+    """Return the angle that a joint's own model makes of a trial, which begins as it was measured."""
+    names = [one.name for one in model.inputs]
+    begin = [trial.inputs[0, names.index("measured")], trial.inputs[0, names.index("measured_rate")]]
+    made = simulate(model, trial.time_s, trial.inputs, condition=trial.condition, initial_state=begin)
+    return made.outputs[:, [one.name for one in model.outputs].index(joint.output)]
+
+
+def _that_others_may_explain(
+    answers: Sequence[tuple[OneJoint, Diagnosis]], beside: Collection[int]
+) -> list[int]:
+    """Return the joints that lack something, none of the robot as a whole and not at their own sensor."""
     return [
         place
         for place, (_, answer) in enumerate(answers)
-        if answer.causes and not {cause.name.effect for cause in answer.causes} & set(OF_THE_WHOLE)
+        if (answer.causes or answer.verdict == "not-in-library")
+        and place not in beside
+        and not {cause.name.effect for cause in answer.causes} & set(OF_THE_WHOLE)
     ]
 
 
-def _explained_by_whole(
+def _explained_by_others(
     answers: Sequence[tuple[OneJoint, Diagnosis]], again: Mapping[int, tuple[OneJoint, Diagnosis]]
 ) -> list[tuple[OneJoint, Diagnosis]]:
-    """Return the answers, of joints at which the whole robot's causes leave less than half of the gap the new ones.
+    """Return the answers, of joints at which what others tell leaves less than half of the gap the new ones.
 
     A tilt asks the same torque of a joint about the vertical wherever it stands: alone it looks like a constant force.
     """

@@ -8,7 +8,7 @@ Algorithms (2008), chapter 3), linearised about the measured motion in what the 
 H and c come from the inverse dynamics of the bodies that hang on the joint, each in proportion to its mass.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -73,6 +73,18 @@ class Prescribed:
             roll * one.tilt[:, :, 0] + pitch * one.tilt[:, :, 1] + load_kg * one.load for one in self.terms
         )
         return replace(self, around=more)
+
+    def with_links(self, beside: Mapping[int, Sequence[FloatArray]]) -> "Prescribed":
+        """Return the same with joints that stand beside what was measured of them, by place and trial, by so much."""
+        names = [one.name for one in self.dataset.outputs]
+        trials = []
+        for number, trial in enumerate(self.dataset.trials):
+            outputs = trial.outputs.copy()
+            for place, by in beside.items():
+                outputs[:, names.index(self.robot.joints[place].output)] += by[number]
+            trials.append(replace(trial, outputs=outputs))
+        moved = prescribed(self.robot, self.whole, replace(self.dataset, trials=tuple(trials)))
+        return replace(moved, dataset=self.dataset)
 
 
 def why_not(robot: Robot, dataset: Dataset) -> str:

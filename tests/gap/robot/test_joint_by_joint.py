@@ -3,15 +3,17 @@
 import dataclasses
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from labrun.effects import AttachedEffect, load_effect
 from labrun.fit import Dataset, FitTrial
 from labrun.gap import Options, diagnose_robot, why_not
-from labrun.gap.robot.diagnose import _into_damping
+from labrun.gap.robot.diagnose import _beside_sensors, _into_damping
 from labrun.gap.robot.motion import smoothed
-from labrun.gap.robot.one_joint import one_joint, prescribed
+from labrun.gap.robot.one_joint import Prescribed, one_joint, prescribed
 from labrun.models import load_model, read_robot, simulate
 from labrun.store import SignalInfo
 
@@ -99,6 +101,37 @@ def test_prescribed_motion_is_no_site(tmp_path):
     assert [(one.kind, one.name) for one in places] == [
         ("joint", "elbow"), ("base", "base"), ("tip", "tip"), ("input", "elbow_command"), ("output", "elbow"),
     ]  # fmt: skip
+
+
+def test_a_joint_moves_as_in_the_robot_once_the_play_of_the_encoder_before_it_is_known(tmp_path):
+    robot, model, clean = arm(tmp_path)
+    width = 0.02
+    trials = []
+    for trial in clean.trials:
+        outputs, stands = trial.outputs.copy(), trial.outputs[0, 0]
+        for row in range(len(outputs)):
+            stands = outputs[row, 0] = np.clip(
+                stands, outputs[row, 0] - width / 2, outputs[row, 0] + width / 2
+            )
+        trials.append(dataclasses.replace(trial, outputs=outputs))
+    found = prescribed(robot, model, dataclasses.replace(clean, trials=tuple(trials)))
+    play = AttachedEffect(load_effect("play"), "shoulder", (width,))
+    answers = [
+        (one_joint(found, 0), SimpleNamespace(effects=(play,), corrected={})),
+        (one_joint(found, 1), SimpleNamespace(effects=(), corrected={})),
+    ]
+    beside = _beside_sensors(answers)
+    assert list(beside) == [0]
+    assert np.abs(np.concatenate(beside[0])).max() == pytest.approx(width / 2, rel=1e-2)
+
+    def differs(given: Prescribed) -> float:
+        one = one_joint(given, 1)
+        trial = one.dataset.trials[0]
+        begin = [trial.outputs[0, 0], 0.0]
+        moved = simulate(one.model, trial.time_s, trial.inputs, initial_state=begin, substeps=2)
+        return float(np.std(moved.outputs[:, 0] - trial.outputs[:, 0]))
+
+    assert differs(found.with_links(beside)) < 0.3 * differs(found)
 
 
 @pytest.mark.slow
