@@ -8,7 +8,16 @@ import numpy as np
 
 from labrun import registry
 from labrun.arrays import FloatArray
-from labrun.effects import AttachedEffect, Effect, EffectParameter, Scale, effects, force_law, shipped
+from labrun.effects import (
+    AttachedEffect,
+    Effect,
+    EffectParameter,
+    Quantity,
+    Scale,
+    effects,
+    force_law,
+    shipped,
+)
 from labrun.errors import ModelError, RequestError
 from labrun.fit import Problem
 from labrun.gap import criteria
@@ -201,9 +210,14 @@ class Candidate:
     @property
     def variables(self) -> int:
         """Number of variables it adds to a fit."""
+        return len(self.quantities)
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What each of them is."""
         if self.attached is None:
-            return 0
-        return sum(not parameter.held for parameter in self.attached.effect.parameters)
+            return ()
+        return tuple(one.quantity for one in self.attached.effect.parameters if not one.held)
 
     def added_to(self, problem: Problem) -> Problem:
         """Return the problem with this candidate in it."""

@@ -192,6 +192,8 @@ EXCHANGES = 3
 """How often each cause is chosen again beside the others."""
 SIMPLER_TOGETHER = 0.01
 """Part of the recalibrated excess that simpler effects together may leave more than one that stands for them."""
+SIMPLER_LEAVES = 2.0
+"""So many times the remainder of a rich cause is more than a simpler one may leave of data that both have seen."""
 IDEALISED_FORM = (0.006, 0.02)
 """Part of a gain that the idealised form of a true effect may lack: as much as the best one's leaves, between these."""
 SIMPLER_SHARE = 0.02

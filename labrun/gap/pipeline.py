@@ -140,10 +140,11 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) ->
         return found
     final = found.selection.final
     for problem, z in ((final.problem, final.z), (first.problem, first.z)):
-        deviations = found_alone(
+        likely = found_alone(
             asked.data, mean_residuals(problem, z), problem.simulated(z), simulated_changes(problem, z)
         )
-        if not deviations or not _make_up_what_is_left(problem, z, deviations):
+        deviations = _that_make_up_what_is_left(problem, z, likely)
+        if not deviations:
             break
         asked.note("taking apart what differs from trial to trial, and looking for causes beside it")
         beside, start = with_deviations(first.problem, first.z, deviations)
@@ -154,15 +155,25 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) ->
     return found
 
 
-def _make_up_what_is_left(problem: Problem, z: FloatArray, deviations: Sequence[Deviation]) -> bool:
-    """Tell whether deviations that causes may look like leave next to nothing, once everything is fitted with them."""
-    if not any(one.kind in ALSO_SHAPES for one in deviations):
-        return True
+def _that_make_up_what_is_left(
+    problem: Problem, z: FloatArray, likely: Sequence[tuple[Deviation, ...]]
+) -> tuple[Deviation, ...]:
+    """Return the deviations that leave least once everything is fitted with them; none if that is not next to nothing.
+
+    Of those that no cause looks like, nothing is asked.
+    """
+    if not likely or not any(one.kind in ALSO_SHAPES for one in likely[0]):
+        return likely[0] if likely else ()
+    left = [_left_beside(problem, z, one) for one in likely]
+    least = int(np.argmin(left))
+    return likely[least] if left[least] <= 1.0 - criteria.DEVIATION_NEARLY_ALL else ()
+
+
+def _left_beside(problem: Problem, z: FloatArray, deviations: Sequence[Deviation]) -> float:
     beside, start = with_deviations(problem, z, deviations)
     after, before = mean_residuals(beside, refit(beside, start)), mean_residuals(problem, z)
     left, all_of_it = (np.mean(np.square(np.concatenate(one)), axis=0) for one in (after, before))
-    ratio = float(np.mean(left / np.where(all_of_it > 0, all_of_it, 1.0)))
-    return ratio <= 1.0 - criteria.DEVIATION_NEARLY_ALL
+    return float(np.mean(left / np.where(all_of_it > 0, all_of_it, 1.0)))
 
 
 def _fitted_to_motion(search: Search, noise: Noise) -> Search:

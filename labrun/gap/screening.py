@@ -10,6 +10,7 @@ from labrun.fit import Each, Jacobian, Problem, minimise, one_by_one
 from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnosis import Name
+from labrun.gap.kin import family
 from labrun.gap.nuisance import NuisanceProjection
 
 
@@ -291,6 +292,35 @@ def screen_all(
         return follow(base, one) if worthy else one
 
     return each(finish, begun)
+
+
+def begun_where_kin_ended(
+    base: Base, screened: Sequence[Screened], threshold: float, each: Each = one_by_one
+) -> list[Screened]:
+    """Fit effects again from where a better one of their family ended whose sizes are of the same quantities.
+
+    What mends nearly the same has its best sizes nearly there, and a fit from afar may not have found them.
+    """
+    best = max((one.gain for one in screened), default=0.0)
+    enough = max(threshold, criteria.WORTH_FOLLOWING * best)
+
+    def again(one: Screened) -> Screened:
+        kin = [
+            other
+            for other in screened
+            if other.gain >= enough
+            and other.gain > one.gain
+            and family(one.candidate.name, other.candidate.name)
+            and one.candidate.quantities == other.candidate.quantities
+            and one.survey.starts
+        ]
+        if not kin:
+            return one
+        known = max(kin, key=lambda other: other.gain).sizes
+        found = follow(base, rough(base, one.survey, known))
+        return found if found.gain > one.gain else one
+
+    return each(again, screened)
 
 
 def ends_of(screened: Iterable[Screened]) -> dict[Name, FloatArray]:

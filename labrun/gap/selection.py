@@ -26,7 +26,15 @@ from labrun.gap.rating import (
     room_for_more,
 )
 from labrun.gap.recalibration import in_units_of
-from labrun.gap.screening import Base, Screened, ends_of, refit, screen_all, survey
+from labrun.gap.screening import (
+    Base,
+    Screened,
+    begun_where_kin_ended,
+    ends_of,
+    refit,
+    screen_all,
+    survey,
+)
 
 Forms = frozenset[tuple[Name, int]]
 """A set of causes, each with the number of its variables, which tells whether its shape is fitted."""
@@ -178,9 +186,11 @@ class Selector:
             one.rated.candidate.attached is not None and one.rated.candidate.attached.effect.compound
             for one in found.chosen
         )
+        simpler = other.final.problem.size < found.final.problem.size
         if not compound:  # other effects are met with all that makes them rich
             room = min(room, criteria.ONE_CAUSE_GAP**2)
-        simpler = other.final.problem.size < found.final.problem.size
+            left, ours = (fitted_excess(one.final.problem, one.final.z, self.noise) for one in (other, found))
+            simpler = simpler and left.gap <= criteria.SIMPLER_LEAVES * max(ours.gap, 1.0)
         if (simpler or compound) and other.held_out.total <= found.held_out.total + room:
             return True
         plain = found.held_out.gap >= criteria.LARGE_REMAINDER
@@ -372,6 +382,7 @@ class Selector:
         screened = screen_all(base, surveys, max(threshold.gain, least), self.each, known=self._known())
         if not closely:
             return Round(base, screened, threshold, [])
+        screened = begun_where_kin_ended(base, screened, threshold.gain, self.each)
         most = max((one.gain for one in screened), default=0.0)
         screened = self.each(lambda one: best_form(base, one, most, threshold), screened)
         rated = self.each(

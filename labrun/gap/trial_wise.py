@@ -181,7 +181,7 @@ def found_alone(
     residual: Sequence[FloatArray],
     simulated: Sequence[FloatArray],
     changes: Mapping[tuple[DeviationKind, int], Sequence[FloatArray]] | None = None,
-) -> tuple[Deviation, ...]:
+) -> list[tuple[Deviation, ...]]:
     """Look for what trials that were never repeated differ by as a whole, where no cause explains what is left of them.
 
     A deviation is as large in one block of its trial as in another. One counts if it makes up a good part of what is
@@ -194,9 +194,14 @@ def found_alone(
         Of the model with its causes.
     changes
         `simulated_changes` of it.
+
+    Returns
+    -------
+    list
+        What it may be. First a set, each of it the largest in what those before it leave; then every kind alone. Of
+        `ALSO_SHAPES`, which only a fit decides on, also those that blocks of a trial do not agree on: where friction
+        holds a joint still, a gain shows nothing.
     """
-    found: list[Deviation] = []
-    left = list(residual)
     outputs = range(units.trials[0].outputs.shape[1])
     kinds = [(kind, output) for kind in _KINDS for output in (outputs if kind != "start time" else (None,))]
     shapes: dict[tuple[DeviationKind, int | None], list[FloatArray]] = {
@@ -207,15 +212,29 @@ def found_alone(
     }
     for one, change in (changes or {}).items():
         shapes[one] = list(change)
+    found, alone, left = list[Deviation](), list[Deviation](), list(residual)
     while len(found) < criteria.MOST_DEVIATIONS:
         rest = [one for one in shapes if one not in [(other.kind, other.output) for other in found]]
-        looked = [_looked_at_alone(left, shapes[one], *one) for one in rest]
-        best = max((one for one in looked if one is not None), key=lambda one: one[0], default=None)
+        looked = [got for one in rest if (got := _looked_at_alone(left, shapes[one], *one)) is not None]
+        if not found:
+            alone = [one.deviation for one in looked if one.steady or one.deviation.kind in ALSO_SHAPES]
+        best = max((one for one in looked if one.steady), key=lambda one: one.share, default=None)
         if best is None:
             break
-        _, deviation, left = best
-        found.append(deviation)
-    return tuple(found)
+        left = best.residual
+        found.append(best.deviation)
+    sets = [tuple(found)] if found else []
+    return list(dict.fromkeys([*sets, *((one,) for one in alone)]))
+
+
+@dataclass(frozen=True)
+class _Alone:
+    """A deviation of trials that were not repeated, what it leaves of them, and whether their blocks agree on it."""
+
+    share: float
+    deviation: Deviation
+    residual: list[FloatArray]
+    steady: bool
 
 
 def _looked_at_alone(
@@ -223,8 +242,8 @@ def _looked_at_alone(
     signature: Sequence[FloatArray],
     kind: DeviationKind,
     output: int | None,
-) -> tuple[float, Deviation, list[FloatArray]] | None:
-    """Return the share of the residual that one kind makes up, its deviation, and residuals without it."""
+) -> _Alone | None:
+    """Return what one kind makes up of the residual; None if that is little, or not to be told."""
     trials, blocks = len(residual), criteria.DEVIATION_BLOCKS
     if trials < criteria.FEWEST_AGREEING or min(map(len, residual)) < blocks:
         return None
@@ -252,15 +271,14 @@ def _looked_at_alone(
         return None
     freedom = trials - int(shared != 0.0), trials * (blocks - 1)
     within = float(np.sum(np.square(size - own[:, None]) * energy)) / freedom[1]
-    if f.sf(taken / freedom[0] / max(within, 1e-300), *freedom) > criteria.DEVIATION_P:
-        return None
+    chance = float(f.sf(taken / freedom[0] / max(within, 1e-300), *freedom))
     after = []
     for one, shape, each in zip(residual, shapes, own - shared, strict=True):
         cleared = one.copy()
         cleared[:, columns] -= each * shape * scale[columns]
         after.append(cleared)
     sd = float(np.sqrt(np.sum(np.square(own - shared)) / freedom[0]))
-    return taken / total, Deviation(kind, output, sd), after
+    return _Alone(taken / total, Deviation(kind, output, sd), after, chance <= criteria.DEVIATION_P)
 
 
 def _cut(first: FloatArray, second: FloatArray, blocks: int) -> tuple[list[FloatArray], list[FloatArray]]:
