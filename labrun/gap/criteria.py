@@ -406,3 +406,10 @@ BY_HAND_S = 60.0
 LEAST_JOINT_GAP = 0.3
 """Gap of a joint, in units of the noise, below which nothing is announced: what the smoothed motion of its neighbours
 gets wrong left 0.24 at a joint without any cause, and 0.18 where a tilted base was known to its third digit."""
+RUNS_AWAY = 9.0
+"""Logarithm of the growth over a trial from which its end says nothing of its beginning: it is held on course ..."""
+HELD_ON_COURSE = 0.1
+"""... by an observer in which what differs falls at least at this part of the rate that it grew at. The less, the more
+is left of what a cause does."""
+PLACES_ALONG, STATE_STEPS = 12, 3
+"""Places of a trial where a model is linearised, and steps to the states that show what was measured there."""

@@ -15,6 +15,7 @@ from labrun.gap.held_out import ExcessResidual, fitted_excess, held_out_excess, 
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import full_strictness, noise_threshold
 from labrun.gap.null import Null
+from labrun.gap.on_course import kept_on_course
 from labrun.gap.recalibration import (
     Recalibrated,
     bound_remarks,
@@ -115,6 +116,10 @@ def search_causes(
     """
     require_informative(dataset)
     clocks = with_sound_clocks(dataset)
+    followed, model, said = kept_on_course(clocks.dataset, model)
+    if said:
+        note("the model is unstable in open loop: keeping it on course by what was measured")
+        clocks = replace(clocks, dataset=followed, limitations=(said, *clocks.limitations))
     data = averaged(clocks.dataset, model)
     if model.states:
         data = without_crowding(data)

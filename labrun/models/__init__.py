@@ -10,6 +10,7 @@ from labrun.models.mjcf.exporting import Exported, MjcfRange, mjcf_of, mjcf_rang
 from labrun.models.mjcf.inverse import Carried, RobotTerms, carried, robot_terms
 from labrun.models.mjcf.robot import Robot, RobotActuator, RobotJoint, identifier, is_robot, read_robot
 from labrun.models.model import Between, Condition, Input, Model, Origin, Output, Parameter
+from labrun.models.observed import measured_name, observed
 from labrun.models.python_model import python_model
 from labrun.models.simulation import (
     Simulation,
@@ -26,9 +27,9 @@ from labrun.models.writing import corrected_model_text
 
 __all__ = [
     "Between", "Carried", "ClosedChain", "Condition", "Drive", "Exported", "FloatArray", "Input", "MjcfRange",
-    "Model", "NativeFunction", "Origin", "Output", "Parameter", "Pointer", "Robot", "RobotActuator", "RobotJoint",
-    "RobotTerms", "Simulation", "Site", "SiteKind", "Stepper", "Unfiltered", "carried", "corrected_model_text",
-    "filtered", "identifier", "is_robot", "kernel", "load_model", "mjcf_of", "mjcf_ranges", "native",
-    "parse_model", "prepare", "python_model", "read_robot", "robot_terms", "shipped_models", "simulate",
-    "simulate_unfiltered", "site_course", "suggest_substeps",
+    "Model", "NativeFunction", "Origin", "Output", "Parameter", "Pointer", "Robot", "RobotActuator",
+    "RobotJoint", "RobotTerms", "Simulation", "Site", "SiteKind", "Stepper", "Unfiltered", "carried",
+    "corrected_model_text", "filtered", "identifier", "is_robot", "kernel", "load_model", "measured_name",
+    "mjcf_of", "mjcf_ranges", "native", "observed", "parse_model", "prepare", "python_model", "read_robot",
+    "robot_terms", "shipped_models", "simulate", "simulate_unfiltered", "site_course", "suggest_substeps",
 ]  # fmt: skip

@@ -65,11 +65,15 @@ class Output:
     ----------
     exact_within
         Smaller differences are no error of a simulation: for what is 0 but for rounding and truncation.
+    followed
+        Whether what was measured of it keeps the simulation on course, so that it is no site: what its sensor does is
+        not to be told apart.
     """
 
     name: str
     unit: str = "1"
     exact_within: float = 0.0
+    followed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,9 +164,10 @@ class Model:
 
     @property
     def places(self) -> tuple[Site, ...]:
-        """All sites: those that take a force, then every input that is not prescribed, then every output."""
+        """All sites: those that take a force, inputs that are not prescribed, outputs that are not followed."""
         inputs = [Site(one.name, "input") for one in self.inputs if not one.prescribed]
-        return (*self.sites, *inputs, *(Site(one.name, "output") for one in self.outputs))
+        outputs = [Site(one.name, "output") for one in self.outputs if not one.followed]
+        return (*self.sites, *inputs, *outputs)
 
     def place(self, name: str, kind: SiteKind | None = None) -> Site:
         """Return the site of that name (and kind); a force site goes before an input, an input before an output.

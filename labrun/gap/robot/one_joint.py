@@ -16,7 +16,7 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.errors import RequestError
 from labrun.fit import Dataset
-from labrun.gap.robot.motion import smoothed
+from labrun.gap.motion import smoothed
 from labrun.models import (
     Carried,
     Model,

@@ -11,8 +11,8 @@ import pytest
 from labrun.effects import AttachedEffect, load_effect
 from labrun.fit import Dataset, FitTrial
 from labrun.gap import Options, diagnose_robot, why_not
+from labrun.gap.motion import smoothed
 from labrun.gap.robot.diagnose import _beside_sensors, _into_damping
-from labrun.gap.robot.motion import smoothed
 from labrun.gap.robot.one_joint import Prescribed, one_joint, prescribed
 from labrun.models import load_model, read_robot, simulate
 from labrun.store import SignalInfo
