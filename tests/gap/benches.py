@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from labrun.fit.dataset import Dataset, FitTrial
-from labrun.models import parse_model
+from labrun.models import Model, parse_model
 from labrun.store import SignalInfo
 
 FloatArray = NDArray[np.float64]
@@ -45,7 +45,7 @@ CONDITIONS = ((0.02, 0.6), (0.03, 0.9), (0.04, 1.2), (0.03, 1.7), (0.05, 0.8))
 """Amplitude in N m, frequency in Hz."""
 
 
-def pendulum() -> object:
+def pendulum() -> Model:
     """Return the model as a person at the bench has it."""
     return parse_model(PENDULUM, "pendulum.toml")
 
