@@ -40,7 +40,8 @@ _INERTIAS = {"rad": "kg m^2", "m": "kg"}
 class Scale:
     """Typical magnitudes at a site: peak excursion, speed, acceleration and force of the data, SI.
 
-    The default 1 everywhere leaves an effect's numbers as they stand.
+    The default 1 everywhere leaves an effect's numbers as they stand. `inertia` is what moves there already: a free axis
+    goes far in a long trial by a force that would hardly accelerate it.
     """
 
     coordinate: float = 1.0
@@ -49,6 +50,7 @@ class Scale:
     force: float = 1.0
     signal: float = 1.0
     time_s: float = 1.0
+    inertia: float = 0.0
 
     def of(self, quantity: Quantity) -> float:
         """Return the typical magnitude of a quantity, SI."""
@@ -60,7 +62,7 @@ class Scale:
             "drag": self.force / self.rate**2,
             "stiffness": self.force / self.coordinate,
             "cubic-stiffness": self.force / self.coordinate**3,
-            "inertia": self.force / self.acceleration,
+            "inertia": max(self.force / self.acceleration, self.inertia),
             "signal": self.signal,
             "signal-rate": self.signal / self.time_s,
             "time": self.time_s,

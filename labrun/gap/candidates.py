@@ -118,7 +118,24 @@ def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> 
         acceleration=acceleration if acceleration > 0 else rate / period,
         force=force,
         time_s=period,
+        inertia=_inertia(problem, z, place, still, force),
     )
+
+
+def _inertia(
+    problem: Problem, z: FloatArray, place: int, still: list[tuple[FloatArray, FloatArray]], force: float
+) -> float:
+    """Return what a force moves at a site when it begins to push; 0 where it moves nothing at once."""
+    pushed = site_courses(problem, z, [push(problem.model, problem.model.sites[place].name, force)])
+    if pushed is None:
+        return 0.0
+    slopes = [
+        float((after[1, place, 1] - before[1, place, 1]) / (trial.time_s[1] - trial.time_s[0]))
+        for trial, (after, _), (before, _) in zip(problem.data.trials, pushed, still, strict=True)
+        if len(trial.time_s) > 1
+    ]
+    slope = float(np.median(slopes)) if slopes else 0.0
+    return force / slope if slope > 0.0 else 0.0
 
 
 def _force(

@@ -128,10 +128,14 @@ def _seen(problem: Problem, z: FloatArray) -> list[FloatArray] | None:
     if courses is None:
         return None
     memory_s = typical_time_s(problem)
+    followed = sum(one.followed for one in problem.model.outputs)
     found = []
     for trial, (course, outputs) in zip(problem.data.trials, courses, strict=True):
         flat = course[:, :, :3].reshape(len(course), -1)
-        signals = np.column_stack([flat, outputs, trial.inputs])
+        driven = trial.inputs[
+            :, : len(problem.model.inputs) - followed
+        ]  # not what was measured, noise and all
+        signals = np.column_stack([flat, outputs, driven])
         slopes = _slopes(signals, trial.time_s)
         past = [_past(signals, trial.time_s, memory_s * part) for part in criteria.MEMORIES]
         found.append(np.column_stack([signals, slopes, *past]))

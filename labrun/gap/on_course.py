@@ -136,7 +136,7 @@ def _gain(slope: FloatArray, shown: FloatArray, growth: float, size: FloatArray)
             moved.T, seen.T, 1e-9 * growth * np.diag(1.0 / np.maximum(np.sum(seen**2, axis=0), 1e-12)),
             np.eye(len(seen)),
         )  # fmt: skip
-    except (LinAlgError, ValueError):
+    except (LinAlgError, ValueError, ArithmeticError):
         return None
     gain = covariance @ seen.T / np.maximum(size, 1e-12)
     held = np.linalg.eigvals(slope - gain @ shown)

@@ -66,7 +66,8 @@ def verdict(found: VerdictBasis) -> Verdict:
     if found.unproven or found.effects + found.parameters == 0 or found.shrinkage is None:
         if found.significant and _unexplained(found):
             return "not-in-library"
-        if _recalibration_helps(found.sizes):
+        plainly_left = not found.noise_known and found.sizes.recalibrated >= criteria.LARGE_REMAINDER
+        if _recalibration_helps(found.sizes) and not plainly_left:
             return "parameter"
         return "no-gap" if found.noise_known or not found.significant else "undecided"
     plain = found.sizes.after >= max(criteria.FAR_ABOVE_FLOOR * found.sizes.floor, 1.0)
