@@ -40,7 +40,7 @@ _INERTIAS = {"rad": "kg m^2", "m": "kg"}
 class Scale:
     """Typical magnitudes at a site: peak excursion, speed, acceleration and force of the data, SI.
 
-    The default 1 everywhere leaves an effect's numbers as they stand. `inertia` is what moves there already: a free axis
+    The default 1 everywhere leaves an effect's numbers as they stand. `inertia` is what moves already: a free axis
     goes far in a long trial by a force that would hardly accelerate it.
     """
 

@@ -343,7 +343,13 @@ class Selector:
         if sharp is not fitted:
             problem = in_units_of(self.noise, sharp.problem, sharp.z)
             z = refit(problem, sharp.z)
-            best = replace(best, screened=sharp, held_out=held_out_excess(problem, z, self.noise))
+            best = replace(best, screened=sharp)
+        if self.null.relative or sharp is not fitted:
+            # in units of what it leaves, folds are fitted as closely as that; in those it was rated in, what is stated
+            # of parameters holds them
+            again = held_out_excess(problem, z, self.noise)
+            if sharp is not fitted or again.total < best.held_out.total:
+                best = replace(best, held_out=again)
         base = self._based(problem, z, (*current.base.added, best.candidate))
         return Chosen(best, rivals, weight, base, best.held_out)
 
