@@ -70,8 +70,15 @@ def _linearised(model: Model, trial: FitTrial) -> tuple[FloatArray, FloatArray]:
 
     def at(x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         dx, y = np.zeros(count), np.zeros(outputs)
-        derivative(0.0, np.ascontiguousarray(x), u, p, force, dx)
-        output(0.0, np.ascontiguousarray(x), u, p, force, y)
+        try:
+            with np.errstate(all="ignore"):
+                derivative(0.0, np.ascontiguousarray(x), u, p, force, dx)
+                output(0.0, np.ascontiguousarray(x), u, p, force, y)
+        except (
+            ArithmeticError,
+            ValueError,
+        ):  # equations that do not hold there: machine code gives no number
+            dx[:], y[:] = np.nan, np.nan
         return dx, y
 
     def slopes(x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:

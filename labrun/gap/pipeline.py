@@ -116,11 +116,12 @@ def search_causes(
     """
     require_informative(dataset)
     clocks = with_sound_clocks(dataset)
+    data = averaged(clocks.dataset, model)
     followed, model, said = kept_on_course(clocks.dataset, model)
     if said:
         note("the model is unstable in open loop: keeping it on course by what was measured")
         clocks = replace(clocks, dataset=followed, limitations=(said, *clocks.limitations))
-    data = averaged(clocks.dataset, model)
+        data = averaged(followed, model)
     if model.states:
         data = without_crowding(data)
     first = recalibrate(model, data, rng, note)
