@@ -58,6 +58,7 @@ def kept_on_course(dataset: Dataset, model: Model) -> tuple[Dataset, Model, str]
     return followed, held, said
 
 
+@np.errstate(all="ignore")
 def _linearised(model: Model, trial: FitTrial) -> tuple[FloatArray, FloatArray]:
     """Return derivatives of slopes (k, n, n) and outputs (k, m, n) by the states, along a measured motion."""
     p, force = model.vector(None, trial.condition), np.zeros(max(len(model.sites), 1))
@@ -71,9 +72,8 @@ def _linearised(model: Model, trial: FitTrial) -> tuple[FloatArray, FloatArray]:
     def at(x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         dx, y = np.zeros(count), np.zeros(outputs)
         try:
-            with np.errstate(all="ignore"):
-                derivative(0.0, np.ascontiguousarray(x), u, p, force, dx)
-                output(0.0, np.ascontiguousarray(x), u, p, force, y)
+            derivative(0.0, np.ascontiguousarray(x), u, p, force, dx)
+            output(0.0, np.ascontiguousarray(x), u, p, force, y)
         except (
             ArithmeticError,
             ValueError,
