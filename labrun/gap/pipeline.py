@@ -28,7 +28,7 @@ from labrun.gap.recalibration import (
 )
 from labrun.gap.screening import Base, refit, survey
 from labrun.gap.selection import Selection, Selector
-from labrun.gap.trial_wise import ALSO_SHAPES, found_alone, simulated_changes
+from labrun.gap.trial_wise import ALSO_SHAPES, found_alone, set_anew, simulated_changes
 from labrun.models import Model
 
 
@@ -154,7 +154,8 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) ->
             break
         asked.note("taking apart what differs from trial to trial, and looking for causes beside it")
         beside, start = with_deviations(first.problem, first.z, deviations)
-        again = _searched(asked, in_noise(beside, first.noise, start))
+        zeros = [asked.data.outputs[one].name for one in set_anew(mean_residuals(problem, z), deviations)]
+        again = _searched(asked, in_noise(beside, first.noise, start), zeros)
         if again.selection.chosen or not found.selection.chosen:
             return again
         found = again
@@ -211,9 +212,14 @@ class _Asked:
     note: Note
 
 
-def _searched(asked: _Asked, recalibration: Recalibrated) -> Search:
+def _searched(asked: _Asked, recalibration: Recalibrated, zeros: Collection[str] = ()) -> Search:
+    """Search beside a recalibration; a bias of outputs whose zeros are set anew in each trial is no cause."""
     problem, noise, z = recalibration.problem, recalibration.noise, recalibration.z
-    every = candidates(problem.model, site_scales(problem, z), asked.withhold)
+    every = [
+        one
+        for one in candidates(problem.model, site_scales(problem, z), asked.withhold)
+        if not (one.name.effect == "bias" and one.name.site in zeros)
+    ]
     asked.note(f"trying {len(every)} candidates")
     null = Null.of(problem, noise, asked.rng)
     held_out = held_out_excess(problem, z, noise)

@@ -167,6 +167,16 @@ def begun_elsewhere(problem: Problem, z: FloatArray, noise_sd: FloatArray) -> tu
     return tuple(found)
 
 
+def set_anew(residual: Sequence[FloatArray], deviations: Sequence[Deviation]) -> list[int]:
+    """Return the outputs whose zeros differ by trial without a part that all trials plainly share, by column."""
+    biases = [one.output for one in deviations if one.kind == "bias" and one.output is not None]
+    return [
+        output
+        for output in biases
+        if _shared(np.array([float(np.mean(one[:, output])) for one in residual])) == 0.0
+    ]
+
+
 def _shared(own: FloatArray) -> float:
     """Return what deviations have in common; 0 where chance would make them agree as well."""
     from scipy.stats import ttest_1samp

@@ -9,7 +9,7 @@ from labrun.fit import Dataset, Deviation, DeviationKind
 from labrun.fit.per_trial import deviated
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.recalibration import stated_problem
-from labrun.gap.trial_wise import found_alone, shape_of, simulated_changes, words
+from labrun.gap.trial_wise import found_alone, set_anew, shape_of, simulated_changes, words
 
 from .benches import CONDITIONS, FloatArray, dry_friction, nothing, pendulum, recorded
 
@@ -92,6 +92,14 @@ def test_gains_and_start_times_are_seen_without_repeats(kind: DeviationKind) -> 
 def test_a_zero_that_all_trials_share_is_no_difference_between_them() -> None:
     data = never_repeated()
     assert found_alone(data, [one + 0.05 for one in noise_like(data, 0.002)], swings(data)) == []
+
+
+def test_zeros_set_anew_have_no_part_in_common_unless_all_trials_plainly_share_it() -> None:
+    zero, data = [Deviation("bias", 0, 0.01)], never_repeated()
+    zeros = [0.01, -0.008, 0.012, -0.02, 0.004]
+    assert set_anew([one + of for one, of in zip(noise_like(data, 1e-3), zeros, strict=True)], zero) == [0]
+    shared = [one + 0.5 + of for one, of in zip(noise_like(data, 1e-3), zeros, strict=True)]
+    assert set_anew(shared, zero) == []
 
 
 def test_what_comes_and_goes_within_a_trial_is_no_offset_of_it() -> None:
