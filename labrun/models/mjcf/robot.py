@@ -402,11 +402,11 @@ def _effort(robot: Robot, joint: RobotJoint, drive: JointDrive | None) -> str:
     found = [one for one in robot.actuators if one.joint == joint.name]
     if drive is None or len(found) != 1:
         return ""
-    rate = f"{joint.output}_rate"
+    braked = f" - {drive.kv!r}*{joint.output}_rate" if drive.kv else ""
     efforts = {
         "torque": f"{drive.gear!r}*{found[0].input}",
         "geared": f"{drive.gear!r}*{found[0].input}",
-        "position": f"{identifier(found[0].name)}_kp*({found[0].input} - {joint.output}) - {drive.kv!r}*{rate}",
+        "position": f"{identifier(found[0].name)}_kp*({found[0].input} - {joint.output}){braked}",
     }
     effort = efforts.get(found[0].command, "")
     low, high = drive.limits
