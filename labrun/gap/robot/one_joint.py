@@ -86,6 +86,21 @@ class Prescribed:
         moved = prescribed(self.robot, self.whole, replace(self.dataset, trials=tuple(trials)))
         return replace(moved, dataset=self.dataset)
 
+    def redrawn(self, rng: np.random.Generator) -> "Prescribed":
+        """Return what would be prescribed if this motion were the true one, measured again with the same noise."""
+        names = [one.name for one in self.dataset.outputs]
+        columns = [names.index(one.output) for one in self.robot.joints]
+        pairs = list(zip(self.dataset.trials, self.motions, strict=True))
+        left = np.concatenate([trial.outputs[:, columns] - q for trial, (q, _, _) in pairs])
+        noise = np.sqrt(np.mean(np.square(left), axis=0))
+        trials = []
+        for trial, (q, _, _) in pairs:
+            outputs = trial.outputs.copy()
+            outputs[:, columns] = q + noise * rng.standard_normal(q.shape)
+            trials.append(replace(trial, outputs=outputs))
+        drawn = prescribed(self.robot, self.whole, replace(self.dataset, trials=tuple(trials)))
+        return replace(drawn, dataset=self.dataset, around=self.around)
+
 
 def why_not(robot: Robot, dataset: Dataset) -> str:
     """Return why a robot cannot be taken apart into its joints; "" if it can."""

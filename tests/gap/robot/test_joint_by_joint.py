@@ -12,7 +12,7 @@ from labrun.effects import AttachedEffect, load_effect
 from labrun.fit import Dataset, FitTrial
 from labrun.gap import Options, diagnose_robot, why_not
 from labrun.gap.motion import smoothed
-from labrun.gap.robot.diagnose import _beside_sensors, _into_damping
+from labrun.gap.robot.diagnose import _beside_sensors, _into_damping, _smoothing_gap
 from labrun.gap.robot.one_joint import Prescribed, one_joint, prescribed
 from labrun.models import load_model, read_robot, simulate
 from labrun.store import SignalInfo
@@ -132,6 +132,15 @@ def test_a_joint_moves_as_in_the_robot_once_the_play_of_the_encoder_before_it_is
         return float(np.std(moved.outputs[:, 0] - trial.outputs[:, 0]))
 
     assert differs(found.with_links(beside)) < 0.3 * differs(found)
+
+
+def test_what_smoothing_leaves_of_the_noise_is_felt_by_the_joint_that_hangs_on_the_others(tmp_path):
+    robot, model, dataset = arm(tmp_path)
+    found = prescribed(robot, model, dataset)
+    drawn = found.redrawn(np.random.default_rng(0))
+    shoulder, elbow = (_smoothing_gap(one_joint(found, place), one_joint(drawn, place)) for place in range(2))
+    assert 0 < shoulder < elbow < 1
+    assert _smoothing_gap(one_joint(found, 1), one_joint(found, 1)) == 0
 
 
 @pytest.mark.slow
