@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-# The same examples on every run; LABRUN_HYPOTHESIS=explore looks for new ones.
-settings.register_profile("same", derandomize=True, deadline=None)
+# The same few examples on every run; LABRUN_HYPOTHESIS=explore looks for new ones, and for more.
+settings.register_profile("same", derandomize=True, deadline=None, max_examples=40)
 settings.register_profile("explore", deadline=None)
 settings.load_profile(os.environ.get("LABRUN_HYPOTHESIS", "same"))
 

@@ -137,8 +137,8 @@ def test_a_design_killed_at_random_instants_is_the_same_design(labrun, command, 
 @pytest.mark.parametrize(
     ("arguments", "most"),
     [
-        pytest.param(SWEEP, 3, id="sweep"),
-        pytest.param(SEARCH, 3, id="search"),
+        pytest.param(SWEEP, 2, id="sweep"),
+        pytest.param(SEARCH, 2, id="search"),
         *(
             pytest.param(one, most, id=f"{name}-{most}", marks=pytest.mark.slow)
             for name, one, most in (

@@ -54,7 +54,7 @@ def test_a_bench_is_a_scene(name):
 
 
 @pytest.mark.parametrize("name", SCENES)
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(split=st.floats(0.05, 5.5))
 def test_a_restored_bench_goes_on_to_the_last_bit(name, split):
     whole = _moved(name)
@@ -72,7 +72,7 @@ def test_a_restored_bench_goes_on_to_the_last_bit(name, split):
 
 
 @pytest.mark.parametrize("name", SCENES)
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(looks=st.lists(st.floats(0.001, 0.5), min_size=1, max_size=12))
 def test_how_often_a_bench_is_looked_at_changes_nothing(name, looks):
     once, often = _moved(name), _moved(name)
