@@ -172,8 +172,13 @@ class Selector:
         attached = {one.name: one.attached for one in self.candidates if one.attached is not None}
         chosen = [one.name for one in found.chosen]
         rich = {name for name in chosen if name in attached and attached[name].effect.contains}
-        if rich:
-            return rich | {name for name, one in attached.items() if one.effect.compound}
+        if rich:  # with all that is as rich: whether something simpler does is asked
+            simple = {(effect, name.site) for name in rich for effect in attached[name].effect.contains}
+            return rich | {
+                name
+                for name, one in attached.items()
+                if one.effect.compound or simple & {(effect, name.site) for effect in one.effect.contains}
+            }
         remains = found.held_out.gap >= criteria.LARGE_REMAINDER and room_for_more(
             found.held_out, self.reference
         )
