@@ -124,18 +124,16 @@ def _pieces(data: Dataset, conditions: bool) -> list[FloatArray]:
 
 def _seen(problem: Problem, z: FloatArray) -> list[FloatArray] | None:
     """Return what the neurons see of every unit, (n, features): motion of the sites, outputs, inputs and their past."""
+    if any(one.followed for one in problem.model.outputs):
+        return None  # a motion that follows what was measured follows its noise, too, and would predict that of it
     courses = site_courses(problem, z)
     if courses is None:
         return None
     memory_s = typical_time_s(problem)
-    followed = sum(one.followed for one in problem.model.outputs)
     found = []
     for trial, (course, outputs) in zip(problem.data.trials, courses, strict=True):
         flat = course[:, :, :3].reshape(len(course), -1)
-        driven = trial.inputs[
-            :, : len(problem.model.inputs) - followed
-        ]  # not what was measured, noise and all
-        signals = np.column_stack([flat, outputs, driven])
+        signals = np.column_stack([flat, outputs, trial.inputs])
         slopes = _slopes(signals, trial.time_s)
         past = [_past(signals, trial.time_s, memory_s * part) for part in criteria.MEMORIES]
         found.append(np.column_stack([signals, slopes, *past]))
