@@ -158,7 +158,11 @@ def _said(folder: CheckFolder, name: str, seed: int, workers: int, note: Note) -
         options = Options(seed=case_seed(seed, name), workers=workers)
         found = diagnose_robot(robot, model, dataset, options, note=lambda text: note(f"{name}: {text}"))
     joints = {
-        one.joint.name: [_names(cause) for cause in one.diagnosis.to_json()["causes"]] for one in found.joints
+        one.joint.name: [
+            *(_names(cause) for cause in one.diagnosis.to_json()["causes"]),
+            *([f"{name} at {one.joint.name}"] for name in one.moved),
+        ]
+        for one in found.joints
     }
     told = {"programme": fingerprint(), "joints": joints, "seconds": time.perf_counter() - begun}
     folder.keep_said(name, told)

@@ -101,6 +101,9 @@ LEAST_LEVEL = 0.9
 noise, and for a bias behind the saturation."""
 FAR_OFF = 3.0
 """Factor by which a stated value may be wrong: beyond it, an effect is the better explanation."""
+FAR_MOVED = 2.0
+"""Stated tolerances from which a parameter that alone explains a robot's joint is told as what is wrong there. Of 105
+joints of sealed robots (2100, 2101, 2110, 2111) two moved so far, both with the gain of their servo scaled."""
 SPANNED = 1e-7
 """Singular value, in units of the largest, below which a direction of the nuisance parameters is rounding."""
 IMITATED = 0.1

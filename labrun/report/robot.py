@@ -27,12 +27,17 @@ def cause_words(cause: Cause) -> str:
     return told + (f" (or {listed(same, 'or')})" if same else "")
 
 
+def moved_words(one: JointDiagnosis) -> str:
+    """Return which parameters of a joint are far from what is stated, and that they explain it; "" if none is."""
+    return ", ".join(f"{name} {100 * (by - 1):+.2g} %" for name, by in one.moved.items())
+
+
 def joint_rows(found: RobotDiagnosis) -> list[list[str]]:
     """Return joint, cause, confidence, gap recalibrated and with causes, and errors in the whole robot, as texts."""
     rows = []
     for one in found.joints:
         diagnosis, gap = one.diagnosis, one.diagnosis.gap
-        alone = _ALONE.get(diagnosis.verdict, HEADLINES[diagnosis.verdict])
+        alone = moved_words(one) or _ALONE.get(diagnosis.verdict, HEADLINES[diagnosis.verdict])
         causes = " + ".join(cause_words(cause) for cause in diagnosis.causes) or alone
         sure = ", ".join(percent(cause.confidence) for cause in diagnosis.causes)
         unit = one.joint.unit
@@ -68,7 +73,7 @@ _COLUMNS = (
 def robot_page(found: RobotDiagnosis) -> str:
     """Return the page; the same diagnosis gives the same text, byte for byte."""
     rows = joint_rows(found)
-    marked = [place for place, one in enumerate(found.joints) if one.diagnosis.causes]
+    marked = [place for place, one in enumerate(found.joints) if one.diagnosis.causes or one.moved]
     sections = [_section(one) for one in found.joints]
     return render(
         "robot.html.j2",

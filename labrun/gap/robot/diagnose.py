@@ -47,6 +47,19 @@ class JointDiagnosis:
     recalibrated: float
     corrected: float
 
+    @property
+    def moved(self) -> dict[str, float]:
+        """Parameters that explain the joint by being far from what is stated, by the factor they are off; else none."""
+        if self.diagnosis.causes or self.diagnosis.verdict != "parameter":
+            return {}
+        return {
+            name: found / stated
+            for name, (stated, tolerance, found) in self.diagnosis.recalibration.items()
+            if isinstance(tolerance, float)
+            and stated
+            and 0 < criteria.FAR_MOVED * tolerance <= abs(found / stated - 1.0)
+        }
+
 
 @dataclass(frozen=True)
 class RobotDiagnosis:
@@ -86,9 +99,13 @@ class RobotDiagnosis:
         ]
         unexplained = [one.joint.name for one in self.joints if one.diagnosis.verdict == "not-in-library"]
         told = "; ".join(found) if found else "nothing but recalibration is asked for at any joint"
+        far = [f"{name} {100 * (by - 1):+.2g} %" for one in self.joints for name, by in one.moved.items()]
+        if far and not found:
+            told = f"parameters are far from what is stated: {', '.join(far)}"
         several = found and len(self.joints) > 1
         count = f"{len(self.named)} of {len(self.joints)} joints lack physics: " if several else ""
         rest = f"; not in the library: {', '.join(unexplained)}" if unexplained else ""
+        rest += f"; far from what is stated: {', '.join(far)}" if far and found else ""
         return f"{count}{told}{rest}."
 
     def to_json(self) -> dict[str, Any]:
@@ -104,7 +121,7 @@ class RobotDiagnosis:
                 {
                     "joint": one.joint.name, "unit": one.joint.unit, "stated": _number(one.stated),
                     "recalibrated": _number(one.recalibrated), "corrected": _number(one.corrected),
-                    "diagnosis": one.diagnosis.to_json(),
+                    "moved": one.moved, "diagnosis": one.diagnosis.to_json(),
                 }
                 for one in self.joints
             ],

@@ -12,7 +12,13 @@ from labrun.effects import AttachedEffect, load_effect
 from labrun.fit import Dataset, FitTrial
 from labrun.gap import Options, diagnose_robot, why_not
 from labrun.gap.motion import smoothed
-from labrun.gap.robot.diagnose import _beside_sensors, _into_damping, _smoothing_gap
+from labrun.gap.robot.diagnose import (
+    JointDiagnosis,
+    RobotDiagnosis,
+    _beside_sensors,
+    _into_damping,
+    _smoothing_gap,
+)
 from labrun.gap.robot.one_joint import Prescribed, one_joint, prescribed
 from labrun.models import load_model, read_robot, simulate
 from labrun.store import SignalInfo
@@ -190,3 +196,17 @@ def test_what_a_rate_gain_changed_by_goes_into_the_damping_of_the_whole_robot():
 
     _into_damping("elbow", values, Answer())
     assert values == {"elbow_damping": pytest.approx(0.7), "elbow_kp": 40.0}
+
+
+def test_a_gain_that_alone_explains_a_joint_by_being_far_from_what_is_stated_is_told():
+    def joint(kp: float, tolerance: float | str = 0.1, verdict: str = "parameter") -> JointDiagnosis:
+        recalibration = {"elbow_kp": (40.0, tolerance, kp), "mass_ratio": (1.0, 0.05, 1.04)}
+        told = SimpleNamespace(causes=(), verdict=verdict, recalibration=recalibration)
+        return JointDiagnosis(SimpleNamespace(name="elbow"), told, 0.1, 0.01, 0.01)
+
+    assert joint(28.0).moved == {"elbow_kp": pytest.approx(0.7)}
+    assert joint(36.0).moved == {}
+    assert joint(28.0, "free").moved == {}
+    assert joint(28.0, verdict="not-in-library").moved == {}
+    found = RobotDiagnosis("arm", "arm", "log", (joint(28.0), joint(41.0)), (), (), {}, (), 1.0)
+    assert found.sentence == "parameters are far from what is stated: elbow_kp -30 %."
