@@ -274,6 +274,8 @@ class Selector:
                 self.note(f"checking {chosen[0].name} again beside the others")
                 beside, left = self._beside(chosen, chosen[1:])
                 one = self._choose(beside, left, further=True)
+                if one is None and self._needed(left, chosen[-1].held_out):
+                    one = replace(chosen[0], base=chosen[-1].base, held_out=chosen[-1].held_out)
                 if one is None:  # the others do without it
                     chosen = [*chosen[1:-1], replace(chosen[-1], base=beside.base, held_out=left)]
                     break
@@ -299,6 +301,14 @@ class Selector:
         # they were rated in units of what others left
         again = [held_out_excess(each.base.problem, each.base.z, self.noise).total for each in (one, before)]
         return as_good(*again)
+
+    @staticmethod
+    def _needed(without_it: ExcessResidual, with_it: ExcessResidual) -> bool:
+        """Tell whether causes leave plainly more without one that is not found again beside them.
+
+        Fitted without it, the others may have gone where no fit with it comes back from.
+        """
+        return with_it.total < criteria.AS_GOOD * without_it.total
 
     def _alone(self, one: Chosen) -> Chosen:
         """Return a cause that is left alone with the rivals it has there, not those it had beside another."""
