@@ -20,13 +20,13 @@ from labrun.gap.diagnosis import (
 )
 from labrun.gap.held_out import fitted_excess, floor_of, mean_residuals
 from labrun.gap.intervals import scatter
-from labrun.gap.learnable import learnable_share, learned_beyond_scatter
+from labrun.gap.learnable import beyond_scatter, learnable_share
 from labrun.gap.noise import from_residual
 from labrun.gap.pipeline import Search
 from labrun.gap.recalibration import member_residuals
 from labrun.gap.trial_wise import remaining, words
 from labrun.gap.verdict import VerdictBasis, limitations, sentence, verdict, what_next
-from labrun.gap.what_is_left import Learnable
+from labrun.gap.what_is_left import BeyondScatter, Learnable
 from labrun.gap.where.difference import Difference
 
 
@@ -146,7 +146,8 @@ def conclude(
         kinds.count("effect"),
         kinds.count("parameter"),
         shrunk,
-        0.0 if settled else learned_beyond_scatter(final.problem, final.z),
+        BeyondScatter() if settled else beyond_scatter(final.problem, final.z, noise),
+        len(dataset.trials),
     )
     decided = verdict(findings)
     if (

@@ -88,6 +88,15 @@ the gain of an amplifier made up 0.59 of what dry friction left, and 0.999 with 
 
 START_COMBINATIONS = 4
 """About so many combinations of the starts of an effect's parameters are looked at."""
+LINES, SMALL_WAVE, SHOWS_COORDINATE = 2, 0.02, 0.01
+"""So many lines of what is missing over a coordinate are starts, too; their size where it is not known, in multiples of
+the typical force; and how far an output that shows the coordinate may be from it, in parts of its spread."""
+BINS_A_PERIOD, NEIGHBOURS = 8, 20
+"""Bins over the shortest period; and lines on both sides that a line stands out of."""
+LINE_SHARE, FEWEST_WELLS, HELD_IN_WELLS = 0.2, 3.0, 0.25
+"""Part of the squares of a missing force in one line from which it holds the motion in wells, if it passes so many; and
+the part of its growth between them at which an observer lets differences fall. Four knobs that cog had shares of 0.29
+to 0.67 (with friction up to twice as large beside it), 50 joints that do not at most 0.10."""
 START_SIZES = (1.0, 0.2, 3.0)
 """Every start is looked at smaller and larger, too: an effect may be far from its typical size."""
 PEAK_PERCENTILE = 99.0
@@ -239,6 +248,11 @@ to 0.57 (0.31 of those not repeated). Of twelve cases outside of the library, no
 recognised so; one more was by 0.3 of what is learned with the scatter in it, and one by 0.3 of what is learned of
 withheld conditions. With repeats: slow vortices (3 s, in trials of 9 s) left 0.36 of one trial's noise of a fin that
 lacked nothing, 2.3 times the floor; nothing of it could be learned."""
+NO_SENSORS_NOISE = 6.0
+"""Size of what is left beyond such scatter, in units of what a sensor adds to a sample, from which it is no noise of a
+sensor, however slow: its own past predicts 97 % of it. Of 46 controls that are not repeated (seeds 175 and 177; some of
+them with noise of a colour) what cannot be learned was at most 4.0; of nine cases outside of the library that had been
+called undecided six are beyond it. Of one trial alone a disturbance may make as much."""
 
 # --- verdict ------------------------------------------------------------------------------------------------------
 

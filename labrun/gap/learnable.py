@@ -14,6 +14,8 @@ from labrun.fit import Dataset, OutputNoise, Problem
 from labrun.gap import criteria
 from labrun.gap.candidates import site_courses, typical_time_s
 from labrun.gap.held_out import mean_residuals
+from labrun.gap.noise import Noise
+from labrun.gap.what_is_left import BeyondScatter
 
 
 def learnable_share(problem: Problem, z: FloatArray, *, conditions: bool = False) -> float:
@@ -31,20 +33,20 @@ def learnable_share(problem: Problem, z: FloatArray, *, conditions: bool = False
     return _share(problem, z, residual, conditions)
 
 
-def learned_beyond_scatter(problem: Problem, z: FloatArray) -> float:
-    """Return the part of the squared residual that is predicted of withheld pieces and is no trial's own.
+def beyond_scatter(problem: Problem, z: FloatArray, noise: Noise) -> BeyondScatter:
+    """Return what is left once every trial may have parameters and initial states of its own.
 
     A parameter that is a little off in one trial goes with its motion, too, and is learned from its other pieces:
-    repeats would show it to be noise. What every trial could make by parameters and initial states of its own is
-    therefore taken out first.
+    repeats would show it to be noise. What every trial could make in this way is therefore taken out first.
     """
     residual = [one / problem.spread for one in mean_residuals(problem, z)]
-    common = _without_own(problem, z, residual)
     total = sum(float(np.sum(np.square(one))) for one in residual)
     if total == 0.0:
-        return 0.0
+        return BeyondScatter()
+    common = _without_own(problem, z, residual)
     left = sum(float(np.sum(np.square(one))) for one in common)
-    return _share(problem, z, common, conditions=False) * left / total
+    size = np.sqrt(np.mean(np.square(np.concatenate(common) * (problem.spread / noise.sd))))
+    return BeyondScatter(_share(problem, z, common, conditions=False) * left / total, float(size))
 
 
 def _without_own(problem: Problem, z: FloatArray, residual: Sequence[FloatArray]) -> list[FloatArray]:

@@ -1,11 +1,12 @@
 """The verdict: no gap, explained by parameters, by causes, in part, or not by anything in the library; in words."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from labrun.estimate import significant
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Cause, Name, Shrinkage, Sizes, Verdict
+from labrun.gap.what_is_left import BeyondScatter
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,11 +19,12 @@ class VerdictBasis:
         Whether the recalibrated gap is beyond what noise leaves; `remains` the same of what the causes leave.
     noise_known
         Whether noise is told from gap: by repeats, or by reading errors that are stated.
-    learnable
-        Part of the squared residual that is left, which a model without physics predicts of withheld pieces of time,
-        and which no scatter of parameters from trial to trial makes.
     effects, parameters
         Number of causes of each kind.
+    beyond_scatter
+        What is left, less what a scatter of parameters from trial to trial makes.
+    trials
+        How many there are.
     """
 
     sizes: Sizes
@@ -32,7 +34,8 @@ class VerdictBasis:
     effects: int
     parameters: int
     shrinkage: Shrinkage | None
-    learnable: float = 0.0
+    beyond_scatter: BeyondScatter = field(default_factory=BeyondScatter)
+    trials: int = 1
 
     @property
     def known_share(self) -> float:
@@ -40,14 +43,14 @@ class VerdictBasis:
         share = 0.0 if self.shrinkage is None else self.shrinkage.value
         if self.noise_known:
             return share
-        left = (1.0 - share) * self.learnable
+        left = (1.0 - share) * self.beyond_scatter.learnable
         return share / (share + left) if share + left > 0 else 0.0
 
     @property
     def rest(self) -> bool:
         """Whether causes that explain the gap leave a rest of it that is plainly more than noise."""
         if not self.noise_known:
-            return self.learnable >= criteria.LEARNABLE and self.sizes.after >= 1.0
+            return self.beyond_scatter.learnable >= criteria.LEARNABLE and self.sizes.after >= 1.0
         least = max(criteria.BEYOND_FLOOR * self.sizes.floor, criteria.SMALL_GAP_UNEXPLAINED)
         return self.remains and self.sizes.after >= least
 
@@ -73,7 +76,7 @@ def verdict(found: VerdictBasis) -> Verdict:
     plain = found.sizes.after >= max(criteria.FAR_ABOVE_FLOOR * found.sizes.floor, 1.0)
     if not found.noise_known:
         plain, least, whole = (
-            found.learnable >= criteria.LEARNABLE,
+            found.beyond_scatter.learnable >= criteria.LEARNABLE,
             criteria.IMPOSTOR_SHARE,
             criteria.WHOLE_SHARE,
         )
@@ -97,13 +100,15 @@ def verdict(found: VerdictBasis) -> Verdict:
 def _unexplained(found: VerdictBasis) -> bool:
     """Tell whether there is a gap without a cause: plainly more than noise, or at least predictable."""
     if not found.noise_known:
-        return found.learnable >= criteria.LEARNABLE and found.sizes.recalibrated >= 1.0
+        no_noise = found.trials > 1 and found.beyond_scatter.size >= criteria.NO_SENSORS_NOISE
+        learnable = found.beyond_scatter.learnable >= criteria.LEARNABLE
+        return (learnable or no_noise) and found.sizes.recalibrated >= 1.0
     floor = found.sizes.floor
     if found.sizes.recalibrated >= max(criteria.FAR_ABOVE_FLOOR * floor, criteria.SMALL_GAP_UNEXPLAINED):
         return True
     # slow noise has few independent numbers a trial: the mean of a few repeats is then above the floor by chance
     small = max(criteria.BEYOND_FLOOR * floor, criteria.SMALL_GAP_UNEXPLAINED)
-    return found.sizes.recalibrated >= small and found.learnable >= criteria.LEARNABLE
+    return found.sizes.recalibrated >= small and found.beyond_scatter.learnable >= criteria.LEARNABLE
 
 
 def _recalibration_helps(sizes: Sizes) -> bool:
@@ -165,8 +170,9 @@ def sentence(
             f"{recalibrated} times {unit}, and {end}."
         )
     nearest = "" if best is None else f"; the nearest, {best.words}, removes{removed or ' too little'} of it"
+    outside = "" if noise_known else ", or acts from outside of what was recorded"
     return (
-        f"The cause is not in the library: a gap of {recalibrated} times {unit} remains after "
+        f"The cause is not in the library{outside}: a gap of {recalibrated} times {unit} remains after "
         f"recalibration{nearest}."
     )
 

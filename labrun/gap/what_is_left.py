@@ -29,6 +29,22 @@ class Learnable:
         return f"Of what is left, at least {most:.0f} % could be learned, at most {100 - most:.0f} % is noise"
 
 
+@dataclass(frozen=True, slots=True)
+class BeyondScatter:
+    """What a fit leaves that is no trial's own.
+
+    Attributes
+    ----------
+    learnable
+        Part of the squared residual that is predicted of withheld pieces, 0 to 1.
+    size
+        Root mean square, in units of the noise.
+    """
+
+    learnable: float = 0.0
+    size: float = 0.0
+
+
 @dataclass(frozen=True)
 class Term:
     """A term of a law.

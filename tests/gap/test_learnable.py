@@ -8,7 +8,7 @@ import pytest
 from swings import dataset_of, swing
 
 from labrun.gap.averaging import averaged
-from labrun.gap.learnable import learnable_share, learned_beyond_scatter
+from labrun.gap.learnable import beyond_scatter, learnable_share
 from labrun.gap.recalibration import recalibrate
 from labrun.gap.what_is_left import Learnable
 from labrun.models import load_model
@@ -52,13 +52,13 @@ def test_parameters_that_scatter_by_trial_are_learned_but_are_no_gap_and_a_law_b
         data = replace(datasets[0], trials=tuple(trial for one in datasets for trial in one.trials))
         model = pendulum()
         found = recalibrate(model, averaged(data, model), np.random.default_rng(0), lambda _: None)
-        return found.problem, found.z
+        return found.problem, found.z, found.noise
 
     scattered = left(nothing, (0.01, -0.012, 0.008, -0.01, 0.006))
-    assert learnable_share(*scattered) > 0.1
-    assert learned_beyond_scatter(*scattered) < 0.02
+    assert learnable_share(*scattered[:2]) > 0.1
+    assert beyond_scatter(*scattered).learnable < 0.02
     cogging = left(lambda t, q, v: 0.012 * float(np.sin(8.0 * q)), (0.0,) * 5)
-    assert learned_beyond_scatter(*cogging) > 0.2
+    assert beyond_scatter(*cogging).learnable > 0.2
 
 
 @pytest.mark.parametrize(

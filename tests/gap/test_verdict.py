@@ -4,6 +4,7 @@ import pytest
 
 from labrun.gap.diagnosis import Shrinkage, Sizes
 from labrun.gap.verdict import VerdictBasis, verdict
+from labrun.gap.what_is_left import BeyondScatter
 
 
 def findings(
@@ -17,7 +18,8 @@ def findings(
         effects,
         parameters,
         None if share is None else Shrinkage(*share),
-        more.get("learnable", 0.0),
+        BeyondScatter(more.get("learnable", 0.0), more.get("size", 0.0)),
+        more.get("trials", 5),
     )
 
 
@@ -84,3 +86,10 @@ def test_a_gap_that_nothing_explains_is_not_in_the_library_only_where_it_is_told
     assert verdict(findings(**{**unexplained, "sizes": (5.0, 1.2, 1.2, 0.3)})) == "not-in-library"
     assert verdict(findings(**unexplained, repeated=False)) == "parameter"
     assert verdict(findings(**unexplained, significant=False)) == "parameter"
+
+
+def test_what_is_plainly_more_than_a_sensor_adds_in_several_trials_is_a_gap_without_repeats():
+    plain = {"effects": 0, "share": None, "sizes": (9.0, 8.5, 8.5, 0.3), "repeated": False}
+    assert verdict(findings(**plain, size=8.0)) == "not-in-library"
+    assert verdict(findings(**plain, size=4.0)) == "undecided"  # noise of a colour
+    assert verdict(findings(**plain, size=8.0, trials=1)) == "undecided"  # a disturbance may have made it

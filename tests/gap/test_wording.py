@@ -6,6 +6,7 @@ import pytest
 
 from labrun.gap.diagnosis import Cause, Name, ResampledNumber, Shrinkage, Sizes
 from labrun.gap.verdict import VerdictBasis, limitations, sentence
+from labrun.gap.what_is_left import BeyondScatter
 
 CAUSES = (Cause(Name("bias", "angle"), 0.8, {"offset": ResampledNumber(0.1, 0.0, 0.2, "rad")}),)
 
@@ -57,7 +58,9 @@ def test_a_rest_beyond_noise_is_said_beside_a_cause_that_explains_the_gap() -> N
     assert plain.rest
     assert not replace(plain, sizes=Sizes(12.0, 10.0, 0.12, 0.1)).rest
     assert not replace(plain, noise_known=False).rest
-    assert replace(plain, noise_known=False, learnable=0.5).rest  # what a regression predicts is no noise
+    assert replace(
+        plain, noise_known=False, beyond_scatter=BeyondScatter(0.5)
+    ).rest  # what a regression predicts is no noise
 
 
 def test_a_gap_above_the_floor_that_is_called_noise_is_not_said_to_be_below_it() -> None:
