@@ -1,5 +1,7 @@
 """What is told of causes and of every other candidate: sizes, rivals, what is ruled out up to which size, remarks."""
 
+import numpy as np
+
 from labrun.arrays import FloatArray
 from labrun.estimate import significant
 from labrun.fit import Dataset
@@ -188,9 +190,11 @@ def _bound_remark(search: Search, place: int) -> str:
     for parameter in final.problem.effects[place].effect.parameters:
         if parameter.held:
             continue
-        value = final.z[variable]
-        span = parameter.upper - parameter.lower
-        if min(abs(value - parameter.lower), abs(parameter.upper - value)) < criteria.AT_BOUND * span:
+        within = np.array([parameter.lower, final.z[variable], parameter.upper])
+        if parameter.lower > 0.0:  # what spans decades is searched in proportion
+            within = np.log(within)
+        low, value, high = within
+        if min(abs(value - low), abs(high - value)) < criteria.AT_BOUND * (high - low):
             at_bounds.append(parameter.name)
         variable += 1
     if not at_bounds:
