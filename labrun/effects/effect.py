@@ -27,6 +27,7 @@ Quantity = Literal[
     "signal-rate",
     "time",
     "time-per-coordinate",
+    "per-coordinate",
     "ratio",
 ]
 
@@ -41,7 +42,7 @@ class Scale:
     """Typical magnitudes at a site: peak excursion, speed, acceleration and force of the data, SI.
 
     The default 1 everywhere leaves an effect's numbers as they stand. `inertia` is what moves already: a free axis
-    goes far in a long trial by a force that would hardly accelerate it.
+    goes far in a long trial by a force that would hardly accelerate it. `travel` is half the way from end to end.
     """
 
     coordinate: float = 1.0
@@ -51,6 +52,7 @@ class Scale:
     signal: float = 1.0
     time_s: float = 1.0
     inertia: float = 0.0
+    travel: float = 1.0
 
     def of(self, quantity: Quantity) -> float:
         """Return the typical magnitude of a quantity, SI."""
@@ -67,6 +69,7 @@ class Scale:
             "signal-rate": self.signal / self.time_s,
             "time": self.time_s,
             "time-per-coordinate": 1.0 / self.rate,
+            "per-coordinate": 1.0 / self.travel,
             "ratio": 1.0,
         }[quantity]
 
@@ -83,6 +86,7 @@ def unit_of(quantity: Quantity, coordinate_unit: str = "rad", signal_unit: str =
         "coordinate": c,
         "rate": f"{c}/s",
         "time-per-coordinate": f"s/{c}",
+        "per-coordinate": f"1/{c}",
         "force": force,
         "damping": f"{force} s/{c}",
         "drag": f"{force} s^2/{c}^2",
@@ -247,6 +251,11 @@ class Effect:
     compound: bool = False
     title: str = ""
     origin: str = ""
+
+    @property
+    def periodic(self) -> bool:
+        """Whether it comes back along the coordinate: `periods`, with the sizes of its `sine` and its `cosine`."""
+        return {"periods", "sine", "cosine"} == {one.name for one in self.parameters}
 
     def fits(self, site: Site) -> bool:
         """Tell whether to look for it at a site: of its kind, with what it needs, without what replaces it."""

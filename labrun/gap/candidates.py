@@ -119,6 +119,7 @@ def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> 
         force=force,
         time_s=period,
         inertia=_inertia(problem, z, place, still, force),
+        travel=float(np.ptp(np.clip(every[:, 0], *np.percentile(every[:, 0], _ENDS)))) / 2.0 or coordinate,
     )
 
 
@@ -201,6 +202,9 @@ def site_courses(
         )
         found.append((course, simulation.outputs))
     return found
+
+
+_ENDS = (100.0 - criteria.PEAK_PERCENTILE, criteria.PEAK_PERCENTILE)
 
 
 def _peak(values: FloatArray) -> float:

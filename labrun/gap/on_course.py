@@ -1,4 +1,4 @@
-"""Plants that run away from any simulation: kept on course by what was measured of them.
+"""Plants that leave any simulation: kept on course by what was measured of them.
 
 A balanced pole, a magnet that holds a ball, a helicopter: driven by what its controller put out, the simulation leaves
 the measured motion e times further every moment, whatever the model. An observer holds it there (the predictor of
@@ -38,10 +38,57 @@ def kept_on_course(dataset: Dataset, model: Model) -> tuple[Dataset, Model, str]
     duration_s = float(np.median([one.time_s[-1] - one.time_s[0] for one in trials]))
     if growth * duration_s < criteria.RUNS_AWAY or not _leaves(model, dataset, trials):
         return dataset, model, ""
-    gain = _gain(slope, shown, growth, np.std(np.concatenate([one.outputs for one in trials]), axis=0))
-    if gain is None:
+    held = _held(dataset, model, trials, slope, shown, criteria.HELD_ON_COURSE * growth)
+    if held is None:
         return dataset, model, ""
-    held = observed(model, gain, trials[0].condition)
+    return *held, (
+        f"The model is unstable in open loop: what differs grows e-fold in {significant(1.0 / growth, 2)} s, and no "
+        f"simulation follows what was measured for long. {_SAID}"
+    )
+
+
+def kept_in_wells(dataset: Dataset, model: Model, growth: float) -> tuple[Dataset, Model, str] | None:
+    """Return trials, and a model that they hold in the wells of a force that it lacks, with a sentence.
+
+    Parameters
+    ----------
+    growth
+        How fast what differs grows between the wells, 1/s.
+
+    Returns
+    -------
+    tuple or None
+        None where outputs do not show what there is to hold.
+    """
+    trials = [one for one in dataset.trials if len(one.time_s) >= criteria.FEWEST_STEPS]
+    if not trials or not model.states or any(one.followed for one in model.outputs):
+        return None
+    seen = [_linearised(model, one) for one in trials]
+    slope, shown = (np.mean(np.concatenate(parts), axis=0) for parts in zip(*seen, strict=True))
+    if not np.isfinite(slope).all():
+        return None
+    held = _held(dataset, model, trials, slope, shown, criteria.HELD_IN_WELLS * growth)
+    if held is None:
+        return None
+    return *held, (
+        f"A force that comes back along the coordinate holds the motion in wells, between which what differs grows "
+        f"e-fold in {significant(1.0 / growth, 2)} s: a simulation that falls into the wrong one stays there. {_SAID}"
+    )
+
+
+_SAID = (
+    "So it was kept on course by an observer: the gap is that of its prediction, and what sensors do (delays, zeros, "
+    "gains of outputs) was not looked for."
+)
+
+
+def _held(
+    dataset: Dataset, model: Model, trials: list[FitTrial], slope: FloatArray, shown: FloatArray, fall: float
+) -> tuple[Dataset, Model] | None:
+    """Return trials that tell a model what was measured, and the model that follows it as fast as `fall`, 1/s."""
+    gain = _gain(slope, shown, fall, np.std(np.concatenate([one.outputs for one in trials]), axis=0))
+    if gain is None:
+        return None
     infos = [SignalInfo(measured_name(one.name), one.unit) for one in dataset.outputs]
     followed = replace(
         dataset,
@@ -50,12 +97,7 @@ def kept_on_course(dataset: Dataset, model: Model) -> tuple[Dataset, Model, str]
             replace(one, inputs=np.column_stack([one.inputs, one.outputs])) for one in dataset.trials
         ),
     )
-    said = (
-        f"The model is unstable in open loop: what differs grows e-fold in {significant(1.0 / growth, 2)} s, and no "
-        "simulation follows what was measured for long. So it was kept on course by an observer: the gap is that of "
-        "its prediction, and what sensors do (delays, zeros, gains of outputs) was not looked for."
-    )
-    return followed, held, said
+    return followed, observed(model, gain, trials[0].condition)
 
 
 @np.errstate(all="ignore")
@@ -127,20 +169,19 @@ def _leaves(model: Model, dataset: Dataset, trials: list[FitTrial]) -> bool:
     return 2 * far > len(trials)
 
 
-def _gain(slope: FloatArray, shown: FloatArray, growth: float, size: FloatArray) -> FloatArray | None:
+def _gain(slope: FloatArray, shown: FloatArray, fall: float, size: FloatArray) -> FloatArray | None:
     """Return the least gain (in the outputs' sizes) that makes what differs fall; None where outputs do not show it.
 
-    Every mode that falls more slowly than at a tenth of the rate of growth is mirrored about that: the Riccati equation
-    of a Kalman filter without process noise (Anderson and Moore, Optimal Control (1990), section 3.5).
+    Every mode that falls more slowly than `fall` (1/s) is mirrored about that: the Riccati equation of a Kalman filter
+    without process noise (Anderson and Moore, Optimal Control (1990), section 3.5).
     """
     from scipy.linalg import LinAlgError, solve_continuous_are
 
-    fall = criteria.HELD_ON_COURSE * growth
     seen = shown / np.maximum(size, 1e-12)[:, None]
     moved = slope + fall * np.eye(len(slope))
     try:
         covariance = solve_continuous_are(
-            moved.T, seen.T, 1e-9 * growth * np.diag(1.0 / np.maximum(np.sum(seen**2, axis=0), 1e-12)),
+            moved.T, seen.T, 1e-9 * fall * np.diag(1.0 / np.maximum(np.sum(seen**2, axis=0), 1e-12)),
             np.eye(len(seen)),
         )  # fmt: skip
     except (LinAlgError, ValueError, ArithmeticError):

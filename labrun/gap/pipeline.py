@@ -12,10 +12,11 @@ from labrun.gap.averaging import averaged, without_crowding
 from labrun.gap.candidates import Candidate, candidates, site_scales, untried
 from labrun.gap.data_checks import CheckedTrials, require_informative, with_sound_clocks
 from labrun.gap.held_out import ExcessResidual, fitted_excess, held_out_excess, mean_residuals, not_withheld
+from labrun.gap.lines import growth_in_wells
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import full_strictness, noise_threshold
 from labrun.gap.null import Null
-from labrun.gap.on_course import kept_on_course
+from labrun.gap.on_course import kept_in_wells, kept_on_course
 from labrun.gap.recalibration import (
     Recalibrated,
     bound_remarks,
@@ -133,7 +134,33 @@ def search_causes(
         noise = replace(first.noise, innovations=True)
         again = _searched(asked, in_noise(first.problem, noise, first.z))
         found = _fitted_to_motion(again, first.noise) if again.selection.chosen else found
-    return _with_own_deviations(asked, first, found)
+    found = _with_own_deviations(asked, first, found)
+    return _in_wells(asked, found) or found
+
+
+def _in_wells(asked: "_Asked", found: Search) -> Search | None:
+    """Return the search once more on what an observer keeps in the wells of a force that comes back along a coordinate.
+
+    Only where what is left plainly comes back so, and where the search finds that force then.
+    """
+    final = found.selection.final
+    if found.selection.held_out.gap < criteria.LARGE_REMAINDER:
+        return None
+    growth = max((growth_in_wells(final.problem, final.z, one) for one in found.candidates), default=0.0)
+    held = kept_in_wells(asked.clocks.dataset, found.model, growth) if growth > 0.0 else None
+    if held is None:
+        return None
+    asked.note(
+        "what is left comes back along the coordinate: keeping the model in its wells by what was measured"
+    )
+    dataset, model, said = held
+    clocks = replace(asked.clocks, dataset=dataset, limitations=(said, *asked.clocks.limitations))
+    data = without_crowding(averaged(dataset, model))
+    beside = replace(asked, clocks=clocks, data=data)
+    first = recalibrate(model, data, asked.rng, asked.note)
+    again = _with_own_deviations(beside, first, _searched(beside, first))
+    attached = [one.rated.candidate.attached for one in again.selection.chosen]
+    return again if any(one is not None and one.effect.periodic for one in attached) else None
 
 
 def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) -> Search:

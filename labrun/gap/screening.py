@@ -11,6 +11,7 @@ from labrun.gap import criteria
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnosis import Name
 from labrun.gap.kin import family
+from labrun.gap.lines import line_starts
 from labrun.gap.nuisance import NuisanceProjection
 
 
@@ -149,7 +150,7 @@ def survey(base: Base, candidate: Candidate) -> Survey:
     shared, own = base.z[: base.problem.size], base.problem.own_states(base.z)
     before = base.nuisance.remainder(base.residual, base.problem.priors.residual(base.z))
     rated: list[tuple[float, int, FloatArray, FloatArray, float]] = []
-    for number, start in enumerate(candidate.starts):
+    for number, start in enumerate((*candidate.starts, *line_starts(base.problem, base.z, candidate))):
         z = np.concatenate([shared, start, own])
         if candidate.attached is None:
             change, whole = _released(base, problem)

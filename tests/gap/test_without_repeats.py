@@ -97,10 +97,10 @@ def test_what_no_model_predicts_is_not_called_a_gap() -> None:
 
 
 def test_a_law_that_the_library_lacks_is_no_noise_even_without_repeats() -> None:
-    cogging = diagnose_dataset(
-        recorded(lambda t, q, v: 0.012 * float(np.sin(8.0 * q)), repeats=1), pendulum(), QUICK
+    oiled_in_places = diagnose_dataset(
+        recorded(lambda t, q, v: 0.006 * v * (1.0 + float(np.cos(5.0 * q))), repeats=1), pendulum(), QUICK
     )
-    assert cogging.verdict == "not-in-library"
+    assert oiled_in_places.verdict == "not-in-library"
 
 
 def test_where_nothing_shows_no_gain_is_evidence():

@@ -28,7 +28,7 @@ YIELDING = (
     "hysteresis",
     "end-stop",
 )
-JOINT = (*YIELDING, "quadratic-drag")
+JOINT = (*YIELDING, "quadratic-drag", "cogging")
 DRIVEN = ("delay", "lag", "saturation", "rate-limit", "dead-band")
 READ = ("lag", "delay", "drift", "saturation")
 """Effects of the library that most joints, inputs and outputs may have; an order that seeds rely on."""

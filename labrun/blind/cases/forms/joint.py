@@ -154,6 +154,28 @@ def end_stop(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
     )  # fmt: skip
 
 
+def cogging(site: str, m: Measures, rng: np.random.Generator) -> Mechanism:
+    """A force that repeats several times over the stroke, as of magnets and teeth, with a second harmonic."""
+    waves, phase, second = (
+        rng.uniform(2.5, 6.0) * np.pi / m.q,
+        rng.uniform(0, 2 * np.pi),
+        rng.uniform(0.05, 0.15),
+    )
+
+    def law(s: float, _t: float, at: At) -> FloatArray:
+        angle = waves * at.coordinate + phase
+        return s * m.force * (np.sin(angle) + second * np.sin(2.0 * angle))
+
+    return Mechanism(
+        "cogging", site, "joint", "with a second harmonic", law,
+        lambda s: {
+            "periods": waves, "sine": -s * m.force * np.cos(phase), "cosine": -s * m.force * np.sin(phase),
+            "second_harmonic_share": second,
+        },
+        most=1.5, fastest=lambda _s: 0.5 * np.sqrt(waves * m.a) + m.v * waves * 0.2,
+    )  # fmt: skip
+
+
 JOINT = {
     "viscous-damping": viscous,
     "quadratic-drag": quadratic_drag,
@@ -165,4 +187,5 @@ JOINT = {
     "viscoelastic-creep": creep,
     "added-inertia": added_inertia,
     "end-stop": end_stop,
+    "cogging": cogging,
 }

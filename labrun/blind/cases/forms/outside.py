@@ -34,15 +34,6 @@ def pulsating_stiffness(site: str, kind: Kind, m: Measures, rng: np.random.Gener
     )  # fmt: skip
 
 
-def cogging(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
-    """A torque that repeats several times over the stroke, as of magnets and teeth."""
-    waves, phase = rng.uniform(2.5, 6.0) * np.pi / m.q, rng.uniform(0, 2 * np.pi)
-    return _force(
-        "cogging", site, kind, lambda s, t, at: s * m.force * np.sin(waves * at.coordinate + phase),
-        {"per_coordinate": waves, "phase": phase}, fastest=0.5 * np.sqrt(waves * m.a) + m.v * waves * 0.2,
-    )  # fmt: skip
-
-
 def second_mode(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> Mechanism:
     """A lightly damped mass on a spring that rides on the joint (flexible link)."""
     omega = 2 * np.pi / m.period_s * rng.uniform(1.4, 3.0)
@@ -127,7 +118,6 @@ def gyroscopic(site: str, kind: Kind, m: Measures, rng: np.random.Generator) -> 
 
 OUTSIDE = {
     "pulsating-stiffness": pulsating_stiffness,
-    "cogging": cogging,
     "second-mode": second_mode,
     "flutter": flutter,
     "detent": detent,
