@@ -241,7 +241,12 @@ def _scaled(
     acceleration = np.abs(np.gradient(course[:, 1], time_s)).max()
     typical = force * excursion if force is not None else np.abs(inputs).max()
     scale = Scale(
-        float(excursion), float(rate), float(acceleration), float(typical), time_s=period_s, travel=float(excursion)
+        float(excursion),
+        float(rate),
+        float(acceleration),
+        float(typical),
+        time_s=period_s,
+        travel=float(excursion),
     )
     return Rig(model, time_s, inputs, site, scale)
 
