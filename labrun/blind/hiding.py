@@ -207,7 +207,7 @@ def candidates(scene: HidingScene, model: Model, *, tared: bool) -> list[tuple[E
         if twin is None:
             continue
         for effect in effects():
-            if not (effect.fits(site) and effect.fits(twin)):
+            if not (effect.fits(site) and effect.fits(twin, scene.scale)):
                 continue
             if effect.signals > 1 and not (same_order and len(_outputs(theirs)) >= effect.signals):
                 continue  # what the next signal is depends on the order of all

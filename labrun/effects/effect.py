@@ -42,7 +42,8 @@ class Scale:
     """Typical magnitudes at a site: peak excursion, speed, acceleration and force of the data, SI.
 
     The default 1 everywhere leaves an effect's numbers as they stand. `inertia` is what moves already: a free axis
-    goes far in a long trial by a force that would hardly accelerate it. `travel` is half the way from end to end.
+    goes far in a long trial by a force that would hardly accelerate it. `travel` is half the way from end to end
+    (0: as far as the peak excursion).
     """
 
     coordinate: float = 1.0
@@ -52,7 +53,7 @@ class Scale:
     signal: float = 1.0
     time_s: float = 1.0
     inertia: float = 0.0
-    travel: float = 1.0
+    travel: float = 0.0
 
     def of(self, quantity: Quantity) -> float:
         """Return the typical magnitude of a quantity, SI."""
@@ -69,7 +70,7 @@ class Scale:
             "signal-rate": self.signal / self.time_s,
             "time": self.time_s,
             "time-per-coordinate": 1.0 / self.rate,
-            "per-coordinate": 1.0 / self.travel,
+            "per-coordinate": 1.0 / (self.travel or self.coordinate),
             "ratio": 1.0,
         }[quantity]
 
@@ -226,6 +227,8 @@ class Effect:
         What to know wherever it is named; empty if nothing.
     compound
         Whether simpler effects together look nearly the same: where they explain as much, they are preferred.
+    least_travel
+        How far a site has to move for it to be more than simpler effects, SI: half a turn, say.
     title
         What it is, in a sentence.
     origin
@@ -249,6 +252,7 @@ class Effect:
     contains: tuple[str, ...] = ()
     caution: str = ""
     compound: bool = False
+    least_travel: float = 0.0
     title: str = ""
     origin: str = ""
 
@@ -257,8 +261,16 @@ class Effect:
         """Whether it comes back along the coordinate: `periods`, with the sizes of its `sine` and its `cosine`."""
         return {"periods", "sine", "cosine"} == {one.name for one in self.parameters}
 
-    def fits(self, site: Site) -> bool:
-        """Tell whether to look for it at a site: of its kind, with what it needs, without what replaces it."""
+    def fits(self, site: Site, scale: Scale | None = None) -> bool:
+        """Tell whether to look for it at a site: of its kind, with what it needs, without what replaces it.
+
+        Parameters
+        ----------
+        scale
+            Of the site in the data, which may be too small for it; not asked if None.
+        """
+        if scale is not None and 2.0 * (scale.travel or scale.coordinate) < self.least_travel:
+            return False
         declared = all(getattr(site, need) for need in self.needs)
         return site.kind == self.kind and declared and not any(getattr(site, one) for one in self.unless)
 

@@ -49,6 +49,7 @@ class _Entry(Table):
     unless: tuple[Need, ...] = ()
     caution: str = ""
     compound: bool = False
+    least_travel: float = 0.0
     parameters: dict[str, _Parameter] = Field(default_factory=dict)
 
     @property
@@ -176,6 +177,7 @@ def _effects(id_: str, entry: _Entry, origin: str) -> Iterator[Effect]:
             contains=entry.contains,
             caution=entry.caution,
             compound=entry.compound,
+            least_travel=entry.least_travel,
             title=entry.title,
             origin=origin,
         )

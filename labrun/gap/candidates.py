@@ -119,7 +119,7 @@ def _joint_scale(problem: Problem, z: FloatArray, place: int, period: float) -> 
         force=force,
         time_s=period,
         inertia=_inertia(problem, z, place, still, force),
-        travel=float(np.ptp(np.clip(every[:, 0], *np.percentile(every[:, 0], _ENDS)))) / 2.0 or coordinate,
+        travel=float(np.ptp(np.clip(every[:, 0], *np.percentile(every[:, 0], _ENDS)))) / 2.0,
     )
 
 
@@ -277,8 +277,8 @@ def candidates(
         if effect.id in withhold or any(name in withhold for name in effect.contains):
             continue
         for site in model.places:
-            if effect.kind == site.kind and (site.kind, site.name) in scales and effect.fits(site):
-                scale = scales[site.kind, site.name]
+            scale = scales.get((site.kind, site.name))
+            if scale is not None and effect.fits(site, scale):
                 possible = _as_read(effect) if site.kind == "output" else effect
                 attached = possible.attach(site.name, scale)
                 try:

@@ -91,8 +91,9 @@ START_COMBINATIONS = 4
 LINES, SMALL_WAVE, SHOWS_COORDINATE = 2, 0.02, 0.01
 """So many lines of what is missing over a coordinate are starts, too; their size where it is not known, in multiples of
 the typical force; and how far an output that shows the coordinate may be from it, in parts of its spread."""
-BINS_A_PERIOD, NEIGHBOURS = 8, 20
-"""Bins over the shortest period; and lines on both sides that a line stands out of."""
+BINS_A_PERIOD, NEIGHBOURS, STEPS_A_PERIOD = 8, 20, 6.0
+"""Bins over the shortest period; lines on both sides that a line stands out of; and how many of an encoder's steps a
+period has at least, which have lines of their own."""
 LINE_SHARE, FEWEST_WELLS, HELD_IN_WELLS = 0.2, 3.0, 0.25
 """Part of the squares of a missing force in one line from which it holds the motion in wells, if it passes so many; and
 the part of its growth between them at which an observer lets differences fall. Four knobs that cog had shares of 0.29

@@ -15,7 +15,7 @@ from labrun.gap import criteria
 from labrun.gap.candidates import Candidate, site_courses
 from labrun.gap.held_out import mean_residuals
 from labrun.gap.motion import smoothed
-from labrun.gap.noise import fit_whitener
+from labrun.gap.noise import fit_whitener, quantum
 
 
 def line_starts(problem: Problem, z: FloatArray, candidate: Candidate) -> list[tuple[float, ...]]:
@@ -89,11 +89,13 @@ def _missing(problem: Problem, z: FloatArray, candidate: Candidate) -> _Missing 
     column, slope, zero = _shown(at, outputs) if scale.inertia > 0.0 else (None, 1.0, 0.0)
     if column is None:
         force = np.sum(np.concatenate(residuals) / problem.spread, axis=1)
-        lines, square = _lines(at / scale.travel, force, *limits), float(np.var(force))
+        lines, square = _lines(at * scale.of("per-coordinate"), force, *limits), float(np.var(force))
         return _Missing(False, [(periods, wave) for periods, wave, _ in lines], square, [])
+    steps = float(quantum(problem.data)[column]) / abs(slope) * scale.of("per-coordinate")
+    limits = limits[0], min(limits[1], 2.0 * np.pi / (criteria.STEPS_A_PERIOD * steps))
     left = [one[:, [column]] for one in residuals]
     measured = np.concatenate([smoothed(one.time_s, one.outputs[:, [column]])[0] for one in trials])[:, 0]
-    along = (measured - zero) / slope / scale.travel
+    along = (measured - zero) / slope * scale.of("per-coordinate")
     beyond = [smoothed(one.time_s, values)[2] for one, values in zip(trials, left, strict=True)]
     force = np.concatenate(beyond)[:, 0] / slope * scale.inertia / scale.force
     lines = _lines(along, force, *limits)
@@ -124,7 +126,7 @@ def _lines(
     from scipy.ndimage import median_filter
 
     travel = float(np.ptp(coordinate))
-    if not travel > 0.0:
+    if not travel > 0.0 or upper <= lower:
         return []
     width = np.pi / upper / criteria.BINS_A_PERIOD * 2.0
     bins = max(int(np.ceil(travel / width)), 2)
