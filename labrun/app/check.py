@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from labrun.app.leaders import with_leaders
-from labrun.errors import PlanError, SpecError
+from labrun.errors import PlanError, RequestError, SpecError
 from labrun.runner import ConditionExcess, MotionMaker, Plan, Planner, Rig
 from labrun.search import (
     ConstraintError,
@@ -19,8 +19,16 @@ from labrun.search import (
     settings_of,
     survey_space,
 )
-from labrun.spec import Condition, Experiment, LoadedExperiment, condition_key, condition_text, load_named
-from labrun.store import lacking_room
+from labrun.spec import (
+    Condition,
+    Experiment,
+    LoadedExperiment,
+    condition_key,
+    condition_text,
+    find_experiment,
+    load_named,
+)
+from labrun.store import is_recording, lacking_room
 
 NO_SCENE = "[rig] names no scene: joints follow their commands, sensors read zero and their own noise"
 
@@ -77,6 +85,27 @@ def check(
     if dry_run and loaded.experiment.rig.scene is None:
         return replace(plan, notes=(*plan.notes, NO_SCENE))
     return plan
+
+
+def is_meant_as_recording(target: str) -> bool:
+    """Tell whether a person means a recording by what they typed: its folder, its recording.toml, its name."""
+    path = Path(target).expanduser()
+    if path.name == "recording.toml" or is_recording(path):
+        return True
+    try:
+        find_experiment(target, Path())
+    except RequestError:
+        return path.is_dir() or _is_named_recording(target)
+    return False
+
+
+def _is_named_recording(target: str) -> bool:
+    from labrun.app.question import find_data  # models and fits
+
+    try:
+        return is_recording(find_data(target, Path("results")))
+    except RequestError:
+        return False
 
 
 def require_room(plan: Plan, results: str | Path) -> None:

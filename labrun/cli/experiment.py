@@ -14,20 +14,39 @@ if TYPE_CHECKING:
 
 
 def check(
-    name: options.Name,
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="Experiment: its name, or the path of its TOML file; or the folder of a recording.",
+            autocompletion=options.complete_experiment,
+        ),
+    ],
     dry_run: options.DryRun = False,
     overrides: options.Overrides = None,
+    model: Annotated[
+        str | None,
+        typer.Option(help="Of a recording: the model to hold it against; its own model.toml if not given."),
+    ] = None,
     results: options.Results = options.RESULTS,
     as_json: options.Json = False,
 ) -> None:
     """Validate the whole plan: trials, time, disk, limits. Nothing moves.
 
+    Of a recording: every fault of its files, what it holds, and whether its model takes it.
+
     Example:  labrun check fin-params --set trial.repeats=5
+
+    Example:  labrun check recordings/ring-down
     """
     with reported(as_json):
         from labrun.app.check import check as check_plan
-        from labrun.app.check import require_room
+        from labrun.app.check import is_meant_as_recording, require_room
 
+        if model is not None or is_meant_as_recording(name):
+            from labrun.app.check_recording import check_recording
+
+            print_result(check_recording(name, model=model), as_json)
+            return
         plan = check_plan(name, overrides=overrides or (), dry_run=dry_run)
         if as_json:
             if not plan.excess:

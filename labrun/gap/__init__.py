@@ -1,6 +1,7 @@
 """Where a model and measurements differ, which unmodelled effect causes it, and how far adding it closes the gap."""
 
 from labrun.gap.compare import UnitComparison, UnitDifference, compare_units
+from labrun.gap.data_checks import require_informative, with_sound_clocks
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import (
     By,
@@ -53,8 +54,10 @@ __all__ = [
     "fresh_excess",
     "predict_fresh",
     "recalibrated_only",
+    "require_informative",
     "require_new",
     "save_model",
     "save_with_law",
     "why_not",
+    "with_sound_clocks",
 ]

@@ -1,0 +1,199 @@
+"""The check of a recording: read whole, held against its model as stated, before any fit; nothing is written."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labrun.app.diagnose_robot import joint_by_joint
+from labrun.app.question import find_data, held_against, load_held
+from labrun.errors import FitError
+from labrun.fit import Dataset, OutputsAlone, Problem, load_dataset
+from labrun.gap import require_informative, with_sound_clocks
+from labrun.models import Model, load_model
+from labrun.report.text import aligned, counted, short_time_text
+from labrun.spec import condition_key
+from labrun.store import Recording, is_recording, read_recording
+
+_TURNED_TOO_FAR = 2.2 * math.pi
+"""An angle in rad beyond 1.1 turns may be one in degrees; logs of robots are asked the same."""
+_DEGREES = 400.0
+_FAR_OFF = 3.0
+"""A model is far from what was measured where it misses more than so many times what that varies by."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedRecording:
+    """What a recording holds, and what is to be known before it is fitted or diagnosed.
+
+    Attributes
+    ----------
+    model
+        The model that it was held against; "" if none is named.
+    off
+        Of each output, root mean square of measured minus simulated as stated, and of measured less its mean.
+    remarks
+        What is doubtful, sentences with their places.
+    next
+        What to type.
+    """
+
+    folder: Path
+    recording: Recording
+    model: str
+    off: dict[str, tuple[float, float]]
+    remarks: tuple[str, ...]
+    next: str
+
+    @property
+    def conditions(self) -> dict[object, int]:
+        """How often each condition was measured."""
+        found: dict[object, int] = {}
+        for trial in self.recording.trials:
+            key = condition_key(trial.condition)
+            found[key] = found.get(key, 0) + 1
+        return found
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``labrun check --json`` prints of a recording."""
+        return {
+            "recording": str(self.folder),
+            "trials": len(self.recording.trials),
+            "conditions": len(self.conditions),
+            "fewest_repeats": min(self.conditions.values()),
+            "channels": [
+                {"name": name, "kind": kind, "unit": unit, "lowest": low, "highest": high}
+                for name, kind, unit, low, high in _channels(self.recording)
+            ],
+            "model": self.model or None,
+            "off_as_stated": {name: one[0] for name, one in self.off.items()},
+            "remarks": list(self.remarks),
+            "next": self.next,
+        }
+
+    def to_text(self) -> str:
+        """Return what a person wants to know of it."""
+        trials, repeats = self.recording.trials, sorted(self.conditions.values())
+        lasting = short_time_text(sum(float(one.time_s[-1] - one.time_s[0]) for one in trials))
+        times = f"{repeats[0]}" if repeats[0] == repeats[-1] else f"{repeats[0]} to {repeats[-1]}"
+        each = "none of them repeated" if repeats[-1] == 1 else f"each measured {times} times"
+        samples = lasting if lasting != "0 s" else "values without a course in time"
+        lines = [
+            f"{self.folder} is a recording: {counted(len(trials), 'trial')}, {samples}",
+            f"{counted(len(repeats), 'condition')}, {each}",
+        ]
+        rows = [
+            [f"  {name}", kind, unit, f"{low:.4g} to {high:.4g}"]
+            for name, kind, unit, low, high in _channels(self.recording)
+        ]
+        lines += aligned(rows)
+        if self.model:
+            lines.append(f"held against {self.model} as stated, before any fit")
+            lines += [
+                f"  {name} is off by {off:.3g} RMS; measured, it varies by {spread:.3g} RMS"
+                for name, (off, spread) in self.off.items()
+            ]
+        return "\n".join([*lines, *(f"note   {one}" for one in self.remarks), f"next   {self.next}"])
+
+
+def check_recording(target: str | Path, *, model: str | Path | None = None) -> CheckedRecording:
+    """Read a recording as fits and diagnoses do, and say what is in it, what is wrong, and what to do next.
+
+    Parameters
+    ----------
+    target
+        Its folder, its recording.toml, or its name.
+    model
+        What to hold it against; its own model.toml if None. Without one only the recording is checked.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read, with every fault; or it says nothing about any model.
+    RequestError, ModelError
+        A channel, unit or condition that the model wants and the recording does not have.
+    """
+    given = Path(target).expanduser()
+    folder = given.parent if given.suffix == ".toml" else given
+    if not is_recording(folder) and not folder.is_dir():
+        folder = find_data(target, Path("results"))
+    recording = read_recording(folder)
+    if model is None and not (folder / "model.toml").is_file():
+        data = load_dataset(folder, OutputsAlone(recording.outputs, recording.inputs))
+        require_informative(data)
+        return CheckedRecording(
+            folder,
+            recording,
+            "",
+            {},
+            (*_doubts(recording), *_clocks(data), "no model.toml beside it: only the recording was checked"),
+            f"labrun fit {folder} --model FILE, or labrun check {folder} --model FILE",
+        )
+    loaded, signals = held_against(folder, None if model is None else load_model(model), Path())
+    data = load_held(folder, loaded, signals)
+    require_informative(data)
+    off, said = _held(loaded, data)
+    named = "" if model is None else f" --model {model}"
+    return CheckedRecording(
+        folder,
+        recording,
+        loaded.name,
+        off,
+        (*_doubts(recording), *_clocks(data), *said, *_of_robot(folder, model)),
+        f"labrun gap diagnose {folder}{named}",
+    )
+
+
+def _channels(recording: Recording) -> Iterator[tuple[str, str, str, float, float]]:
+    """Yield name, kind, unit, and between which values every channel runs."""
+    for kind, infos in (("input", recording.inputs), ("output", recording.outputs)):
+        for place, info in enumerate(infos):
+            tables = [trial.inputs if kind == "input" else trial.outputs for trial in recording.trials]
+            values = np.concatenate([table[:, place] for table in tables])
+            yield info.name, kind, info.unit, float(np.min(values)), float(np.max(values))
+
+
+def _doubts(recording: Recording) -> Iterator[str]:
+    """Yield what numbers alone make doubtful."""
+    for name, kind, unit, low, high in _channels(recording):
+        if unit == "rad" and _TURNED_TOO_FAR < max(-low, high) < _DEGREES:
+            yield f"{name} is said to be in rad and reaches {max(-low, high):.4g}: is it in degrees?"
+        if kind == "input" and low == high:
+            yield f"{name} is {low:.4g} throughout: nothing was told to move, or another column was meant"
+
+
+def _clocks(data: Dataset) -> tuple[str, ...]:
+    checked = with_sound_clocks(data)
+    return (*checked.limitations, *checked.notes)
+
+
+def _held(model: Model, data: Dataset) -> tuple[dict[str, tuple[float, float]], list[str]]:
+    """Simulate every trial as stated; return how far each output is off, and what is to be said of it."""
+    problem = Problem.of(model, data)
+    try:
+        simulated = problem.simulated(problem.begin())
+    except FitError as error:
+        return {}, [f"{error.args[0]} as it is stated: {error.hint}"]
+    off, said = {}, []
+    for place, output in enumerate(data.outputs):
+        measured = np.concatenate([trial.outputs[:, place] for trial in data.trials])
+        missed = float(np.sqrt(np.mean(np.square(measured - np.concatenate(simulated)[:, place]))))
+        spread = float(np.std(measured))
+        off[output.name] = (missed, spread)
+        if missed > _FAR_OFF * spread:
+            said.append(
+                f"{output.name} is simulated {missed / spread:.2g} times as far off as it moves: units, signs and "
+                "beginnings are to be looked at before any diagnosis"
+            )
+    return off, said
+
+
+def _of_robot(folder: Path, model: str | Path | None) -> list[str]:
+    """Return how a robot would be diagnosed."""
+    reason = None if model is not None else joint_by_joint(folder)
+    if reason is None:
+        return []
+    return [f"a robot, diagnosed as a whole: {reason}" if reason else "a robot, diagnosed joint by joint"]

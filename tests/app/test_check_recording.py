@@ -1,0 +1,90 @@
+"""A recording is checked as fits and diagnoses read it: what is in it, what is doubtful, what to do next."""
+
+import numpy as np
+import pytest
+
+from labrun.app.check import is_meant_as_recording
+from labrun.app.check_recording import check_recording
+from labrun.errors import RecordingError, RequestError
+
+TIME_S = np.arange(0, 1, 0.05)
+SWING = """
+name = "swing"
+states = ["angle", "rate"]
+[parameters]
+damping = { value = 0.5, tolerance = "free", unit = "1/s" }
+[equations]
+angle = "rate"
+rate = "-9*angle - damping*rate"
+[outputs]
+angle = { equation = "angle", unit = "rad" }
+[initial]
+angle = "release_rad"
+rate = 0.0
+"""
+
+
+def swing(folder, *, scale=1.0, model=SWING, head="", release="release_rad"):
+    folder.mkdir()
+    toml = [head, "[channels.angle]", 'kind = "output"', 'unit = "rad"']
+    for trial, start in enumerate((0.2, 0.2, 0.4)):
+        angle = scale * start * np.exp(-0.25 * TIME_S) * np.cos(3 * TIME_S)
+        rows = [f"{time:.3f},{value:.6f}" for time, value in zip(TIME_S, angle, strict=True)]
+        (folder / f"{trial}.csv").write_text("\n".join(["time_s,angle", *rows]) + "\n")
+        toml += ["[[trials]]", f'file = "{trial}.csv"', f"condition = {{ {release} = {start} }}"]
+    (folder / "recording.toml").write_text("\n".join(toml) + "\n")
+    if model:
+        (folder / "model.toml").write_text(model)
+    return folder
+
+
+def test_what_a_recording_holds_is_said_with_how_far_its_model_is_off_and_what_to_type_next(tmp_path):
+    found = check_recording(swing(tmp_path / "arm"))
+    assert "3 trials" in found.to_text()
+    assert "2 conditions, each measured 1 to 2 times" in found.to_text()
+    off, spread = found.off["angle"]
+    assert off < 0.1 * spread
+    assert found.remarks == ()
+    assert found.next == f"labrun gap diagnose {tmp_path / 'arm'}"
+    assert found.to_json()["channels"][0]["highest"] == pytest.approx(0.4)
+
+
+def test_an_angle_in_degrees_that_is_said_to_be_in_radians_is_doubted(tmp_path):
+    found = check_recording(swing(tmp_path / "arm", scale=180 / np.pi))
+    assert found.remarks == ("angle is said to be in rad and reaches 22.92: is it in degrees?",)
+
+
+def test_a_model_that_is_far_from_what_was_measured_is_looked_at_first(tmp_path):
+    found = check_recording(swing(tmp_path / "arm", model=SWING.replace("-9*angle", "90 - 9*angle")))
+    assert "units, signs and beginnings are to be looked at" in found.remarks[0]
+
+
+def test_a_model_whose_simulation_does_not_stay_finite_is_told_and_not_diagnosed_first(tmp_path):
+    unstable = SWING.replace("-9*angle", "1e9*angle^3")
+    found = check_recording(swing(tmp_path / "arm", model=unstable))
+    assert found.off == {}
+    assert "leaves the finite numbers" in found.remarks[0]
+
+
+def test_without_a_model_the_recording_alone_is_checked(tmp_path):
+    found = check_recording(swing(tmp_path / "arm", model=""))
+    assert found.model == ""
+    assert "--model FILE" in found.next
+
+
+def test_a_condition_or_a_file_that_is_not_there_is_refused_by_name(tmp_path):
+    with pytest.raises(RequestError, match="release_rad"):
+        check_recording(swing(tmp_path / "arm", release="angle_rad"))
+    swing(tmp_path / "hole")
+    (tmp_path / "hole" / "1.csv").rename(tmp_path / "hole" / "one.csv")
+    with pytest.raises(RecordingError, match=r"1\.csv does not exist"):
+        check_recording(tmp_path / "hole")
+
+
+def test_a_folder_or_its_table_is_meant_as_a_recording_and_the_name_of_an_experiment_is_not(tmp_path):
+    folder = swing(tmp_path / "arm")
+    assert is_meant_as_recording(str(folder))
+    assert is_meant_as_recording(str(folder / "recording.toml"))
+    assert is_meant_as_recording("table-3-2")
+    assert not is_meant_as_recording("hinge")
+    assert not is_meant_as_recording("nothing-of-this-name")
