@@ -11,7 +11,7 @@ import numpy as np
 from labrun.app.diagnose_robot import joint_by_joint
 from labrun.app.question import find_data, held_against, load_held
 from labrun.errors import FitError
-from labrun.fit import Dataset, OutputsAlone, Problem, load_dataset
+from labrun.fit import Dataset, OutputsAlone, Problem, divergence_warnings, load_dataset
 from labrun.gap import require_informative, with_sound_clocks
 from labrun.models import Model, load_model
 from labrun.report.text import aligned, counted, short_time_text
@@ -177,16 +177,16 @@ def _held(model: Model, data: Dataset) -> tuple[dict[str, tuple[float, float]], 
         simulated = problem.simulated(problem.begin())
     except FitError as error:
         return {}, [f"{error.args[0]} as it is stated: {error.hint}"]
-    off, said = {}, []
+    off, said = {}, divergence_warnings(problem, problem.begin())
     for place, output in enumerate(data.outputs):
         measured = np.concatenate([trial.outputs[:, place] for trial in data.trials])
         missed = float(np.sqrt(np.mean(np.square(measured - np.concatenate(simulated)[:, place]))))
         spread = float(np.std(measured))
         off[output.name] = (missed, spread)
-        if missed > _FAR_OFF * spread:
+        if missed > _FAR_OFF * spread and not any("diverges" in one for one in said):
             said.append(
-                f"{output.name} is simulated {missed / spread:.2g} times as far off as it moves: units, signs and "
-                "beginnings are to be looked at before any diagnosis"
+                f"{output.name} is simulated {missed / spread:.2g} times as far off as it moves: look at units, "
+                "signs and beginnings first, and whether only a controller, which the model has not, kept it there"
             )
     return off, said
 

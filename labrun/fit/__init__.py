@@ -6,6 +6,7 @@ from labrun import UseCasePackage
 from labrun.estimate import Estimate, rounded
 from labrun.fit.comparison import ComparedPoint, Comparison, Pair, compared, predictions
 from labrun.fit.dataset import Dataset, FitTrial, OutputsAlone, load_dataset, thinned, until_peak
+from labrun.fit.divergence import divergence_warnings
 from labrun.fit.figure import Curve, FigureData, Panel, Stack
 from labrun.fit.jacobian import Jacobian
 from labrun.fit.levenberg_marquardt import NormalEquations, minimise
@@ -33,13 +34,14 @@ from labrun.fit.starts import search
 from labrun.store import is_recording
 
 __all__ = [
-    "FEWEST_SAMPLES", "FEW_TRIALS", "FIRST_SAMPLES", "GROUP", "LEVEL", "SIMULATED", "ComparedPoint", "Comparison",
-    "Curve", "Dataset", "Deviation", "DeviationKind", "Each", "Estimate", "FigureData", "FitJob", "FitMethod",
-    "FitPlan", "FitPlugin", "FitResult", "FitSummary", "FitTrial", "FittedData", "Jacobian", "NoSettings",
-    "NormalEquations", "Note", "OutputNoise", "OutputsAlone", "Pair", "Panel", "Problem", "Stack", "TextTable",
-    "by_mounting", "compared", "correlation_length", "fit_model", "is_method", "is_recording", "load_dataset",
-    "make_method", "minimise", "one_by_one", "paired", "predicted_numbers", "predictions", "resample_trials",
-    "rounded", "search", "silent", "student", "thinned", "told_apart", "until_peak", "workers",
+    "FEWEST_SAMPLES", "FEW_TRIALS", "FIRST_SAMPLES", "GROUP", "LEVEL", "SIMULATED", "ComparedPoint",
+    "Comparison", "Curve", "Dataset", "Deviation", "DeviationKind", "Each", "Estimate", "FigureData", "FitJob",
+    "FitMethod", "FitPlan", "FitPlugin", "FitResult", "FitSummary", "FitTrial", "FittedData", "Jacobian",
+    "NoSettings", "NormalEquations", "Note", "OutputNoise", "OutputsAlone", "Pair", "Panel", "Problem", "Stack",
+    "TextTable", "by_mounting", "compared", "correlation_length", "divergence_warnings", "fit_model",
+    "is_method", "is_recording", "load_dataset", "make_method", "minimise", "one_by_one", "paired",
+    "predicted_numbers", "predictions", "resample_trials", "rounded", "search", "silent", "student", "thinned",
+    "told_apart", "until_peak", "workers",
 ]  # fmt: skip
 
 sys.modules[__name__].__class__ = UseCasePackage

@@ -11,6 +11,7 @@ from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
 from labrun.fit.dataset import Dataset, load_dataset
+from labrun.fit.divergence import divergence_warnings
 from labrun.fit.identifiability import (
     Curvature,
     interval_warnings,
@@ -204,6 +205,7 @@ def _result(
         warnings += interval_warnings(estimates, problem, named)
         warnings += sign_warnings(estimates, problem)
     outcomes = _outcomes(problem, minima)
+    warnings += divergence_warnings(problem, z)
     warnings += start_warnings(outcomes, estimates, direction_named=bool(named))
     fixed = {parameter.name: parameter.value for parameter in model.parameters if parameter.tolerance == 0}
     states = tuple(problem.initial_state(index, own) for index, own in enumerate(owns))

@@ -56,7 +56,7 @@ def test_an_angle_in_degrees_that_is_said_to_be_in_radians_is_doubted(tmp_path):
 
 def test_a_model_that_is_far_from_what_was_measured_is_looked_at_first(tmp_path):
     found = check_recording(swing(tmp_path / "arm", model=SWING.replace("-9*angle", "90 - 9*angle")))
-    assert "units, signs and beginnings are to be looked at" in found.remarks[0]
+    assert "look at units, signs and beginnings first" in found.remarks[0]
 
 
 def test_a_model_whose_simulation_does_not_stay_finite_is_told_and_not_diagnosed_first(tmp_path):
