@@ -28,6 +28,7 @@ from labrun.models.chains.geometry import (
     cross,
     multiply,
     place,
+    stacked,
     turned,
 )
 
@@ -139,7 +140,7 @@ def unconstrained(
         )  # fmt: skip
         for k in range(count):
             mass[joint, k] = 0.0
-    spin, gain, carried = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
+    spin, gain, carried = stacked((count, 3)), stacked((count, 3)), stacked((count, 3))
     _move(tree, x, origin, axis, hinge, spin, gain, carried)
     _weigh(tree, values, rotation, origin, axis, hinge, spin, gain, carried, mass, push)
     if tree[1] >= 0:
@@ -152,7 +153,7 @@ def _move(
     gain: FloatArray, carried: FloatArray,
 ) -> None:  # fmt: skip
     """Write angular velocity of every body, and angular acceleration and that of its origin at constant rates."""
-    arm, part, pull = np.empty(3), np.empty(3), np.empty(3)
+    arm, part, pull = stacked((3,)), stacked((3,)), stacked((3,))
     for joint in range(tree[0]):
         rate, parent = x[tree[0] + joint], tree[TREE_HEAD + joint]
         for k in range(3):
@@ -186,8 +187,8 @@ def _weigh(
 ) -> None:  # fmt: skip
     """Add every body, weight and inertia, to the joints that move it."""
     count = tree[0]
-    part, pull, torque, inertia = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))
-    centre, lever, sweeps = np.empty(3), np.empty(3), np.empty((count, 3))
+    part, pull, torque, inertia = stacked((3,)), stacked((3,)), stacked((3,)), stacked((3, 3))
+    centre, lever, sweeps = stacked((3,)), stacked((3,)), stacked((count, 3))
     for joint in range(count):
         base = FIRST_JOINT + PER_JOINT * joint
         share = _share(tree, joint)
@@ -234,7 +235,7 @@ def _drift(
     carried: FloatArray, drift: FloatArray,
 ) -> None:  # fmt: skip
     """Write how the two copies of the closing body would accelerate apart at constant rates."""
-    arm, part, pull = np.empty(3), np.empty(3), np.empty(3)
+    arm, part, pull = stacked((3,)), stacked((3,)), stacked((3,))
     for k in range(ROWS):
         drift[k] = 0.0
     for end in range(2):
@@ -252,7 +253,7 @@ def _drift(
 @kernel
 def _inertia(values: Pointer, base: int, share: float, rotation: FloatArray, out: FloatArray) -> None:
     """Write a body's inertia about its centre as it is turned."""
-    own, half = np.empty((3, 3)), np.empty((3, 3))
+    own, half = stacked((3, 3)), stacked((3, 3))
     for k in range(3):
         own[k, k] = share * values[base + 20 + k]
     own[0, 1] = own[1, 0] = share * values[base + 23]
@@ -272,9 +273,9 @@ def _inertia(values: Pointer, base: int, share: float, rotation: FloatArray, out
 def slope(tree: IntArray, values: Pointer, x: Pointer, force: Pointer, out: Pointer) -> None:
     """Write the derivative of all angles and rates; NaN where a joint moves nothing that has inertia."""
     count = tree[0]
-    rotation, origin = np.empty((count, 3, 3)), np.empty((count, 3))
-    axis, hinge = np.empty((count, 3)), np.empty((count, 3))
-    mass, push, drift = np.empty((count, count)), np.empty(count), np.zeros(ROWS)
+    rotation, origin = stacked((count, 3, 3)), stacked((count, 3))
+    axis, hinge = stacked((count, 3)), stacked((count, 3))
+    mass, push, drift = stacked((count, count)), stacked((count,)), stacked((ROWS,))
     unconstrained(tree, values, x, force, rotation, origin, axis, hinge, mass, push, drift)
     for joint in range(count):
         out[joint] = x[count + joint]
@@ -296,8 +297,8 @@ def _hold_together(
 ) -> None:  # fmt: skip
     """Add to the accelerations what the loop's constraint forces make of them."""
     count, rate = tree[0], values[3]
-    jacobian, error = np.empty((ROWS, count)), np.empty(ROWS)
-    answers, response = np.empty((ROWS, count)), np.empty((ROWS, ROWS))
+    jacobian, error = stacked((ROWS, count)), stacked((ROWS,))
+    answers, response = stacked((ROWS, count)), stacked((ROWS, ROWS))
     closing_jacobian(tree, axis, hinge, jacobian)
     apart(tree, values, rotation, origin, hinge, error)
     for row in range(ROWS):
@@ -315,7 +316,7 @@ def _hold_together(
                 total += jacobian[row, joint] * answers[column, joint]
             response[row, column] = total
     # rows in rad and in m become comparable: each is measured by its own size
-    size = np.empty(ROWS)
+    size = stacked((ROWS,))
     for row in range(ROWS):
         size[row] = math.sqrt(response[row, row])
     turns = max(size[0], size[1], size[2])
@@ -337,17 +338,17 @@ def _hold_together(
 def measures(tree: IntArray, values: Pointer, x: Pointer, out: Pointer) -> None:
     """Write how far the loop is open (rad, m), and kinetic and potential energy (J)."""
     count = tree[0]
-    rotation, origin = np.empty((count, 3, 3)), np.empty((count, 3))
-    axis, hinge = np.empty((count, 3)), np.empty((count, 3))
-    mass, push, drift = np.empty((count, count)), np.empty(count), np.zeros(ROWS)
+    rotation, origin = stacked((count, 3, 3)), stacked((count, 3))
+    axis, hinge = stacked((count, 3)), stacked((count, 3))
+    mass, push, drift = stacked((count, count)), stacked((count,)), stacked((ROWS,))
     unconstrained(tree, values, x, np.zeros(count), rotation, origin, axis, hinge, mass, push, drift)
     out[0], out[1] = 0.0, 0.0
     if tree[1] >= 0:
-        error = np.empty(ROWS)
+        error = stacked((ROWS,))
         apart(tree, values, rotation, origin, hinge, error)
         out[0] = math.sqrt(error[0] ** 2 + error[1] ** 2 + error[2] ** 2)
         out[1] = math.sqrt(error[3] ** 2 + error[4] ** 2 + error[5] ** 2)
-    kinetic, potential, centre, point = 0.0, 0.0, np.empty(3), np.empty(3)
+    kinetic, potential, centre, point = 0.0, 0.0, stacked((3,)), stacked((3,))
     for joint in range(count):
         base = FIRST_JOINT + PER_JOINT * joint
         for other in range(count):

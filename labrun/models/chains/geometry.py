@@ -6,9 +6,16 @@ the fixed one). `values`, a pointer or an array, holds gravity (3), the rate of 
 of each joint.
 """
 
-import math
+# ruff: noqa: ARG001 - numba reads the arguments of an intrinsic from its signature
 
-import numpy as np
+import math
+from typing import Any
+
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
 
 from labrun.arrays import FloatArray, IntArray
 from labrun.compiled import Pointer, kernel
@@ -20,6 +27,33 @@ FIRST_JOINT = 4
 TREE_HEAD = 3
 ROWS = 6
 """Conditions of a closed loop: rotation vector, then distance."""
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def stacked(typing: Any, shape: Any) -> Any:
+    """Return an array (of a tuple of lengths) on the stack, gone when the kernel that asked returns; not in a loop.
+
+    Small arrays from the heap cost more time than what is computed in them.
+    """
+    array = types.Array(types.float64, len(shape), "C")
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        lengths = [
+            context.cast(builder, length, kind, types.intp)
+            for length, kind in zip(
+                cgutils.unpack_tuple(builder, arguments[0]), signature.args[0], strict=True
+            )
+        ]
+        strides, count = [], cgutils.intp_t(1)
+        for length in reversed(lengths):
+            strides.insert(0, builder.mul(count, cgutils.intp_t(8)))
+            count = builder.mul(count, length)
+        found = context.make_array(array)(context, builder)
+        data = builder.alloca(ir.DoubleType(), size=count)
+        populate_array(found, data, lengths, strides, cgutils.intp_t(8), None)
+        return found._getvalue()
+
+    return array(shape), generate
 
 
 @kernel
@@ -48,7 +82,7 @@ def _rotation(axis: FloatArray, sine: float, cosine: float, out: FloatArray) -> 
 @kernel
 def _onto(start: FloatArray, end: FloatArray, out: FloatArray) -> None:
     """Write the least turn that takes one unit vector to another."""
-    across = np.empty(3)
+    across, other = stacked((3,)), stacked((3,))
     cross(start, end, across)
     sine = math.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)
     cosine = start[0] * end[0] + start[1] * end[1] + start[2] * end[2]
@@ -58,7 +92,8 @@ def _onto(start: FloatArray, end: FloatArray, out: FloatArray) -> None:
         _rotation(across, sine, cosine, out)
         return
     if cosine < 0.0:  # half a turn about anything across
-        other = np.zeros(3)
+        for k in range(3):
+            other[k] = 0.0
         other[0 if abs(start[0]) < 0.7 else 1] = 1.0
         cross(start, other, across)
         _unit(across[0], across[1], across[2], other)
@@ -101,8 +136,8 @@ def place(
     axis, hinge : (joints, 3)
         Of each joint: its unit vector, and the point it turns about.
     """
-    own, other, point = np.empty(3), np.empty(3), np.empty(3)
-    turn, onto, both = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    own, other, point = stacked((3,)), stacked((3,)), stacked((3,))
+    turn, onto, both = stacked((3, 3)), stacked((3, 3)), stacked((3, 3))
     for joint in range(tree[0]):
         base, parent = FIRST_JOINT + PER_JOINT * joint, tree[TREE_HEAD + joint]
         _unit(values[base], values[base + 1], values[base + 2], own)
@@ -137,7 +172,7 @@ def apart(
 ) -> None:  # fmt: skip
     """Write how far the two copies of the closing body are apart: rotation vector (rad), then distance (m)."""
     first, second = tree[1], tree[2]
-    between, inverse, point = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    between, inverse, point = stacked((3, 3)), stacked((3, 3)), stacked((3,))
     for row in range(3):
         for column in range(3):
             inverse[row, column] = rotation[first, column, row]
@@ -173,7 +208,7 @@ def moves(tree: IntArray, joint: int, body: int) -> float:
 def closing_jacobian(tree: IntArray, axis: FloatArray, hinge: FloatArray, jacobian: FloatArray) -> None:
     """Write the derivative of `apart` by the angles, (6, joints); exact where the loop is closed."""
     first, second = tree[1], tree[2]
-    arm, swept = np.empty(3), np.empty(3)
+    arm, swept = stacked((3,)), stacked((3,))
     for joint in range(tree[0]):
         sign = moves(tree, joint, second) - moves(tree, joint, first)
         for k in range(3):
