@@ -36,7 +36,8 @@ _REMARKS = (
     "asset_cfg holds the arguments of SceneEntityCfg; call the robot as your scene does.",
     "Isaac Lab: randomize_joint_parameters draws dynamic and viscous friction from friction_distribution_params, too; "
     'with operation "abs" a torque becomes a damping of the same number, so set the viscous part afterwards.',
-    "mjlab: dr.body_mass leaves the inertia as it is; dr.pseudo_inertia scales both.",
+    "A body's inertia goes with its mass. Isaac Lab: recompute_inertia of randomize_rigid_body_mass does so. mjlab: "
+    "dr.body_mass leaves the inertia as it is; dr.pseudo_inertia scales both.",
 )
 
 

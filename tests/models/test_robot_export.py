@@ -155,6 +155,14 @@ def test_what_has_no_word_in_mjcf_is_listed_with_its_law(tmp_path):
     assert "belongs to the sensor" in sensor
 
 
+def test_a_body_that_is_heavier_turns_less_easily_in_proportion_and_is_told_by_its_mass(tmp_path):
+    exported = mjcf_of(corrected(tmp_path, [], "upper_mass = 0.33"))
+    before, after = (mujoco.MjModel.from_xml_string(xml).body("upper") for xml in (ARM, exported.xml))
+    assert after.mass[0] == pytest.approx(0.33)
+    assert after.inertia == pytest.approx(1.1 * before.inertia, rel=1e-6)
+    assert exported.written == ("body_mass of upper: 0.3 became 0.33",)
+
+
 def test_intervals_are_told_as_the_numbers_of_mjcf(tmp_path):
     model = corrected(tmp_path, [])
     found = mjcf_ranges(model, {"servo_kp": (8.0, 7.5, 8.5), "upper_mass": (0.3, 0.29, 0.31)})

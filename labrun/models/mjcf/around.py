@@ -35,7 +35,10 @@ class Around:
 
 
 def around(xml: str, masses: Mapping[str, str]) -> Around:
-    """Return the tilt of a robot's base and the load at its tip.
+    """Return the tilt of a robot's base, the load at its tip, and inertias in proportion to the masses.
+
+    A body that is heavier than stated and turns as easily as before would be another shape; joint by joint, a
+    body counts in proportion to its mass, too.
 
     Parameters
     ----------
@@ -54,6 +57,8 @@ def around(xml: str, masses: Mapping[str, str]) -> Around:
             for name in (ROLL, PITCH)
         ]
         equations |= _gravity([float(one) for one in model.opt.gravity])
+    for name, mass_of in masses.items():
+        equations |= _in_proportion(model, name, mass_of)
     body = tip_body(model)
     name = (mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or "") if body else ""
     if name in masses:
@@ -77,6 +82,13 @@ def _gravity(down: list[float]) -> dict[str, str]:
     }
 
 
+def _in_proportion(model: Any, name: str, mass: str) -> dict[str, str]:
+    """Return the principal inertias of a body as its mass has them."""
+    body = model.body(name)
+    ratios = [float(one) / float(body.mass[0]) for one in body.inertia]
+    return {f"body.{name}.inertia[{axis}]": f"{ratio!r}*{mass}" for axis, ratio in enumerate(ratios) if ratio}
+
+
 def _loaded(model: Any, body: int, name: str, mass: str) -> dict[str, str]:
     """Return mass, centre and inertia of a body with a point mass where its length ends.
 
@@ -95,9 +107,9 @@ def _loaded(model: Any, body: int, name: str, mass: str) -> dict[str, str]:
         if centre[axis]:
             found[f"body.{name}.ipos[{axis}]"] = f"{float(centre[axis])!r}*(1 + {share})"
         arm = float(centre @ centre - turned[axis] ** 2)
-        own = float(model.body_inertia[body, axis])
+        own = float(model.body_inertia[body, axis] / model.body_mass[body])
         if arm > 1e-9 * float(centre @ centre):
-            found[f"body.{name}.inertia[{axis}]"] = f"{own!r} + {arm!r}*{mass}*{share}"
+            found[f"body.{name}.inertia[{axis}]"] = f"{own!r}*{mass} + {arm!r}*{mass}*{share}"
     return found
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect
 from labrun.errors import ModelError
 from labrun.models.mjcf.model import MujocoModel
@@ -61,12 +62,14 @@ def mjcf_of(model: Model) -> Exported:
     )
     compiled = spec.compile()
     corrected = _with_values(model)
-    written = []
+    written, masses = [], compiled.body_mass.copy()
     for _, place in model.layout.settings:
         before, after = place.read(compiled), place.read(corrected)
         if before != after:
             place.write(compiled, after)
-            if place.array != "actuator_biasprm":  # a servo's bias goes with its gain
+            if not _goes_along(
+                place.array, place.index, after / before if before else 0.0, masses, corrected
+            ):
                 element = _named(corrected, place.array, place.index)[0] if place.owner == "model" else ""
                 where = f"{place.array} of {element}" if element else f"{place.array}[{place.index}]"
                 written.append(f"{where}: {before:.6g} became {after:.6g}")
@@ -234,16 +237,26 @@ def mjcf_ranges(model: Model, intervals: Mapping[str, tuple[float, float, float]
         raise ModelError(f"{model.name} is no model in MuJoCo: there is no MJCF to write")
     found = []
     for name, numbers in intervals.items():
-        courses = []
+        courses, masses = [], []
         for value in numbers:
             native = _with_values(replace(model, parameters=model.with_values({name: value}).parameters))
             courses.append([place.read(native) for _, place in model.layout.settings])
+            masses.append(native.body_mass.copy())
         for (_, place), middle, low, high in zip(model.layout.settings, *courses, strict=True):
-            if low != high and place.array != "actuator_biasprm":  # a servo's bias goes with its gain
+            factor = high / low if low else 0.0
+            if low != high and not _goes_along(place.array, place.index, factor, masses[1], native):
                 element, joint = _named(native, place.array, place.index)
                 ends = sorted((low, high))
                 found.append(MjcfRange(name, place.array, element, joint, middle, ends[0], ends[1]))
     return found
+
+
+def _goes_along(array: str, index: int, factor: float, masses: FloatArray, changed: Any) -> bool:
+    """Tell whether a number is told with another one: a servo's bias with its gain, an inertia with its mass."""
+    if array == "actuator_biasprm":
+        return True
+    body = index // 3
+    return array == "body_inertia" and bool(np.isclose(factor, changed.body_mass[body] / masses[body]))
 
 
 def _named(native: Any, array: str, index: int) -> tuple[str, str]:
