@@ -8,6 +8,13 @@ from labrun.models.mjcf.plant import imported
 from labrun.toml import suggest
 
 _REFERENCE = "what each element takes: https://mujoco.readthedocs.io/en/stable/XMLreference.html"
+_MEANT = {
+    "bad format": "numbers have a point, no comma, and a space between them",
+    "Error opening file": "a file is looked for beside the one that names it: put it there, or leave the line out",
+    "larger than mjMINVAL": "a body that a joint moves has a mass: give it <inertial> with pos, mass and diaginertia",
+    "A + B >= C": "no body has such moments of inertia: none is more than the other two together; look at units",
+}
+"""What to do about complaints that name no word of the file."""
 _SCHEMA_LINE = re.compile(r"^ *((?:\(world\))?\w+) \([!?*R]\) *(.*)$")
 _CLOSED = re.compile(r"XML_ERROR_MISMATCHED_ELEMENT.* name=(\w+)")
 
@@ -37,7 +44,7 @@ def _hint(path: Path, what: str, element: "re.Match[str] | None") -> str:
         text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
         names = dict.fromkeys(re.findall(r'\bname\s*=\s*"([^"]+)"', text))
         return suggest(wrong[1], names, kind="names in the file")
-    return _REFERENCE
+    return next((hint for part, hint in _MEANT.items() if part in what), _REFERENCE)
 
 
 def _attributes() -> dict[str, list[str]]:
