@@ -38,7 +38,7 @@ _DEPENDENT = 1e-10
 
 @kernel
 def factored(matrix: FloatArray) -> bool:
-    """Replace a symmetric matrix by its Cholesky factor (lower); tell whether it is positive."""
+    """Replace a symmetric matrix by its Cholesky factor L (lower, diagonal inverted); tell whether it is positive."""
     size = matrix.shape[0]
     for column in range(size):
         before = matrix[column, column]
@@ -46,26 +46,34 @@ def factored(matrix: FloatArray) -> bool:
             matrix[column, column] -= matrix[column, k] ** 2
         if not matrix[column, column] > 1e-12 * before:
             return False
-        matrix[column, column] = math.sqrt(matrix[column, column])
+        inverse = 1.0 / math.sqrt(matrix[column, column])
+        matrix[column, column] = inverse
         for row in range(column + 1, size):
             for k in range(column):
                 matrix[row, column] -= matrix[row, k] * matrix[column, k]
-            matrix[row, column] /= matrix[column, column]
+            matrix[row, column] *= inverse
     return True
 
 
 @kernel
-def solved(factor: FloatArray, right: FloatArray) -> None:
-    """Replace a right-hand side by the solution, given the factor of `factored`."""
-    size = factor.shape[0]
-    for row in range(size):
+def forward(factor: FloatArray, right: FloatArray) -> None:
+    """Replace a right-hand side by L^-1 times it, given the factor L of `factored`."""
+    for row in range(factor.shape[0]):
+        rest = right[row]
         for k in range(row):
-            right[row] -= factor[row, k] * right[k]
-        right[row] /= factor[row, row]
+            rest -= factor[row, k] * right[k]
+        right[row] = rest * factor[row, row]
+
+
+@kernel
+def backward(factor: FloatArray, right: FloatArray) -> None:
+    """Replace a right-hand side by L^-T times it: after `forward`, the solution."""
+    size = factor.shape[0]
     for row in range(size - 1, -1, -1):
+        rest = right[row]
         for k in range(row + 1, size):
-            right[row] -= factor[k, row] * right[k]
-        right[row] /= factor[row, row]
+            rest -= factor[k, row] * right[k]
+        right[row] = rest * factor[row, row]
 
 
 @kernel
@@ -90,8 +98,9 @@ def solved_where_independent(matrix: FloatArray, right: FloatArray) -> None:
         for k in range(step + 1, size):
             matrix[order[k], here] /= root
         for k in range(step + 1, size):
-            for other in range(step + 1, size):
-                matrix[order[k], order[other]] -= matrix[order[k], here] * matrix[order[other], here]
+            for other in range(step + 1, k + 1):
+                rest = matrix[order[k], order[other]] - matrix[order[k], here] * matrix[order[other], here]
+                matrix[order[k], order[other]] = matrix[order[other], order[k]] = rest
     for step in range(rank):
         here = order[step]
         for k in range(step):
@@ -283,9 +292,10 @@ def slope(tree: IntArray, values: Pointer, x: Pointer, force: Pointer, out: Poin
         for joint in range(count):
             out[count + joint] = math.nan
         return
-    solved(mass, push)
+    forward(mass, push)
     if tree[1] >= 0:
         _hold_together(tree, values, x, rotation, origin, axis, hinge, mass, push, drift)
+    backward(mass, push)
     for joint in range(count):
         out[count + joint] = push[joint]
 
@@ -293,28 +303,27 @@ def slope(tree: IntArray, values: Pointer, x: Pointer, force: Pointer, out: Poin
 @kernel
 def _hold_together(
     tree: IntArray, values: Pointer, x: Pointer, rotation: FloatArray, origin: FloatArray, axis: FloatArray,
-    hinge: FloatArray, factor: FloatArray, acceleration: FloatArray, drift: FloatArray,
+    hinge: FloatArray, factor: FloatArray, pushed: FloatArray, drift: FloatArray,
 ) -> None:  # fmt: skip
-    """Add to the accelerations what the loop's constraint forces make of them."""
+    """Add the loop's constraint forces to the others, L^-1 (see `factored`) times both."""
     count, rate = tree[0], values[3]
-    jacobian, error = stacked((ROWS, count)), stacked((ROWS,))
-    answers, response = stacked((ROWS, count)), stacked((ROWS, ROWS))
+    jacobian, error, response = stacked((ROWS, count)), stacked((ROWS,)), stacked((ROWS, ROWS))
     closing_jacobian(tree, axis, hinge, jacobian)
     apart(tree, values, rotation, origin, hinge, error)
     for row in range(ROWS):
-        moving, pushed = 0.0, 0.0
+        moving, free = 0.0, 0.0
         for joint in range(count):
             moving += jacobian[row, joint] * x[count + joint]
-            pushed += jacobian[row, joint] * acceleration[joint]
-            answers[row, joint] = jacobian[row, joint]
-        drift[row] = -(pushed + drift[row] + 2.0 * rate * moving + rate * rate * error[row])
-        solved(factor, answers[row])
+        forward(factor, jacobian[row])
+        for joint in range(count):
+            free += jacobian[row, joint] * pushed[joint]
+        drift[row] = -(free + drift[row] + 2.0 * rate * moving + rate * rate * error[row])
     for row in range(ROWS):
-        for column in range(ROWS):
+        for column in range(row + 1):
             total = 0.0
             for joint in range(count):
-                total += jacobian[row, joint] * answers[column, joint]
-            response[row, column] = total
+                total += jacobian[row, joint] * jacobian[column, joint]
+            response[row, column] = response[column, row] = total
     # rows in rad and in m become comparable: each is measured by its own size
     size = stacked((ROWS,))
     for row in range(ROWS):
@@ -331,7 +340,7 @@ def _hold_together(
     solved_where_independent(response, drift)
     for row in range(ROWS):
         for joint in range(count):
-            acceleration[joint] += answers[row, joint] * size[row] * drift[row]
+            pushed[joint] += jacobian[row, joint] * size[row] * drift[row]
 
 
 @kernel
