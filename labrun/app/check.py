@@ -95,7 +95,8 @@ def is_meant_as_recording(target: str) -> bool:
     try:
         find_experiment(target, Path())
     except RequestError:
-        return path.is_dir() or _is_named_recording(target)
+        another = path.is_file() and path.suffix != ".toml"  # a log, a robot: what takes it is told
+        return another or path.is_dir() or _is_named_recording(target)
     return False
 
 

@@ -127,6 +127,7 @@ def import_log(
     remarks = [
         *(robot.remarks if robot else ()),
         *said,
+        *(_unused(robot, streams, [one.column.name for one in matches if one.column]) if robot else ()),
         *units,
         *repairs,
         *_left_out(table, bad),
@@ -189,6 +190,22 @@ def _driven(path: Path, streams: Sequence[Stream], asked: Mapping[str, str]) -> 
         elif roles & {"torque", "torque-command"} or plain(f"{joint.output}_torque") in told:
             drives[joint.name] = "torque"
     return read_robot(path, drives) if drives else robot
+
+
+def _unused(robot: Robot, streams: Sequence[Stream], used: Sequence[str]) -> list[str]:
+    """Return what the log tells that nothing of the robot takes, where joints without an actuator are."""
+    moved = {one.joint for one in robot.actuators}
+    free = [one.output for one in robot.joints if one.name not in moved]
+    roles = ("command", "torque-command", "velocity-command")
+    left = [
+        one.name for stream in streams for one in stream.columns if one.role in roles and one.name not in used
+    ]
+    if not free or not left:
+        return []
+    return [
+        f"{', '.join(left)} is not used: the file has no actuator at {', '.join(free)}; "
+        f"--map {free[0]}_command={left[0]} makes it the goal of a servo of unknown gains there"
+    ]
 
 
 def _of_robot(robot: Robot) -> list[Wanted]:

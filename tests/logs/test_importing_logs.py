@@ -237,14 +237,17 @@ def test_a_log_is_cut_as_asked(tmp_path, arm, seconds, trials):
     assert load_model(made.folder / "model.toml").initial["shoulder_rate"] == "free"
 
 
+URDF = (
+    '<robot name="arm"><link name="base"/><link name="upper"><inertial><origin xyz="0 0 -0.1"/><mass value="0.5"/>'
+    '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    '<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>'
+    '<limit lower="-1" upper="2" effort="10" velocity="3"/></joint></robot>'
+)
+
+
 def test_a_urdf_gets_the_drive_that_the_log_tells(tmp_path):
     urdf = tmp_path / "arm.urdf"
-    urdf.write_text(
-        '<robot name="arm"><link name="base"/><link name="upper"><inertial><origin xyz="0 0 -0.1"/><mass value="0.5"/>'
-        '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-        '<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>'
-        '<limit lower="-1" upper="2" effort="10" velocity="3"/></joint></robot>'
-    )
+    urdf.write_text(URDF)
     time_s, goals, angles = logs.motion()
     for name, unit in (("shoulder_cmd", "rad"), ("shoulder_effort", "N m")):
         log = logs.write_csv(
@@ -253,6 +256,19 @@ def test_a_urdf_gets_the_drive_that_the_log_tells(tmp_path):
         made = import_log(log, urdf, tmp_path / name)
         assert [one.unit for one in load_model(made.folder / "model.toml").inputs] == [unit]
         assert "the file has no actuator there" in " ".join(made.remarks)
+
+
+def test_goals_that_no_joint_of_a_urdf_takes_are_told_with_what_makes_a_servo_of_them(tmp_path):
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(URDF)
+    time_s, goals, angles = logs.motion()
+    log = logs.write_npz(tmp_path / "a.npz", time_s, goals[:, :1], angles[:, :1])
+    told = " ".join(import_log(log, urdf, tmp_path / "still").remarks)
+    assert "ctrl[0] is not used" in told
+    assert "--map shoulder_command=ctrl[0]" in told
+    made = import_log(log, urdf, tmp_path / "driven", mapping=["shoulder_command=ctrl[0]"])
+    assert dict(made.channels)["shoulder_command"] == "ctrl[0]"
+    assert "is not used" not in " ".join(made.remarks)
 
 
 def test_a_model_of_equations_is_matched_as_well(tmp_path):
