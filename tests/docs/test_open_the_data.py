@@ -50,6 +50,7 @@ def workspace(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_notebook_runs_from_top_to_bottom(workspace):
     pytest.importorskip("pandas")
     notebook = json.loads(NOTEBOOK.read_text())

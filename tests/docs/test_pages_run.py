@@ -61,6 +61,7 @@ SLOW = (
     "design-a-robot.md",
     "designed-swimmer.md",
     "diagnose-the-gap.md",
+    "emulate.md",
     "hold-a-prediction.md",
     "learned-models.md",
     "learning-beside-the-loop.md",

@@ -1,9 +1,12 @@
 """The leaders of the turning search in open water, timed by a person."""
 
+import pytest
+
 import labrun
 from labrun.spec import load_experiment, shipped_experiments
 
 
+@pytest.mark.slow
 def test_every_gait_is_tried_in_each_water_with_and_without_the_tail(tmp_path):
     path = shipped_experiments() / "field-turn.toml"
     experiment = load_experiment(path).experiment

@@ -63,6 +63,7 @@ def test_friction_that_one_unit_alone_has_is_named_with_its_unit(plain):
     assert found.differing[0].second == pytest.approx(1.5e-3, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_size_of_an_effect_that_the_model_carries_is_compared():
     carried = MODEL + '[[effects]]\neffect = "coulomb-friction"\nsite = "hinge"\nvalues = { torque = 1e-3 }\n'
     first, second = unit(1, extra=friction(1e-3)), unit(2, extra=friction(1.4e-3))

@@ -44,6 +44,7 @@ def test_the_hidden_friction_is_found_in_the_run(bench):
     assert "coulomb-friction at hinge" in named
 
 
+@pytest.mark.slow
 def test_a_second_diagnosis_with_the_corrected_model_finds_nothing_left(bench):
     _, run, _, model = bench
     again = diagnose(run, model=model, options=QUICK)

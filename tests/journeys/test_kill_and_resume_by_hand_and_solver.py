@@ -93,6 +93,7 @@ def test_strips_mounted_by_hand_are_the_same_strips_after_a_kill(labrun, command
     assert (broken / "trials.csv").read_text() == (whole / "trials.csv").read_text()
 
 
+@pytest.mark.slow
 def test_a_killed_solver_run_computes_only_what_was_not_done(labrun, command, tmp_path):
     (tmp_path / "solver.py").write_text(SOLVER)
     computed = tmp_path / "computed.txt"
