@@ -301,6 +301,29 @@ def slope(tree: IntArray, values: Pointer, x: Pointer, force: Pointer, out: Poin
 
 
 @kernel
+def _product(one: FloatArray, other: FloatArray) -> float:
+    total = 0.0
+    for k in range(one.size):
+        total += one[k] * other[k]
+    return total
+
+
+@kernel
+def _comparable(rows: FloatArray, turning: int) -> float:
+    """Make rows in m comparable to the `turning` first ones, in rad, by their size; return the factor."""
+    turns, shifts = 0.0, 0.0
+    for row in range(turning):
+        turns = max(turns, math.sqrt(_product(rows[row], rows[row])))
+    for row in range(turning, rows.shape[0]):
+        shifts = max(shifts, math.sqrt(_product(rows[row], rows[row])))
+    scale = turns / shifts if shifts > 1e-9 * turns else 0.0
+    for row in range(turning, rows.shape[0]):
+        for k in range(rows.shape[1]):
+            rows[row, k] *= scale
+    return scale
+
+
+@kernel
 def _hold_together(
     tree: IntArray, values: Pointer, x: Pointer, rotation: FloatArray, origin: FloatArray, axis: FloatArray,
     hinge: FloatArray, factor: FloatArray, pushed: FloatArray, drift: FloatArray,
@@ -310,37 +333,30 @@ def _hold_together(
     jacobian, error, response = stacked((ROWS, count)), stacked((ROWS,)), stacked((ROWS, ROWS))
     closing_jacobian(tree, axis, hinge, jacobian)
     apart(tree, values, rotation, origin, hinge, error)
+    kept, turning = 0, 0  # what no joint changes, as the distance in a spherical loop, needs no force
     for row in range(ROWS):
-        moving, free = 0.0, 0.0
+        moving, moved = 0.0, False
         for joint in range(count):
+            jacobian[kept, joint] = jacobian[row, joint]
             moving += jacobian[row, joint] * x[count + joint]
-        forward(factor, jacobian[row])
-        for joint in range(count):
-            free += jacobian[row, joint] * pushed[joint]
-        drift[row] = -(free + drift[row] + 2.0 * rate * moving + rate * rate * error[row])
-    for row in range(ROWS):
+            moved = moved or jacobian[row, joint] != 0.0
+        if not moved:
+            continue
+        forward(factor, jacobian[kept])
+        drift[kept] = -(
+            _product(jacobian[kept], pushed) + drift[row] + 2.0 * rate * moving + rate * rate * error[row]
+        )
+        kept += 1
+        turning = kept if row < 3 else turning
+    scale = _comparable(jacobian[:kept], turning)
+    for row in range(kept):
+        drift[row] *= 1.0 if row < turning else scale
         for column in range(row + 1):
-            total = 0.0
-            for joint in range(count):
-                total += jacobian[row, joint] * jacobian[column, joint]
-            response[row, column] = response[column, row] = total
-    # rows in rad and in m become comparable: each is measured by its own size
-    size = stacked((ROWS,))
-    for row in range(ROWS):
-        size[row] = math.sqrt(response[row, row])
-    turns = max(size[0], size[1], size[2])
-    shifts = max(size[3], size[4], size[5])
-    scale = turns / shifts if shifts > 1e-9 * turns else 0.0
-    for row in range(ROWS):
-        size[row] = 1.0 if row < 3 else scale
-        drift[row] *= size[row]
-    for row in range(ROWS):
-        for column in range(ROWS):
-            response[row, column] *= size[row] * size[column]
-    solved_where_independent(response, drift)
-    for row in range(ROWS):
+            response[row, column] = response[column, row] = _product(jacobian[row], jacobian[column])
+    solved_where_independent(response[:kept, :kept], drift[:kept])
+    for row in range(kept):
         for joint in range(count):
-            pushed[joint] += jacobian[row, joint] * size[row] * drift[row]
+            pushed[joint] += jacobian[row, joint] * drift[row]
 
 
 @kernel

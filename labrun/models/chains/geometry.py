@@ -44,7 +44,8 @@ def stacked(typing: Any, shape: Any) -> Any:
                 cgutils.unpack_tuple(builder, arguments[0]), signature.args[0], strict=True
             )
         ]
-        strides, count = [], cgutils.intp_t(1)
+        strides: list[Any] = []
+        count = cgutils.intp_t(1)
         for length in reversed(lengths):
             strides.insert(0, builder.mul(count, cgutils.intp_t(8)))
             count = builder.mul(count, length)
