@@ -19,6 +19,8 @@ from labrun.models import Model, simulate
 
 _GUESS_SUBSTEPS = 4
 _GUESS_ROUNDS = 3
+_LOST = 1e3
+"""Scaled, beyond which a guess says that the outputs hardly depend on how that state begins."""
 _AWAY = 1e-3
 """Scaled, where free states are put to see which of them change."""
 
@@ -117,12 +119,14 @@ class Problem(Residuals):
             for place, state in enumerate(self.states.free):
                 column = self.states.output_of(state)
                 own[place] = 0.0 if column is None else trial.outputs[0, column] / self.states.scale[place]
+            seen = own.copy()
             for _ in range(_GUESS_ROUNDS if moving else 0):
                 base = short.trial_residual(parameters, index, own)
                 if base is None:
                     break
                 slopes = [short._by_state(parameters, index, own, place, base, False) for place in moving]
                 own[moving] -= np.linalg.lstsq(np.column_stack(slopes), base, rcond=1e-8)[0]
+            own = np.where(np.abs(own) < _LOST, own, seen)
             guesses.append(self._with_constant(parameters, index, own) if constant else own)
         return np.concatenate(guesses) if guesses else np.empty(0)
 

@@ -44,3 +44,18 @@ def test_a_pole_that_nothing_holds_in_the_simulation_is_said_to_diverge(tmp_path
 @pytest.mark.parametrize("spring", [9.0, 400.0, 0.0])
 def test_what_swings_or_coasts_does_not_diverge(tmp_path, spring):
     assert said(tmp_path, spring) == []
+
+
+def test_a_state_that_no_output_shows_begins_where_it_is_and_not_far_away(tmp_path):
+    said(tmp_path, 9.0)
+    hidden = (
+        MODEL.format(spring=8.0)
+        .replace('"rate"]', '"rate", "unseen"]')
+        .replace("-spring*angle", "-spring*angle + 1e-6*unseen")
+    )
+    hidden = hidden.replace("[outputs]", 'unseen = "-unseen^3"\n[outputs]') + 'unseen = "free"\n'
+    (tmp_path / "model.toml").write_text(hidden)
+    model = load_model(tmp_path / "model.toml")
+    problem = Problem.of(model, load_dataset(tmp_path, model), substeps=4)
+    assert np.abs(problem.begin()[problem.size :]).max() < 100
+    assert np.isfinite(problem.simulated(problem.begin())[0]).all()
