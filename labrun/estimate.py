@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 _PLAIN = (1e-4, 1e7)
+_NOT_NOTHING = 5e-3
+"""Part of an interval's largest number from which a number is not written as 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +53,13 @@ def rounded(estimate: Estimate) -> tuple[str, str, str]:
     digits = int(np.clip(np.floor(np.log10(largest)) - np.floor(np.log10(half)) + 2, 2, 9))
     if 1e-3 <= largest < 1e6:
         decimals = max(int(digits - 1 - np.floor(np.log10(largest))), 0)
-        return f"{estimate.value:.{decimals}f}", f"{low:.{decimals}f}", f"{high:.{decimals}f}"
+
+        def told(number: float) -> str:
+            text = f"{number:.{decimals}f}"
+            vanishes = float(text) == 0.0 and abs(number) >= _NOT_NOTHING * largest
+            return f"{number:.1g}" if vanishes else text
+
+        return told(estimate.value), told(low), told(high)
     return f"{estimate.value:.{digits - 1}e}", f"{low:.{digits - 1}e}", f"{high:.{digits - 1}e}"
 
 
