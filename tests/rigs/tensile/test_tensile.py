@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from labrun_plugins.rigs.tensile.allowable_angle import allowable_deg, printed_deg
 from labrun_plugins.rigs.tensile.curve import tensile_curve
+from labrun_plugins.rigs.tensile.model import LAG_S
 from labrun_plugins.rigs.tensile.scene import TensileBench
 
 import labrun
@@ -80,6 +81,16 @@ def test_a_strip_unloads_straight_and_is_longer_for_good():
     assert slack == 0.0
     bench.mount(2)
     assert not bench.truth()["broken"]
+
+
+def test_a_strip_that_is_pulled_on_lags_behind_its_grip_and_does_not_unload():
+    bench = TensileBench({"noise": 0, "scatter": 0}, np.random.default_rng(0))
+    bench.observe(("force",), np.array([0.0]))
+    bench.tow(0.0, 0.0018, 2e-4, 1.0)
+    force = bench.observe(("force",), np.array([9.0]))[0, 0]
+    elongation = 2e-4 * (8.0 - LAG_S)
+    taut = 1e-3 * np.logaddexp(0.0, (elongation / GRIPS_M - 0.0025) / 1e-3)
+    assert force == pytest.approx(AREA_M2 * (YIELD + E / 20 * (taut - YIELD / E)), rel=1e-6)
 
 
 def test_strips_differ_and_one_mounted_again_is_the_same_strip_with_another_slack():

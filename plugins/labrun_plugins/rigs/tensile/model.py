@@ -28,34 +28,34 @@ def _taut(strain: float, slack: float) -> float:
 
 
 @kernel
-def _load(elongation: float, u: Any, p: Any) -> float:
-    """Return the force of the strip, N; on its way back it unloads straight from where it was farthest."""
+def _load(elongation: float, longest: float, u: Any, p: Any) -> float:
+    """Return the force of the strip, N; on its way back it unloads straight from where it was longest."""
     yielded = p[1] / p[0]
-    farthest = _taut(max(u[2], elongation) / p[3], u[1])
+    farthest = _taut(max(longest, elongation) / p[3], u[1])
     stress = p[0] * min(farthest, yielded) + p[2] * p[0] * max(farthest - yielded, 0.0)
     stress -= p[0] * (farthest - _taut(elongation / p[3], u[1]))
     return float(u[3] * p[4] * max(stress, 0.0))
 
 
 def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
-    """State: elongation (m), which follows the grip.
+    """State: elongation, and the longest that it was (m), which follow the grip alike: what only lags is no way back.
 
     Inputs: displacement of the grip (m), slack (strain), the farthest that the grip has been (m), and whether the strip
     is whole (1) or broken (0).
     """
-    dx[0] = (u[0] - x[0]) / p[5]
+    dx[0], dx[1] = (u[0] - x[0]) / p[5], (u[2] - x[1]) / p[5]
 
 
 def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
     """Output: force (N)."""
-    y[0] = _load(x[0], u, p) - u[3] * force[0]
+    y[0] = _load(x[0], x[1], u, p) - u[3] * force[0]
 
 
 def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
     """Site ``strip``: elongation (m), rate (m/s), load (N), stiffness (N/m)."""
     values[0] = x[0]
     values[1] = (u[0] - x[0]) / p[5]
-    values[2] = _load(x[0], u, p)
+    values[2] = _load(x[0], x[1], u, p)
     values[3] = p[0] * p[4] / p[3]
 
 
@@ -63,7 +63,7 @@ def strip_model(young_pa: float, yield_pa: float, hardening: float, area_m2: flo
     """Return the model of a strip of a sheet."""
     return Model(
         name="tensile-bench",
-        states=("elongation",),
+        states=("elongation", "longest"),
         inputs=(Input("displacement", "m"), Input("slack"), Input("farthest", "m"), Input("whole")),
         outputs=(Output("force", "N"),),
         parameters=(
@@ -76,7 +76,7 @@ def strip_model(young_pa: float, yield_pa: float, hardening: float, area_m2: flo
         ),
         conditions=(),
         sites=(Site("strip", "joint", "elongation", "rate", load="load", stiffness="stiffness", unit="m"),),
-        initial={"elongation": 0.0},
+        initial={"elongation": 0.0, "longest": 0.0},
         derivative=native("model", derivative),
         output=native("model", output),
         site_values=native("model", site_values),

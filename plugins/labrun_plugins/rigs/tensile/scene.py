@@ -162,7 +162,7 @@ class TensileBench(Bench):
         at_strip = [one for one in keys.hide if one.site not in (*self.joints, *self.sensed)]
         self._hidden = hidden_effects(at_strip, self._model, _SCALE)
         self._stepper = Stepper(self._model, effects=self._hidden, step_s=self.step_s)
-        self._stepper.state = (float(self._inputs_before[0, 0]),)
+        self._stepper.state = (float(self._inputs_before[0, 0]),) * 2
         self._farthest, self._whole, self._clamped = -np.inf, True, False
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
@@ -172,7 +172,7 @@ class TensileBench(Bench):
         if not self._clamped and first < len(told):
             self._clamped = True
             self._stepper = Stepper(self._model, effects=self._hidden, step_s=self.step_s)
-            self._stepper.state = (float(moved[first]),)
+            self._stepper.state = (float(moved[first]),) * 2
             self._inputs_before = np.array([[moved[first], self._slack, moved[first], 1.0]])
         force = np.zeros(len(moved))
         if first < len(moved):
