@@ -69,3 +69,12 @@ def test_a_hidden_cause_is_named_alone_or_in_a_stated_set(rig, hidden, tmp_path)
     labrun.diagnose(run, page=False, results=tmp_path)
     compared = reveal(run, results=tmp_path)
     assert compared.score in ("right", "right, in a stated set"), compared.stored["sentence"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rig", ["polyester-tensile", "hinge-tensile"])
+def test_where_nothing_is_hidden_nothing_is_announced(rig, tmp_path):
+    run = labrun.run(rig, dry_run=True, seed=1, hide=["none"], results=tmp_path).run
+    labrun.diagnose(run, page=False, results=tmp_path)
+    compared = reveal(run, results=tmp_path)
+    assert compared.score == "right", compared.stored["sentence"]
