@@ -124,7 +124,7 @@ def test_on_a_bench_it_goes_on_with_the_cycle_after_the_last_one_kept(folder, mo
             raise ExperimentError("the cable is out")
 
     monkeypatch.setattr(CycleLog, "append", killed)
-    conditions = [{"a": 2, "f": 10.0}]
+    conditions = [{"a": 2, "f": 4.0}]  # in real time: a busy machine may stand still for a tenth of a second
     for _ in range(2):
         rig, session = real_lab(RunFolder.open(folder.path) if seen else folder, cycles=9)
         with rig:
@@ -137,7 +137,7 @@ def test_on_a_bench_it_goes_on_with_the_cycle_after_the_last_one_kept(folder, mo
     outcome, signals = stored(folder)
     assert outcome.objectives["cycles"] == 9
     np.testing.assert_array_equal(signals["cycles"].column("thrust"), seen)
-    cycles_kept = sorted(set(np.floor(signals["cell"].time_s * 10 + 1e-6)))
+    cycles_kept = sorted(set(np.floor(signals["cell"].time_s * 4 + 1e-6)))
     assert cycles_kept == [0, 4, 8]
 
 
