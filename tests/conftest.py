@@ -28,6 +28,7 @@ _IN_REAL_TIME = (
 _ON_A_SIMULATED_CLOCK = "tests/plugins/simulated"
 
 
+@pytest.hookimpl(tryfirst=True)  # groups are read by xdist in the same hook
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Let tests in real time try again, and keep tests that share what is made once for a file together.
 
