@@ -6,9 +6,7 @@ from labrun import UseCasePackage
 from labrun.estimate import Estimate, rounded
 from labrun.fit.comparison import ComparedPoint, Comparison, Pair, compared, predictions
 from labrun.fit.dataset import Dataset, FitTrial, OutputsAlone, load_dataset, thinned, until_peak
-from labrun.fit.divergence import divergence_warnings
-from labrun.fit.figure import Curve, FigureData, Panel, Stack
-from labrun.fit.jacobian import Jacobian
+from labrun.fit.identifiability import divergence_warnings
 from labrun.fit.levenberg_marquardt import NormalEquations, minimise
 from labrun.fit.method import (
     GROUP,
@@ -24,10 +22,10 @@ from labrun.fit.method import (
 )
 from labrun.fit.output_error import FEW_TRIALS, fit_model
 from labrun.fit.per_trial import FIRST_SAMPLES, SIMULATED, Deviation, DeviationKind
-from labrun.fit.problem import Problem
+from labrun.fit.problem import Jacobian, Problem
 from labrun.fit.resampling import LEVEL, by_mounting, correlation_length, resample_trials, student
 from labrun.fit.residuals import FEWEST_SAMPLES, OutputNoise
-from labrun.fit.result import FitResult, FitSummary, FittedData, TextTable
+from labrun.fit.result import Curve, FigureData, FitResult, FitSummary, FittedData, Panel, Stack, TextTable
 from labrun.fit.side_by_side import paired, predicted_numbers, told_apart
 from labrun.fit.simulations import Each, one_by_one, workers
 from labrun.fit.starts import search

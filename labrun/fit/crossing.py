@@ -15,9 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
-from labrun.fit.figure import Curve, FigureData, Panel, Stack
 from labrun.fit.method import FitJob
-from labrun.fit.result import FitSummary, FittedData, TextTable
+from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Stack, TextTable
 from labrun.spec import condition_text
 from labrun.store import TrialOutcome, is_recording, open_run
 from labrun.toml import suggest

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit.jacobian import Jacobian
-from labrun.fit.problem import Problem
+from labrun.fit.problem import Jacobian, Problem
 
 _FIRST_DAMPING = 1e-4
 _LEAST_DAMPING, _MOST_DAMPING = 1e-13, 1e12

@@ -11,9 +11,9 @@ from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
 from labrun.fit.dataset import Dataset, load_dataset
-from labrun.fit.divergence import divergence_warnings
 from labrun.fit.identifiability import (
     Curvature,
+    divergence_warnings,
     interval_warnings,
     sign_warnings,
     start_warnings,

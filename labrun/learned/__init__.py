@@ -1,6 +1,5 @@
 """Maps learned from data: networks with their scaling, kept as plain arrays beside a TOML file, and trained anew."""
 
-from labrun.learned.affine import SlidingAffine, exact_affine
 from labrun.learned.artefact import (
     INVERSES,
     Inverse,
@@ -12,7 +11,7 @@ from labrun.learned.artefact import (
     to_table,
 )
 from labrun.learned.network import ACTIVATIONS, Activation, Network, Scaling
-from labrun.learned.training import Solver, Training, train
+from labrun.learned.training import SlidingAffine, Solver, Training, exact_affine, train
 
 __all__ = [
     "ACTIVATIONS", "INVERSES", "Activation", "Inverse", "LearnedModel", "Network", "Scaling", "SlidingAffine",

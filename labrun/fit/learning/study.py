@@ -11,11 +11,9 @@ import numpy as np
 from pydantic import BaseModel, Field, PositiveFloat, PositiveInt
 
 from labrun.arrays import FloatArray
-from labrun.fit.figure import Curve, FigureData, Panel, Stack
-from labrun.fit.learning.method import DataTable
-from labrun.fit.learning.samples import TrainingSamples, corrected, mean_absolute
+from labrun.fit.learning.method import DataTable, TrainingSamples, corrected, mean_absolute
 from labrun.fit.method import FitJob
-from labrun.fit.result import FitSummary, TextTable
+from labrun.fit.result import Curve, FigureData, FitSummary, Panel, Stack, TextTable
 from labrun.learned import ACTIVATIONS, Activation, Network, Solver, Training, exact_affine, train
 from labrun.store import is_recording
 

@@ -10,7 +10,6 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFlo
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
-from labrun.fit.figure import Curve, FigureData, Panel, Role, Stack
 from labrun.fit.method import FitJob
 from labrun.fit.regression.least_squares import (
     BASKETS,
@@ -21,7 +20,7 @@ from labrun.fit.regression.least_squares import (
     regress,
     term_values,
 )
-from labrun.fit.result import FitSummary, FittedData, TextTable
+from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Role, Stack, TextTable
 from labrun.fit.signals import SignalSet, SignalTable, SignalTrial, joined, load_signals, trailing_mean
 
 _ENDS = 4

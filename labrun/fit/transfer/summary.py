@@ -8,9 +8,8 @@ import tomli_w
 
 from labrun.arrays import FloatArray
 from labrun.estimate import Estimate, rounded
-from labrun.fit.figure import Curve, FigureData, Panel, Stack
 from labrun.fit.resampling import correlation_length
-from labrun.fit.result import FitSummary, FittedData, TextTable
+from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Stack, TextTable
 from labrun.fit.signals import SignalSet
 from labrun.fit.transfer.fitting import TransferFit
 from labrun.fit.transfer.transfer_function import TransferFunction

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.fit.figure import Curve, FigureData, Panel, Stack
+from labrun.fit.result import Curve, FigureData, Panel, Stack
 from labrun.fit.tuning.designs import ControllerDesign
 from labrun.fit.tuning.study import UNBOUNDED, Study
 

@@ -9,9 +9,8 @@ from pydantic import BaseModel
 
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
-from labrun.fit.figure import FigureData
 from labrun.fit.method import FitJob, make_method
-from labrun.fit.result import FitSummary, FittedData
+from labrun.fit.result import FigureData, FitSummary, FittedData
 from labrun.fit.transfer import TransferFunction, TransferSummary
 from labrun.fit.tuning import summary as words
 from labrun.fit.tuning.designs import as_json, controllers_toml

@@ -9,8 +9,7 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field
 
 from labrun.effects import Site
-from labrun.models.chains.model import AT_REST, MEASURES, OPENINGS, ClosedChain, functions
-from labrun.models.chains.tree import CLOSED, Tree
+from labrun.models.chains.model import AT_REST, CLOSED, MEASURES, OPENINGS, ClosedChain, Tree, functions
 from labrun.models.model import Output
 from labrun.models.tables import (
     Equation,

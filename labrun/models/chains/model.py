@@ -9,9 +9,48 @@ from numpy.typing import ArrayLike
 from labrun.arrays import FloatArray, IntArray
 from labrun.compiled import NativeFunction, ThroughAddresses, equations, generated
 from labrun.errors import ModelError
-from labrun.models.chains.tree import Tree
 from labrun.models.model import Condition, Model
 from labrun.toml import Expression
+
+CLOSED = 1e-9
+"""A loop is closed within this, rad and m."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tree:
+    """What hangs on what.
+
+    Attributes
+    ----------
+    model
+        Its name.
+    joints
+        Their names, parents before children.
+    bodies
+        Of each joint, the body it places. The one that closes the loop is placed twice.
+    parents
+        Of each joint, which joint places the body it hangs on; -1 for the fixed body.
+    first, second
+        Which joints place the two copies of the closing body; -1 where there is no loop.
+    """
+
+    model: str
+    joints: tuple[str, ...]
+    bodies: tuple[str, ...]
+    parents: tuple[int, ...]
+    first: int
+    second: int
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """As the kernels take it."""
+        return (len(self.joints), self.first, self.second, *self.parents)
+
+    @property
+    def array(self) -> IntArray:
+        """As the kernels take it."""
+        return np.array(self.numbers, dtype=np.int64)
+
 
 AT_REST = "rest"
 """Rule of a joint that begins where springs and weights leave it."""
