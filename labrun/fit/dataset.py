@@ -14,7 +14,6 @@ from labrun.signals import Signals
 from labrun.spec import CYCLES, condition_text
 from labrun.store import (
     COMMAND,
-    Between,
     Recording,
     SignalInfo,
     TrialOutcome,
@@ -179,11 +178,11 @@ def load_dataset(target: Path, model: Ports, signals: Mapping[str, str] | None =
                 hint=f"it has {', '.join(ports)}",
             )
     if is_recording(target):
-        return from_recording(read_recording(target), target, model, wanted)
-    return from_run(target, model, wanted)
+        return _from_recording(read_recording(target), target, model, wanted)
+    return _from_run(target, model, wanted)
 
 
-def from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
+def _from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
     """Return the accepted trials of a run for a model.
 
     Outputs of the device that gives the first one stay as they were sampled; other outputs are interpolated onto their
@@ -214,7 +213,11 @@ def from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
         trials += _run_trials(outcome, model, measured, sources, whole=bool(channels))
         inputs = tuple(_info(port, measured, sources, channels) for port in model.inputs)
         outputs = tuple(_info(port, measured, sources, channels) for port in model.outputs)
-    require_trials(trials, target, left_out)
+    if not trials:
+        what = f"all {left_out} of its trials were rejected or failed" if left_out else "it has no trials yet"
+        raise FitError(
+            f"nothing to fit in {target}: {what}", hint="labrun show tells why trials were rejected"
+        )
     return Dataset(run.name, target, "run", inputs, outputs, tuple(trials), left_out)
 
 
@@ -315,7 +318,7 @@ def _run_trials(
 def _on_base(signals: Signals, channel: str, time_s: FloatArray) -> FloatArray:
     signal = signals.signal(channel)
     known = np.isfinite(signal.values)
-    return resample(signal.time_s[known], signal.values[known], time_s, "linear")
+    return np.interp(time_s, signal.time_s[known], signal.values[known])
 
 
 def _find(
@@ -358,13 +361,10 @@ def _info(
     return SignalInfo(port.name, unit, stated.get("between", "linear"), stated.get("reading_error"))
 
 
-def from_recording(
-    recording: Recording, source: Path, model: Ports, signals: Mapping[str, str] | None = None
-) -> Dataset:
+def _from_recording(recording: Recording, source: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
     """Return the trials of a recording for a model."""
-    wanted = signals or {}
-    inputs = _columns(model.inputs, recording.inputs, "input", wanted, source)
-    outputs = _columns(model.outputs, recording.outputs, "output", wanted, source)
+    inputs = _columns(model.inputs, recording.inputs, "input", signals, source)
+    outputs = _columns(model.outputs, recording.outputs, "output", signals, source)
     trials = []
     for trial in recording.trials:
         label = condition_text(trial.condition) or trial.source_file.stem
@@ -420,28 +420,3 @@ def _columns(
 
 def _named(ports: Sequence[Port], channels: Sequence[SignalInfo]) -> tuple[SignalInfo, ...]:
     return tuple(replace(channel, name=port.name) for port, channel in zip(ports, channels, strict=True))
-
-
-def resample(time_s: FloatArray, values: FloatArray, at_s: FloatArray, between: Between) -> FloatArray:
-    """Return a signal at other times, running between its samples as `between` says; held beyond its ends.
-
-    "band-limited" takes a quintic spline, whose error at a quarter of the sample rate is below one percent.
-    """
-    if len(time_s) == len(at_s) and np.array_equal(time_s, at_s):
-        return values
-    if between == "hold":
-        return values[np.clip(np.searchsorted(time_s, at_s, side="right") - 1, 0, len(values) - 1)]
-    if between == "band-limited" and len(values) > 5:
-        from scipy.interpolate import make_interp_spline
-
-        return np.asarray(make_interp_spline(time_s, values, k=5)(np.clip(at_s, time_s[0], time_s[-1])))
-    return np.interp(at_s, time_s, values)
-
-
-def require_trials(trials: Sequence[FitTrial], source: Path, left_out: int) -> None:
-    """Refuse a dataset in which nothing is left to fit."""
-    if not trials:
-        what = f"all {left_out} of its trials were rejected or failed" if left_out else "it has no trials yet"
-        raise FitError(
-            f"nothing to fit in {source}: {what}", hint="labrun show tells why trials were rejected"
-        )

@@ -141,18 +141,20 @@ class Priors:
         stated = parameter.value / scale
         low, high = sorted((stated / factor, stated * factor)) if stated else (-np.inf, np.inf)
 
-        def changed(values: FloatArray, value: float) -> FloatArray:
-            values = values.copy()
-            values[variable] = value
-            return values
-
         return replace(
             self,
-            sigma=changed(self.sigma, np.inf),
-            pull=changed(self.pull, _UNBELIEVED * scale),
-            lower=changed(self.lower, max(parameter.lower / scale, low)),
-            upper=changed(self.upper, min(parameter.upper / scale, high)),
+            sigma=changed(self.sigma, variable, np.inf),
+            pull=changed(self.pull, variable, _UNBELIEVED * scale),
+            lower=changed(self.lower, variable, max(parameter.lower / scale, low)),
+            upper=changed(self.upper, variable, min(parameter.upper / scale, high)),
         )
+
+
+def changed(values: FloatArray, place: int | list[int], value: float | FloatArray) -> FloatArray:
+    """Return values with others at one place, or at some."""
+    values = values.copy()
+    values[place] = value
+    return values
 
 
 def _stated_sigma(parameter: Parameter) -> float:

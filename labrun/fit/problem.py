@@ -13,7 +13,7 @@ from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect
 from labrun.errors import FitError
 from labrun.fit.dataset import Dataset
-from labrun.fit.priors import Priors
+from labrun.fit.priors import Priors, changed
 from labrun.fit.residuals import OutputNoise, Residuals, prepared
 from labrun.models import Model, simulate
 
@@ -211,18 +211,13 @@ class Problem(Residuals):
 
         places = list(self.constant_states)
 
-        def changed(values: FloatArray) -> FloatArray:
-            copy = own.copy()
-            copy[places] = values
-            return copy
-
         def residual(values: FloatArray) -> FloatArray:
-            found = self.trial_residual(parameters, trial, changed(values))
+            found = self.trial_residual(parameters, trial, changed(own, places, values))
             return np.full(self.data.trials[trial].outputs.size, self._huge) if found is None else found
 
         if self.trial_residual(parameters, trial, own) is None:
             return own
-        return changed(least_squares(residual, own[places]).x)
+        return changed(own, places, least_squares(residual, own[places]).x)
 
     def _by_parameter(
         self,
@@ -237,9 +232,7 @@ class Problem(Residuals):
         place, scale = priors.free[variable], priors.scale[variable]
 
         def residual(value: float) -> FloatArray | None:
-            changed = parameters.copy()
-            changed[place] = value * scale
-            return self.trial_residual(changed, trial, own)
+            return self.trial_residual(changed(parameters, place, value * scale), trial, own)
 
         low, high = float(priors.lower[variable]), float(priors.upper[variable])
         return difference_quotient(
@@ -256,9 +249,7 @@ class Problem(Residuals):
         central: bool,
     ) -> FloatArray:
         def residual(value: float) -> FloatArray | None:
-            changed = own.copy()
-            changed[variable] = value
-            return self.trial_residual(parameters, trial, changed)
+            return self.trial_residual(parameters, trial, changed(own, variable, value))
 
         return difference_quotient(residual, float(own[variable]), base, central=central)
 

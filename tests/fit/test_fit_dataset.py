@@ -5,12 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from labrun.devices import Channel, Samples, Trajectory
 from labrun.errors import FitError, RequestError
-from labrun.fit.dataset import load_dataset, resample, thinned, until_peak
+from labrun.fit.dataset import load_dataset, thinned, until_peak
 from labrun.models import Model, parse_model
 from labrun.store import RunFolder, TrialOutcome, import_recording
 
@@ -177,28 +175,6 @@ def test_a_channel_nothing_recorded_is_named_with_the_nearest(tmp_path: Path, mo
 def test_a_run_without_an_accepted_trial_cannot_be_fitted(tmp_path: Path, model: Model) -> None:
     with pytest.raises(FitError, match="all 1 of its trials were rejected or failed"):
         load_dataset(stored_run(tmp_path, ("rejected",)), model, {"command": "command.tail"})
-
-
-def test_signals_run_between_samples_as_they_say() -> None:
-    time_s, at_s = np.arange(0, 2, 0.02), np.arange(0.2, 1.8, 0.007)
-    wave = np.sin(2 * np.pi * 5 * time_s)
-    exact = np.sin(2 * np.pi * 5 * at_s)
-    np.testing.assert_allclose(resample(time_s, wave, at_s, "band-limited"), exact, atol=1e-3)
-    assert (
-        np.max(np.abs(resample(time_s, wave, at_s, "linear") - exact))
-        < (2 * np.pi * 5 * 0.02) ** 2 / 8 + 1e-6
-    )
-    held = resample(time_s, wave, at_s, "hold")
-    assert set(held) <= set(wave)
-
-
-@given(
-    st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=20),
-    st.sampled_from(["linear", "hold", "band-limited"]),
-)
-def test_resampling_onto_its_own_times_changes_nothing(values: list[float], between: str) -> None:
-    time_s = np.arange(len(values)) * 0.1
-    np.testing.assert_array_equal(resample(time_s, np.array(values), time_s.copy(), between), values)  # type: ignore[arg-type]
 
 
 def test_a_trial_counts_up_to_where_a_signal_is_greatest_if_something_breaks_there(

@@ -2,11 +2,12 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from labrun.arrays import FloatArray
@@ -40,18 +41,17 @@ class TrainingSamples:
 
     Attributes
     ----------
-    group
-        The trial of each sample, or its block of time where there are too few trials to withhold some.
+    withheld : (n,)
+        Of whole trials, or of blocks of time where there are too few trials to withhold some.
     input_units, output_units
         By name, in the order of the columns.
-    data
-        What the fit says it was made of.
+    data, told
+        What the fit says it was made of, and what of it was withheld.
     """
 
     inputs: FloatArray
     outputs: FloatArray
-    withheld: FloatArray
-    group: FloatArray
+    withheld: NDArray[np.bool_]
     input_units: Mapping[str, str]
     output_units: Mapping[str, str]
     data: FittedData
@@ -60,66 +60,20 @@ class TrainingSamples:
     @property
     def training(self) -> tuple[FloatArray, FloatArray]:
         """What may be learned from."""
-        kept = self.withheld == 0
-        return self.inputs[kept], self.outputs[kept]
+        return self.inputs[~self.withheld], self.outputs[~self.withheld]
 
     @property
     def testing(self) -> tuple[FloatArray, FloatArray]:
         """What is withheld."""
-        kept = self.withheld == 1
-        return self.inputs[kept], self.outputs[kept]
+        return self.inputs[self.withheld], self.outputs[self.withheld]
 
-
-def load_samples(
-    target: Path,
-    inputs: Mapping[str, SignalTable],
-    outputs: Mapping[str, SignalTable],
-    *,
-    unit: str,
-    where: Mapping[str, float | str],
-    rate_hz: float,
-    withhold: float,
-    rng: np.random.Generator,
-) -> TrainingSamples:
-    """Load a run's samples; a share of its trials is withheld, drawn by lot.
-
-    Where there are fewer than three trials, every trial is cut into ten blocks of time, and blocks are withheld.
-    `unit`: of the outputs: what the loop's drives are in. Channels of the same dimension are converted. Raises
-    RequestError, FitError: as `load_signals`; a name that is both input and output; an output of another dimension; too
-    few samples.
-    """
-    signals = load_signals(target, joined(inputs, outputs), where=where, rate_hz=rate_hz)
-    factors = [_factor(signals.units[name], unit, name) for name in outputs]
-    x = [np.column_stack([trial.values[name] for name in inputs]) for trial in signals.trials]
-    y = [np.column_stack([trial.values[name] for name in outputs]) * factors for trial in signals.trials]
-    enough = len(x) >= _FEW_TRIALS
-    owner = [
-        np.full(len(one), float(i)) if enough else i * _BLOCKS + np.arange(len(one)) * _BLOCKS // len(one)
-        for i, one in enumerate(x)
-    ]
-    group = np.concatenate(owner)
-    names = np.unique(group)
-    out = rng.permutation(names)[: min(max(1, round(withhold * len(names))), len(names) - 1)]
-    samples = TrainingSamples(
-        np.concatenate(x),
-        np.concatenate(y),
-        np.isin(group, out).astype(float),
-        group,
-        {name: signals.units[name] or "1" for name in inputs},
-        dict.fromkeys(outputs, unit),
-        FittedData(signals.name, signals.kind, len(signals.trials), signals.left_out),
-        f"{len(out)} of {len(names)} {'trials' if enough else 'blocks of time'} withheld",
-    )
-    if np.count_nonzero(samples.withheld == 0) < _FEWEST:
-        raise FitError(f"{target}: fewer than {_FEWEST} samples to learn from", hint="record longer")
-    return samples
-
-
-def corrected(samples: TrainingSamples, inverse: str) -> FloatArray:
-    """Return what is left of the outputs after an analytic inverse of the inputs: what error learning learns."""
-    nominal = load_inverse(inverse)
-    found = np.array([nominal(row) for row in samples.inputs.tolist()], dtype=np.float64)
-    return np.asarray(samples.outputs - found)
+    def beside(self, inverse: str) -> "TrainingSamples":
+        """Return them with what an analytic inverse of the inputs leaves of the outputs; all of it without a name."""
+        if not inverse:
+            return self
+        nominal = load_inverse(inverse)
+        found = np.array([nominal(row) for row in self.inputs.tolist()], dtype=np.float64)
+        return replace(self, outputs=np.asarray(self.outputs - found))
 
 
 def origin_of(target: Path) -> tuple[str, dict[str, Any]]:
@@ -209,16 +163,39 @@ class DataTable(BaseModel):
     withhold: Annotated[float, Field(gt=0, lt=1)] = 0.25
 
     def load(self, job: FitJob) -> TrainingSamples:
-        """Return the samples of a run."""
-        return load_samples(
-            job.target,
-            self.inputs,
-            self.outputs,
-            unit=self.unit,
-            where=self.where,
-            rate_hz=self.rate_hz,
-            withhold=self.withhold,
-            rng=job.rng,
+        """Load a run's samples; a share of its trials is withheld, drawn by lot.
+
+        Where there are fewer than three trials, every trial is cut into ten blocks of time, and blocks are withheld.
+        Channels of the dimension of `unit` are converted. Raises RequestError, FitError: as `load_signals`; a name that
+        is both input and output; an output of another dimension; too few samples.
+        """
+        wanted = joined(self.inputs, self.outputs)
+        signals = load_signals(job.target, wanted, where=self.where, rate_hz=self.rate_hz)
+        factors = [_factor(signals.units[name], self.unit, name) for name in self.outputs]
+        x = [np.column_stack([trial.values[name] for name in self.inputs]) for trial in signals.trials]
+        y = [
+            np.column_stack([trial.values[name] for name in self.outputs]) * factors
+            for trial in signals.trials
+        ]
+        enough = len(x) >= _FEW_TRIALS
+        owner = [
+            np.full(len(one), i) if enough else i * _BLOCKS + np.arange(len(one)) * _BLOCKS // len(one)
+            for i, one in enumerate(x)
+        ]
+        group = np.concatenate(owner)
+        names = np.unique(group)
+        out = job.rng.permutation(names)[: min(max(1, round(self.withhold * len(names))), len(names) - 1)]
+        withheld = np.isin(group, out)
+        if np.count_nonzero(~withheld) < _FEWEST:
+            raise FitError(f"{job.target}: fewer than {_FEWEST} samples to learn from", hint="record longer")
+        return TrainingSamples(
+            np.concatenate(x),
+            np.concatenate(y),
+            withheld,
+            {name: signals.units[name] or "1" for name in self.inputs},
+            dict.fromkeys(self.outputs, self.unit),
+            FittedData(signals.name, signals.kind, len(signals.trials), signals.left_out),
+            f"{len(out)} of {len(names)} {'trials' if enough else 'blocks of time'} withheld",
         )
 
 
@@ -262,7 +239,7 @@ class MlpFit:
             one = fitted[name] = fit_network(samples, table, int(job.rng.integers(2**31)))
             how = {
                 "solver": table.solver,
-                "samples": int(np.count_nonzero(samples.withheld == 0)),
+                "samples": int(np.count_nonzero(~samples.withheld)),
                 "mean_absolute_error_withheld": one.withheld,
                 "exact_affine_withheld": one.affine_withheld,
             }
@@ -285,24 +262,23 @@ def fit_network(samples: TrainingSamples, table: NetworkTable, seed: int) -> Fit
 
     Raises FitError: the training did not come to finite weights.
     """
-    outputs = corrected(samples, table.inverse) if table.inverse else samples.outputs
-    kept, out = samples.withheld == 0, samples.withheld == 1
-    network, took_s = train(table.training, samples.inputs[kept], outputs[kept], seed=seed)
+    samples = samples.beside(table.inverse)
+    network, took_s = train(table.training, *samples.training, seed=seed)
     if not network.finite:
         raise FitError("the training came to weights that are no finite numbers", hint="try another solver")
-    affine = exact_affine(samples.inputs[kept], outputs[kept])
+    affine = exact_affine(*samples.training)
 
-    def error(of: Network, chosen: FloatArray) -> float:
-        return mean_absolute(of(samples.inputs[chosen]) - outputs[chosen])
+    def error(of: Network, part: tuple[FloatArray, FloatArray]) -> float:
+        return mean_absolute(of(part[0]) - part[1])
 
-    idle = outputs[out] if table.inverse else outputs[out] - outputs[kept].mean(axis=0)
+    idle = samples.testing[1] - (0.0 if table.inverse else samples.training[1].mean(axis=0))
     return Fitted(
         network,
         affine,
         took_s,
-        error(network, kept),
-        error(network, out),
-        error(affine, out),
+        error(network, samples.training),
+        error(network, samples.testing),
+        error(affine, samples.testing),
         mean_absolute(idle),
     )
 
@@ -361,13 +337,11 @@ def _numbers(one: Fitted) -> dict[str, Any]:
 
 def _figure(settings: MlpSettings, samples: TrainingSamples, fitted: Mapping[str, Fitted]) -> FigureData:
     unit = settings.unit or "1"
-    rows = []
-    out = samples.withheld == 1
-    step_s = 1.0 / settings.rate_hz
+    rows, step_s = [], 1.0 / settings.rate_hz
     for name, one in fitted.items():
         inverse = settings.networks[name].inverse
-        wanted = (corrected(samples, inverse) if inverse else samples.outputs)[out][:_SHOWN]
-        found = one.network(samples.inputs[out][:_SHOWN])
+        inputs, wanted = (part[:_SHOWN] for part in samples.beside(inverse).testing)
+        found = one.network(inputs)
         time_s: FloatArray = step_s * np.arange(len(wanted), dtype=np.float64)
         stacks = []
         for column, output in enumerate(settings.outputs):

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, Field, PositiveFloat, PositiveInt
 
 from labrun.arrays import FloatArray
-from labrun.fit.learning.method import DataTable, TrainingSamples, corrected, mean_absolute
+from labrun.fit.learning.method import DataTable, TrainingSamples, mean_absolute
 from labrun.fit.method import FitJob
 from labrun.fit.result import Curve, FigureData, FitSummary, Panel, Stack, TextTable
 from labrun.learned import ACTIVATIONS, Activation, Network, Solver, Training, exact_affine, train
@@ -109,9 +109,8 @@ class MlpStudy:
         affine: dict[str, float] = {}
         grid = list(product(modes, settings.layers, settings.activations, settings.solvers))
         for mode in modes:
-            sets = [_set(one, settings.inverse if mode == "error" else "") for one in (first, second)]
-            exact = exact_affine(*sets[1].training)
-            affine[mode] = mean_absolute(exact(sets[1].testing[0]) - sets[1].testing[1])
+            sets = [one.beside(settings.inverse if mode == "error" else "") for one in (first, second)]
+            affine[mode] = _error(exact_affine(*sets[1].training), sets[1])
             for _, layers, activation, solver in (one for one in grid if one[0] == mode):
                 key = (mode, layers, activation, solver)
                 found = kept.found.get(key)
@@ -123,13 +122,6 @@ class MlpStudy:
                     kept.keep(found)
                 rows.append(found)
         return _summary(settings, first, rows, affine)
-
-
-def _set(samples: TrainingSamples, inverse: str) -> TrainingSamples:
-    if not inverse:
-        return samples
-    values = {name: getattr(samples, name) for name in TrainingSamples.__dataclass_fields__}
-    return TrainingSamples(**{**values, "outputs": corrected(samples, inverse)})
 
 
 def _row(
@@ -168,7 +160,9 @@ class _Kept:
     def __init__(self, target: Path, settings: Mapping[str, object]) -> None:
         self._file = None if is_recording(target) or not target.is_dir() else target / "fit" / _KEPT
         self._head = json.dumps(settings, sort_keys=True)
-        self.found: dict[tuple[str, int, str, str], Row] = {row_key(row): row for row in self._read()}
+        self.found: dict[tuple[str, int, str, str], Row] = {
+            (row.mode, row.layers, row.activation, row.solver): row for row in self._read()
+        }
 
     def keep(self, row: Row) -> None:
         """Add a row."""
@@ -188,11 +182,6 @@ class _Kept:
                 continue
             if stored.pop("of", None) == self._head:
                 yield Row(**stored)
-
-
-def row_key(row: Row) -> tuple[str, int, str, str]:
-    """Return what tells a configuration from the others."""
-    return row.mode, row.layers, row.activation, row.solver
 
 
 def _summary(

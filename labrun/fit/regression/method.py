@@ -1,6 +1,7 @@
 """The fit ``least-squares``: every set of terms regressed on every output, and which one to take."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -68,7 +69,11 @@ class LeastSquaresSettings(BaseModel):
 
 
 class LeastSquaresFit:
-    """Eq. (5.4) for each basket; see `fit_least_squares`."""
+    """Eq. (5.4) with each basket on each output, and which one to take.
+
+    The basket taken is, among those whose X'X is conditioned no worse than `largest_condition`, the one of fewest
+    terms whose cross-validated error is within one standard error of the best of them, for every output.
+    """
 
     Settings: ClassVar[type[BaseModel]] = LeastSquaresSettings
 
@@ -76,43 +81,53 @@ class LeastSquaresFit:
         self._settings = settings
 
     def __call__(self, job: FitJob) -> FitSummary:
-        """Fit every basket to every output."""
-        return fit_least_squares(job, self._settings)
+        """Fit every basket to every output.
+
+        Raises
+        ------
+        RequestError
+            Terms that cannot be read; an average over cycles of a gait that has none; several runs.
+        FitError
+            Too little data for three groups.
+        """
+        settings = self._settings
+        if job.more:
+            raise RequestError(
+                "least-squares takes one run", hint="repeat its trials instead: [trial] repeats"
+            )
+        wanted = joined(settings.inputs, settings.outputs)
+        data = load_signals(job.target, wanted, rate_hz=settings.rate_hz)
+        groups = _groups(data, settings)
+        raw, matrices = {}, {}
+        for name, terms in settings.baskets.items():
+            job.note(f"basket {name}")
+            raw[name], matrices[name] = _matrix(data, terms, settings)
+        measured = {
+            o: np.concatenate([t.values[o][_skip(t, settings) :] for t in data.trials])
+            for o in settings.outputs
+        }
+        solved = {
+            output: {name: regress(matrices[name], values, groups, job.rng) for name in matrices}
+            for output, values in measured.items()
+        }
+        conditions = {name: condition(values) for name, values in raw.items()}
+        ranks = {name: collinear(values, settings.baskets[name]) for name, values in raw.items()}
+        taken, best = _choice(settings, solved, conditions)
+        return _summary(_Study(data, settings, measured, solved, conditions, ranks, taken, best))
 
 
-def fit_least_squares(job: FitJob, settings: LeastSquaresSettings) -> FitSummary:
-    """Fit eq. (5.4) with each basket, and recommend one.
+@dataclass(frozen=True, slots=True)
+class _Study:
+    """Every basket on every output (output -> basket -> regression), how they are conditioned, and which to take."""
 
-    The basket taken is, among those whose X'X is conditioned no worse than `largest_condition`, the one of fewest
-    terms whose cross-validated error is within one standard error of the best of them, for every output.
-
-    Raises
-    ------
-    RequestError
-        Terms that cannot be read; an average over cycles of a gait that has none; several runs.
-    FitError
-        Too little data for three groups.
-    """
-    if job.more:
-        raise RequestError("least-squares takes one run", hint="repeat its trials instead: [trial] repeats")
-    wanted = joined(settings.inputs, settings.outputs)
-    data = load_signals(job.target, wanted, rate_hz=settings.rate_hz)
-    groups = _groups(data, settings)
-    raw, matrices = {}, {}
-    for name, terms in settings.baskets.items():
-        job.note(f"basket {name}")
-        raw[name], matrices[name] = _matrix(data, terms, settings)
-    measured = {
-        o: np.concatenate([t.values[o][_skip(t, settings) :] for t in data.trials]) for o in settings.outputs
-    }
-    solved = {
-        output: {name: regress(matrices[name], values, groups, job.rng) for name in matrices}
-        for output, values in measured.items()
-    }
-    conditions = {name: condition(values) for name, values in raw.items()}
-    ranks = {name: collinear(values, settings.baskets[name]) for name, values in raw.items()}
-    taken, best = _choice(settings, solved, conditions)
-    return _summary(data, settings, solved, measured, conditions, ranks, taken, best)
+    data: SignalSet
+    settings: LeastSquaresSettings
+    measured: Mapping[str, FloatArray]
+    solved: Mapping[str, Mapping[str, Regression]]
+    conditions: Mapping[str, float]
+    ranks: Mapping[str, tuple[int, list[str]]]
+    taken: str
+    best: str
 
 
 def _skip(trial: SignalTrial, settings: LeastSquaresSettings) -> int:
@@ -200,20 +215,8 @@ def _choice(
     return min(fit_for_it or sound, key=lambda name: (len(settings.baskets[name]), error(name))), best
 
 
-def _summary(
-    data: SignalSet,
-    settings: LeastSquaresSettings,
-    solved: Mapping[str, Mapping[str, Regression]],
-    measured: Mapping[str, FloatArray],
-    conditions: Mapping[str, float],
-    ranks: Mapping[str, tuple[int, list[str]]],
-    taken: str,
-    best: str,
-) -> FitSummary:
-    first = data.trials[0]
-    start = _skip(first, settings)
-    title = f"Terms regressed on {data.name}\ntaken: {{{taken}}}"
-    title += "" if best == taken else f"; least error: {{{best}}}"
+def _summary(study: _Study) -> FitSummary:
+    data, settings, solved, taken = study.data, study.settings, study.solved, study.taken
     output_units = {name: data.units[name] for name in solved}
     units = {**data.units, **settings.units}
     terms = [*settings.baskets[taken], *["1"] * settings.intercept]
@@ -226,11 +229,12 @@ def _summary(
             )
             ends = (float(one.low[place]), float(one.high[place]))
             parameters[f"{output}: {term}"] = Estimate(float(one.coefficients[place]), ends, named)
-        span = float(np.max(np.abs(measured[output])))
+        span = float(np.max(np.abs(study.measured[output])))
         rows = tuple(
             (
                 name, f"{one.mae:.4f}", f"{100 * one.mae / span:.2f}", f"{one.cv:.4f} +- {one.cv_error:.4f}",
-                f"{one.aicc:.1f}", f"{conditions[name]:.1e}", f"{ranks[name][0]}/{len(settings.baskets[name])}",
+                f"{one.aicc:.1f}", f"{study.conditions[name]:.1e}",
+                f"{study.ranks[name][0]}/{len(settings.baskets[name])}",
             )
             for name, one in of.items()
         )  # fmt: skip
@@ -244,8 +248,8 @@ def _summary(
             "rank",
         )
         tables.append(TextTable(f"{output} (% of its largest magnitude, {span:.3g})", header, rows))
-    findings = [_reason(settings, solved, conditions, taken, best)]
-    warnings = [f"{name}: collinear: {'; '.join(lost)}" for name, (_, lost) in ranks.items() if lost]
+    findings = [_reason(study)]
+    warnings = [f"{name}: collinear: {'; '.join(lost)}" for name, (_, lost) in study.ranks.items() if lost]
     whole = len(data.trials) >= _FEW
     findings.append(
         f"cross-validation and intervals leave out and resample whole {'trials' if whole else 'blocks of time'}"
@@ -267,7 +271,7 @@ def _summary(
         warnings=tuple(warnings),
         details={
             "taken": taken,
-            "best": best,
+            "best": study.best,
             "coefficients": {
                 output: {name: one.coefficients.tolist() for name, one in of.items()}
                 for output, of in solved.items()
@@ -277,21 +281,14 @@ def _summary(
                 for output, of in solved.items()
             },
             "mae": {output: {name: one.mae for name, one in of.items()} for output, of in solved.items()},
-            "condition": dict(conditions),
+            "condition": dict(study.conditions),
         },
-        figure_data=lambda: _figure(
-            first.time_s[start:], measured, solved, conditions, taken, best, output_units, title
-        ),
+        figure_data=lambda: _figure(study, output_units),
     )
 
 
-def _reason(
-    settings: LeastSquaresSettings,
-    solved: Mapping[str, Mapping[str, Regression]],
-    conditions: Mapping[str, float],
-    taken: str,
-    best: str,
-) -> str:
+def _reason(study: _Study) -> str:
+    settings, conditions, taken, best = study.settings, study.conditions, study.taken, study.best
     text = (
         f"take {{{taken}}}: of the baskets whose X'X is conditioned no worse than {settings.largest_condition:.0e}, "
         f"it has the fewest terms within one standard error of the best cross-validated error"
@@ -303,28 +300,22 @@ def _reason(
         )
     if best == taken:
         return f"{text}; it is also the best of all"
-    gains = ", ".join(f"{o} {100 * (1 - of[best].cv / of[taken].cv):.0f} %" for o, of in solved.items())
+    gains = ", ".join(f"{o} {100 * (1 - of[best].cv / of[taken].cv):.0f} %" for o, of in study.solved.items())
     near = "its X'X is near singular, so its coefficients hold for these inputs only"
     why = near if conditions[best] > settings.largest_condition else "the gain is within one standard error"
     return f"{text}. {{{best}}} has a lower cross-validated error ({gains}), but {why}"
 
 
-def _figure(
-    time_s: FloatArray,
-    measured: Mapping[str, FloatArray],
-    solved: Mapping[str, Mapping[str, Regression]],
-    conditions: Mapping[str, float],
-    taken: str,
-    best: str,
-    units: Mapping[str, str],
-    title: str,
-) -> FigureData:
-    """Return the first trial's outputs over `time_s` with the residual, and the errors of every set of terms."""
-    over_time, merits = [], []
-    count = len(time_s)
-    ticks = tuple(f"{name}\ncond {value:.0e}" for name, value in conditions.items())
-    for output, of in solved.items():
-        values, unit = measured[output][:count], units[output]
+def _figure(study: _Study, units: Mapping[str, str]) -> FigureData:
+    """Return the first trial's outputs over time with the residual, and the errors of every set of terms."""
+    taken, best, first = study.taken, study.best, study.data.trials[0]
+    title = f"Terms regressed on {study.data.name}\ntaken: {{{taken}}}"
+    title += "" if best == taken else f"; least error: {{{best}}}"
+    time_s = first.time_s[_skip(first, study.settings) :]
+    over_time, merits, count = [], [], len(time_s)
+    ticks = tuple(f"{name}\ncond {value:.0e}" for name, value in study.conditions.items())
+    for output, of in study.solved.items():
+        values, unit = study.measured[output][:count], units[output]
         shown: list[tuple[str, Role]] = (
             [(taken, "fitted")] if best == taken else [(best, "alternative"), (taken, "fitted")]
         )

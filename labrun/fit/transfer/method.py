@@ -1,7 +1,5 @@
 """The fits ``fopdt`` (gain, lag and dead time from steps) and ``transfer-function``, and the signals they take."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -23,69 +21,53 @@ _DEFINED = 0.25
 """A direction counts where the force is at least this share of its median in the trial."""
 
 
-@dataclass(frozen=True, slots=True)
-class Response:
-    """The trials of one response, and the units of what went in and came out."""
-
-    signals: SignalSet
-    trials: tuple[ResponseTrial, ...]
-    input_unit: str
-    output_unit: str
+class _Keys(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-def load_response(
-    target: Path,
-    given: SignalTable,
-    output: SignalTable,
-    *,
-    where: Mapping[str, float | str] | None = None,
-    from_s: float = 0.0,
-    to_s: float | None = None,
-) -> Response:
-    """Load input and output of every trial that `where` admits.
+class ResponseTable(_Keys):
+    """One response: which trials, from what to what, and when.
+
+    `input_unit` is for an input whose unit nothing states, as a named part of a gait.
+    """
+
+    input: SignalTable
+    output: SignalTable
+    input_unit: str | None = None
+    where: dict[str, float | str] = {}
+    from_s: NonNegativeFloat = 0.0
+    to_s: PositiveFloat | None = None
+
+
+def load_response(target: Path, table: ResponseTable) -> tuple[SignalSet, list[ResponseTrial]]:
+    """Load input and output of every trial that the table admits.
 
     The magnitude of a force at rest is that of its noise, never zero. So what is loaded as magnitude is the force along
     the mean direction of the trial, with its sign: where there is force, it is the same, and where there is none, it is
     zero on average. A direction is left out where there is too little force to have one. Raises RequestError, FitError:
     as `load_signals`; an input that is a vector; no sample between `from_s` and `to_s`.
     """
+    given, output = table.input, table.output
     if given.take != "value":
         raise RequestError(f"an input is one channel, not the {given.take} of two")
-    wanted = {"input": given}
-    if output.take == "value":
-        wanted["output"] = output
-    else:
-        wanted["output"] = SignalTable(
-            channel=output.channel, scale=output.scale, divide_by_m=output.divide_by_m, average=output.average
-        )
-        wanted["side"] = SignalTable(
-            channel=str(output.side_channel),
-            scale=output.side_scale,
-            divide_by_m=output.divide_by_m,
-            average=output.average,
-        )
-    signals = load_signals(target, wanted, where=where)
+    along = output.model_copy(update={"take": "value", "side_channel": None})
+    wanted = {"input": given, "output": along}
+    if output.take != "value":
+        wanted["side"] = along.model_copy(update={"channel": output.side_channel, "scale": output.side_scale})
+    signals = load_signals(target, wanted, where=table.where)
     hold = _stated_hold(target, given.channel)
     same: dict[bytes, FloatArray] = {}
     trials = []
     for trial in signals.trials:
         column = same.setdefault(trial.values["input"].tobytes(), trial.values["input"])
-        trials.append(_trial(trial, column, output, hold, from_s, to_s))
-    unit = "deg" if output.take == "direction" else signals.units["output"]
-    return Response(signals, tuple(trials), signals.units["input"], unit)
+        trials.append(_trial(trial, column, table, hold))
+    return signals, trials
 
 
-def _trial(
-    trial: SignalTrial,
-    given: FloatArray,
-    output: SignalTable,
-    hold: Hold | None,
-    from_s: float,
-    to_s: float | None,
-) -> ResponseTrial:
-    time_s, measured = trial.time_s, trial.values["output"]
+def _trial(trial: SignalTrial, given: FloatArray, table: ResponseTable, hold: Hold | None) -> ResponseTrial:
+    time_s, measured, output = trial.time_s, trial.values["output"], table.output
     since = time_s - time_s[0]
-    used = (since >= from_s) & (since <= (np.inf if to_s is None else to_s))
+    used = (since >= table.from_s) & (since <= (np.inf if table.to_s is None else table.to_s))
     averaged = 1
     if output.average == "cycle" and trial.period_s is not None:
         averaged = max(1, round(trial.period_s / trial.step_s))
@@ -102,7 +84,7 @@ def _trial(
             measured = measured - 360.0 * turns
     if np.count_nonzero(used) < 10:
         raise FitError(
-            f"{trial.label} has fewer than 10 samples to fit between {from_s:g} s and its end",
+            f"{trial.label} has fewer than 10 samples to fit between {table.from_s:g} s and its end",
             hint="widen from_s and to_s",
         )
     return ResponseTrial(trial.label, time_s, given, measured, used, averaged, hold or jumps_or_runs(given))
@@ -139,24 +121,6 @@ def _stated_hold(target: Path, channel: str) -> Hold | None:
         return None
     between = {info.name: info.between for info in read_recording(target).inputs}.get(channel)
     return "constant" if between == "hold" else "linear"
-
-
-class _Keys(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ResponseTable(_Keys):
-    """One response: which trials, from what to what, and when.
-
-    `input_unit` is for an input whose unit nothing states, as a named part of a gait.
-    """
-
-    input: SignalTable
-    output: SignalTable
-    input_unit: str | None = None
-    where: dict[str, float | str] = {}
-    from_s: NonNegativeFloat = 0.0
-    to_s: PositiveFloat | None = None
 
 
 class FopdtSettings(_Keys):
@@ -243,17 +207,15 @@ def _fitted(
     fits = {}
     for name, table in responses.items():
         job.note(f"fitting {name}")
-        loaded = load_response(
-            job.target, table.input, table.output, where=table.where, from_s=table.from_s, to_s=table.to_s
-        )
+        signals, trials = load_response(job.target, table)
         fits[name] = fit_transfer(
-            loaded.trials,
+            trials,
             shape,
             rng=job.rng,
             starts=job.starts or STARTS,
             input_name=table.input.channel,
             output_name=name,
-            input_unit=table.input_unit or loaded.input_unit,
-            output_unit=loaded.output_unit,
+            input_unit=table.input_unit or signals.units["input"],
+            output_unit="deg" if table.output.take == "direction" else signals.units["output"],
         )
-    return fits, loaded.signals
+    return fits, signals

@@ -12,7 +12,7 @@ from labrun.control import FeedforwardPid, LoopContext, PidController, Step
 from labrun.fit.tuning.loop import OpenLoop, SampledPlant, sample_plant
 
 ComplexArray = NDArray[np.complex128]
-WIDE = 1e12
+UNBOUNDED = (-1e12, 1e12)
 """A range that bounds nothing."""
 
 
@@ -158,7 +158,7 @@ def run_loop(
     reference: Callable[[float], float],
     duration_s: float,
     *,
-    bounds: tuple[float, float] = (-WIDE, WIDE),
+    bounds: tuple[float, float] = UNBOUNDED,
     start: float = 0.0,
     load: Callable[[float], float] | None = None,
 ) -> LoopResponse:

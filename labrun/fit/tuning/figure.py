@@ -7,8 +7,9 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit.result import Curve, FigureData, Panel, Stack
+from labrun.fit.tuning.closed_loop import UNBOUNDED
 from labrun.fit.tuning.designs import ControllerDesign
-from labrun.fit.tuning.study import UNBOUNDED, Study
+from labrun.fit.tuning.study import Study
 
 _MOST = 5
 

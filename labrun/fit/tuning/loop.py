@@ -1,6 +1,6 @@
 """The loop as it runs on a bench, exactly: a held drive, the plant, the mean over a cycle, samples, computation."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -162,10 +162,6 @@ class OpenLoop:
         """Time constants of the plant's poles, largest first."""
         sizes = np.abs(np.atleast_1d(np.asarray(self.plant.poles)))
         return np.sort(1.0 / sizes[sizes > 0])[::-1]
-
-    def with_plant(self, plant: TransferFunction) -> "OpenLoop":
-        """Return the same loop around another plant."""
-        return replace(self, plant=plant)
 
     @cached_property
     def sampled(self) -> SampledPlant:

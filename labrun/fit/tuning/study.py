@@ -1,15 +1,15 @@
 """All designs for one plant, judged: spread over plants, tracking, and which one to take."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from labrun.fit.transfer import TransferFunction
+from labrun.fit.tuning.closed_loop import UNBOUNDED
 from labrun.fit.tuning.designs import ControllerDesign, Spread, design_all
 from labrun.fit.tuning.loop import OpenLoop
 from labrun.fit.tuning.optimum import keeps, loop_error
 from labrun.fit.tuning.settings import PidFitSettings
 
-UNBOUNDED = (-1e12, 1e12)
 _NEARLY = 1.2
 """Designs whose error is within this of the least are as good: then the drive's noise decides."""
 _LOST_SHARE = 0.025
@@ -69,7 +69,7 @@ def study(
     """
     loop = OpenLoop(plant, settings.rate_hz, settings.compute_s, average_s)
     designs, warnings = design_all(loop, settings)
-    around = [loop.with_plant(one) for one in plants]
+    around = [replace(loop, plant=one) for one in plants]
     spreads = {one.name: one.over(around) for one in designs} if around else {}
     stable = [one for one in designs if one.margins.stable]
     errors = _errors(stable, settings)
