@@ -11,7 +11,7 @@ from labrun.errors import LabrunError, RequestError
 from labrun.report import BestYet, Snapshot, State, duration_text, event_text
 from labrun.search import Best, resume_line, stored_result
 from labrun.spec import Experiment, condition_key, loads_experiment
-from labrun.store import JOURNAL, SPEC, RunWatch, SeenTrial, Trace, known_units, read_trace
+from labrun.store import JOURNAL, SPEC, RunWatch, Trace, TrialOutcome, known_units, read_trace
 
 _CLOCKS_AGREE_S = 60.0
 _LAST_TRIALS = 6
@@ -172,13 +172,13 @@ class Watcher:
 
 
 def best_yet(
-    trials: Iterable[SeenTrial], objective: str, goal: Literal["maximise", "minimise"], repeats: int
+    trials: Iterable[TrialOutcome], objective: str, goal: Literal["maximise", "minimise"], repeats: int
 ) -> BestYet | None:
     """Return the best mean among the conditions with the full number of repeats (any, before there is one).
 
     Reference trials do not count, nor do trials that were rejected or failed.
     """
-    groups: dict[object, list[SeenTrial]] = {}
+    groups: dict[object, list[TrialOutcome]] = {}
     for trial in trials:
         if trial.status == "done" and trial.role != "reference" and objective in trial.objectives:
             groups.setdefault(condition_key(trial.condition), []).append(trial)

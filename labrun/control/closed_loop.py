@@ -8,7 +8,7 @@ from itertools import chain
 import numpy as np
 
 from labrun.control.history import History
-from labrun.control.loop import Loop, LoopRecord
+from labrun.control.loop import Loop
 from labrun.control.making import make_feedback, watched_by
 from labrun.control.pieces import Pieces
 from labrun.control.protocol import Condition, Feedback, LoopContext
@@ -51,22 +51,6 @@ def variable_unit(experiment: Experiment, variable: str) -> str:
             if expression.text.strip() == variable:
                 return unit_of(key) or ""
     return ""
-
-
-def samples_of(
-    time_s: float,
-    records: Sequence[LoopRecord],
-    latency_s: float,
-    reaction_s: float,
-    late_s: float,
-    *,
-    missed: bool,
-    skipped: int,
-) -> Samples:
-    """Return one step as a sample; steps that were skipped before it count as lost."""
-    row = chain.from_iterable(item.row for item in records)
-    at = np.array([time_s])
-    return Samples(at, at, np.array([[*row, latency_s, reaction_s, late_s, float(missed)]]), lost=skipped)
 
 
 _LOOK_S = 0.05
@@ -280,10 +264,10 @@ class ClosedLoopRecorder:
             reaction_s = sent_s - heard_s if heard_s > heard_before_s else math.nan
             heard_before_s = heard_s
             missed = clockwork.end(sent_s)
-            step = samples_of(
-                now_s, records, sent_s - newest_s, reaction_s, late_s, missed=missed, skipped=skipped
-            )
-            self._record(recording, step)
+            of_loops = chain.from_iterable(item.row for item in records)
+            row = np.array([[*of_loops, sent_s - newest_s, reaction_s, late_s, float(missed)]])
+            at = np.array([now_s])
+            self._record(recording, Samples(at, at, row, lost=skipped))
         recording.fault = clockwork.timing.fault(self._track.max_missed_share, self._track.rate_hz)
 
     def _record(self, recording: TrialRecording, step: Samples) -> None:
@@ -312,16 +296,13 @@ class ClosedLoopRecorder:
 
     def _history(self, tare: Mapping[str, float], start_s: float, cycle_s: float | None) -> History:
         feedbacks = [one for items in self._feedbacks.values() for one in items]
-        needed = dict.fromkeys([*(c for one in feedbacks for c in one.channels), *self._watched()])
-        keep_s = max(feedback.memory_s(cycle_s) for feedback in feedbacks)
-        columns = {channel: self._columns[channel] for channel in needed}
-        return History(columns, tare, start_s, keep_s)
-
-    def _watched(self) -> list[str]:
-        """Return the channels that controllers want to see with every step."""
-        return [
+        watched = [  # channels that controllers want to see with every step
             channel
             for table in self._track.loops.values()
             for controller in table.controllers.values()
             for channel in watched_by(controller)
         ]
+        needed = dict.fromkeys([*(c for one in feedbacks for c in one.channels), *watched])
+        keep_s = max(feedback.memory_s(cycle_s) for feedback in feedbacks)
+        columns = {channel: self._columns[channel] for channel in needed}
+        return History(columns, tare, start_s, keep_s)

@@ -1,7 +1,6 @@
 """From the tables of an experiment file to references, feedbacks and controllers."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any, cast
 
 from labrun import registry
@@ -89,10 +88,6 @@ def make_controllers(
     return OneForEach([_made(what, table, lambda: plugin(settings, context)) for _ in context.drives])
 
 
-def _part(reference_at: Callable[[float], Numbers], number: int, time_s: float) -> float:
-    return reference_at(time_s)[number]
-
-
 class OneForEach:
     """A controller of one number for each component of a loop."""
 
@@ -101,23 +96,24 @@ class OneForEach:
 
     def update(self, step: VectorStep) -> Numbers:
         """Ask each of them."""
-        found = []
-        for number, one in enumerate(self.controllers):
-            single = Step(
-                step.time_s,
-                step.dt_s,
-                step.reference[number],
-                step.feedback[number],
-                step.drives[number],
-                partial(_part, step.reference_at, number),
-            )
-            found.append(float(one.update(single)))
-        return tuple(found)
+        return tuple([float(one.update(_part(step, number))) for number, one in enumerate(self.controllers)])
 
     def applied(self, drives: Numbers) -> None:
         """Tell each of them."""
         for one, drive in zip(self.controllers, drives, strict=True):
             one.applied(drive)
+
+
+def _part(step: VectorStep, number: int) -> Step:
+    """Return what a step is to the controller of one component."""
+    return Step(
+        step.time_s,
+        step.dt_s,
+        step.reference[number],
+        step.feedback[number],
+        step.drives[number],
+        lambda time_s: step.reference_at(time_s)[number],
+    )
 
 
 def controller_of(loop: str, table: LoopTable, condition: Condition) -> str:

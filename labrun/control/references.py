@@ -15,23 +15,31 @@ from labrun.errors import SpecError
 from labrun.toml import Table, TableFaults, checked, evaluate
 
 
+class _Keyed:
+    """A reference that follows from its keys alone."""
+
+    Settings: ClassVar[type[Table]]
+    _keys: Table
+
+    def __init__(self, settings: Mapping[str, Any], condition: Condition) -> None:  # noqa: ARG002
+        self._keys = checked(self.Settings, settings)
+
+
 class ConstantSettings(Table):
     """Key of `constant`: its value."""
 
     value: float
 
 
-class ConstantReference:
+class ConstantReference(_Keyed):
     """The same value all the time."""
 
     Settings: ClassVar[type[Table]] = ConstantSettings
-
-    def __init__(self, settings: Mapping[str, Any], condition: Condition) -> None:  # noqa: ARG002
-        self._value = checked(ConstantSettings, settings).value
+    _keys: ConstantSettings
 
     def __call__(self, time_s: float) -> float:  # noqa: ARG002
         """Return the value."""
-        return self._value
+        return self._keys.value
 
 
 class StepSettings(Table):
@@ -42,13 +50,11 @@ class StepSettings(Table):
     at_s: float
 
 
-class StepReference:
+class StepReference(_Keyed):
     """One value before a time, another from then on."""
 
     Settings: ClassVar[type[Table]] = StepSettings
-
-    def __init__(self, settings: Mapping[str, Any], condition: Condition) -> None:  # noqa: ARG002
-        self._keys = checked(StepSettings, settings)
+    _keys: StepSettings
 
     def __call__(self, time_s: float) -> float:
         """Return the value at a time of the trial."""
@@ -73,13 +79,11 @@ class RampSettings(Table):
         return self
 
 
-class RampReference:
+class RampReference(_Keyed):
     """A straight line between two values, held before and after it."""
 
     Settings: ClassVar[type[Table]] = RampSettings
-
-    def __init__(self, settings: Mapping[str, Any], condition: Condition) -> None:  # noqa: ARG002
-        self._keys = checked(RampSettings, settings)
+    _keys: RampSettings
 
     def __call__(self, time_s: float) -> float:
         """Return the value at a time of the trial."""
@@ -97,20 +101,17 @@ class SineSettings(Table):
     phase_deg: float = 0.0
 
 
-class SineReference:
+class SineReference(_Keyed):
     """A sine around a mean."""
 
     Settings: ClassVar[type[Table]] = SineSettings
-
-    def __init__(self, settings: Mapping[str, Any], condition: Condition) -> None:  # noqa: ARG002
-        keys = checked(SineSettings, settings)
-        self._mean, self._amplitude = keys.mean, keys.amplitude
-        self._angular = 2.0 * math.pi / keys.period_s
-        self._phase = math.radians(keys.phase_deg)
+    _keys: SineSettings
 
     def __call__(self, time_s: float) -> float:
         """Return the value at a time of the trial."""
-        return self._mean + self._amplitude * math.sin(self._angular * time_s + self._phase)
+        keys = self._keys
+        angle = 2.0 * math.pi / keys.period_s * time_s + math.radians(keys.phase_deg)
+        return keys.mean + keys.amplitude * math.sin(angle)
 
 
 class HalfSineSettings(Table):
@@ -121,7 +122,7 @@ class HalfSineSettings(Table):
     period_s: PositiveFloat
 
 
-class HalfSineReference:
+class HalfSineReference(_Keyed):
     """``low + (high - low) |sin(pi t / period_s)|``, the reference of section 5.4 of the source.
 
     The source gives it as a figure only. Its amplitude (5.2), ``20 + |40 sin(2 pi 0.005 t)|`` deg, is the same wave:
@@ -129,15 +130,12 @@ class HalfSineReference:
     """
 
     Settings: ClassVar[type[Table]] = HalfSineSettings
-
-    def __init__(self, settings: Mapping[str, Any], condition: Condition) -> None:  # noqa: ARG002
-        keys = checked(HalfSineSettings, settings)
-        self._low, self._rise = keys.low, keys.high - keys.low
-        self._angular = math.pi / keys.period_s
+    _keys: HalfSineSettings
 
     def __call__(self, time_s: float) -> float:
         """Return the value at a time of the trial."""
-        return self._low + self._rise * abs(math.sin(self._angular * time_s))
+        keys = self._keys
+        return keys.low + (keys.high - keys.low) * abs(math.sin(math.pi / keys.period_s * time_s))
 
 
 class FormulaSettings(Table):

@@ -185,11 +185,10 @@ def _model(
     return model
 
 
-def _activation(name: object) -> Activation:
-    for known in ACTIVATIONS:
-        if name == known:
-            return known
-    raise ValueError(f"activation {name!r} is none of {', '.join(ACTIVATIONS)}")
+def _activation(name: Any) -> Activation:
+    if name not in ACTIVATIONS:
+        raise ValueError(f"activation {name!r} is none of {', '.join(ACTIVATIONS)}")
+    return cast("Activation", name)
 
 
 def _packed(network: Network) -> bytes:

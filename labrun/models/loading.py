@@ -20,7 +20,7 @@ _DEEPEST = 16
 """Files that refer to files: more is a circle."""
 
 
-def load_model(source: str | Path) -> Model:
+def load_model(source: str | Path, depth: int = 0) -> Model:
     """Return a model.
 
     Parameters
@@ -29,6 +29,8 @@ def load_model(source: str | Path) -> Model:
         A ``.toml`` file, an MJCF or URDF file (see `read_robot`), the name of a model that ships with labrun or that a
         plugin brings (entry point of group ``labrun.models``), or ``"package.module:object"``; the object is a
         `Model`, or a function that returns one.
+    depth
+        How many files have referred to this one as their base.
 
     Raises
     ------
@@ -37,11 +39,6 @@ def load_model(source: str | Path) -> Model:
     PluginError
         The plugin does not import.
     """
-    return load_from(source)
-
-
-def load_from(source: str | Path, depth: int = 0) -> Model:
-    """Do as `load_model`; `depth` counts the files that have referred to this one."""
     path = model_file(source)
     if path is not None and path.suffix == ".py":
         path = None
@@ -109,7 +106,7 @@ def _based_model(file: ModelFile, depth: int) -> Model:
         file.fail(("base",), f"models refer to one another more than {_DEEPEST} deep", "is it a circle?")
     beside = Path(file.name).parent / given.base
     try:
-        model = load_from(
+        model = load_model(
             beside if given.base.endswith(".toml") or beside.is_file() else given.base, depth + 1
         )
     except LabrunError as error:

@@ -10,6 +10,7 @@ from labrun.compiled import equations, generated, native
 from labrun.effects import FORCED, Site
 from labrun.errors import ModelError
 from labrun.models.model import Input, Model, Output, Parameter
+from labrun.models.toml_model import SITE_QUANTITIES
 from labrun.toml import Expression, ExpressionError, suggest
 
 
@@ -67,7 +68,7 @@ def python_model(
             raise ModelError(
                 f"site {site.name} of model {name}: declare joint and body sites only, not {site.kind}"
             )
-        for key in ("coordinate", "rate", "load", "stiffness"):
+        for key in SITE_QUANTITIES:
             text = getattr(site, key) or "0"
             try:
                 expression = Expression.of(text)

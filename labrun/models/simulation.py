@@ -68,7 +68,7 @@ def simulate(
         Physics to add to what the model carries; their internal states and memories begin at rest.
     substeps
         Runge-Kutta steps per sample interval: an even number is taken in pairs, each as one step of order 5 (see
-        `labrun.models.steps`), an odd one by steps of order 4. None finds them with `suggest_substeps`, which costs
+        `labrun.models.engine`), an odd one by steps of order 4. None finds them with `suggest_substeps`, which costs
         several simulations.
 
     Returns

@@ -28,7 +28,7 @@ from labrun.report.text import (
 )
 from labrun.runner import SilentProgress
 from labrun.spec import Condition
-from labrun.store import SeenTrial, Trace, TrialOutcome
+from labrun.store import Trace, TrialOutcome
 
 _REFRESHES_PER_S = 8
 
@@ -270,7 +270,7 @@ def _trials(snapshot: Snapshot) -> Table:
     return table
 
 
-def _remark(trial: SeenTrial) -> Text:
+def _remark(trial: TrialOutcome) -> Text:
     role = "" if trial.role == "measure" else trial.role
     if trial.status == "done":
         return Text(role, style="dim")

@@ -1,14 +1,16 @@
 """A run that is being executed elsewhere, at one moment."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from labrun.search import Best
 from labrun.spec import Value
-from labrun.store import SeenTrial, Trace
+from labrun.store import Trace, TrialOutcome
 
 State = Literal["starting", "running", "silent", "dead", "stopped", "finished"]
+_OF_TRIAL = ("index", "condition", "repeat", "role", "status", "reason", "objectives")
+"""What a script is told of each of the last trials."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +63,7 @@ class Snapshot:
     event: str
     event_utc: str | None
     quiet_s: float
-    last_trials: tuple[SeenTrial, ...]
+    last_trials: tuple[TrialOutcome, ...]
     best: BestYet | None
     honest_best: Best | None
     trace: Trace | None
@@ -88,7 +90,7 @@ class Snapshot:
             "last_event": {"text": self.event, "time_utc": self.event_utc, "ago_s": self.quiet_s},
             "best_so_far": None if self.best is None else self._best_json(self.best),
             "best": None if self.honest_best is None else self.honest_best.to_json(),
-            "last_trials": [asdict(trial) for trial in self.last_trials],
+            "last_trials": [{key: getattr(trial, key) for key in _OF_TRIAL} for trial in self.last_trials],
             "trace": None if self.trace is None else _trace_json(self.trace),
             "units": self.units,
             "resume": self.resume,

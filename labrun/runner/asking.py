@@ -10,11 +10,10 @@ import numpy as np
 from labrun.devices import Clock, Scene
 from labrun.errors import ExperimentError
 from labrun.objectives import Asked
-from labrun.runner.by_hand import Person
+from labrun.runner.by_hand import Person, answered
 
 BACK = "back"
-_MOST_ANSWERS = 10
-"""That are none, to one question: a script that never says anything else would be asked for ever."""
+_AGAIN = "what was recorded of this trial is kept; labrun resume runs it again, and asks again"
 _KEEP = "Enter: that is right.   back: the last answer was wrong."
 _BEFORE = "back: what was typed of the trial before was wrong."
 
@@ -156,24 +155,14 @@ class Asking:
 
     def _answer(self, text: str, hint: str, check: Callable[[str], object]) -> str:
         """Return the line that was typed once `check` takes it, or `BACK`."""
-        problem = ""
-        for _ in range(_MOST_ANSWERS):
-            lines = [*([f"{problem}."] if problem else []), text, *([f"  {hint}"] if hint else [])]
-            self._person.ask("\n".join(lines))
-            while (line := self._person.answer()) is None:
-                self._wait()
+
+        def meaning(line: str) -> str:
             if line.strip().lower() == BACK:
                 return BACK
-            try:
-                check(line)
-            except ValueError as error:
-                problem = str(error)
-            else:
-                return line.strip()
-        raise ExperimentError(
-            f"{_MOST_ANSWERS} answers to {text!r} were none; the last: {problem}",
-            hint="what was recorded of this trial is kept; labrun resume runs it again, and asks again",
-        )
+            check(line)
+            return line.strip()
+
+        return answered(self._person, self._wait, text, hint, meaning, _AGAIN)
 
 
 def _kept(line: str) -> None:

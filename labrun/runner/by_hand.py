@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from labrun.errors import ExperimentError
 from labrun.runner.measurement import Order, block_order
@@ -31,6 +31,43 @@ class Person(Protocol):
     def answer(self) -> str | None:
         """Return the line that was typed since `ask`, without its end; None while there is none. Does not wait."""
         ...
+
+
+Meant = TypeVar("Meant")
+
+
+def answered(
+    person: Person,
+    wait: Callable[[], object],
+    text: str,
+    answers: str,
+    meaning: Callable[[str], Meant],
+    hint: str,
+) -> Meant:
+    """Ask a person until a line means something.
+
+    Parameters
+    ----------
+    wait
+        Waits a moment; raises if someone asked to stop.
+    text, answers
+        The question, and what can be answered.
+    meaning
+        Returns what a line means; raises ValueError, which says why it is none.
+    hint
+        What to do where `_MOST_ANSWERS` lines were none.
+    """
+    lines = [text, *([f"  {answers}"] if answers else [])]
+    problem = ""
+    for _ in range(_MOST_ANSWERS):
+        person.ask("\n".join([f"{problem}.", *lines] if problem else lines))
+        while (line := person.answer()) is None:
+            wait()
+        try:
+            return meaning(line)
+        except ValueError as error:
+            problem = str(error)
+    raise ExperimentError(f"{_MOST_ANSWERS} answers to {text!r} were none; the last: {problem}", hint=hint)
 
 
 class Willing:
@@ -187,7 +224,8 @@ class Mountings:
                 return self._coming.popleft() if coming is not None else None
             event = self._recorded(index)
             if event is None:
-                wrong = self._asked(self._question(coming), _END if coming is None else _CHANGE, self._meant)
+                answers = _END if coming is None else _CHANGE
+                wrong = self._asked(self._question(coming), answers, self._meant)
                 self._seen = self._count + 1
             else:
                 self._given.popleft()
@@ -258,20 +296,14 @@ class Mountings:
     def _numbered(self, number: int) -> Mounting | None:
         return next((item for item in self._mounted if item.number == number), None)
 
-    def _asked(self, text: str, answers: str, meaning: Callable[[str], Any]) -> Any:
-        """Ask until the answer is one."""
-        self._person.ask(f"{text}\n  {answers}")
-        for _ in range(_MOST_ANSWERS):
-            while (line := self._person.answer()) is None:
-                self._wait()
-            try:
-                return meaning(line.strip().lower())
-            except ValueError as error:
-                problem = str(error)
-                self._person.ask(f"{problem}.\n{text}\n  {answers}")
-        raise ExperimentError(
-            f"{_MOST_ANSWERS} answers to {text!r} were none; the last: {problem}",
-            hint="the answers are: " + answers,
+    def _asked(self, text: str, answers: str, meaning: Callable[[str], Meant]) -> Meant:
+        return answered(
+            self._person,
+            self._wait,
+            text,
+            answers,
+            lambda line: meaning(line.strip().lower()),
+            "the answers are: " + answers,
         )
 
     def _take_back(self, mounting: Mounting, index: int, *, known: bool) -> None:

@@ -8,7 +8,7 @@ from labrun.errors import LabrunError
 from labrun.objectives import Asked, Objective, TrialSignals, Truncated, make_objective
 from labrun.runner.motion import TrialMotion
 from labrun.signals import LongSignals, Signal, Signals
-from labrun.spec import Condition, Experiment, TrialTable
+from labrun.spec import Condition, Experiment
 
 
 class ObjectiveError(LabrunError):
@@ -54,7 +54,7 @@ class ObjectiveEvaluation:
         ObjectiveError
             A value is not finite, or cannot be computed; names objective, channel and cause.
         """
-        signals = trial_signals(measured, motion, condition, self._trial)
+        signals = self._seen(measured, motion, condition)
         values: dict[str, float] = {}
         for name, objective in self._objectives.items():
             if answers is not None and name in answers:
@@ -81,10 +81,27 @@ class ObjectiveEvaluation:
         """Return what cycles that the window cuts may have done to objectives, see `Truncated`; without zeros."""
         if self._trial.average is None:
             return {}
-        signals = trial_signals(measured, motion, condition, self._trial)
+        signals = self._seen(measured, motion, condition)
         known = {n: one for n, one in self._objectives.items() if isinstance(one, Truncated)}
         found = {name: one.truncation(signals) for name, one in known.items()}
         return {name: bound for name, bound in found.items() if bound > 0.0}
+
+    def _seen(
+        self, measured: Mapping[str, Signals | LongSignals], motion: TrialMotion, condition: Condition
+    ) -> TrialSignals:
+        """Return what objectives see: every channel by ``device.channel``, tared, in trial-relative time."""
+        return TrialSignals(
+            signals=_TaredSignals(measured),
+            command=motion.trajectory,
+            start_s=0.0,
+            end_s=motion.duration_s,
+            period_s=motion.period_s,
+            discard_cycles=self._trial.discard_cycles,
+            counts_from_s=motion.counts_from_s,
+            condition=condition,
+            average=self._trial.average,
+            frequencies_hz=motion.frequencies_hz,
+        )
 
 
 def _place(objective: Objective, error: Exception) -> str:
@@ -99,34 +116,14 @@ def _place(objective: Objective, error: Exception) -> str:
     return f"{where[0]}, line {where[1]}"
 
 
-def trial_signals(
-    measured: Mapping[str, Signals | LongSignals],
-    motion: TrialMotion,
-    condition: Condition,
-    trial: TrialTable,
-) -> TrialSignals:
-    """Return what objectives see: every channel by ``device.channel``, tared, in trial-relative time."""
-    return TrialSignals(
-        signals=_TaredSignals(measured),
-        command=motion.trajectory,
-        start_s=0.0,
-        end_s=motion.duration_s,
-        period_s=motion.period_s,
-        discard_cycles=trial.discard_cycles,
-        counts_from_s=motion.counts_from_s,
-        condition=condition,
-        average=trial.average,
-        frequencies_hz=motion.frequencies_hz,
-    )
-
-
 class _TaredSignals(Mapping[str, Signal]):
     """Every channel by ``device.channel``, made when asked for, whole or in pieces: a trial may exceed memory."""
 
     def __init__(self, measured: Mapping[str, Signals | LongSignals]) -> None:
         self._places = {
             f"{name}.{column}": (signals, column)
-            for name, signals in ((name, signals.tared()) for name, signals in measured.items())
+            for name, raw in measured.items()
+            for signals in [raw.tared()]
             for column in signals.columns
         }
 

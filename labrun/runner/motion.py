@@ -266,7 +266,7 @@ class MotionMaker:
         move = self._trial.carriage
         if move is None:
             return None
-        speed = float(evaluate(move.speed_m_s, _names(condition)))
+        speed = float(evaluate(move.speed_m_s, condition))
         return Travel(
             move.device,
             float(move.from_m),
@@ -322,10 +322,6 @@ def _still(key: str, condition: Condition) -> PlanError:
         f'{key} = "fit" with a carriage that stands still at {condition_text(condition)}',
         hint=f"give {key} a number, or the carriage a speed above zero",
     )
-
-
-def _names(condition: Condition) -> Mapping[str, float | str]:
-    return condition
 
 
 def _too_long(duration_s: float, available_s: float) -> tuple[Excess, ...]:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from labrun.devices import Samples, Trajectory
 from labrun.runner.bench import Bench
 from labrun.runner.motion import TrialMotion
-from labrun.runner.sensing import loss_share
 from labrun.spec import Condition
 from labrun.store import Role, TrialWriter
 
@@ -46,10 +45,11 @@ class SampleCollector:
             if count:
                 return f"device {name}: {count} samples at the end of the measuring range"
         for name, count in self.lost.items():
-            share = loss_share(self.samples[name], count)
+            made = count + self.samples[name]
+            share = count / max(made, 1)
             if share > max_lost_share:
                 return (
-                    f"device {name}: {count} of {count + self.samples[name]} samples were lost "
+                    f"device {name}: {count} of {made} samples were lost "
                     f"({100 * share:.2g} %, {100 * max_lost_share:.2g} % is allowed)"
                 )
         return ""

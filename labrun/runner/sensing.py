@@ -143,9 +143,3 @@ def limit_error(device: str, excess: Excess, *, time_s: float | None = None) -> 
     )
     error.clock_s = excess.time_s if time_s is None else time_s
     return error
-
-
-def loss_share(samples: int, lost: int) -> float:
-    """Return the share of samples that never arrived."""
-    made = samples + lost
-    return lost / made if made else 0.0

@@ -1,7 +1,6 @@
 """A session at the bench: conditions in, measurements out; every trial stored on the way."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from labrun.devices import Clock
@@ -192,7 +191,7 @@ class Session:
         found = [Measurement(condition, role, ()) for condition in conditions]
         self._decided = self.index
         self._tell_worn(conditions)
-        with self._interruptible():
+        with interruptible(self._rig.safe_stop) as self._request:
             self._hands.plan(
                 conditions, order, seed=self._seed, trial_index=self.index, damages=self._damage.would
             )
@@ -281,12 +280,6 @@ class Session:
         self._check_stop()
         self._rig.beat()
         self._bench.clock.sleep(self._bench.clock.poll_s)
-
-    @contextmanager
-    def _interruptible(self) -> Iterator[None]:
-        with interruptible(self._rig.safe_stop) as request:
-            self._request = request
-            yield
 
     def _check_stop(self) -> None:
         self._request.check()

@@ -36,7 +36,7 @@ class Stillness:
 
 
 def stillness(time_s: FloatArray, values: FloatArray) -> Stillness | None:
-    """StillnessMonitor one window.
+    """Tell how much of a window is motion, beyond its noise.
 
     Samples are averaged in up to 20 bins. The variance between bins, less what the noise within them explains, is that
     of the slow part (one-way random-effects analysis of variance; Searle, Casella, McCulloch, "Variance components",
@@ -181,7 +181,7 @@ class StillnessMonitor:
         return found
 
     def look_back(self, now_s: float, lengths: float) -> Stillness | None:
-        """StillnessMonitor the last `lengths` hold times as one window; None while they are not full."""
+        """Judge the last `lengths` hold times as one window; None while they are not full."""
         parts = [window.judge(now_s, lengths) for window in self._windows.values()]
         found = [part for part in parts if part is not None]
         if len(found) < len(parts):

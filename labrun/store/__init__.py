@@ -42,12 +42,12 @@ from labrun.store.trial import (
     settle_curve,
 )
 from labrun.store.trial_file import COMMAND, check_columns, check_names
-from labrun.store.watching import RunWatch, SeenTrial, Trace, read_trace
+from labrun.store.watching import RunWatch, Trace, read_trace
 from labrun.store.writer import TrialWriter
 
 __all__ = [
     "COMMAND", "JOURNAL", "JUMP_S", "PACKED", "PROVENANCE", "SPEC", "TRIALS", "Between", "ClockMap", "Journal",
-    "RecordedTrial", "Recording", "Role", "Run", "RunFolder", "RunWatch", "SeenTrial", "SettleSummary",
+    "RecordedTrial", "Recording", "Role", "Run", "RunFolder", "RunWatch", "SettleSummary",
     "SignalInfo", "Status", "StreamReport", "Trace", "TrialOutcome", "TrialWriter", "all_runs", "check_columns",
     "check_names", "collect", "export_run", "find_run", "find_unfinished", "import_recording",
     "imported_channels", "imported_source", "is_finished", "is_recording", "json_ready", "known_units",

@@ -43,21 +43,14 @@ def write_all(descriptor: int, data: bytes) -> None:
         view = view[os.write(descriptor, view) :]
 
 
-def write_synced(path: Path, data: bytes) -> None:
-    """Write a file and wait until it is on disk; its name becomes durable with `fsync_directory`."""
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
-    try:
-        write_all(descriptor, data)
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
 def replace_durably(path: Path, data: bytes) -> None:
     """Put a small file in place whole: at any instant it has its old or its new content."""
     partial = path.with_name(f".{path.name}.partial")
     try:
-        write_synced(partial, data)
+        with partial.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
         partial.rename(path)
     except OSError:
         partial.unlink(missing_ok=True)
@@ -116,14 +109,6 @@ def in_bytes(count: float) -> str:
     return f"{count:.0f} bytes"
 
 
-def free_space(path: Path) -> str:
-    """Return the free space of the disk `path` is on, for a person."""
-    try:
-        return in_bytes(shutil.disk_usage(path).free)
-    except OSError:
-        return "an unknown amount"
-
-
 @contextmanager
 def saving(what: str, where: Path, saved: str = "what was stored before is untouched") -> Iterator[None]:
     """Turn an `OSError` of the writing inside into a `StoreError` that says what is saved and what is free.
@@ -150,9 +135,11 @@ def saving(what: str, where: Path, saved: str = "what was stored before is untou
                 else "the file would exceed the size the system allows"
             )
             hint = f"free some space (or move {where} to a larger disk), then labrun resume {where}"
-        message = (
-            f"{what} could not be written to {where}: {cause}; {free_space(where)} free on this disk; {saved}"
-        )
+        try:
+            free = in_bytes(shutil.disk_usage(where).free)
+        except OSError:
+            free = "an unknown amount"
+        message = f"{what} could not be written to {where}: {cause}; {free} free on this disk; {saved}"
         raise StoreError(message, hint=hint) from error
 
 

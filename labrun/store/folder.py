@@ -237,12 +237,9 @@ class RunFolder:
         RecordingError
             There is no such trial.
         """
-        known = self._known if self._known is not None else self.outcomes()
-        if index not in known:
-            raise RecordingError(f"{self.path} has no trial {index} to mark as {status}")
+        known = self._with_trial(index, f"mark as {status}")
         self.journal.append("mark", index=index, status=status, reason=reason)
         known[index] = known[index].marked(status, reason)
-        self._known = known
 
     def correct(self, index: int, objectives: Mapping[str, float]) -> None:
         """Replace values of a stored trial that a person typed; the journal keeps those of before.
@@ -252,12 +249,17 @@ class RunFolder:
         RecordingError
             There is no such trial.
         """
-        known = self._known if self._known is not None else self.outcomes()
-        if index not in known:
-            raise RecordingError(f"{self.path} has no trial {index} to correct")
+        known = self._with_trial(index, "correct")
         self.journal.append("corrected", index=index, objectives=dict(objectives))
         known[index] = known[index].corrected(objectives)
-        self._known = known
+
+    def _with_trial(self, index: int, purpose: str) -> dict[int, TrialOutcome]:
+        """Return the outcomes as they are known; RecordingError unless the trial is among them."""
+        if self._known is None:
+            self._scan(repair=False)
+        if self._known is None or index not in self._known:
+            raise RecordingError(f"{self.path} has no trial {index} to {purpose}")
+        return self._known
 
     def pack(self) -> Path:
         """Put all trials into ``run.h5``, verify it, and only then remove the trial files.

@@ -1,16 +1,13 @@
 """A recording made elsewhere becomes a run like any other."""
 
 import shutil
-from collections.abc import Sequence
 from pathlib import Path
 
 from labrun.devices import Channel, Samples
-from labrun.signals import Signals
 from labrun.store.folder import RunFolder
 from labrun.store.provenance import software_and_machine
 from labrun.store.reading import outcomes_of
 from labrun.store.recording import read_recording
-from labrun.store.trial import TrialOutcome
 
 
 def import_recording(folder: Path, results: Path) -> Path:
@@ -41,19 +38,16 @@ def import_recording(folder: Path, results: Path) -> Path:
     try:
         with run.lock():
             for outcome, trial in zip(outcomes_of(recording), recording.trials, strict=True):
-                _store(run, outcome, trial.signals(recording))
+                writer = run.writer(outcome.index)
+                for signals in trial.signals(recording):
+                    channels = tuple(map(Channel, signals.columns, signals.units))
+                    # its one time stands for the device's and the host's, and comes back unchanged
+                    samples = Samples(signals.time_s, signals.time_s, signals.values)
+                    writer.append(signals.name, channels, signals.rate_hz, samples)
+                writer.finish(outcome, None, None)
             run.pack()
             run.journal.append("finished", trials={"done": len(recording.trials), "rejected": 0, "failed": 0})
     except BaseException:
         shutil.rmtree(run.path, ignore_errors=True)
         raise
     return run.path
-
-
-def _store(run: RunFolder, outcome: TrialOutcome, tables: Sequence[Signals]) -> None:
-    writer = run.writer(outcome.index)
-    for table in tables:
-        channels = tuple(map(Channel, table.columns, table.units))
-        # A recording has one time: it stands for the device's and the host's, and comes back unchanged.
-        writer.append(table.name, channels, table.rate_hz, Samples(table.time_s, table.time_s, table.values))
-    writer.finish(outcome, None, None)

@@ -113,7 +113,7 @@ class Journal:
         end = content.rfind(b"\n") + 1
         if end == len(content) and end > 0:
             start = content.rfind(b"\n", 0, end - 1) + 1
-            if not _is_event(content[start:end]):
+            if _event(content[start:end]) is None:
                 end = start
         tail = content[end:]
         self.torn = None
@@ -156,10 +156,6 @@ def _event(line: bytes) -> dict[str, Any] | None:
     except ValueError:
         return None
     return event if isinstance(event, dict) and "event" in event else None
-
-
-def _is_event(line: bytes) -> bool:
-    return _event(line) is not None
 
 
 class JournalTail:

@@ -36,7 +36,13 @@ def find_run(target: str | Path | None, results: Path) -> Path:
         There is none; names what is nearest, or how to make one.
     """
     if target is None:
-        return _latest(results)
+        runs = all_runs(results)
+        if not runs:
+            raise RequestError(
+                f"there is no run yet in {results}",
+                hint="labrun run hinge --dry-run makes one; labrun list shows more",
+            )
+        return runs[-1]
     target = str(target)
     given = Path(target).expanduser()
     if given.is_file():
@@ -51,16 +57,6 @@ def find_run(target: str | Path | None, results: Path) -> Path:
     if own:
         return own[-1]
     raise _unknown(target, results)
-
-
-def _latest(results: Path) -> Path:
-    runs = all_runs(results)
-    if not runs:
-        raise RequestError(
-            f"there is no run yet in {results}",
-            hint="labrun run hinge --dry-run makes one; labrun list shows more",
-        )
-    return runs[-1]
 
 
 def find_unfinished(target: str | None, results: Path) -> Path:

@@ -17,7 +17,7 @@ square, where one group a device opens in 0.1 s however many trials there are. S
 import json
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import asdict, astuple, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -158,13 +158,10 @@ class PackedTrials:
 def holds(path: Path, outcomes: Mapping[int, TrialOutcome], sums: Mapping[str, Sums]) -> bool:
     """Tell whether a packed file, read anew as any reader would, holds exactly these outcomes and signals."""
     try:
-        packed = PackedTrials(path)
+        with closing(PackedTrials(path)) as packed:
+            return packed.holds(outcomes, sums)
     except RecordingError:
         return False
-    try:
-        return packed.holds(outcomes, sums)
-    finally:
-        packed.close()
 
 
 def read_outcomes(path: Path) -> dict[int, TrialOutcome]:

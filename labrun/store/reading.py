@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -205,11 +205,8 @@ def _open_folder(folder_path: Path, target: Path) -> Run:
 
 
 def _open_packed(path: Path) -> Run:
-    packed = PackedTrials(path)
-    try:
+    with closing(PackedTrials(path)) as packed:
         return Run(path, packed.texts, [*packed.outcomes.values()], TrialSource(path, {}))
-    finally:
-        packed.close()
 
 
 def _open_recording(folder: Path) -> Run:

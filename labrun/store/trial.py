@@ -1,7 +1,7 @@
 """What one trial leaves behind beside its samples: its outcome, and how the bench came to rest before it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -109,13 +109,7 @@ class TrialOutcome:
 
     def to_record(self) -> dict[str, Any]:
         """Return the whole outcome, JSON-ready by `json_ready`; floats come back bit for bit."""
-        record = {name: getattr(self, name) for name in self.__slots__}
-        record["settle"] = (
-            None
-            if self.settle is None
-            else {name: getattr(self.settle, name) for name in SettleSummary.__slots__}
-        )
-        return record
+        return asdict(self)
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "TrialOutcome":

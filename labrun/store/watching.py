@@ -5,7 +5,7 @@ import os
 import platform
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from labrun.signals import LongSignals
 from labrun.store.folder import TrialSource
 from labrun.store.journal import JournalTail, stamp_s
 from labrun.store.locate import JOURNAL, PACKED, TRIALS
-from labrun.store.trial import Role, Status, TrialOutcome
+from labrun.store.trial import TrialOutcome
 from labrun.store.trial_file import BESIDE, TrialFile
 
 _ENDS = ("finished", "failed", "interrupted", "limit-reached")
@@ -25,19 +25,6 @@ _SILENCE = 3.0
 """A run is silent when it says nothing for so many times the longest pause it has made."""
 _RATED_TRIALS = 50
 _BETWEEN_LOOKS_S = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class SeenTrial:
-    """A stored trial, as the journal tells of it."""
-
-    index: int
-    condition: Mapping[str, float | str]
-    repeat: int
-    role: Role
-    status: Status
-    reason: str
-    objectives: Mapping[str, float]
 
 
 class RunWatch:
@@ -53,7 +40,7 @@ class RunWatch:
     Attributes
     ----------
     trials
-        By index, with later marks applied.
+        By index, as far as the journal tells of them, with later marks applied.
     expected
         Number of trials the run expects in all; None if it cannot know.
     last
@@ -72,7 +59,7 @@ class RunWatch:
         self._clear()
 
     def _clear(self) -> None:
-        self.trials: dict[int, SeenTrial] = {}
+        self.trials: dict[int, TrialOutcome] = {}
         self.expected: int | None = None
         self.last: dict[str, Any] | None = None
         self.ended: dict[str, Any] | None = None
@@ -159,8 +146,8 @@ class RunWatch:
         elif kind == "trial":
             self._store(event)
         elif kind == "mark" and event["index"] in self.trials:
-            marked = self.trials[event["index"]]
-            self.trials[event["index"]] = replace(marked, status=event["status"], reason=event["reason"])
+            marked = self.trials[event["index"]].marked(event["status"], event["reason"])
+            self.trials[event["index"]] = marked
         elif kind == "damaged":
             self.trials.pop(event["index"], None)
 
@@ -176,14 +163,14 @@ class RunWatch:
         index = event["index"]
         prepared = self._prepared.pop(index, {})
         stamp = stamp_s(event)
-        self.trials[index] = SeenTrial(
+        self.trials[index] = TrialOutcome(
             index,
             prepared.get("condition", {}),
             event["repeat"],
             event["role"],
             event["status"],
             event.get("reason", ""),
-            event.get("objectives", {}),
+            objectives=event.get("objectives", {}),
         )
         if stamp is not None:
             self._trial_stamps_s.append(stamp)
@@ -194,15 +181,7 @@ class RunWatch:
             del self._prepared[lost]
             outcome = read_outcome(self.folder / TRIALS, lost)
             if outcome is not None:
-                self.trials[lost] = SeenTrial(
-                    lost,
-                    outcome.condition,
-                    outcome.repeat,
-                    outcome.role,
-                    outcome.status,
-                    outcome.reason,
-                    outcome.objectives,
-                )
+                self.trials[lost] = outcome
 
 
 MOST_SAMPLES = 100_000

@@ -22,7 +22,6 @@ from labrun.report.live import braille_curve, render
 from labrun.runner import SimulatedClock
 from labrun.store.folder import RunFolder
 from labrun.store.trial import TrialOutcome
-from labrun.store.watching import SeenTrial
 
 SPEC = """
 title = "Thrust of a tail"
@@ -307,7 +306,7 @@ def test_text_without_unicode_has_no_dots(folder):
 
 def _seen(index, a, value, **changes):
     fields = {"role": "measure", "status": "done"} | changes
-    return SeenTrial(index, {"a": a}, 0, reason="", objectives={"thrust": value}, **fields)
+    return TrialOutcome(index, {"a": a}, 0, reason="", objectives={"thrust": value}, **fields)
 
 
 def test_the_best_has_all_its_repeats_as_soon_as_any_condition_has():

@@ -2,7 +2,6 @@
 
 import dataclasses
 import hashlib
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +15,7 @@ from labrun.errors import ModelError
 from labrun.models.mjcf.elements import Elements, ReferenceProblem
 from labrun.models.mjcf.model import MujocoModel, functions
 from labrun.models.mjcf.plant import MemoryPlace, MjcfLayout, imported, pack
-from labrun.models.mjcf.robot import robot_spec
+from labrun.models.mjcf.robot import identifier, robot_spec
 from labrun.models.model import Output, Parameter
 from labrun.models.tables import ModelFile, MujocoFile
 from labrun.models.toml_model import (
@@ -314,17 +313,17 @@ def _states(file: ModelFile, elements: Elements, renamed: Mapping[str, str]) -> 
             turning = quantity.startswith("q")
             if quantity == "qw":
                 quaternions.append((len(names), MemoryPlace("data", "qvel", dof + index)))
-            names.append(_name(label, quantity))
+            names.append(identifier(f"{label}_{quantity}"))
             places.append(MemoryPlace("data", "qpos", first + index))
             rates.append(None if turning else MemoryPlace("data", "qvel", dof + index))
     for joint, label in enumerate(joints):
         for index, quantity in enumerate(elements.joint_quantities(joint)[1]):
             dof = int(model.jnt_dofadr[joint]) + index
-            names.append(_name(label, quantity))
+            names.append(identifier(f"{label}_{quantity}"))
             places.append(MemoryPlace("data", "qvel", dof))
             rates.append(MemoryPlace("data", "qacc", dof))
     for index, label in enumerate(elements.activations()):
-        names.append(_name(label, "activation"))
+        names.append(identifier(f"{label}_activation"))
         places.append(MemoryPlace("data", "act", index))
         rates.append(MemoryPlace("data", "act_dot", index))
     _rename(file, elements, renamed, names, places)
@@ -349,9 +348,3 @@ def _rename(
     twice = {name for name in names if names.count(name) > 1}
     for name in sorted(twice):
         file.note(("states",), f"two states are called {name!r}", "give one another name in [states]")
-
-
-def _name(label: str, quantity: str) -> str:
-    """Return a name that equations can use."""
-    name = re.sub(r"[^A-Za-z0-9_]", "_", f"{label}_{quantity}")
-    return name if name[:1].isalpha() else f"joint_{name}"

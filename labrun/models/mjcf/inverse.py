@@ -100,7 +100,7 @@ def tip_body(model: Any) -> int:
     heavy = [k for k in range(1, model.nbody) if model.body_mass[k] > 0 and _moved(model, k)]
     if not heavy:
         return 0
-    chain = [body for body in heavy if _root(model, body) == _root(model, heavy[0])]
+    chain = [body for body in heavy if model.body_rootid[body] == model.body_rootid[heavy[0]]]
     return max(chain, key=lambda body: _depth(model, body))
 
 
@@ -126,10 +126,6 @@ def _depth(model: Any, body: int) -> int:
     while body:
         body, count = int(model.body_parentid[body]), count + 1
     return count
-
-
-def _root(model: Any, body: int) -> int:
-    return int(model.body_rootid[body])
 
 
 @dataclass(frozen=True)

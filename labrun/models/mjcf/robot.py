@@ -1,7 +1,7 @@
 """A robot from an MJCF or URDF file alone: what drives it, what is measured, and a site at every joint."""
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -172,8 +172,13 @@ def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | N
         joint.name = joint.name or f"joint{number}"
     for number, actuator in enumerate(spec.actuators):
         actuator.name = actuator.name or actuator.target or f"actuator{number}"
-    simple = [joint for joint in spec.joints if joint.type in _simple(mujoco)]
-    remarks += _unmatched(spec, simple)
+    kinds = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+    simple = [joint for joint in spec.joints if joint.type in kinds]
+    others = [joint.name for joint in spec.joints if joint.type not in kinds]
+    if others:
+        remarks.append(
+            f"{', '.join(others)}: ball and free joints move, but have no site and are not compared with a log"
+        )
     driven = {actuator.target for actuator in spec.actuators if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT}
     wanted: Mapping[str, Drive]
     if drives == "undriven":
@@ -189,7 +194,8 @@ def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | N
         if names:
             remarks.append(f"{', '.join(names)}: the file has no actuator there; {words} was added")
     model = _compile(spec, path)
-    remarks += _equalities(model)
+    if model.neq:
+        remarks.append(f"{model.neq} equality constraints are kept; MuJoCo holds them softly")
     return Robot(
         name=re.sub(r"[^A-Za-z0-9_-]", "-", spec.modelname or path.stem),
         xml=spec.to_xml(),
@@ -260,22 +266,6 @@ def _compile(spec: Any, path: Path) -> Any:
         return spec.compile()
     except ValueError as error:
         raise refusal(path, error, doing="build") from None
-
-
-def _simple(mujoco: Any) -> tuple[Any, Any]:
-    return mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
-
-
-def _unmatched(spec: Any, simple: Sequence[Any]) -> Iterator[str]:
-    others = [joint.name for joint in spec.joints if all(joint is not one for one in simple)]
-    others = [name for name in others if name not in {one.name for one in simple}]
-    if others:
-        yield f"{', '.join(others)}: ball and free joints move, but have no site and are not compared with a log"
-
-
-def _equalities(model: Any) -> Iterator[str]:
-    if model.neq:
-        yield f"{model.neq} equality constraints are kept; MuJoCo holds them softly"
 
 
 def _add_actuators(spec: Any, model: Any, drives: Mapping[str, Drive]) -> None:
