@@ -192,7 +192,8 @@ def _counted(found: Plan, experiment: Experiment, chosen: Sequence[Condition], c
         notes = (*notes, *_damage_notes(experiment, chosen))
     by_hand = experiment.by_hand
     if by_hand is not None:
-        groups = len({condition_key(by_hand.values(condition)) for condition in chosen})
+        mounted = chosen or levels_of(experiment)  # candidates of a search are mounted by their level
+        groups = len({condition_key(by_hand.values(condition)) for condition in mounted})
         count, what = groups * by_hand.mountings, ", ".join(by_hand.names)
         some = "1 mounting" if count == 1 else f"{count} mountings"
         notes = (*notes, f"{some} of {what} by hand: how long that takes is not counted")

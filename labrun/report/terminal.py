@@ -367,7 +367,7 @@ def _between(least: str, most: str) -> str:
 
 
 def _joint(peak: JointPeak) -> str:
-    low, high = peak.angle_deg
+    low, high = (angle + 0.0 for angle in peak.angle_deg)  # 0 for -0
     angle = f"{low:.4g} deg" if low == high else f"{low:.4g} to {high:.4g} deg"
     limit = peak.angle_limit_deg
     angle += f" ({_NO_LIMIT})" if limit is None else f" (limit {limit[0]:g} to {limit[1]:g})"

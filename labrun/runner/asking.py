@@ -101,7 +101,7 @@ class Asking:
             typed = [self._of_scene(name) for name in names]
         else:
             before = self._before if self._before is not None and self._may_correct(self._before[0]) else None
-            typed = self._of_person(names, about, before)
+            typed = self._of_person(index, names, about, before)
             self._before = index, about
         return self._values(index, names, typed)
 
@@ -131,7 +131,9 @@ class Asking:
             ) from error
         return text
 
-    def _of_person(self, names: list[str], about: str, before: tuple[int, str] | None = None) -> list[str]:
+    def _of_person(
+        self, index: int, names: list[str], about: str, before: tuple[int, str] | None = None
+    ) -> list[str]:
         """Return the lines that were typed; `before` is the stored trial whose lines may be typed anew."""
         typed: list[str] = []
         while True:
@@ -139,7 +141,7 @@ class Asking:
             if place == len(names):
                 said = ", ".join(f"{name} = {text}" for name, text in zip(names, typed, strict=True))
                 if self._answer(f"{about}: {said}", _KEEP, _kept) == BACK:
-                    typed.pop()
+                    self._take_back(index, names, typed)
                     continue
                 return typed
             question = self._questions[names[place]]
@@ -147,11 +149,19 @@ class Asking:
             hint = "back: the answer before was wrong." if typed else first
             answer = self._answer(f"{about}: {question.question}", hint, question.number)
             if answer == BACK and typed:
-                typed.pop()
+                self._take_back(index, names, typed)
             elif answer == BACK and before is not None:
-                self._correct(before[0], self._values(before[0], names, self._of_person(names, before[1])))
+                anew = self._of_person(before[0], names, before[1])
+                self._correct(before[0], self._values(before[0], names, anew))
             elif answer != BACK:
                 typed.append(answer)
+
+    def _take_back(self, index: int, names: list[str], typed: list[str]) -> None:
+        """Forget the last line that was typed, but for the journal."""
+        text, name = typed.pop(), names[len(typed)]
+        question = self._questions[name]
+        value = question.value(question.number(text))
+        self._journal("taken_back", **self._record(index, name, text, value))
 
     def _answer(self, text: str, hint: str, check: Callable[[str], object]) -> str:
         """Return the line that was typed once `check` takes it, or `BACK`."""

@@ -128,8 +128,8 @@ class TrialRunner:
         simulated = Onlooker.of(self._rig.scene, self._bench.clock) if isinstance(person, Willing) else None
         if questions and isinstance(person, Willing) and simulated is None:
             raise ExperimentError(
-                f"{', '.join(questions)} would be typed by a person, and the scene has no answer in their place",
-                hint="give the scene a method answer(), run it on the bench, or from Python with person=...",
+                f"{', '.join(questions)} would be typed by a person, and no scene answers in their place",
+                hint="--dry-run with a scene that has a method answer(), the bench, or Python with person=...",
             )
         return Asking(questions, person, simulated, self._journal, wait, may_correct, correct)
 

@@ -1,5 +1,6 @@
 """From a file to an experiment, or to everything that is wrong with it."""
 
+import contextlib
 import functools
 import re
 import tomllib
@@ -15,9 +16,22 @@ from labrun.errors import RequestError, SpecError
 from labrun.spec.checks import cross_check
 from labrun.spec.experiment import ROBOT_FILES, ROBOT_SCENE, Experiment, written_out
 from labrun.spec.plugins import load_plugin
-from labrun.spec.raw import condition_names, one_or_several, table, tables
+from labrun.spec.raw import condition_names, gait_expressions, one_or_several, table, tables
 from labrun.spec.workspace import find_experiment, find_model_file
-from labrun.toml import Fault, KeyPath, Places, dotted, locate, parsed, refusal, suggest, text_of, validate
+from labrun.toml import (
+    ExpressionError,
+    Fault,
+    KeyPath,
+    Places,
+    dotted,
+    locate,
+    names_in,
+    parsed,
+    refusal,
+    suggest,
+    text_of,
+    validate,
+)
 
 _BARE_WORD = re.compile(r"[^\"'\[\]{}=]+")
 
@@ -215,10 +229,10 @@ def _load(
     data = parsed(text, str(path), kind=SpecError)
     _expand_short_forms(data, overrides)
     origins = apply_overrides(data, overrides)
-    unreadable = [*_embed_files(data, beside), *_names_of_leaders(data, beside)]
+    unreadable, nameless = _embed_files(data, beside), _names_of_leaders(data, beside)
     experiment, faults = validate(Experiment, data)
-    faults += unreadable
-    if plugins:
+    faults += [*unreadable, *nameless]
+    if plugins and not nameless:  # without the names of its conditions every use of one would be a fault
         faults += cross_check(data, beside)
     if experiment is None or faults:
         raise refusal(SpecError, str(path), Places(str(path), text, data, origins).of_all(faults))
@@ -303,9 +317,15 @@ def _names_of_leaders(data: dict[str, Any], experiment: Path | None) -> list[Fau
     conditions, beside = table(data, "run").get("conditions"), table(data, "leaders").get("beside")
     faults = []
     if isinstance(conditions, dict):
-        faults += _name_leaders(conditions, ("run", "conditions", "leaders_of"), experiment)
+        path: KeyPath = ("run", "conditions", "leaders_of")
+        faults += _name_leaders(conditions, path, experiment)
+        theirs = set(conditions.get("names", ())) - {"gait"}
+        used = _used_by_gait(data) - set(table(data, "run", "over")) - {"gait"}
+        if theirs and used and not theirs & used:
+            listed = f"{', '.join(sorted(theirs))}, and the gait here takes {', '.join(sorted(used))}"
+            faults.append(Fault(path, f"their conditions have the names {listed}", at_value=True))
     if isinstance(beside, dict):
-        path: KeyPath = ("leaders", "beside", "leaders_of")
+        path = ("leaders", "beside", "leaders_of")
         faults += _name_leaders(beside, path, experiment)
         shared = [*table(data, str(data.get("kind")), "over"), *table(data, str(data.get("kind")), "each")]
         own = {name for name in condition_names(data) if name not in shared}
@@ -314,6 +334,15 @@ def _names_of_leaders(data: dict[str, Any], experiment: Path | None) -> list[Fau
             listed = f"{', '.join(sorted(theirs))}, and those here {', '.join(sorted(own))}"
             faults.append(Fault(path, f"their conditions have the names {listed}", at_value=True))
     return faults
+
+
+def _used_by_gait(data: Mapping[str, Any]) -> set[str]:
+    """Return the names in the expressions of the gait's joints that can be read."""
+    used: set[str] = set()
+    for _, expression in gait_expressions(data):
+        with contextlib.suppress(ExpressionError):
+            used |= names_in(expression) if isinstance(expression, str) else set()
+    return used
 
 
 def _name_leaders(wanted: dict[str, Any], path: KeyPath, experiment: Path) -> list[Fault]:

@@ -145,8 +145,19 @@ def test_a_run_that_did_not_finish_has_no_leaders(bench):
 def test_an_experiment_that_is_not_there_is_told_at_its_place(tmp_path, bench):
     path = tmp_path / "experiments" / "field.toml"
     path.write_text(FIELD.replace('"lab"', '"labb"'))
-    with pytest.raises(SpecError, match=r"field.toml:\d+:\d+: run.conditions.leaders_of"):
+    with pytest.raises(SpecError, match=r"field.toml:\d+:\d+: run.conditions.leaders_of") as told:
         load_experiment(Path(path))
+    assert "unknown name" not in str(told.value)  # what follows from it is not told as well
+
+
+def test_an_experiment_that_varies_something_else_altogether_is_told_at_its_place(tmp_path, bench):
+    path = tmp_path / "experiments" / "field.toml"
+    path.write_text(FIELD.replace('frequency_hz = "f"', 'frequency_hz = "g"').replace('"a"', '"b"'))
+    with pytest.raises(
+        SpecError, match=r"field.toml:\d+:\d+: run.conditions.leaders_of = .* names a, f, .* takes b, g"
+    ) as told:
+        load_experiment(Path(path))
+    assert "unknown name" not in str(told.value)
 
 
 BESIDE = LAB.replace("count = 3", 'count = 3\nbeside = { leaders_of = "lab", count = 2 }') + (

@@ -86,7 +86,11 @@ def test_answers_become_values_and_who_and_when_are_kept():
 
 def test_back_takes_an_answer_back_before_and_after_the_last_one():
     typist = Typist("12", "back", "24", "yes", "back", "no", "")
-    assert asking(typist, []).ask(0, "trial 1") == {"turning": 15.0, "swims": 0.0}
+    events = []
+    assert asking(typist, events).ask(0, "trial 1") == {"turning": 15.0, "swims": 0.0}
+    assert [(event, one["typed"], one["value"]) for event, one in events] == [
+        ("taken_back", "12", 30.0), ("taken_back", "yes", 1.0), ("answered", "24", 15.0), ("answered", "no", 0.0),
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -175,7 +179,7 @@ def test_a_trial_of_which_the_answers_never_came_is_kept_and_asked_for_again(tmp
 
 
 def test_a_scene_that_cannot_answer_is_told_before_anything_moves(tmp_path):
-    with pytest.raises(ExperimentError, match="the scene has no answer"):
+    with pytest.raises(ExperimentError, match="no scene answers"):
         run(tmp_path, None)
 
 

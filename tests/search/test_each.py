@@ -2,6 +2,7 @@
 
 import pytest
 
+import labrun
 from labrun.app.resume import resume
 from labrun.app.run import execute
 from labrun.search import Best, stored_result, winner_lines
@@ -22,6 +23,10 @@ def each(write):
 @pytest.fixture
 def whole(each, dry_run):
     return dry_run(each)
+
+
+def test_the_plan_counts_a_mounting_for_each_level(each):
+    assert any(note.startswith("2 mountings of fin by hand") for note in labrun.check(each).notes)
 
 
 def test_every_level_has_a_search_a_winner_and_a_verdict_of_its_own(whole):

@@ -30,6 +30,11 @@ def test_a_spent_budget_tells_what_it_would_still_take_at_the_pace_so_far():
     assert "not converged" in found.text
 
 
+def test_one_generation_more_is_one():
+    assert "about 1 more generation (20 trials)" in verdict([*SHRINKING, 0.021]).text
+    assert "more generations (" in verdict(SHRINKING).text
+
+
 @pytest.mark.parametrize("spreads", [[0.3] * 12, [0.3, 0.2, 0.1], [0.3 * 1.05**n for n in range(12)], []])
 def test_candidates_that_do_not_draw_together_give_no_number(spreads):
     found = verdict(spreads)
