@@ -13,7 +13,7 @@ from labrun.models import Stepper
 SEEN = ["x", "y", "heading", "ahead", "aside", "turning"]
 GAIT = (40.0, 35.0, 20.0, -24.0, 1.4, 67.0)
 WINNER = (38.39, 38.68, -20.0, 18.57, 1.494, -65.0)
-"""What turn-torque finds (seed 2)."""
+"""What turn-torque finds."""
 FREE = {"hull_drag": 0.0, "drag_aside": 0.0, "yaw_drag": 0.0}
 
 
