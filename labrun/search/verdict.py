@@ -64,8 +64,8 @@ class Verdict:
         if self.further_generations is None:
             open_end = "they do not draw together yet, so nobody can say how much more it takes"
             return f"budget spent: {self.reason}; {rest}; {open_end}"
-        generations = f"{self.further_generations} more generation{'s' if self.further_generations > 1 else ''}"
-        some = f"about {generations} ({self.further_trials} trials)"
+        one_or_more = "generation" if self.further_generations == 1 else "generations"
+        some = f"about {self.further_generations} more {one_or_more} ({self.further_trials} trials)"
         return f"budget spent: {self.reason}; {rest}; at the pace so far that takes {some}"
 
     def to_record(self) -> dict[str, Any]:

@@ -21,7 +21,7 @@ SMALLER = {
         "--set trial.reference.every=4 --set leaders={count=2,repeats=2}"
     ),
     "turn-torque": (
-        "--set cmaes.population=6 --set cmaes.parents=3 --set cmaes.reevaluate=1 --set cmaes.stop.trials=40 "
+        "--set cmaes.population=6 --set cmaes.parents=3 --set cmaes.reevaluate=1 --set cmaes.stop.trials=24 "
         "--set trial.repeats=2 --set leaders={count=2,repeats=2}"
     ),
     "force-control": (
