@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
-from labrun.fit.method import FitJob
+from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Stack, TextTable
 from labrun.spec import condition_text
 from labrun.store import TrialOutcome, is_recording, open_run
@@ -193,13 +193,10 @@ def _first_zero(grid: FloatArray, difference: FloatArray) -> FloatArray:
     return np.where(found, grid[left] + share * (grid[left + 1] - grid[left]), np.nan)
 
 
-class CrossingFit:
+class CrossingFit(WithSettings[CrossingSettings]):
     """Where two curves cross, of every level of a factor."""
 
     Settings: ClassVar[type[BaseModel]] = CrossingSettings
-
-    def __init__(self, settings: CrossingSettings) -> None:
-        self._settings = settings
 
     def __call__(self, job: FitJob) -> FitSummary:
         """Fit.

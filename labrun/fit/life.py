@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
-from labrun.fit.method import FitJob
+from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Stack, TextTable
 from labrun.spec import condition_text
 from labrun.store import Run, TrialOutcome, open_run
@@ -80,13 +80,10 @@ class Weibull:
         return np.asarray(np.exp(-((cycles / self.scale) ** self.shape)))
 
 
-class LifeFit:
+class LifeFit(WithSettings[LifeSettings]):
     """Weibull lives with right-censoring, for every kind of specimen."""
 
     Settings: ClassVar[type[BaseModel]] = LifeSettings
-
-    def __init__(self, settings: LifeSettings) -> None:
-        self._settings = settings
 
     def __call__(self, job: FitJob) -> FitSummary:
         """Fit.

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, ClassVar, Generic, Protocol, TypeVar, cast
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -105,6 +105,18 @@ class FitPlugin(Protocol):
     def __call__(self, settings: Any) -> FitMethod:
         """Make the method of its validated settings."""
         ...
+
+
+Keys = TypeVar("Keys", bound=BaseModel)
+
+
+class WithSettings(Generic[Keys]):
+    """A fit that keeps its settings; a plugin may, but need not, inherit from it."""
+
+    Settings: ClassVar[type[BaseModel]]
+
+    def __init__(self, settings: Keys) -> None:
+        self._settings = settings
 
 
 class NoSettings(BaseModel):

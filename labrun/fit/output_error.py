@@ -20,7 +20,7 @@ from labrun.fit.identifiability import (
     undetermined,
 )
 from labrun.fit.levenberg_marquardt import minimise
-from labrun.fit.method import FitJob, NoSettings, Note, silent
+from labrun.fit.method import FitJob, NoSettings, Note, WithSettings, silent
 from labrun.fit.problem import Problem
 from labrun.fit.resampling import by_mounting, correlation_length, resample_trials
 from labrun.fit.residuals import OutputNoise
@@ -53,13 +53,10 @@ class ResidualSize:
     correlated: FloatArray
 
 
-class ModelFit:
+class ModelFit(WithSettings[NoSettings]):
     """Output error: the model is simulated, and its parameters are those whose outputs come nearest to the measured."""
 
     Settings: ClassVar[type[BaseModel]] = NoSettings
-
-    def __init__(self, settings: NoSettings) -> None:  # noqa: ARG002  (has none)
-        return
 
     def __call__(self, job: FitJob) -> FitResult:
         """Fit `job.model`; see `fit_model`."""

@@ -228,15 +228,14 @@ class Problem(Residuals):
         base: FloatArray,
         central: bool,
     ) -> FloatArray:
-        priors = self.priors
-        place, scale = priors.free[variable], priors.scale[variable]
-
-        def residual(value: float) -> FloatArray | None:
-            return self.trial_residual(changed(parameters, place, value * scale), trial, own)
-
-        low, high = float(priors.lower[variable]), float(priors.upper[variable])
+        place, scale = self.priors.free[variable], self.priors.scale[variable]
         return difference_quotient(
-            residual, float(parameters[place] / scale), base, low, high, central=central
+            lambda value: self.trial_residual(changed(parameters, place, value * scale), trial, own),
+            float(parameters[place] / scale),
+            base,
+            float(self.priors.lower[variable]),
+            float(self.priors.upper[variable]),
+            central=central,
         )
 
     def _by_state(
@@ -248,10 +247,12 @@ class Problem(Residuals):
         base: FloatArray,
         central: bool,
     ) -> FloatArray:
-        def residual(value: float) -> FloatArray | None:
-            return self.trial_residual(parameters, trial, changed(own, variable, value))
-
-        return difference_quotient(residual, float(own[variable]), base, central=central)
+        return difference_quotient(
+            lambda value: self.trial_residual(parameters, trial, changed(own, variable, value)),
+            float(own[variable]),
+            base,
+            central=central,
+        )
 
 
 def channel_spread(data: Dataset) -> FloatArray:

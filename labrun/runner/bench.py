@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -52,6 +53,17 @@ class Bench:
         self._pose_due_s = -np.inf
         self._health_due_s = -np.inf
         self._poses: dict[str, tuple[float, Mapping[str, float]]] = {}
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the time and what the rig remembers, JSON-ready: what a simulated bench goes on from."""
+        return {"clock_s": self.clock.now(), **self.rig.snapshot()}
+
+    def restore(self, memory: Mapping[str, Any]) -> None:
+        """Take back what `snapshot` gave; a real clock and a real bench keep their own state."""
+        if self.rig.dry_run:
+            if hasattr(self.clock, "time_s"):
+                self.clock.time_s = memory["clock_s"]
+            self.rig.restore(memory)
 
     def start_sensors(self) -> None:
         """Begin all streams."""

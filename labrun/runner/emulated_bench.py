@@ -1,9 +1,7 @@
 """The emulated bench: the scene's process and one process an emulator, started and ended together."""
 
 import json
-import os
 import secrets
-import select
 import shutil
 import subprocess
 import sys
@@ -13,6 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from labrun.devices import processes
 from labrun.devices.clock import RealClock
 from labrun.devices.processes.scene import READY, RemoteScene
 from labrun.errors import DeviceError, ExperimentError, LabrunError, SpecError
@@ -189,7 +188,7 @@ class EmulatedBench:
             **served,
         }
         # Kept before it is waited for: whoever presses Ctrl-C meanwhile leaves no process behind.
-        process = self._scene_process = _started("labrun.devices.processes.scene", task)
+        process = self._scene_process = _started("scene", task)
         if _answer(process, "the simulated bench").strip() != READY.encode():
             raise ExperimentError("the simulated bench did not start", hint="its own message stands above")
 
@@ -210,14 +209,14 @@ class EmulatedBench:
             "log": str(self._logs[name]),
             "faults": dict(self._faults.get(name, {})),
         }
-        return _started("labrun.devices.processes.emulator", task)
+        return _started("emulator", task)
 
     def _order(self, device: str, order: Mapping[str, Any]) -> None:
         process = self._processes.get(device)
-        if process is None or process.stdin is None:
+        if process is None:
             raise SpecError(f"no emulator of device {device!r} runs")
         try:
-            os.write(process.stdin.fileno(), json.dumps(order).encode() + b"\n")
+            processes.tell(process, order)
         except (OSError, ValueError) as error:
             raise ExperimentError(
                 f"the emulator of {device} is gone", hint="its own message stands above"
@@ -225,23 +224,14 @@ class EmulatedBench:
 
 
 def _started(module: str, task: Mapping[str, Any]) -> "subprocess.Popen[bytes]":
-    process = subprocess.Popen(
-        [_PYTHON, "-m", module],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        start_new_session=True,  # Ctrl-C in the terminal goes to the runner alone
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
-    )
-    assert process.stdin is not None  # noqa: S101  asked for above
-    os.write(process.stdin.fileno(), json.dumps(task).encode() + b"\n")
+    process = processes.start(module, _PYTHON)
+    processes.tell(process, task)
     return process
 
 
 def _answer(process: "subprocess.Popen[bytes]", who: str) -> bytes:
     """Return the line a process says first."""
-    assert process.stdout is not None  # noqa: S101  it was started with a pipe
-    ready, _, _ = select.select([process.stdout], [], [], _START_S)
-    line = process.stdout.readline() if ready else b""
+    line = processes.answer(process, _START_S)
     if not line:
         raise ExperimentError(f"{who} did not start", hint="its own message stands above")
     return line

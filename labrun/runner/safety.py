@@ -1,18 +1,15 @@
 """Stopping everything that moves, first thing on any exit; and the watchdog, which does it for a runner that cannot."""
 
-import json
 import os
-import select
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
-from labrun.devices import Device
+from labrun.devices import Device, processes
 from labrun.devices.clock import RealClock
 from labrun.devices.processes.watchdog import ARM, BEAT, DISARM, QUIT, READY
 from labrun.errors import ExperimentError, LabrunError, PluginError
@@ -211,21 +208,11 @@ def start_watchdog(
     ]
     if not devices:
         return None
-    process = subprocess.Popen(
-        [sys.executable, "-m", "labrun.devices.processes.watchdog"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        start_new_session=True,  # Ctrl-C in the terminal goes to the runner alone
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
-    )
+    process = processes.start("watchdog")
     watchdog = Watchdog(process, timeout_s)
-    task = {"devices": devices, "timeout_s": timeout_s, "runner_pid": os.getpid()}
-    assert process.stdin is not None  # noqa: S101  asked for above
-    assert process.stdout is not None  # noqa: S101
     try:
-        os.write(process.stdin.fileno(), json.dumps(task).encode() + b"\n")
-        ready, _, _ = select.select([process.stdout], [], [], _START_S)
-        answer = process.stdout.readline().decode().strip() if ready else ""
+        processes.tell(process, {"devices": devices, "timeout_s": timeout_s, "runner_pid": os.getpid()})
+        answer = processes.answer(process, _START_S).decode().strip()
     except OSError:
         answer = ""
     if answer != READY:

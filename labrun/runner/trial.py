@@ -338,18 +338,15 @@ class TrialRunner:
 
     def checkpoint(self) -> str:
         """Return what a resumed run needs to go on from here, as JSON."""
-        memory: dict[str, Any] = {"clock_s": self._bench.clock.now(), **self._rig.snapshot()}
+        memory = self._bench.snapshot()
         if self.baseline is not None:
             memory["baseline"] = {"spread": list(self.baseline.spread), "drift": list(self.baseline.drift)}
         return json.dumps(memory, default=json_ready)
 
     def restore(self, checkpoint: str) -> None:
-        """Go on from a checkpoint; a real clock and a real bench keep their own state."""
+        """Go on from a checkpoint, see `Bench.restore`."""
         memory = json.loads(checkpoint)
-        if self._rig.dry_run:
-            if hasattr(self._bench.clock, "time_s"):
-                self._bench.clock.time_s = memory["clock_s"]
-            self._rig.restore(memory)
+        self._bench.restore(memory)
         baseline = memory.get("baseline")
         if baseline is not None:
             self.baseline = Bounds(tuple(baseline["spread"]), tuple(baseline["drift"]))

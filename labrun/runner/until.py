@@ -18,7 +18,7 @@ from labrun.runner.recording import LEAD_S, TAIL_S, TrialRecording
 from labrun.runner.rig import Rig
 from labrun.signals import Signals
 from labrun.spec import CYCLES, Criterion, Experiment
-from labrun.store import ClockMap, Journal, RunFolder
+from labrun.store import Journal, RunFolder, dated, tare_of, undated
 
 _HEAD, _CYCLE, _REST = "begun", "cycle", "rest"
 
@@ -146,9 +146,7 @@ class _Stream:
     """The samples of one device over the cycle that is being measured and the one before."""
 
     def __init__(self, name: str, channels: tuple[Channel, ...], rate_hz: float) -> None:
-        self.name = name
-        self.channels = channels
-        self.rate_hz = rate_hz
+        self._head = undated(name, channels, rate_hz)
         self._blocks: list[Samples] = []
 
     def append(self, block: Samples) -> None:
@@ -157,19 +155,8 @@ class _Stream:
     def cycle(self, start_s: float, tare: Mapping[str, float]) -> Signals:
         """Return what there is, its time counted from the start of the cycle; earlier cycles are let go."""
         self._blocks = [block for block in self._blocks if float(block.host_time_s[-1]) >= start_s - TAIL_S]
-        samples = Samples.join(self._blocks, len(self.channels))
-        clock = ClockMap(self.rate_hz)
-        clock.learn(samples.device_time_s, samples.host_time_s)
-        return Signals(
-            self.name,
-            tuple(channel.name for channel in self.channels),
-            tuple(channel.unit for channel in self.channels),
-            clock.mapper(start_s)(samples.device_time_s),
-            samples.values,
-            {key.partition(".")[2]: value for key, value in tare.items() if key.startswith(f"{self.name}.")},
-            samples.device_time_s,
-            samples.host_time_s,
-        )
+        samples = Samples.join(self._blocks, len(self._head.columns))
+        return replace(dated(self._head, samples, start_s), tare=tare_of(self._head.name, tare))
 
 
 class UntilRecorder:
@@ -238,9 +225,7 @@ class UntilRecorder:
             log.back_to_rest()  # what came after is simulated once more, to the same numbers
         if self._rig.dry_run and log.checkpoint is not None and log.head is not None:
             bench.stop_sensors()
-            if hasattr(bench.clock, "time_s"):
-                bench.clock.time_s = log.checkpoint["clock_s"]
-            self._rig.restore(log.checkpoint)
+            bench.restore(log.checkpoint)
             self._rig.reseed(self._seed, request.index, log.cycles)
             bench.start_sensors()
             recording.tare = log.head["tare"]
@@ -266,7 +251,7 @@ class UntilRecorder:
                 return True
             if self._rig.dry_run and log.cycles < until.max_cycles:
                 bench.stop_sensors()
-                log.rest({"clock_s": bench.clock.now(), **self._rig.snapshot()})
+                log.rest(bench.snapshot())
                 self._rig.reseed(self._seed, recording.request.index, log.cycles)
                 bench.start_sensors()
         return False

@@ -31,7 +31,7 @@ from labrun.store.recording import (
     read_recording,
 )
 from labrun.store.table import known_units
-from labrun.store.timing import JUMP_S, ClockMap, StreamReport, stream_report
+from labrun.store.timing import JUMP_S, StreamReport, stream_report
 from labrun.store.trial import (
     Role,
     SettleSummary,
@@ -43,15 +43,15 @@ from labrun.store.trial import (
 )
 from labrun.store.trial_file import COMMAND, check_columns, check_names
 from labrun.store.watching import RunWatch, Trace, read_trace
-from labrun.store.writer import TrialWriter
+from labrun.store.writer import TrialWriter, dated, tare_of, undated
 
 __all__ = [
-    "COMMAND", "JOURNAL", "JUMP_S", "PACKED", "PROVENANCE", "SPEC", "TRIALS", "Between", "ClockMap", "Journal",
-    "RecordedTrial", "Recording", "Role", "Run", "RunFolder", "RunWatch", "SettleSummary",
-    "SignalInfo", "Status", "StreamReport", "Trace", "TrialOutcome", "TrialWriter", "all_runs", "check_columns",
-    "check_names", "collect", "export_run", "find_run", "find_unfinished", "import_recording",
+    "COMMAND", "JOURNAL", "JUMP_S", "PACKED", "PROVENANCE", "SPEC", "TRIALS", "Between", "Journal",
+    "RecordedTrial", "Recording", "Role", "Run", "RunFolder", "RunWatch", "SettleSummary", "SignalInfo",
+    "Status", "StreamReport", "Trace", "TrialOutcome", "TrialWriter", "all_runs", "check_columns",
+    "check_names", "collect", "dated", "export_run", "find_run", "find_unfinished", "import_recording",
     "imported_channels", "imported_source", "is_finished", "is_recording", "json_ready", "known_units",
     "lacking_room", "lock_ports", "mean_truncation", "open_run", "open_target", "read_recording", "read_trace",
-    "remarks_of", "replace_durably", "require_writable", "run_dataset", "saving", "settle_curve", "stream_report",
-    "trial_dataset", "trials_frame",
+    "remarks_of", "replace_durably", "require_writable", "run_dataset", "saving", "settle_curve",
+    "stream_report", "tare_of", "trial_dataset", "trials_frame", "undated",
 ]  # fmt: skip

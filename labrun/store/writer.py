@@ -1,7 +1,7 @@
 """One trial on its way to disk: in memory while it is small, in temporary files when it grows."""
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -26,16 +26,7 @@ class _Device:
 
     def __init__(self, name: str, channels: tuple[Channel, ...], rate_hz: float, spill: Path) -> None:
         self.spill = spill
-        self._head = Signals(
-            name,
-            tuple(channel.name for channel in channels),
-            tuple(channel.unit for channel in channels),
-            np.empty(0),
-            np.empty((0, len(channels))),
-            device_time_s=np.empty(0),
-            host_time_s=np.empty(0),
-            rate_hz=rate_hz,
-        )
+        self._head = undated(name, channels, rate_hz)
         self.lost = 0
         self.saturated = 0
         self._blocks: list[Samples] = []
@@ -53,24 +44,11 @@ class _Device:
         about: dict[str, Any] = {"lost": self.lost, "saturated": self.saturated, "tare": tare}
         if self._file is None:
             if self._mapped is None or self._mapped[0] != start_s:
-                self._mapped = start_s, self._in_memory(start_s)
+                self._mapped = start_s, dated(self._head, self._joined(), start_s)
             return replace(self._mapped[1], **about)
         self.move_to_disk()
         head = replace(self._head, clock_glitches=self._clock.glitches, **about)
         return LongSignals(head, self._spilled, lambda first: self._read(head, start_s, first))
-
-    def _in_memory(self, start_s: float) -> Signals:
-        samples = self._joined()
-        clock = ClockMap(self._head.rate_hz)
-        clock.learn(samples.device_time_s, samples.host_time_s)
-        return replace(
-            self._head,
-            time_s=clock.mapper(start_s)(samples.device_time_s),
-            values=samples.values,
-            device_time_s=samples.device_time_s,
-            host_time_s=samples.host_time_s,
-            clock_glitches=clock.glitches,
-        )
 
     def _joined(self) -> Samples:
         if len(self._blocks) != 1:
@@ -115,6 +93,41 @@ class _Device:
             with suppress(OSError):
                 self.spill.unlink(missing_ok=True)
             self._file = None
+
+
+def undated(name: str, channels: Sequence[Channel], rate_hz: float) -> Signals:
+    """Return the signals of a device without a sample yet."""
+    return Signals(
+        name,
+        tuple(channel.name for channel in channels),
+        tuple(channel.unit for channel in channels),
+        np.empty(0),
+        np.empty((0, len(channels))),
+        device_time_s=np.empty(0),
+        host_time_s=np.empty(0),
+        rate_hz=rate_hz,
+    )
+
+
+def dated(head: Signals, samples: Samples, start_s: float) -> Signals:
+    """Return a device's samples as signals, on the run's clock from `start_s` on."""
+    clock = ClockMap(head.rate_hz)
+    clock.learn(samples.device_time_s, samples.host_time_s)
+    return replace(
+        head,
+        time_s=clock.mapper(start_s)(samples.device_time_s),
+        values=samples.values,
+        device_time_s=samples.device_time_s,
+        host_time_s=samples.host_time_s,
+        clock_glitches=clock.glitches,
+    )
+
+
+def tare_of(device: str, tare: Mapping[str, float]) -> dict[str, float]:
+    """Return the offsets of one device by channel, of those by ``device.channel``."""
+    return {
+        key.removeprefix(f"{device}."): offset for key, offset in tare.items() if key.startswith(f"{device}.")
+    }
 
 
 class TrialWriter:
@@ -199,13 +212,7 @@ class TrialWriter:
         if self._spilled:
             with self._saving():
                 self._move_to_disk()
-        return {
-            name: device.signals(
-                start_s, {key.removeprefix(f"{name}."): offset for key, offset in tare.items()
-                          if key.startswith(f"{name}.")}
-            )
-            for name, device in self._devices.items()
-        }  # fmt: skip
+        return {name: device.signals(start_s, tare_of(name, tare)) for name, device in self._devices.items()}
 
     def finish(self, outcome: TrialOutcome, settle_curve: Signals | None, command: Trajectory | None) -> None:
         """Store the trial: when this returns, it survives the end of the process and, if synced, a power cut.

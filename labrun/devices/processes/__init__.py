@@ -1,1 +1,33 @@
 """What runs beside the runner, each in a process of its own: the watchdog, the simulated bench, an emulator."""
+
+import json
+import os
+import select
+import subprocess
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+
+def start(module: str, python: str = sys.executable) -> "subprocess.Popen[bytes]":
+    """Start a module of this package as a process, which hears nothing of Ctrl-C in the terminal."""
+    return subprocess.Popen(
+        [python, "-m", f"{__name__}.{module}"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+    )
+
+
+def tell(process: "subprocess.Popen[bytes]", order: Mapping[str, Any]) -> None:
+    """Hand an order to a process, a line of JSON. Raises OSError or ValueError: it is gone."""
+    assert process.stdin is not None  # noqa: S101  it was started with a pipe
+    os.write(process.stdin.fileno(), json.dumps(order).encode() + b"\n")
+
+
+def answer(process: "subprocess.Popen[bytes]", within_s: float) -> bytes:
+    """Return the line that a process says next; empty if it says none in time."""
+    assert process.stdout is not None  # noqa: S101  it was started with a pipe
+    ready, _, _ = select.select([process.stdout], [], [], within_s)
+    return process.stdout.readline() if ready else b""

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFlo
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
-from labrun.fit.method import FitJob
+from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Stack, TextTable
 from labrun.fit.signals import SignalTable, joined, load_signals
 from labrun.learned import (
@@ -219,13 +219,10 @@ class Fitted:
     """Withheld error with no network at all: of the inverse alone, or of the mean."""
 
 
-class MlpFit:
+class MlpFit(WithSettings[MlpSettings]):
     """Networks by scikit-learn (source, sections 4.2 and 4.3)."""
 
     Settings: ClassVar[type[BaseModel]] = MlpSettings
-
-    def __init__(self, settings: MlpSettings) -> None:
-        self._settings = settings
 
     def __call__(self, job: FitJob) -> FitSummary:
         """Train every network."""

@@ -12,7 +12,7 @@ from pydantic import BaseModel, Field, PositiveFloat, PositiveInt
 
 from labrun.arrays import FloatArray
 from labrun.fit.learning.method import DataTable, TrainingSamples, mean_absolute
-from labrun.fit.method import FitJob
+from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, Panel, Stack, TextTable
 from labrun.learned import ACTIVATIONS, Activation, Network, Solver, Training, exact_affine, train
 from labrun.store import is_recording
@@ -86,13 +86,10 @@ class Row:
         return f"{self.layers} x {self.activation}, {self.solver}"
 
 
-class MlpStudy:
+class MlpStudy(WithSettings[StudySettings]):
     """Every combination of layers, activation and solver, trained on set A and further on set B."""
 
     Settings: ClassVar[type[BaseModel]] = StudySettings
-
-    def __init__(self, settings: StudySettings) -> None:
-        self._settings = settings
 
     def __call__(self, job: FitJob) -> FitSummary:
         """Study; what was done by an earlier call that was interrupted is not done again."""

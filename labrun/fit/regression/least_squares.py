@@ -98,11 +98,14 @@ def condition(matrix: FloatArray) -> float:
     return float("inf") if values[-1] <= 0 else float((values[0] / values[-1]) ** 2)
 
 
-def solve(matrix: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the least-squares coefficients of eq. (5.4), the shortest ones where columns are collinear."""
+def solve(matrix: FloatArray, values: FloatArray, rcond: float = _COLLINEAR) -> FloatArray:
+    """Return the least-squares coefficients of columns of any size, the shortest ones where they are collinear.
+
+    `rcond`: singular values of the scaled columns below this share of the largest count as zero.
+    """
     size = np.linalg.norm(matrix, axis=0)
     size = np.where(size > 0, size, 1.0)
-    return np.asarray(np.linalg.lstsq(matrix / size, values, rcond=_COLLINEAR)[0] / size)
+    return np.asarray(np.linalg.lstsq(matrix / size, values, rcond=rcond)[0] / size)
 
 
 def collinear(matrix: FloatArray, names: Sequence[str]) -> tuple[int, list[str]]:

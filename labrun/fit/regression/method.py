@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFlo
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
-from labrun.fit.method import FitJob
+from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.regression.least_squares import (
     BASKETS,
     Regression,
@@ -68,7 +68,7 @@ class LeastSquaresSettings(BaseModel):
     largest_condition: PositiveFloat = 1e4
 
 
-class LeastSquaresFit:
+class LeastSquaresFit(WithSettings[LeastSquaresSettings]):
     """Eq. (5.4) with each basket on each output, and which one to take.
 
     The basket taken is, among those whose X'X is conditioned no worse than `largest_condition`, the one of fewest
@@ -76,9 +76,6 @@ class LeastSquaresFit:
     """
 
     Settings: ClassVar[type[BaseModel]] = LeastSquaresSettings
-
-    def __init__(self, settings: LeastSquaresSettings) -> None:
-        self._settings = settings
 
     def __call__(self, job: FitJob) -> FitSummary:
         """Fit every basket to every output.

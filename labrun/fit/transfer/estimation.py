@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
+from labrun.fit.regression.least_squares import solve
 from labrun.fit.signals import trailing_mean
 from labrun.fit.transfer.response import Hold, free_answers, powers
 from labrun.fit.transfer.transfer_function import TransferFunction
@@ -247,7 +248,7 @@ def evaluate(shape: Shape, trials: Sequence[ResponseTrial], moved: FloatArray) -
     own = []
     for trial in trials:
         rest = trial.measured[trial.used] - answers.shared(trial)[trial.used] @ linear
-        own.append(_solved(answers.own(trial)[trial.used], rest))
+        own.append(solve(answers.own(trial)[trial.used], rest, rcond=_SAME_DIRECTION))
     squares = sum(float(part @ part) for part in residuals)
     return CandidatePoint(shape, np.array(moved, dtype=float), linear, tuple(own), tuple(residuals), squares)
 
@@ -261,20 +262,8 @@ def _projected(answers: Answers, trials: Sequence[ResponseTrial]) -> tuple[Float
     """Return the best numerator and every trial's residual, offsets and initial states projected out."""
     shared = [answers.projected(trial) for trial in trials]
     outputs = [without(trial.measured[trial.used], answers.span(trial)) for trial in trials]
-    columns = np.concatenate(shared)
-    sizes = np.linalg.norm(columns, axis=0)
-    sizes[sizes == 0.0] = 1.0
-    linear = np.linalg.lstsq(columns / sizes, np.concatenate(outputs), rcond=1e-12)[0] / sizes
+    linear = solve(np.concatenate(shared), np.concatenate(outputs), rcond=1e-12)
     return linear, [y - x @ linear for x, y in zip(shared, outputs, strict=True)]
-
-
-def _solved(columns: FloatArray, aim: FloatArray) -> FloatArray:
-    """Return the least-squares weights of columns, whatever their sizes; see `basis`, which spans the same."""
-    if columns.shape[1] == 0:
-        return np.zeros(0)
-    sizes = np.linalg.norm(columns, axis=0)
-    sizes[sizes == 0.0] = 1.0
-    return np.asarray(np.linalg.lstsq(columns / sizes, aim, rcond=_SAME_DIRECTION)[0] / sizes)
 
 
 def descend(

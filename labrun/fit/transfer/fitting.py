@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from labrun.arrays import FloatArray
 from labrun.errors import FitError
 from labrun.estimate import Estimate
+from labrun.fit.regression.least_squares import solve
 from labrun.fit.resampling import correlation_length, resample_trials
 from labrun.fit.result import TextTable
 from labrun.fit.transfer.estimation import (
@@ -206,8 +207,7 @@ def _filtered_least_squares(
     sizes = np.linalg.norm(table, axis=0)
     if not np.all(np.isfinite(sizes)) or np.any(sizes[: shape.poles] == 0.0):
         return None
-    sizes[sizes == 0.0] = 1.0
-    solved = np.linalg.lstsq(table / sizes, aim, rcond=1e-12)[0] / sizes
+    solved = solve(table, aim, rcond=1e-12)
     roots = np.roots([1.0, *solved[: shape.poles][::-1]])
     if not np.all(np.isfinite(roots)) or np.any(np.abs(roots) == 0.0):
         return None

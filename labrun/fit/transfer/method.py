@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFlo
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
-from labrun.fit.method import FitJob
+from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.signals import SignalSet, SignalTable, SignalTrial, load_signals
 from labrun.fit.transfer.estimation import Initial, ResponseTrial, Shape
 from labrun.fit.transfer.fitting import STARTS, TransferFit, compare_orders, fit_transfer
@@ -129,17 +129,14 @@ class FopdtSettings(_Keys):
     responses: dict[str, ResponseTable] = Field(min_length=1)
 
 
-class FopdtFit:
+class FopdtFit(WithSettings[FopdtSettings]):
     """Every response as ``gain exp(-dead_time s)/(lag s + 1)``, each by itself."""
 
     Settings: ClassVar[type[BaseModel]] = FopdtSettings
 
-    def __init__(self, settings: FopdtSettings) -> None:
-        self._responses = settings.responses
-
     def __call__(self, job: FitJob) -> TransferSummary:
         """Fit every response."""
-        fits, signals = _fitted(job, self._responses, Shape(1, 0))
+        fits, signals = _fitted(job, self._settings.responses, Shape(1, 0))
         return summarise("fopdt", fits, signals)
 
 
@@ -166,13 +163,10 @@ class TransferFunctionSettings(_Keys):
         return self
 
 
-class TransferFunctionFit:
+class TransferFunctionFit(WithSettings[TransferFunctionSettings]):
     """Output error in continuous time, see `labrun.fit.transfer.estimation`."""
 
     Settings: ClassVar[type[BaseModel]] = TransferFunctionSettings
-
-    def __init__(self, settings: TransferFunctionSettings) -> None:
-        self._settings = settings
 
     def __call__(self, job: FitJob) -> TransferSummary:
         """Fit every response, each by itself, and compare neighbouring orders."""

@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
-from labrun.fit.method import FitJob, make_method
+from labrun.fit.method import FitJob, WithSettings, make_method
 from labrun.fit.result import FigureData, FitSummary, FittedData
 from labrun.fit.transfer import TransferFunction, TransferSummary
 from labrun.fit.tuning import summary as words
@@ -24,13 +24,10 @@ _LOOP_NAMES = {"magnitude": "force"}
 """What the loop around a response is called in the experiments that labrun brings along."""
 
 
-class PidDesign:
+class PidDesign(WithSettings[PidFitSettings]):
     """P, PI and PID, also with a feed-forward, by SIMC and by optimum under margins; predicted before they run."""
 
     Settings: ClassVar[type[BaseModel]] = PidFitSettings
-
-    def __init__(self, settings: PidFitSettings) -> None:
-        self._settings = settings
 
     def __call__(self, job: FitJob) -> FitSummary:
         """Fit the plant, design controllers for it, and judge them.
