@@ -39,7 +39,7 @@ class FeedbackSettings(Table):
 
 
 class ChannelFeedback(ABC):
-    """A number from the latest samples of a channel; a subclass says which samples, and how.
+    """The mean of a channel over its latest samples; a subclass says over how long.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class ChannelFeedback(ABC):
     def __call__(self, history: History, period_s: float | None) -> float:
         """Return the number now, in the unit of `unit`."""
         found = [
-            factor * self._reduce(*history.recent(channel), period_s)
+            factor * mean_over(*history.recent(channel), self.memory_s(period_s))
             for channel, factor in zip(self.channels, self._factors, strict=False)
         ]
         return found[0] if len(found) == 1 else math.hypot(*found)
@@ -80,11 +80,7 @@ class ChannelFeedback(ABC):
 
     @abstractmethod
     def memory_s(self, period_s: float | None) -> float:
-        """Return how far back it looks, s."""
-
-    @abstractmethod
-    def _reduce(self, time_s: FloatArray, values: FloatArray, period_s: float | None) -> float:
-        """Reduce a channel's samples, oldest first and at least one, to one number."""
+        """Return over how long the mean goes, s; 0 takes the newest sample."""
 
 
 def _unit_and_factor(keys: FeedbackSettings, channel_unit: str) -> tuple[str, float]:
@@ -142,9 +138,6 @@ class LatestFeedback(ChannelFeedback):
         """Return 0: nothing but the newest counts."""
         return 0.0
 
-    def _reduce(self, time_s: FloatArray, values: FloatArray, period_s: float | None) -> float:  # noqa: ARG002
-        return float(values[-1])
-
 
 class MovingAverageSettings(FeedbackSettings):
     """Keys of `moving-average`: those of a channel, and the length of the window."""
@@ -161,9 +154,6 @@ class MovingAverageFeedback(ChannelFeedback):
     def memory_s(self, period_s: float | None) -> float:  # noqa: ARG002
         """Return the window."""
         return self._keys.window_s
-
-    def _reduce(self, time_s: FloatArray, values: FloatArray, period_s: float | None) -> float:  # noqa: ARG002
-        return mean_over(time_s, values, self._keys.window_s)
 
 
 class CycleAverageSettings(FeedbackSettings):
@@ -194,12 +184,6 @@ class CycleAverageFeedback(ChannelFeedback):
         SpecError
             Neither the gait nor the feedback has a cycle.
         """
-        return self._cycle_s(period_s)
-
-    def _reduce(self, time_s: FloatArray, values: FloatArray, period_s: float | None) -> float:
-        return mean_over(time_s, values, self._cycle_s(period_s))
-
-    def _cycle_s(self, period_s: float | None) -> float:
         cycle_s = self._keys.period_s or period_s
         if cycle_s is None:
             raise SpecError(

@@ -4,11 +4,12 @@ import contextlib
 import math
 import multiprocessing
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.shared_memory import SharedMemory
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +47,7 @@ class LearnerTask:
             ) from error
 
 
-class Learner(Protocol):
+class Learner(ABC):
     """Takes samples and gives weights.
 
     Attributes
@@ -63,31 +64,6 @@ class Learner(Protocol):
         What went wrong, for people.
     """
 
-    lag_s: float
-    training_s: float
-    trainings: int
-    alive: bool
-    remarks: list[str]
-
-    def begin(self) -> None:
-        """Start; return at once."""
-
-    def ready(self) -> bool:
-        """Tell whether it has come up. Raises ExperimentError: it never will."""
-
-    def end(self) -> None:
-        """End, at once."""
-
-    def give(self, time_s: float, inputs: Sequence[float], outputs: Sequence[float]) -> None:
-        """Hand over a sample and the time of the trial at which it was made."""
-
-    def newest(self, now_s: float) -> Network | None:
-        """Return weights that came since the last call."""
-
-
-class _Learned:
-    """What learners share."""
-
     def __init__(self, task: LearnerTask) -> None:
         self._task = task
         self._start = task.start
@@ -95,6 +71,24 @@ class _Learned:
         self.trainings = 0
         self.alive = True
         self.remarks: list[str] = []
+
+    def begin(self) -> None:  # noqa: B027
+        """Start; return at once."""
+
+    def ready(self) -> bool:
+        """Tell whether it has come up. Raises ExperimentError: it never will."""
+        return True
+
+    def end(self) -> None:  # noqa: B027
+        """End, at once."""
+
+    @abstractmethod
+    def give(self, time_s: float, inputs: Sequence[float], outputs: Sequence[float]) -> None:
+        """Hand over a sample and the time of the trial at which it was made."""
+
+    @abstractmethod
+    def newest(self, now_s: float) -> Network | None:
+        """Return weights that came since the last call."""
 
     def _accepted(self, network: Network) -> Network | None:
         if network.finite:
@@ -109,7 +103,7 @@ class _Learned:
             self.remarks.append(f"the learner ended: {why}; the loop went on with its last weights, {kept}")
 
 
-class InlineLearner(_Learned):
+class InlineLearner(Learner):
     """Learns within the step, and hands the weights out as late as `training_s` says: for simulated time."""
 
     def __init__(self, task: LearnerTask, training_s: float) -> None:
@@ -119,16 +113,6 @@ class InlineLearner(_Learned):
         self._waiting: list[tuple[Sequence[float], Sequence[float]]] = []
         self._newest_s = -math.inf
         self._due: deque[tuple[float, float, Network]] = deque()
-
-    def begin(self) -> None:
-        """Nothing runs beside."""
-
-    def ready(self) -> bool:
-        """Return True."""
-        return True
-
-    def end(self) -> None:
-        """Nothing runs beside."""
 
     def give(self, time_s: float, inputs: Sequence[float], outputs: Sequence[float]) -> None:
         """Keep a sample for the next training."""
@@ -151,7 +135,7 @@ class InlineLearner(_Learned):
         return found
 
 
-class ProcessLearner(_Learned):
+class ProcessLearner(Learner):
     """Learns in a process of its own; samples and weights go through shared memory, and nobody waits for the other.
 
     A loop whose learner dies goes on with the weights it has.
@@ -161,7 +145,7 @@ class ProcessLearner(_Learned):
         super().__init__(task)
         self._inputs = len(self._start.inputs.mean)
         self._outputs = len(self._start.outputs.mean)
-        self._memory: SharedMemory | None = None
+        self._view: _Shared | None = None
         self._process: Any = None
         self._given = 0
         self._version = 0
@@ -170,13 +154,11 @@ class ProcessLearner(_Learned):
 
     def begin(self) -> None:
         """Start the process."""
-        layout = _Layout(self._inputs, self._outputs)
-        self._memory = SharedMemory(create=True, size=8 * layout.size)
-        self._view = _Shared(self._memory, layout)
+        self._view = _Shared(self._inputs, self._outputs)
         self._view.all[:] = 0.0
         context = multiprocessing.get_context("spawn")
         self._process = context.Process(
-            target=learn, args=(self._memory.name, self._task), daemon=True, name="labrun learner"
+            target=learn, args=(self._view.memory.name, self._task), daemon=True, name="labrun learner"
         )
         self._process.start()
         # a process comes up in real time, whatever clock the loop runs by
@@ -184,7 +166,7 @@ class ProcessLearner(_Learned):
 
     def ready(self) -> bool:
         """Tell whether the process has come up; see `Learner.ready`."""
-        if self._memory is None or self._view.all[_READY]:
+        if self._view is None or self._view.all[_READY]:
             return True
         if not self._process.is_alive() or time.monotonic() > self._until_s:
             self.end()
@@ -196,7 +178,7 @@ class ProcessLearner(_Learned):
 
     def end(self) -> None:
         """End the process, and give the memory back."""
-        if self._memory is None:
+        if self._view is None:
             return
         self._view.all[_STOP] = 1.0
         if self._process is not None:
@@ -204,11 +186,10 @@ class ProcessLearner(_Learned):
             if self._process.is_alive():
                 self._process.kill()
                 self._process.join(1.0)
-        del self._view
-        self._memory.close()
+        self._view.close()
         with contextlib.suppress(FileNotFoundError):
-            self._memory.unlink()
-        self._memory = None
+            self._view.memory.unlink()
+        self._view = None
 
     @property
     def pid(self) -> int | None:
@@ -217,7 +198,7 @@ class ProcessLearner(_Learned):
 
     def give(self, time_s: float, inputs: Sequence[float], outputs: Sequence[float]) -> None:
         """Put a sample into the ring; the oldest is overwritten."""
-        if self._memory is None:
+        if self._view is None:
             return
         row = self._view.ring[self._given % _RING]
         row[0] = time_s
@@ -228,9 +209,9 @@ class ProcessLearner(_Learned):
 
     def newest(self, now_s: float) -> Network | None:
         """Return the weights that came since."""
-        if self._memory is None or not self.alive:
-            return None
         view = self._view
+        if view is None or not self.alive:
+            return None
         version = int(view.all[_VERSION])
         if version == self._version:
             if now_s - self._looked_s > 0.05:  # asking after a process costs more than a step has
@@ -249,24 +230,6 @@ class ProcessLearner(_Learned):
         return network
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    inputs: int
-    outputs: int
-
-    @property
-    def slot(self) -> int:
-        return _SLOT_HEAD + (self.inputs + 1) * self.outputs
-
-    @property
-    def row(self) -> int:
-        return 1 + self.inputs + self.outputs
-
-    @property
-    def size(self) -> int:
-        return _HEAD + 2 * self.slot + _RING * self.row
-
-
 class _Shared:
     """The memory between loop and learner: a head, two places for weights, a ring of samples.
 
@@ -274,16 +237,23 @@ class _Shared:
     unless two trainings end while he copies, and then he copies again.
     """
 
-    def __init__(self, memory: SharedMemory, layout: _Layout) -> None:
-        self.all: FloatArray = np.ndarray((layout.size,), dtype=np.float64, buffer=memory.buf)
-        self._layout = layout
-        begin = _HEAD + 2 * layout.slot
-        self.ring = self.all[begin:].reshape(_RING, layout.row)
+    def __init__(self, inputs: int, outputs: int, name: str | None = None) -> None:
+        slot, row = _SLOT_HEAD + (inputs + 1) * outputs, 1 + inputs + outputs
+        size = _HEAD + 2 * slot + _RING * row
+        self.memory = SharedMemory(name, create=name is None, size=8 * size)
+        self.all: FloatArray = np.ndarray((size,), dtype=np.float64, buffer=self.memory.buf)
+        self.ring = self.all[_HEAD + 2 * slot :].reshape(_RING, row)
+        self._slot, self._shape = slot, (inputs + 1, outputs)
+
+    def close(self) -> None:
+        """Let go of it. Raises BufferError: arrays still look at it."""
+        del self.all, self.ring
+        self.memory.close()
 
     def place(self, version: int) -> FloatArray:
         """Return the place of a version."""
-        begin = _HEAD + (version % 2) * self._layout.slot
-        return self.all[begin : begin + self._layout.slot]
+        begin = _HEAD + (version % 2) * self._slot
+        return self.all[begin : begin + self._slot]
 
     def weights(self, version: int) -> tuple[list[float], FloatArray]:
         """Return head and weights of a version, or of the one that has overtaken it."""
@@ -293,17 +263,15 @@ class _Shared:
             if now - version < 2:
                 break
             version = now
-        shape = (self._layout.inputs + 1, self._layout.outputs)
-        return copied[:_SLOT_HEAD].tolist(), copied[_SLOT_HEAD:].reshape(shape)
+        return copied[:_SLOT_HEAD].tolist(), copied[_SLOT_HEAD:].reshape(self._shape)
 
 
 def learn(name: str, task: LearnerTask) -> None:
     """Train on whatever samples have come, again and again, until told to stop or the loop's process is gone."""
     parent = multiprocessing.parent_process()
-    memory = SharedMemory(name=name)
     start = task.start
-    layout = _Layout(len(start.inputs.mean), len(start.outputs.mean))
-    view = _Shared(memory, layout)
+    inputs = len(start.inputs.mean)
+    view = _Shared(inputs, len(start.outputs.mean), name)
     solver = SlidingAffine(start, task.window, task.ridge)
     solver.solved()
     taken, trainings = 0, 0
@@ -322,12 +290,12 @@ def learn(name: str, task: LearnerTask) -> None:
         began_s = time.perf_counter()
         taken = max(taken, given - _RING + 64)
         rows = view.ring[np.arange(taken, given) % _RING]
-        solver.add(rows[:, 1 : 1 + layout.inputs], rows[:, 1 + layout.inputs :])
+        solver.add(rows[:, 1 : 1 + inputs], rows[:, 1 + inputs :])
         network = solver.solved()
         taken, trainings = given, trainings + 1
         place = view.place(trainings)
         place[_SLOT_HEAD:] = np.vstack([network.weights[0], network.biases[0]]).ravel()
         place[0], place[1], place[2] = rows[-1, 0], time.perf_counter() - began_s, trainings
         view.all[_VERSION] = trainings
-    with contextlib.suppress(BufferError):  # arrays still look at it; the process ends anyway
-        memory.close()
+    with contextlib.suppress(BufferError):  # the process ends anyway
+        view.close()

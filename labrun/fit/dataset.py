@@ -4,12 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, RecordingError, RequestError
+from labrun.models import Input, Model, Output
 from labrun.signals import Signals
 from labrun.spec import CYCLES, condition_text
 from labrun.store import (
@@ -31,40 +32,20 @@ CYCLE = "cycle"
 """Condition that numbers the kept cycles of a trial which went on until something happened."""
 
 
-class Ports(Protocol):
-    """What a dataset needs to know of a model: the names it wants."""
-
-    @property
-    def inputs(self) -> "Sequence[Port]":
-        """What drives it."""
-        ...
-
-    @property
-    def outputs(self) -> "Sequence[Port]":
-        """What it predicts."""
-        ...
-
-
-class Port(Protocol):
-    """An input or output of a model."""
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        ...
-
-    @property
-    def unit(self) -> str:
-        """Its unit; "1" where the model does not say."""
-        ...
+Port = Input | Output | SignalInfo
+"""An input or output of a model: a name and a unit, "1" where the model does not say."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutputsAlone:
     """The ports of a fit that reads measured outputs and simulates nothing."""
 
-    outputs: "Sequence[Port]"
-    inputs: "Sequence[Port]" = ()
+    outputs: Sequence[Port]
+    inputs: Sequence[Port] = ()
+
+
+Ports = Model | OutputsAlone
+"""What a dataset is loaded for."""
 
 
 @dataclass(frozen=True, slots=True)

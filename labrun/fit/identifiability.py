@@ -1,7 +1,6 @@
 """What the data cannot tell: directions without curvature, bounds, wide intervals, false minima; and divergence."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,65 +18,44 @@ _AS_GOOD = 1.02
 _WORSE = 1.10
 
 
-@dataclass(frozen=True, slots=True)
-class Curvature:
-    """Singular values and directions of the Jacobian, in units of noise, per relative change of each parameter.
-
-    Attributes
-    ----------
-    singular : (p,)
-        Noise standard deviations that the outputs move by when the parameters move by 100 % along a direction.
-    directions : (p, p)
-        Columns, in relative changes of the parameters.
-    """
-
-    names: tuple[str, ...]
-    singular: FloatArray
-    directions: FloatArray
-
-    @classmethod
-    def of(cls, information: FloatArray, names: Sequence[str]) -> "Curvature":
-        """Return the curvature of J'J, shape (p, p), in relative changes of the parameters, prior included."""
-        values, vectors = np.linalg.eigh(information)
-        return cls(tuple(names), np.sqrt(np.maximum(values, 0.0)), vectors)
-
-
-@dataclass(frozen=True, slots=True)
-class DirectionWarnings:
-    """Warnings on directions, the parameters in them, and how wide their intervals are at least (relative)."""
-
-    warnings: list[str]
-    named: frozenset[str]
-    least_half_width: FloatArray
-
-
-def undetermined(curvature: Curvature) -> DirectionWarnings:
+def undetermined(
+    information: FloatArray, names: Sequence[str]
+) -> tuple[list[str], frozenset[str], FloatArray]:
     """Return the directions in parameter space along which the data do not change.
 
     A direction counts where moving every parameter of it by as much as its own value changes the outputs by less than
     their noise, or by less than a millionth of what the best determined direction does.
+
+    Parameters
+    ----------
+    information : (p, p)
+        J'J in units of noise and in relative changes of the parameters, prior included.
+
+    Returns
+    -------
+    warnings, named
+        A sentence for each direction, and the parameters in them.
+    least_half_width : (p,)
+        How wide their intervals are at least, relative.
     """
+    values, directions = np.linalg.eigh(information)
+    singular = np.sqrt(np.maximum(values, 0.0))
     warnings, named = [], set()
-    least = np.zeros(len(curvature.names))
-    largest = float(np.max(curvature.singular, initial=0.0))
-    flat = [index for index, value in enumerate(curvature.singular) if value < max(1.0, _FLAT * largest)]
+    least = np.zeros(len(names))
+    largest = float(np.max(singular, initial=0.0))
+    flat = [index for index, value in enumerate(singular) if value < max(1.0, _FLAT * largest)]
     for index in flat:
-        direction = curvature.directions[:, index]
-        members = [
-            place
-            for place in np.argsort(-np.abs(direction))
-            if abs(direction[place]) > _VISIBLE * np.max(np.abs(direction))
-        ]
-        members.sort()
-        names = [curvature.names[place] for place in members]
-        if len(names) == 1 and curvature.singular[index] >= _FLAT * largest:
+        direction = directions[:, index]
+        strong = np.abs(direction) > _VISIBLE * np.max(np.abs(direction))
+        members = [name for name, one in zip(names, strong, strict=True) if one]
+        if len(members) == 1 and singular[index] >= _FLAT * largest:
             continue  # its interval tells: wider than its value, or around zero
-        named.update(names)
-        warnings.append(_described(names, direction[members]))
-        if curvature.singular[index] < _FLAT * largest:
+        named.update(members)
+        warnings.append(_described(members, direction[strong]))
+        if singular[index] < _FLAT * largest:
             # resampling cannot see a direction in which no residual pulls: ten times the value stands for "anything"
             least = np.maximum(least, 10.0 * np.abs(direction))
-    return DirectionWarnings(warnings, frozenset(named), least)
+    return warnings, frozenset(named), least
 
 
 def _described(names: Sequence[str], direction: FloatArray) -> str:

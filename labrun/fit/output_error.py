@@ -12,7 +12,6 @@ from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
 from labrun.fit.dataset import Dataset, load_dataset
 from labrun.fit.identifiability import (
-    Curvature,
     divergence_warnings,
     interval_warnings,
     sign_warnings,
@@ -186,19 +185,18 @@ def _result(
         # directions are told in shares of the estimates; one next to zero has no share
         share = np.maximum(np.abs(centre), _SMALLEST_SHARE)
         precision = np.diag(1.0 / np.square(sigma))
-        findings = undetermined(
-            Curvature.of((information.sum(axis=0) + precision) * share[:, None] * share, problem.priors.names)
+        told, named, least = undetermined(
+            (information.sum(axis=0) + precision) * share[:, None] * share, problem.priors.names
         )
-        low = np.minimum(resampled.low, -findings.least_half_width * share)
-        high = np.maximum(resampled.high, findings.least_half_width * share)
+        low = np.minimum(resampled.low, -least * share)
+        high = np.maximum(resampled.high, least * share)
         low = np.clip(centre + low, problem.priors.lower, problem.priors.upper) * problem.priors.scale
         high = np.clip(centre + high, problem.priors.lower, problem.priors.upper) * problem.priors.scale
         for index, name in enumerate(problem.priors.names):
             unit = model.parameters[problem.priors.free[index]].unit
             value = float(parameters[problem.priors.free[index]])
             estimates[name] = Estimate(value, (float(low[index]), float(high[index])), unit)
-        named = findings.named
-        warnings += findings.warnings
+        warnings += told
         warnings += interval_warnings(estimates, problem, named)
         warnings += sign_warnings(estimates, problem)
     outcomes = _outcomes(problem, minima)

@@ -141,10 +141,12 @@ def paired(data: Run, other: Run) -> tuple[list[Pair], tuple[str, ...]]:
     for first, second in matched:
         _require_same_unit(first, mine, second, theirs)
         for key in common:
-            make = _number_pair if numbers else _signal_pair
-            pair = make(first, mine, own[key], second, theirs, others[key])
-            if pair is not None:
-                pairs.append(pair)
+            beside = _numbers_beside if numbers else _signals_beside
+            found = beside(first, mine, own[key], second, theirs, others[key])
+            if found is not None:
+                condition = own[key][0].condition
+                unit = (mine.numbers if numbers else mine.signals)[first]
+                pairs.append(Pair(condition_text(condition), condition, first, unit, *found))
     if not pairs:
         raise RequestError(f"{mine.name} and {theirs.name} have no accepted trial to compare")
     return pairs, tuple(notes)
@@ -226,32 +228,30 @@ def _require_same_unit(first: str, mine: Side, second: str, theirs: Side) -> Non
         )
 
 
-def _number_pair(
+def _numbers_beside(
     first: str,
     mine: Side,
     own: Sequence[TrialOutcome],
     second: str,
     theirs: Side,
     others: Sequence[TrialOutcome],
-) -> Pair | None:
+) -> tuple[FloatArray, FloatArray, FloatArray, int] | None:
+    """Return a time, what was measured and what is held against it there, and of how many trials; None without any."""
     measured, held = mine.number(first, own), theirs.number(second, others)
     if not len(measured) or not len(held):
         return None
-    condition = own[0].condition
-    values = np.array([np.mean(measured)]), np.array([np.mean(held)])
-    return Pair(
-        condition_text(condition), condition, first, mine.numbers[first], np.zeros(1), *values, len(measured)
-    )
+    return np.zeros(1), np.array([np.mean(measured)]), np.array([np.mean(held)]), len(measured)
 
 
-def _signal_pair(
+def _signals_beside(
     first: str,
     mine: Side,
     own: Sequence[TrialOutcome],
     second: str,
     theirs: Side,
     others: Sequence[TrialOutcome],
-) -> Pair | None:
+) -> tuple[FloatArray, FloatArray, FloatArray, int] | None:
+    """Return the same of signals, at the times of the first one at which all of them were recorded."""
     measured = [mine.signal(first, one) for one in own]
     held = [theirs.signal(second, one) for one in others]
     start_s = max(float(one.time_s[0]) for one in (*measured, *held))
@@ -260,17 +260,7 @@ def _signal_pair(
     time_s = time_s[(time_s >= start_s) & (time_s <= end_s)]
     if not len(time_s):
         return None
-    condition = own[0].condition
-    return Pair(
-        condition_text(condition),
-        condition,
-        first,
-        mine.signals[first],
-        time_s,
-        _mean(measured, time_s),
-        _mean(held, time_s),
-        len(measured),
-    )
+    return time_s, _mean(measured, time_s), _mean(held, time_s), len(measured)
 
 
 def _mean(signals: Sequence[Signal], time_s: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ The numerator, the offsets and the initial states enter linearly, so the search 
 only, and the others follow by least squares at every point (variable projection, Golub and Pereyra 1973).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -130,46 +130,47 @@ class Answers:
 
     shape: Shape
     moved: FloatArray
-    _shared: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
-    _own: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
-    _spans: dict[tuple[int, int, bytes], FloatArray] = field(default_factory=dict)
-    _projected: dict[tuple[int, int, bytes], FloatArray] = field(default_factory=dict)
+    _known: dict[tuple[object, ...], FloatArray] = field(default_factory=dict)
+
+    def _once(self, make: Callable[[], FloatArray], *key: object) -> FloatArray:
+        if key not in self._known:
+            self._known[key] = make()
+        return self._known[key]
 
     def shared(self, trial: ResponseTrial) -> FloatArray:
         """Return what the numerator's coefficients (lowest power first) weigh, (n, linear)."""
-        key = (id(trial.given), trial.averaged)
-        if key not in self._shared:
+
+        def make() -> FloatArray:
             denominator, dead_s = self.shape.denominator(self.moved), self.shape.dead_s(self.moved)
             before = float(trial.given[0])
             columns = powers(denominator, dead_s, trial.step_s, trial.given, trial.hold, before)
-            columns = columns[:, : self.shape.zeros + 1]
-            self._shared[key] = _averaged(columns, trial.averaged)
-        return self._shared[key]
+            return _averaged(columns[:, : self.shape.zeros + 1], trial.averaged)
+
+        return self._once(make, "shared", id(trial.given), trial.averaged)
 
     def own(self, trial: ResponseTrial) -> FloatArray:
         """Return what each trial's own numbers weigh: its offset and its initial state, (n, own)."""
-        key = (len(trial.time_s), trial.averaged)
-        if key not in self._own:
+
+        def make() -> FloatArray:
             columns = np.ones((len(trial.time_s), 1))
-            if self.shape.initial == "free":
-                free = free_answers(self.shape.denominator(self.moved), trial.step_s, len(trial.time_s))
-                columns = np.column_stack([columns, _averaged(free, trial.averaged)])
-            self._own[key] = columns
-        return self._own[key]
+            if self.shape.initial == "steady":
+                return columns
+            free = free_answers(self.shape.denominator(self.moved), trial.step_s, len(trial.time_s))
+            return np.column_stack([columns, _averaged(free, trial.averaged)])
+
+        return self._once(make, "own", len(trial.time_s), trial.averaged)
 
     def span(self, trial: ResponseTrial) -> FloatArray:
         """Return an orthonormal basis of `own` at the samples used, (n_used, k)."""
         key = (len(trial.time_s), trial.averaged, trial.used.tobytes())
-        if key not in self._spans:
-            self._spans[key] = basis(self.own(trial)[trial.used])
-        return self._spans[key]
+        return self._once(lambda: basis(self.own(trial)[trial.used]), "span", *key)
 
     def projected(self, trial: ResponseTrial) -> FloatArray:
         """Return `shared` at the samples used, less its part in `own`, (n_used, linear)."""
         key = (id(trial.given), trial.averaged, trial.used.tobytes())
-        if key not in self._projected:
-            self._projected[key] = without(self.shared(trial)[trial.used], self.span(trial))
-        return self._projected[key]
+        return self._once(
+            lambda: without(self.shared(trial)[trial.used], self.span(trial)), "projected", *key
+        )
 
 
 def basis(columns: FloatArray) -> FloatArray:

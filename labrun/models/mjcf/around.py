@@ -4,7 +4,6 @@ All are zero until somebody knows better: a diagnosis writes them, and so may a 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,23 +17,7 @@ _LEAST_MASS = 0.1
 """Part of the last body's mass that a load below zero leaves of it."""
 
 
-@dataclass(frozen=True)
-class Around:
-    """What sets numbers of the MJCF model beside the parameters of single elements.
-
-    Attributes
-    ----------
-    parameters
-        Lines of ``[parameters]``.
-    equations : reference -> equation
-        Entries of ``[mjcf]``.
-    """
-
-    parameters: tuple[str, ...]
-    equations: Mapping[str, str]
-
-
-def around(xml: str, masses: Mapping[str, str]) -> Around:
+def around(xml: str, masses: Mapping[str, str]) -> tuple[list[str], dict[str, str]]:
     """Return the tilt of a robot's base, the load at its tip, and inertias in proportion to the masses.
 
     A body that is heavier than stated and turns as easily as before would be another shape; joint by joint, a
@@ -46,6 +29,11 @@ def around(xml: str, masses: Mapping[str, str]) -> Around:
         MJCF without other files.
     masses : body -> parameter
         Which parameters are masses; that of the last body is given its value here.
+
+    Returns
+    -------
+    list, dict
+        Lines of ``[parameters]``; entries of ``[mjcf]``: reference -> equation.
     """
     mujoco = imported()
     model = mujoco.MjModel.from_xml_string(xml)
@@ -68,7 +56,7 @@ def around(xml: str, masses: Mapping[str, str]) -> Around:
             f'{LOAD} = {{ value = 0.0, tolerance = 0.0, unit = "kg", lower = {low!r} }} # twice as far as its centre'
         )
         equations |= _loaded(model, body, name, masses[name])
-    return Around(tuple(parameters), equations)
+    return parameters, equations
 
 
 def _gravity(down: list[float]) -> dict[str, str]:

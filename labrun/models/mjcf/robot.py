@@ -357,12 +357,14 @@ def _lines(
     for one in robot.actuators:
         between = "hold" if one.command in ("position", "velocity") else "linear"
         yield f'{one.input} = {{ mjcf = "actuator.{one.name}", unit = "{one.unit}", between = "{between}" }}'
-    more = around(robot.xml, {body: f"{identifier(body)}_mass" for body in heavy_bodies(robot.xml)})
+    parameters, equations = around(
+        robot.xml, {body: f"{identifier(body)}_mass" for body in heavy_bodies(robot.xml)}
+    )
     yield "[parameters]"
-    yield from _parameters(robot, more.equations)
-    yield from more.parameters
+    yield from _parameters(robot, equations)
+    yield from parameters
     yield "[mjcf]"
-    for reference, equation in more.equations.items():
+    for reference, equation in equations.items():
         yield f'"{reference}" = "{equation}"'
     yield "[outputs]"
     for joint in (one for one in robot.joints if one.output in measured):
