@@ -10,6 +10,7 @@ from typing import Any, Literal
 from labrun.arrays import FloatArray
 from labrun.estimate import Estimate, parameters_json, rounded
 from labrun.fit.dataset import Dataset
+from labrun.fit.signals import SignalSet
 from labrun.notebook import as_html
 
 Role = Literal["measured", "fitted", "residual", "alternative", "limit", "point"]
@@ -123,7 +124,7 @@ class FittedData:
     left_out: int = 0
 
     @classmethod
-    def of(cls, dataset: Dataset) -> "FittedData":
+    def of(cls, dataset: Dataset | SignalSet) -> "FittedData":
         """Return what a dataset holds."""
         return cls(dataset.name, dataset.kind, len(dataset.trials), dataset.left_out)
 

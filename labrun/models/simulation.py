@@ -120,12 +120,15 @@ class Unfiltered:
     outputs, states : (steps + 1, ...)
     written
         Rows that are finite.
+    every
+        How many steps there are from row to row.
     """
 
     driven: Drive
     outputs: FloatArray
     states: FloatArray
     written: int
+    every: int
 
 
 def simulate_unfiltered(
@@ -139,14 +142,29 @@ def simulate_unfiltered(
 ) -> Unfiltered:
     """Simulate one trial up to the effects at its outputs, which `filtered` adds; arguments as for `simulate`."""
     p = model.vector(parameters, condition or {})
-    effects = (*model.effects, *effects)
     return _integrated(model, driven, p, _checked_state(model, initial_state), effects, every=1)
 
 
 def filtered(model: Model, before: Unfiltered, effects: Sequence[AttachedEffect]) -> Simulation:
     """Return what `simulate` gives with these effects, from the simulation before those at the outputs."""
+    driven, outputs, states = before.driven, before.outputs, before.states
     effects = (*model.effects, *effects)
-    return _filtered(model, before, effects, every=1)
+    chosen = layout(model, effects).after
+    finite = before.written == len(outputs)
+    if chosen and finite:
+        from labrun.models.engine import filter_outputs
+
+        steps_s = driven.steps_s
+        after = filters(model, effects, chosen, float(steps_s.min()) if steps_s.size else 1.0)
+        outputs = outputs.copy()
+        filter_outputs(
+            outputs, np.empty((after.addresses.size, len(model.outputs))), steps_s,
+            after.addresses, after.channels, after.offsets, after.values, after.memory_offsets, after.memory, False,
+        )  # fmt: skip
+        finite = bool(np.isfinite(outputs).all())
+    if before.every != driven.substeps:
+        states, outputs = states[:: driven.substeps], outputs[:: driven.substeps]
+    return Simulation(outputs, states, finite, driven.substeps)
 
 
 def prepare(model: Model, time_s: FloatArray, inputs: FloatArray, substeps: int) -> Drive:
@@ -207,11 +225,8 @@ def _checked_state(model: Model, initial_state: ArrayLike) -> FloatArray:
 def _run(
     model: Model, driven: Drive, p: FloatArray, initial_state: FloatArray, effects: Sequence[AttachedEffect]
 ) -> Simulation:
-    effects = (*model.effects, *effects)
-    every = 1 if layout(model, effects).after else driven.substeps
-    return _filtered(
-        model, _integrated(model, driven, p, initial_state, effects, every=every), effects, every=every
-    )
+    every = 1 if layout(model, (*model.effects, *effects)).after else driven.substeps
+    return filtered(model, _integrated(model, driven, p, initial_state, effects, every=every), effects)
 
 
 def _integrated(
@@ -225,6 +240,7 @@ def _integrated(
 ) -> Unfiltered:
     from labrun.models.engine import integrate
 
+    effects = (*model.effects, *effects)
     found = layout(model, effects)
     laws, own = found.forces, len(model.states)
     u, u_last, steps_s = driven.u, driven.u_last, driven.steps_s
@@ -253,29 +269,7 @@ def _integrated(
     )  # fmt: skip
     if written < rows:
         states[written:], outputs[written:] = np.nan, np.nan
-    return Unfiltered(driven, outputs, states[:, :own] if laws.states else states, written)
-
-
-def _filtered(
-    model: Model, before: Unfiltered, effects: Sequence[AttachedEffect], *, every: int
-) -> Simulation:
-    driven, outputs, states = before.driven, before.outputs, before.states
-    chosen = layout(model, effects).after
-    finite = before.written == len(outputs)
-    if chosen and finite:
-        from labrun.models.engine import filter_outputs
-
-        steps_s = driven.steps_s
-        after = filters(model, effects, chosen, float(steps_s.min()) if steps_s.size else 1.0)
-        outputs = outputs.copy()
-        filter_outputs(
-            outputs, np.empty((after.addresses.size, len(model.outputs))), steps_s,
-            after.addresses, after.channels, after.offsets, after.values, after.memory_offsets, after.memory, False,
-        )  # fmt: skip
-        finite = bool(np.isfinite(outputs).all())
-    if every != driven.substeps:
-        states, outputs = states[:: driven.substeps], outputs[:: driven.substeps]
-    return Simulation(outputs, states, finite, driven.substeps)
+    return Unfiltered(driven, outputs, states[:, :own] if laws.states else states, written, every)
 
 
 def site_course(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from labrun.devices import Excess, Limits
+from labrun.devices import Excess, FloatArray, Limits
 from labrun.devices.clock import SimulatedClock
 from labrun.errors import LabrunError, PlanError
 from labrun.runner.envelope import Envelope, loop_notes
@@ -184,21 +184,13 @@ class _Peaks:
     high_deg: dict[str, float] = field(default_factory=dict)
     speed_deg_s: dict[str, float] = field(default_factory=dict)
 
-    def take(self, motion: TrialMotion) -> None:
-        trajectory = motion.trajectory
-        low, high = np.degrees(trajectory.angle_rad.min(axis=0)), np.degrees(trajectory.angle_rad.max(axis=0))
-        speed = np.degrees(trajectory.peak_speed_rad_s())
-        for i, joint in enumerate(trajectory.joints):
-            self.low_deg[joint] = min(self.low_deg.get(joint, math.inf), float(low[i]))
-            self.high_deg[joint] = max(self.high_deg.get(joint, -math.inf), float(high[i]))
-            self.speed_deg_s[joint] = max(self.speed_deg_s.get(joint, 0.0), float(speed[i]))
-
-    def take_worst(self, worst: Envelope) -> None:
-        """Take in what closed loops may make of a motion."""
-        for i, joint in enumerate(worst.joints):
-            self.low_deg[joint] = min(self.low_deg[joint], float(worst.low_deg[i]))
-            self.high_deg[joint] = max(self.high_deg[joint], float(worst.high_deg[i]))
-            self.speed_deg_s[joint] = max(self.speed_deg_s[joint], float(worst.speed_deg_s[i]))
+    def take(
+        self, joints: Sequence[str], low_deg: FloatArray, high_deg: FloatArray, speed_deg_s: FloatArray
+    ) -> None:
+        for joint, low, high, speed in zip(joints, low_deg, high_deg, speed_deg_s, strict=True):
+            self.low_deg[joint] = min(self.low_deg.get(joint, math.inf), float(low))
+            self.high_deg[joint] = max(self.high_deg.get(joint, -math.inf), float(high))
+            self.speed_deg_s[joint] = max(self.speed_deg_s.get(joint, 0.0), float(speed))
 
 
 class Planner:
@@ -256,9 +248,13 @@ class Planner:
         for condition in conditions:
             motion = self._motion(condition)
             worst = self._motions.envelope(condition)
-            peaks.take(motion)
+            course = motion.trajectory
+            low, high = course.angle_rad.min(axis=0), course.angle_rad.max(axis=0)
+            peaks.take(
+                course.joints, np.degrees(low), np.degrees(high), np.degrees(course.peak_speed_rad_s())
+            )
             if worst is not None:
-                peaks.take_worst(worst)
+                peaks.take(worst.joints, worst.low_deg, worst.high_deg, worst.speed_deg_s)
             times.append(self._trial_s(motion))
             samples.append(motion.kept_s)
             if excess := self._excess(motion, worst):

@@ -22,7 +22,7 @@ from labrun.estimate import Estimate
 from labrun.fit.result import FitSummary, FittedData
 from labrun.fit.transfer import TransferFunction
 from labrun.fit.transfer.summary import TransferSummary
-from labrun.fit.tuning.closed_loop import Gains, run_loop, steady_error
+from labrun.fit.tuning.closed_loop import Gains, run_loop
 from labrun.fit.tuning.designs import ControllerDesign
 from labrun.fit.tuning.figure import shown_designs
 from labrun.fit.tuning.loop import OpenLoop
@@ -291,14 +291,14 @@ def test_a_loop_that_begins_at_rest_stays_there():
 def test_proportional_control_keeps_one_over_one_plus_the_loop_gain(plant, share):
     loop = OpenLoop(plant, 20.0)
     gains = Gains(share * 0.5 * ultimate(loop)[0])
-    expected = steady_error(gains, loop.gain)
+    expected = gains.steady_error(loop.gain)
     assert expected == pytest.approx(1 / (1 + gains.p * plant.gain))
     track = run_loop(gains, loop, lambda _: 1.0, 60.0 * (plant.dead_s + plant.lag_s + 0.1))
     assert 1.0 - track.output[-1] == pytest.approx(expected, abs=1e-2)
 
 
 def test_at_109_6_deg_per_newton_half_of_the_reference_is_missing():
-    assert steady_error(Gains(109.6), GAIN) == pytest.approx(0.5, abs=1e-3)
+    assert Gains(109.6).steady_error(GAIN) == pytest.approx(0.5, abs=1e-3)
 
 
 def test_the_gains_of_table_5_4_do_in_the_prediction_what_the_source_says():

@@ -194,7 +194,7 @@ class DataTable(BaseModel):
             withheld,
             {name: signals.units[name] or "1" for name in self.inputs},
             dict.fromkeys(self.outputs, self.unit),
-            FittedData(signals.name, signals.kind, len(signals.trials), signals.left_out),
+            FittedData.of(signals),
             f"{len(out)} of {len(names)} {'trials' if enough else 'blocks of time'} withheld",
         )
 

@@ -259,7 +259,7 @@ def _summary(study: _Study) -> FitSummary:
     return FitSummary(
         "least-squares",
         f"basket {{{taken}}}",
-        FittedData(data.name, data.kind, len(data.trials), data.left_out),
+        FittedData.of(data),
         parameters,
         {output: of[taken].rmse for output, of in solved.items()},
         output_units,

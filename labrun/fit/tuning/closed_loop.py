@@ -47,6 +47,15 @@ class Gains:
         """Return the integral gain that is summed once a sample."""
         return self.i_per_s / rate_hz
 
+    def steady_error(self, gain: float) -> float:
+        """Return what is left of a constant reference, relative to it: ``(1 - K F) / (1 + K p)``, 0 with an integral.
+
+        `gain`: K, the plant's static gain; F is the feed-forward's, 0 without one.
+        """
+        if self.i_per_s:
+            return 0.0
+        return (1.0 - gain * (self.feedforward or 0.0)) / (1.0 + gain * self.p)
+
     def frequency_response(self, omega_rad_s: FloatArray, step_s: float) -> ComplexArray:
         """Return drive over error, shape of `omega_rad_s`; of samples `step_s` apart, or continuous if that is 0.
 
@@ -236,16 +245,6 @@ def step_figures(track: LoopResponse, steady_error: float) -> StepFigures:
     settling_s = float(track.time_s[last + 1]) if last + 1 < len(track.time_s) else np.inf
     peak = float(track.drive[int(np.argmax(np.abs(track.drive)))])
     return StepFigures(max(beyond, 0.0), settling_s, steady_error, peak)
-
-
-def steady_error(gains: Gains, gain: float) -> float:
-    """Return what is left of a constant reference, relative to it: ``(1 - K F) / (1 + K p)``, 0 with an integral.
-
-    `gain`: K, the plant's static gain; F is the feed-forward's, 0 without one.
-    """
-    if gains.i_per_s:
-        return 0.0
-    return (1.0 - gain * (gains.feedforward or 0.0)) / (1.0 + gain * gains.p)
 
 
 def horizon_s(loop: OpenLoop, gains: Gains | None = None) -> float:

@@ -17,7 +17,6 @@ from labrun.fit.tuning.closed_loop import (
     StepFigures,
     horizon_s,
     run_loop,
-    steady_error,
     step_figures,
 )
 from labrun.fit.tuning.loop import OpenLoop
@@ -98,7 +97,7 @@ class ControllerDesign:
     @property
     def steady_error(self) -> float:
         """What is left of a constant reference, relative to it."""
-        return steady_error(self.gains, self.loop.gain)
+        return self.gains.steady_error(self.loop.gain)
 
     @cached_property
     def figures(self) -> StepFigures:

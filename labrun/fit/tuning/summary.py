@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterator
 
 from labrun.fit.result import TextTable
-from labrun.fit.tuning.closed_loop import steady_error
 from labrun.fit.tuning.designs import ControllerDesign
 from labrun.fit.tuning.loop import OpenLoop
 from labrun.fit.tuning.margins import ultimate
@@ -287,7 +286,7 @@ def _verdict(design: ControllerDesign, study: Study) -> Iterator[str]:
     worst = max(max(pair) for pair in errors.values())
     numbers = f"mean error {first:.2g} {unit} over the first arch, {second:.2g} over the second"
     off = _off(errors, study)
-    left = steady_error(design.gains, study.loop.gain)
+    left = design.steady_error
     if min(first, second) > _FOLLOWS * middle and first < _CATCHES_UP * second:
         kind = f"leaves {left:.0%} of the reference" if left > 0.05 else "is too slow to follow"
         yield f"{design.name} {kind}: {numbers}"
