@@ -27,7 +27,9 @@ def channels_of(
     found = []
     for name, table in loops.items():
         shape = table.shape
-        of_feedback = units_of(feedbacks[name], len(shape.components))
+        of_feedback = [one.unit for one in feedbacks[name]]
+        if len(of_feedback) == 1:  # of a vector, too
+            of_feedback *= len(shape.components)
         of_drives = [variable_unit(experiment, variable) for variable in table.drives]
         units = [*3 * of_feedback, *2 * of_drives, *shape.more.values()]
         found += [Channel(c, unit or "1") for c, unit in zip(shape.channels(name), units, strict=True)]
@@ -35,11 +37,6 @@ def channels_of(
         *found,
         *(Channel(name, unit) for name, unit in zip(TIMING_CHANNELS, ("s", "s", "s", "1"), strict=True)),
     )
-
-
-def units_of(feedbacks: Sequence[Feedback], count: int) -> list[str]:
-    """Return the unit of each component of a loop's feedback."""
-    return [feedbacks[0].unit] * count if len(feedbacks) == 1 else [one.unit for one in feedbacks]
 
 
 def variable_unit(experiment: Experiment, variable: str) -> str:

@@ -234,7 +234,8 @@ def _sums(problem: Problem, z: FloatArray, noise: ResidualSize) -> tuple[FloatAr
                 f"intervals rest on {trials} trials only and are coarse; {FEW_TRIALS} or more would support them"
             )
     else:
-        count = _block_count(problem, noise)
+        length = len(problem.data.trials[0].time_s)
+        count = int(np.clip(length / (2.0 * float(np.max(noise.correlated))), 3, _BLOCKS))
         pairs = _cut(jacobian.shared[0], jacobian.own[0], jacobian.residual[0], count)
         warnings = [
             f"there is one trial only: intervals come from {count} pieces of it and know nothing of how trials differ"
@@ -269,11 +270,6 @@ def _cut(
         residual = residual - span @ (span.T @ residual)
     pieces = zip(np.array_split(shared, count), np.array_split(residual, count), strict=True)
     return [(piece.T @ piece, piece.T @ part) for piece, part in pieces]
-
-
-def _block_count(problem: Problem, noise: ResidualSize) -> int:
-    length = len(problem.data.trials[0].time_s)
-    return int(np.clip(length / (2.0 * float(np.max(noise.correlated))), 3, _BLOCKS))
 
 
 def _simulated(problem: Problem, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray:

@@ -66,6 +66,8 @@ def resample_trials(
         Standard deviation of what was known beforehand, inf where nothing was. Prior knowledge is resampled as the
         measurement it stands for, so that a parameter known by its prior alone keeps the prior's width.
     """
+    from scipy.special import ndtri
+
     trials, size = score.shape
     precision = np.zeros(size) if prior_sigma is None else 1.0 / np.square(prior_sigma)
     # one scale for all parameters: their units must not decide which eigenvalue counts as zero
@@ -82,7 +84,7 @@ def resample_trials(
     matrices = np.tensordot(counts, information, (1, 0)) + np.diag(precision) + 1e-9 * np.eye(size)
     pulls = counts @ adjusted + np.sqrt(precision) * rng.standard_normal((resamples, size))
     draws = np.linalg.solve(matrices, pulls[..., None])[..., 0] * scale
-    draws *= _student_over_normal(trials)
+    draws *= student(trials - 1) / float(ndtri(0.5 * (1.0 + LEVEL)))
     tail = 50.0 * (1.0 - LEVEL)
     low, high = np.percentile(draws, [tail, 100.0 - tail], axis=0)
     # the estimate itself is always inside: a step of a skewed resample must not push the interval past it
@@ -128,13 +130,6 @@ def _leverage_corrected(information: FloatArray, score: FloatArray, total: Float
         factor = 1.0 / np.sqrt(np.clip(1.0 - share, _LEAST_FREEDOM, 1.0))
         corrected[index] = half @ ((basis * factor) @ (basis.T @ (inverse_half @ pull)))
     return corrected
-
-
-def _student_over_normal(trials: int) -> float:
-    from scipy.special import ndtri
-
-    quantile = 0.5 * (1.0 + LEVEL)
-    return student(trials - 1, quantile) / float(ndtri(quantile))
 
 
 def student(freedom: int, quantile: float = 0.5 * (1.0 + LEVEL)) -> float:

@@ -101,11 +101,11 @@ def search(problem: Problem, rng: np.random.Generator, *, starts: int, note: Not
 
 def _joined(shared: FloatArray, known: Sequence[Minimum]) -> Minimum | None:
     """Return the known minimum whose valley this point lies in."""
-    return next((one for one in known if _close(shared, one.z[: len(shared)])), None)
-
-
-def _close(one: FloatArray, other: FloatArray) -> bool:
-    return bool(np.all(np.abs(one - other) <= _SAME * np.maximum(np.abs(one), np.abs(other))))
+    for one in known:
+        there = one.z[: len(shared)]
+        if np.all(np.abs(shared - there) <= _SAME * np.maximum(np.abs(shared), np.abs(there))):
+            return one
+    return None
 
 
 def _screened(problem: Problem, rng: np.random.Generator, wanted: int) -> list[FloatArray]:
@@ -117,11 +117,7 @@ def _screened(problem: Problem, rng: np.random.Generator, wanted: int) -> list[F
         start = _draw(problem, rng)
         z = np.concatenate([start, problem.guess(problem.parameters(start))])
         rated.append((short.misfit(z), len(rated), start))
-    return [start for _, _, start in sorted(rated, key=_rank)[:wanted]]
-
-
-def _rank(rated: tuple[float, int, FloatArray]) -> tuple[float, int]:
-    return rated[0], rated[1]
+    return [start for _, _, start in sorted(rated, key=lambda one: one[:2])[:wanted]]
 
 
 def _draw(problem: Problem, rng: np.random.Generator) -> FloatArray:

@@ -210,7 +210,7 @@ class Planner:
         self, experiment: Experiment, rig: Rig | None = None, motions: MotionMaker | None = None
     ) -> None:
         self._experiment = experiment
-        self._rig = rig if rig is not None else _describe_rig(experiment)
+        self._rig = rig or Rig.build(experiment, clock=SimulatedClock(), seed=0, dry_run=True)
         self._motions = motions if motions is not None else MotionMaker(experiment)
         check_wiring(experiment, self._rig, self._motions.joints)
 
@@ -360,7 +360,3 @@ def _settle_at_most_s(rule: Settle | None) -> float:
     if rule is None:
         return 0.0
     return rule.hold_s if rule.until == "time" else rule.timeout_s
-
-
-def _describe_rig(experiment: Experiment) -> Rig:
-    return Rig.build(experiment, clock=SimulatedClock(), seed=0, dry_run=True)

@@ -40,11 +40,9 @@ class _Draft:
         self.collector = SampleCollector(bench, writer)
         self.motion: TrialMotion | None = None
         self.settled = Settled(None, None)
+        self.recording: TrialRecording | None = None
         self.recorded = False
-        self.fault = ""
         self.answers: Mapping[str, float] = {}
-        self.reduced: Mapping[str, float] | None = None
-        self.stored: Callable[[], object] = lambda: None
         self.outcome = TrialOutcome(
             index=request.index,
             condition=dict(request.condition),
@@ -240,13 +238,12 @@ class TrialRunner:
         for device in self._rig.paced.values():
             device.restart_pacing()  # what moved it here does not count
         recording = TrialRecording(self._bench, motion, request, draft.outcome.tare, draft.collector, begun)
+        draft.recording = recording
         recording.move_speed_rad_s = self._speed_rad_s
         recording.remark = lambda text: self._journal("remark", index=request.index, text=text)
         try:
             self._recorder(recording)
         finally:
-            draft.fault, draft.stored = recording.fault, recording.stored
-            draft.reduced = recording.objectives
             draft.know(tare=dict(recording.tare), censored=recording.censored)
             if recording.duration_s is not None:
                 draft.know(duration_s=recording.duration_s)
@@ -264,11 +261,11 @@ class TrialRunner:
 
     def _evaluate(self, draft: _Draft, writer: TrialWriter) -> str:
         """Compute the objectives; return what a plugin raised."""
-        outcome, motion, raised = draft.outcome, draft.motion, ""
-        if motion is None or not draft.recorded:
+        outcome, motion, recording, raised = draft.outcome, draft.motion, draft.recording, ""
+        if motion is None or recording is None or not draft.recorded:
             return raised
         try:
-            found = draft.reduced
+            found = recording.objectives
             if found is None:
                 signals = writer.signals(outcome.started_s, outcome.tare)
                 found = self._evaluation.evaluate(signals, motion, outcome.condition, draft.answers)
@@ -277,7 +274,7 @@ class TrialRunner:
         except ObjectiveError as error:
             draft.know(status="failed", reason=str(error).splitlines()[0])
             raised = error.raised
-        fault = draft.collector.fault(self._table.max_lost_share) or draft.fault
+        fault = draft.collector.fault(self._table.max_lost_share) or recording.fault
         if fault:
             draft.know(status="rejected", reason=fault)
         return raised
@@ -301,7 +298,8 @@ class TrialRunner:
             draft.know(damage=self._damage.done_by(draft.outcome))
         draft.know(checkpoint=self.checkpoint())
         outcome = self._finish(draft, writer)
-        draft.stored()
+        if draft.recording is not None:
+            draft.recording.stored()
         return outcome
 
     def _finish(self, draft: _Draft, writer: TrialWriter) -> TrialOutcome:

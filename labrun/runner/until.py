@@ -13,7 +13,6 @@ from labrun.devices import Channel, Samples, Trajectory
 from labrun.errors import ExperimentError
 from labrun.objectives import make_objective
 from labrun.runner.evaluation import ObjectiveEvaluation
-from labrun.runner.motion import TrialMotion
 from labrun.runner.recording import LEAD_S, TAIL_S, TrialRecording
 from labrun.runner.rig import Rig
 from labrun.signals import Signals
@@ -271,7 +270,8 @@ class UntilRecorder:
                 if len(block):
                     streams[name].append(block)
 
-        one = _one_cycle(recording.motion, period_s)
+        course = _beginning(recording.motion.trajectory, period_s)
+        one = replace(recording.motion, trajectory=course, duration_s=period_s, cycles=1)
         for number in range(count):
             begun_s = start_s + number * period_s
             bench.watch(begun_s + period_s + TAIL_S, take)
@@ -338,7 +338,3 @@ def _beginning(motion: Trajectory, duration_s: float) -> Trajectory:
     times = motion.time_s[motion.time_s < duration_s * (1 - 1e-12)]
     times = np.append(times, duration_s)
     return Trajectory(motion.joints, times, motion.at(times), motion.period_s)
-
-
-def _one_cycle(motion: TrialMotion, period_s: float) -> TrialMotion:
-    return replace(motion, trajectory=_beginning(motion.trajectory, period_s), duration_s=period_s, cycles=1)

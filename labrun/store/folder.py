@@ -114,7 +114,8 @@ class RunFolder:
             (results / experiment).mkdir(parents=True, exist_ok=True)
             path = _new_folder(results / experiment)
             (path / TRIALS).mkdir()
-            replace_durably(path / PROVENANCE, _json(provenance))
+            written = json.dumps(provenance, indent=2, default=str) + "\n"
+            replace_durably(path / PROVENANCE, written.encode())
             replace_durably(path / SPEC, spec_toml.encode())
             fsync_directory(path.parent)
         folder = cls(path)
@@ -398,10 +399,6 @@ def apply_marks(outcomes: dict[int, TrialOutcome], events: list[dict[str, Any]])
         elif event["event"] == "trial" and index in marked:
             marked[index] = outcomes[index]  # stored anew: earlier marks were about its predecessor
     return marked
-
-
-def _json(data: Mapping[str, Any]) -> bytes:
-    return (json.dumps(data, indent=2, default=str) + "\n").encode()
 
 
 def _new_folder(parent: Path) -> Path:

@@ -98,8 +98,8 @@ os.register_at_fork(after_in_child=_forget_in_child)
 
 def lock_folder() -> Path:
     """Return where the locks of this machine's rigs are: the same folder for every user."""
-    for shared in _SHARED:
-        if _everyone_writes(shared):
+    for shared in _SHARED:  # about the folder, not about this user: every user gets the same answer
+        if shared.is_dir() and shared.stat().st_mode & stat.S_IWOTH:
             return shared / "labrun"
     return Path(tempfile.gettempdir()) / "labrun"
 
@@ -153,11 +153,6 @@ def _share(path: Path) -> None:
         return
     os.fchmod(descriptor, 0o666)
     os.close(descriptor)
-
-
-def _everyone_writes(folder: Path) -> bool:
-    # Asks about the folder and not about this user, so that every user gets the same answer.
-    return folder.is_dir() and bool(folder.stat().st_mode & stat.S_IWOTH)
 
 
 def _real(port: str) -> str:

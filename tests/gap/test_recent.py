@@ -89,7 +89,7 @@ class Maker:
 
     def __call__(self) -> Unfiltered:
         self.made.append(1)
-        return Unfiltered(None, np.empty(self.bytes // 8), np.empty((1, 1)), 0)
+        return Unfiltered(None, np.empty(self.bytes // 8), np.empty((1, 1)), 0, 1)
 
 
 def test_what_was_used_last_is_kept_and_memory_stays_bounded():

@@ -49,7 +49,6 @@ class BlockResult:
 
 @dataclass
 class _Sensor:
-    name: str
     device: CompiledStandIn
     form: CompiledSensor
 
@@ -87,10 +86,8 @@ class CompiledDryRun:
         self._scene = scene
         self._step_s = float(scene.step_s)
         self._per_step = round(self.period_s / self._step_s)
-        for name, device in self.rig.sensors.items():
-            self._sensors.append(
-                _Sensor(name, cast("CompiledStandIn", device), cast("Any", device).compiled())
-            )
+        for device in self.rig.sensors.values():
+            self._sensors.append(_Sensor(cast("CompiledStandIn", device), cast("Any", device).compiled()))
         now = self.rig.clock.now()
         scene.observe(list(scene.signals)[:1], np.array([now]))  # the bench as far as it has come
         self._grid = scene.compiled().first
