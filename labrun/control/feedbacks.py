@@ -43,8 +43,6 @@ class ChannelFeedback(ABC):
 
     Parameters
     ----------
-    settings
-        Keys of the feedback.
     units
         Unit of every channel, by ``device.channel``.
 
@@ -211,8 +209,6 @@ class OrientationFeedback:
 
     Parameters
     ----------
-    settings
-        See `OrientationSettings`.
     units
         Unit of every channel, by ``device.channel``.
 

@@ -33,14 +33,8 @@ class Loop:
 
     Parameters
     ----------
-    name, table
-        As in the file.
-    feedbacks
-        What it reads.
     condition
         Of the trial: which controller is in charge, and values of its gains.
-    context
-        Of the loop.
     cycle_s
         Of the gait; None if it does not repeat.
     """
@@ -97,8 +91,6 @@ class Loop:
             Time of the trial, and since the step before.
         drives
             Where the variables stand now.
-        history
-            The samples so far.
 
         Returns
         -------

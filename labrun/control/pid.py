@@ -56,8 +56,6 @@ class PidController:
 
     Parameters
     ----------
-    settings
-        See `PidSettings`.
     context
         The loop's period, range and start.
     """
@@ -155,8 +153,6 @@ class FeedforwardPid(PidController):
 
     Parameters
     ----------
-    settings
-        See `FeedforwardSettings`.
     context
         The loop's period, range and start.
     """

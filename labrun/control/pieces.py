@@ -25,14 +25,10 @@ class Pieces:
     ----------
     steering
         Of the gait.
-    joints
-        Its joints.
     start
         Values of the steered variables at the beginning.
     slew_per_s
         How fast each may change; those that are not named may go anywhere within a period.
-    period_s
-        Of the loop.
     rate_hz
         Points of a piece come no less often.
     duration_s

@@ -45,8 +45,6 @@ class Feedback(Protocol):
     ----------
     channels
         The channels it needs, ``device.channel``.
-    unit
-        Of its value.
     """
 
     channels: tuple[str, ...]

@@ -152,10 +152,6 @@ def crossing(
     ----------
     one, other
         The curves; a number is a level.
-    rng
-        Of the resampling.
-    resamples
-        How many.
     """
     places = [one.x] if isinstance(other, float) else [one.x, other.x]
     grid = np.linspace(max(x.min() for x in places), min(x.max() for x in places), _GRID)

@@ -244,8 +244,6 @@ class FitResult(FitSummary):
 
     Attributes
     ----------
-    dataset
-        What was fitted.
     simulated : per trial (n, m)
         Outputs of the fitted model, beside `dataset.trials[i].outputs`.
     initial_states : per trial (k,)

@@ -52,8 +52,6 @@ class Network:
         Of each layer: (from, to) and (to,).
     activation
         Of every layer but the last.
-    inputs, outputs
-        Scaling.
     """
 
     weights: tuple[FloatArray, ...]

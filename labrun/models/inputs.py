@@ -57,8 +57,6 @@ def drive(time_s: FloatArray, inputs: FloatArray, between: Sequence[Between], su
     inputs : (samples, inputs)
     between
         How each input runs between its samples.
-    substeps
-        Steps per interval.
 
     Raises
     ------

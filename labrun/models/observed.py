@@ -31,8 +31,6 @@ class ObservedModel(Model):
 
     Attributes
     ----------
-    inner
-        The model by itself.
     gain : (states, outputs)
         Of the observer.
     """

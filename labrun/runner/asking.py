@@ -51,8 +51,6 @@ class Asking:
     ----------
     questions
         By the objective's name.
-    person
-        Who is asked.
     simulated
         Answers in their place, from what the result is read from; None where somebody is there.
     journal

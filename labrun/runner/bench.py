@@ -32,10 +32,6 @@ class Bench:
 
     Parameters
     ----------
-    rig
-        The devices.
-    clock
-        The run's clock.
     check_stop
         Raises Interrupted if someone asked to stop.
     beat

@@ -134,10 +134,6 @@ class Mountings:
         Of the experiment file; None if nothing is set by hand.
     units
         Of conditions.
-    person
-        Who is asked.
-    journal
-        Keeps the answers.
     wait
         Waits a moment; raises if someone asked to stop.
     set_aside

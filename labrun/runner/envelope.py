@@ -30,8 +30,6 @@ class Envelope:
     ----------
     joints
         Their names; all arrays are of shape (joints,).
-    low_deg, high_deg
-        Angles.
     speed_deg_s
         Greatest speed: of the gait itself at any value of the variables, and on top of it what their own greatest
         change adds at that moment.
@@ -76,8 +74,6 @@ def envelope(
         Ranges and slew rates. Without a slew rate a variable may cross its range within one step.
     gait, plugin
         The gait, and its name in the file.
-    condition
-        Of the trial.
     duration_s, rate_hz
         Of the motion and its points.
 

@@ -19,8 +19,6 @@ class Measurement:
 
     Attributes
     ----------
-    condition
-        What was measured.
     role
         "measure", "reference", "fresh" or "confirm".
     outcomes
@@ -148,8 +146,6 @@ def find_outliers(measurement: Measurement, rule: Outliers, default_objective: s
     ----------
     measurement
         The trials of one condition so far.
-    rule
-        The declared rule.
     default_objective
         The objective judged where the rule names none.
     """

@@ -112,8 +112,6 @@ class TrialMotion:
     ----------
     trajectory
         Of all joints of the gait, for the whole recording.
-    duration_s
-        Length of the recording.
     period_s
         Of one gait cycle; None if the gait has none.
     cycles

@@ -106,8 +106,6 @@ class Plan:
         Sample rate of each sensor.
     excess
         Conditions that leave a limit.
-    settle_at_most_s
-        See `settle_s`.
     space
         Of a search, which chooses its conditions as it goes: how much of its space may run. Peaks are then those of
         the points its constraints allow.
@@ -198,8 +196,6 @@ class Planner:
 
     Parameters
     ----------
-    experiment
-        What is planned.
     rig
         Its devices, not necessarily opened; without it, stand-ins tell which device moves which joint.
     motions

@@ -73,8 +73,6 @@ class TrialRecording:
 
     Attributes
     ----------
-    request, tare
-        Of the trial.
     move_speed_rad_s
         Of moves beside the motion.
     on_begin

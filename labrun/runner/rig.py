@@ -41,8 +41,6 @@ class Rig:
         those with that capability.
     joints
         Which actuator moves a joint: joint -> device name.
-    limits
-        Limits of each device.
     scene
         The simulated bench, of a dry run or behind emulators; None on hardware.
     dry_run
@@ -105,10 +103,6 @@ class Rig:
 
         Parameters
         ----------
-        experiment
-            Says what is connected.
-        clock
-            Everything waits on it.
         seed
             Of the scene's and the devices' generators.
         dry_run

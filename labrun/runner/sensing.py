@@ -32,12 +32,8 @@ class SensorWatch:
     ----------
     name
         The device's name in the file.
-    sensor
-        The device.
     limits
         Bounds on its samples by unit.
-    clock
-        The run's clock.
     """
 
     def __init__(self, name: str, sensor: Sensor, limits: Limits, clock: Clock) -> None:

@@ -49,8 +49,6 @@ class Session:
         All waiting goes through it.
     seed
         Of order and device noise: the same seed gives the same run.
-    progress
-        Told what happens.
     limit
         Stop, resumably, after this many new trials.
     recorder
@@ -162,8 +160,6 @@ class Session:
         ----------
         conditions
             What to measure, in the units of the experiment file.
-        role
-            Stored with each trial.
         repeats
             Instead of the file's own rule.
         order

@@ -75,8 +75,6 @@ class TrialRunner:
         How a trial is recorded: its whole motion sent at once, unless something else is asked for.
     person, wait
         Who types results, where the file asks for some; and what waits a moment for them.
-    may_correct, correct
-        See `Asking`.
 
     Raises
     ------

@@ -117,8 +117,6 @@ def saving(what: str, where: Path, saved: str = "what was stored before is untou
     ----------
     what
         What could not be written, for example ``"trial 12"``.
-    where
-        The run folder.
     saved
         What the person still has.
     """

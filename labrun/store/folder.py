@@ -29,8 +29,6 @@ class TrialSource:
     ----------
     packed
         ``run.h5``, opened when it is needed; may be missing.
-    files
-        Trial files by index.
     locked
         As for `labrun.store.trial_file.TrialFile`.
     """
@@ -78,10 +76,6 @@ class RunFolder:
 
     Attributes
     ----------
-    path
-        The folder.
-    journal
-        Its events.
     faults
         What was found damaged when the folder was opened, for the person: one sentence each.
     """

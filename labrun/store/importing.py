@@ -17,8 +17,6 @@ def import_recording(folder: Path, results: Path) -> Path:
     ----------
     folder
         Holds ``recording.toml`` and CSV files; is left as it is.
-    results
-        Where runs are.
 
     Returns
     -------

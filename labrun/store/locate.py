@@ -22,8 +22,6 @@ def find_run(target: str | Path | None, results: Path) -> Path:
     target
         An experiment's name (its latest run), a run folder, a ``run.h5``, or a run's own name or its four letters; the
         latest run of all if None.
-    results
-        Where runs are.
 
     Returns
     -------

@@ -45,8 +45,6 @@ class Run:
     ----------
     path
         The run folder, or the ``run.h5`` that was opened; of a recording, its folder.
-    name
-        The experiment's name.
     identifier
         The run's own name, ``<UTC start>-<4 letters>``.
     experiment_toml
@@ -55,8 +53,6 @@ class Run:
         Versions, machine, devices, seed.
     outcomes
         Of every trial in order of execution, later marks applied.
-    events
-        The journal.
     faults
         What was found damaged, one sentence each.
     """

@@ -34,8 +34,6 @@ class SettleSummary:
     ----------
     reason
         Why the trial went on: ``"quiet"``, ``"timeout"``, ``"time"``.
-    duration_s
-        How long it took.
     spread, drift
         Last values, in the unit of the channel that was watched; None where nothing was watched.
     bound

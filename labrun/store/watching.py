@@ -32,8 +32,6 @@ class RunWatch:
 
     Parameters
     ----------
-    folder
-        The run folder.
     clock
         Tells how much time passes between two looks.
 
@@ -194,8 +192,6 @@ class Trace:
 
     Attributes
     ----------
-    index
-        Of the trial.
     channel
         ``device.channel``.
     time_s, values : (n,)
@@ -220,10 +216,6 @@ def read_trace(folder: Path, index: int, wanted: Sequence[str]) -> Trace | None:
 
     Parameters
     ----------
-    folder
-        The run folder.
-    index
-        Of the trial.
     wanted
         Channels in order of preference, ``device.channel``; the first that the trial has is taken, and any channel
         where it has none of them. The trace is then of another channel than asked for.

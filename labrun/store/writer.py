@@ -140,8 +140,6 @@ class TrialWriter:
     ----------
     trials
         The folder of trial files.
-    index
-        The trial's execution counter.
     sync
         Wait until the trial is on disk. A dry run need not survive a power cut.
     stored

@@ -23,8 +23,6 @@ class BlockBench(NamedTuple):
         Of its time grid.
     advance, state, parameters
         See `labrun.devices.compiled_bench.CompiledScene`.
-    signals
-        How many.
     servos : (joints, 9)
         See `labrun.devices.compiled_bench.CompiledJoints`.
     shafts : (joints, 3)
@@ -89,8 +87,6 @@ def run_block(
         Rows of before, and room for those to come.
     start, per_step, steps
         Grid point of the first step of the loop, points from step to step, and how many there are in the trial.
-    done
-        Steps taken before.
     references : (steps of this block, components)
         The reference at them.
     latest, latest_s

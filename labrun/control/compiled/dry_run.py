@@ -61,8 +61,6 @@ class CompiledDryRun:
     ----------
     rig
         Whose scene, sensors and actuators all have a compiled form.
-    law
-        The loop.
     joints
         Joints it moves, in the order of its gait.
     period_s

@@ -188,12 +188,8 @@ class RealTimeLoop:
         The loop, and its reference at every step, (steps, components).
     joints
         That it moves, in the order of its gait.
-    drives
-        Where they are.
     angles : (joints,)
         Where the joints were told to be, rad.
-    period_s
-        Of the loop.
 
     Attributes
     ----------

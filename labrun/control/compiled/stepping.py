@@ -78,8 +78,6 @@ class Affine(NamedTuple):
         Sums over the window.
     z, e, z_s : (capacity, inputs + 1), (capacity, outputs), (capacity,)
         Samples of the window, and when they were made; of one row where samples count for ever.
-    input_mean, input_scale, output_mean, output_scale
-        Scaling.
     order : (inputs,)
         Which component of the loop each input is.
     place : (drives,)

@@ -35,8 +35,6 @@ class Shape:
 
     Attributes
     ----------
-    poles, zeros
-        How many.
     dead_time
         Whether there is one.
     initial
@@ -210,8 +208,6 @@ class CandidatePoint:
         Offset and initial state.
     residuals : one (n_used,) a trial
         Measured less simulated.
-    squares
-        Their sum.
     """
 
     shape: Shape

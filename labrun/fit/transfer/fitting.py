@@ -49,8 +49,6 @@ class TransferFit:
     ----------
     point
         Its numbers, and what is left.
-    transfer
-        It.
     draws : (b, size)
         Resampled numbers.
     resampled

@@ -26,8 +26,6 @@ class TransferSummary(FitSummary):
 
     Attributes
     ----------
-    transfers
-        The transfer functions themselves.
     resampled
         Others that the data do not rule out.
     estimates

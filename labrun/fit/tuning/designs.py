@@ -46,8 +46,6 @@ class Spread:
         95 % intervals.
     unstable_share
         Share of the plants on which the loop is unstable.
-    plants
-        How many there were.
     """
 
     gain: tuple[float, float]
@@ -277,8 +275,6 @@ def controllers_toml(
         ``"second"`` or ``"sample"``.
     loop_name
         The loop's name in the experiment.
-    heading
-        Comment above them.
     """
     lines = [f"# {line}".rstrip() for line in heading.splitlines()]
     stable = [one for one in designs if one.margins.stable and one.source != "given"]

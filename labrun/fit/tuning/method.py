@@ -51,8 +51,6 @@ class FittedPlant:
 
     Attributes
     ----------
-    response
-        Its name.
     transfer
         What the controller is designed on.
     data
@@ -61,8 +59,6 @@ class FittedPlant:
         Others that the data do not tell apart from it; none if it was given.
     parameters
         Its numbers with their intervals, as the fit names them.
-    warnings
-        Of the fit.
     rmse
         Of the response, in the output's unit; None if it was given.
     """

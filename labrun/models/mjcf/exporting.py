@@ -24,8 +24,6 @@ class Exported:
 
     Attributes
     ----------
-    xml
-        MJCF.
     written
         What of the correction is in it, and where; sentences.
     left

@@ -227,8 +227,6 @@ class RobotTerms:
     ----------
     rest
         Where its spring pulls to.
-    drives
-        By joint.
     coupled
         What ties joints together beside their bodies, in a sentence; "" if nothing.
     """

@@ -88,20 +88,14 @@ class MjcfLayout:
         Digest of all of it.
     at
         Where in `p` the address of the table stands: behind the parameters and conditions.
-    states
-        Where each state is.
     rates
         Where its derivative is found after MuJoCo's forward dynamics; None for parts of quaternions.
     quaternions : (first state, its angular velocity)
-    inputs
-        Where each input goes.
     sites
         Where the force at each site is applied.
     values
         How many attributes the parameters set.
     settings : (which value, where it goes)
-    outputs
-        Where each output is.
     """
 
     binary: bytes

@@ -39,8 +39,6 @@ class RobotJoint:
 
     Attributes
     ----------
-    name
-        In the file.
     output
         Its position among the model's outputs.
     unit
