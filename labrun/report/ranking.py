@@ -25,9 +25,7 @@ def ranking_text(ranking: Ranking) -> str:
                 text += f" ({cell.ci95[0]:.4g} to {cell.ci95[1]:.4g})"
             row.append(text)
         rows.append(row)
-    lines = [
-        f"{ranking.objective} {ranking.unit}, mean with 95 % interval; laboratory: mean".replace("  ", " ")
-    ]
+    lines = [f"{f'{ranking.objective} {ranking.unit}'.strip()}, mean with 95 % interval; laboratory: mean"]
     lines += [*aligned(rows), ""]
     for path, lab in zip(ranking.laboratories, labs, strict=True):
         for column, head in zip(ranking.columns, heads, strict=True):

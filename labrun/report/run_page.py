@@ -33,8 +33,9 @@ from labrun.report.verdict import (
     why_it_went_on,
     why_unfinished,
 )
-from labrun.search import resume_line
+from labrun.search import apart_text, resume_line, stored_result
 from labrun.signals import Signals
+from labrun.spec import condition_text
 from labrun.store import TrialOutcome
 
 _TRIALS_SHOWN = 200
@@ -64,6 +65,7 @@ def run_context(source: ReportSource) -> dict[str, Any]:
     run = source.run
     sections = {
         "result": _figure(source),
+        "search": _search(source),
         "conditions": conditions_context(source) if source.accepted else None,
         "repeatability": _repeatability(source),
         "drift": _drift(source),
@@ -118,6 +120,29 @@ def _best(source: ReportSource) -> Mapping[str, str] | None:
         "luckiest": quantity_text(best.luckiest, best.unit),
         "at": named_condition(best.parameters, source.experiment.units),
     }
+
+
+def _search(source: ReportSource) -> Mapping[str, Any] | None:
+    """How each search ended, and the winners of several side by side; None for a run that did not search."""
+    result = None if source.folder is None else stored_result(source.folder)
+    if result is None or not result.verdicts:
+        return None
+    levels = [verdict.level or {} for verdict in result.verdicts]
+    ended = [
+        f"{condition_text(level)}: {verdict.text}" if level else verdict.text
+        for level, verdict in zip(levels, result.verdicts, strict=True)
+    ]
+    if len(result.winners) < 2:  # the one there is stands at the head of the page
+        return {"ended": ended, "winners": None, "apart": ""}
+    names = list(dict.fromkeys(name for level in levels for name in level))
+    rows = []
+    for best in result.winners:
+        value, interval = interval_words(best.value, best.ci95, best.unit)
+        level = [str(best.parameters[name]) for name in names]
+        rows.append([*level, value, interval or "none", str(best.trials)])
+    columns = [*names, spaced(result.winners[0].objective_name), "95 % interval", "confirming trials"]
+    table = PageTable(columns, rows, words=tuple(range(len(names))), marked=(0,))
+    return {"ended": ended, "winners": table, "apart": apart_text(result.winners, levels)}
 
 
 # How far the run can be believed

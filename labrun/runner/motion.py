@@ -79,7 +79,7 @@ class Travel:
     @property
     def duration_s(self) -> float:
         """When the carriage begins to slow down; infinite for one that stands still."""
-        return abs(self.to_m - self.from_m) / self.speed_m_s if self.speed_m_s > 0 else math.inf
+        return abs((self.to_m - self.from_m) / self.speed_m_s) if self.speed_m_s else math.inf
 
     @property
     def steady_from_s(self) -> float:
@@ -91,7 +91,11 @@ class Travel:
     @property
     def excess(self) -> tuple[Excess, ...]:
         """Why it cannot get to its speed; empty if it can."""
-        if self.speed_m_s <= 0:
+        if self.speed_m_s < 0:  # which way it goes is said by from_m and to_m
+            return (
+                Excess("speed of the carriage (trial.carriage.speed_m_s)", self.speed_m_s, 0.0, "m/s", 0.0),
+            )
+        if self.speed_m_s == 0:
             return ()
         acceleration = self.acceleration_m_s2 or USUAL_ACCELERATION_M_S2
         needed_m, way_m = self.speed_m_s**2 / acceleration, abs(self.to_m - self.from_m)
@@ -269,7 +273,7 @@ class MotionMaker:
             move.device,
             float(move.from_m),
             float(move.to_m),
-            abs(speed),
+            speed,
             move.return_speed_m_s,
             move.acceleration_m_s2,
             move.margin_s,

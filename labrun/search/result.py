@@ -186,17 +186,19 @@ def winner_lines(winners: Sequence[Best], levels: Sequence[Mapping[str, Value]])
         at = condition_text({name: best.parameters[name] for name in names})
         interval = "no interval" if best.ci95 is None else f"{best.ci95[0]:.4g} to {best.ci95[1]:.4g}"
         lines.append(f"winner    {at}: {best.objective_name} = {best.value:.4g} {best.unit} ({interval})")
+    return lines if len(winners) == 1 else [*lines, f"          {apart_text(winners, levels)}"]
+
+
+def apart_text(winners: Sequence[Best], levels: Sequence[Mapping[str, Value]]) -> str:
+    """Return whether the best of the winners of several levels stands apart from all others."""
+    names = list(dict.fromkeys(name for level in levels for name in level))
     first, *others = winners
-    near = [other for other in others if not _apart(first, other)]
-    if not others:
-        return lines
     at = condition_text({name: first.parameters[name] for name in names})
-    if near:
-        rest = " and ".join(condition_text({name: one.parameters[name] for name in names}) for one in near)
-        lines.append(f"          {at} is not told apart from {rest}: their 95 % intervals overlap")
-    else:
-        lines.append(f"          {at} stands apart: its 95 % interval overlaps no other")
-    return lines
+    near = [other for other in others if not _apart(first, other)]
+    if not near:
+        return f"{at} stands apart: its 95 % interval overlaps no other"
+    rest = " and ".join(condition_text({name: one.parameters[name] for name in names}) for one in near)
+    return f"{at} is not told apart from {rest}: their 95 % intervals overlap"
 
 
 def _apart(one: Best, other: Best) -> bool:

@@ -243,3 +243,21 @@ def test_a_damaged_diagnosis_is_told_as_such_and_how_to_make_it_anew(begun, tmp_
 def test_a_run_that_has_only_a_reference_trial_so_far_has_a_report(tmp_path):
     run = measure(tmp_path, limit=1)
     assert "no condition has been measured yet" in page_of(run)
+
+
+def test_a_search_for_each_level_tells_the_winners_side_by_side_and_how_each_search_ended(tmp_path):
+    small = (
+        "cmaes.population=4", "cmaes.reevaluate=1", "cmaes.stop.iterations=2", "trial.repeats=1",
+        "leaders={count=1,repeats=3}", 'cmaes.each.attachment=["broad", "short"]',
+    )  # fmt: skip
+    run = measure(tmp_path, "fire-attachment", small)
+    words, result = words_of(page_of(run)), stored_result(run)
+    for winner in result.winners:
+        value, interval = interval_words(winner.value, winner.ci95, winner.unit)
+        assert f"{winner.parameters['attachment']} {value} {interval} 3" in words
+    for verdict in result.verdicts:
+        assert f"attachment = {verdict.level['attachment']}: budget spent: 2 generations" in words
+
+
+def test_a_run_that_did_not_search_says_nothing_of_how_a_search_ended(page):
+    assert "How the search ended" not in page

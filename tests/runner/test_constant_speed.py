@@ -46,6 +46,13 @@ def test_a_speed_that_needs_a_longer_way_than_there_is_names_both_and_the_key():
     assert motion(0.6, acceleration_m_s2=1.0).excess == ()
 
 
+def test_a_speed_below_zero_is_no_way_back_but_a_limit_left():
+    (excess,) = motion(-0.1).excess
+    assert str(excess) == (
+        "speed of the carriage (trial.carriage.speed_m_s) -0.1 m/s is below the limit of 0 m/s"
+    )
+
+
 def test_a_carriage_that_stands_still_gives_no_length():
     with pytest.raises(PlanError, match='duration_s = "fit" with a carriage that stands still'):
         motion(0.0)
