@@ -119,11 +119,6 @@ class Priors:
             upper=np.concatenate([self.upper, [one.upper for one, *_ in fitted]]),
         )
 
-    def with_held(self, effects: Sequence[AttachedEffect]) -> Self:
-        """Return priors with the parameters of effects that are taken as they are."""
-        values = [value for attached in effects for value in attached.values]
-        return replace(self, values=np.concatenate([self.values, values]))
-
     def within(self, tolerances: float) -> Self:
         """Return priors that let a variable move by at most so many of its stated standard deviations."""
         room = tolerances * (self.sigma / self.scale)

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
-from labrun.effects import AttachedEffect
 from labrun.errors import FitError
 from labrun.fit.dataset import Dataset
 from labrun.fit.priors import Priors, changed
@@ -94,7 +93,6 @@ class Problem(Residuals):
         model: Model,
         data: Dataset,
         *,
-        effects: Sequence[AttachedEffect] = (),
         prior_weight: float = 1.0,
         substeps: int | None = None,
     ) -> Self:
@@ -102,18 +100,16 @@ class Problem(Residuals):
 
         Parameters
         ----------
-        effects
-            Beside the model's own; their sizes are no variables.
         prior_weight
             Factor on the prior's residuals; 0 leaves prior knowledge out.
         substeps
             Steps of the integrator per sample; as many as the stated parameters ask for if None.
         """
         model = model.with_between({signal.name: signal.between for signal in data.inputs})
-        priors = Priors.of(model, weight=prior_weight).with_held(effects)
+        priors = Priors.of(model, weight=prior_weight)
         spread = channel_spread(data)
         drives = prepared(model, data, _GUESS_SUBSTEPS if substeps is None else substeps)
-        made = cls(data, model, tuple(effects), priors, OutputNoise(1.0 / spread), spread, drives)
+        made = cls(data, model, (), priors, OutputNoise(1.0 / spread), spread, drives)
         return made if substeps is not None else made.refined(made.begin())
 
     def begin(self) -> FloatArray:

@@ -153,8 +153,8 @@ class Mountings:
         journal: Journal,
         wait: Callable[[], object],
         set_aside: Callable[[int], object],
-        wanted: Callable[[Mounting], bool] = lambda _: True,
-        keeps: bool = False,
+        wanted: Callable[[Mounting], bool],
+        keeps: bool,
     ) -> None:
         self._keeps = keeps
         self._kept: Mounting | None = None

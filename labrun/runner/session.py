@@ -103,7 +103,7 @@ class Session:
             seed=seed,
             phase=self._progress.phase,
             recorder=recorder,
-            person=person,
+            person=person or Willing(),
             wait=self._wait,
             may_correct=self._may_correct,
             correct=self._correct,

@@ -14,7 +14,7 @@ from labrun.runner.damage import Damage
 from labrun.runner.evaluation import ObjectiveError, ObjectiveEvaluation
 from labrun.runner.faults import blaming
 from labrun.runner.motion import MotionMaker, TrialMotion
-from labrun.runner.recording import Recorder, SampleCollector, TrialRecording, TrialRequest, record_planned
+from labrun.runner.recording import Recorder, SampleCollector, TrialRecording, TrialRequest
 from labrun.runner.settle import Settled, measure_baseline, settle, tare
 from labrun.runner.settle_detector import Bounds
 from labrun.spec import Experiment, Settle, condition_text
@@ -91,11 +91,11 @@ class TrialRunner:
         *,
         seed: int,
         phase: Callable[[str], object],
-        recorder: Recorder = record_planned,
-        person: Person | None = None,
-        wait: Callable[[], object] = lambda: None,
-        may_correct: Callable[[int], bool] = lambda _: False,
-        correct: Callable[[int, Mapping[str, float]], object] = lambda _, __: None,
+        recorder: Recorder,
+        person: Person,
+        wait: Callable[[], object],
+        may_correct: Callable[[int], bool],
+        correct: Callable[[int, Mapping[str, float]], object],
     ) -> None:
         self._experiment = experiment
         self._table = experiment.trial
@@ -107,7 +107,7 @@ class TrialRunner:
         self._recorder = recorder
         self._motions = motions
         self._evaluation = ObjectiveEvaluation(experiment)
-        self._asking = self._made_asking(person or Willing(), wait, may_correct, correct)
+        self._asking = self._made_asking(person, wait, may_correct, correct)
         self._damage = Damage(experiment.damage, experiment.by_hand)
         self._speed_rad_s = math.radians(self._table.move_speed_deg_s)
         self._safe_pose = {joint: math.radians(deg) for joint, deg in self._table.safe_pose_deg.items()}
