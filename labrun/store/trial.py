@@ -107,7 +107,8 @@ class TrialOutcome:
 
     def to_record(self) -> dict[str, Any]:
         """Return the whole outcome, JSON-ready by `json_ready`; floats come back bit for bit."""
-        return asdict(self)
+        settle = None if self.settle is None else asdict(self.settle)
+        return {**{name: getattr(self, name) for name in self.__slots__}, "settle": settle}
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "TrialOutcome":
