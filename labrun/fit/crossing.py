@@ -213,6 +213,7 @@ class CrossingFit(WithSettings[CrossingSettings]):
         warnings: list[str] = []
         rows: list[tuple[str, ...]] = []
         curves: list[Curve] = []
+        crossings: list[Curve] = []
         measured: dict[str, Measured] = {}
         x_unit, y_unit = trials.units.get(keys.over, ""), trials.units.get(keys.one.objective, "")
         for level in levels:
@@ -242,6 +243,8 @@ class CrossingFit(WithSettings[CrossingSettings]):
                     f"is open at an end; measure farther along {keys.over}"
                 )
             rows.append((name or "all", f"{len(first.y)}", f"{found.at:.4g}", f"{found.value:.4g}"))
+            ends = np.clip(found.ci95, first.x.min(), first.x.max())  # of an open one, as far as was measured
+            crossings.append(Curve(ends, np.full(2, found.value), len(curves) // 2, bold=True))
             curves += _drawn(first, name or keys.one.objective)
             if isinstance(second, Measured) and keys.other is not None:
                 curves += _drawn(second, f"{name} {keys.other.objective}".strip())
@@ -264,7 +267,7 @@ class CrossingFit(WithSettings[CrossingSettings]):
             tables=(TextTable("where the curves cross", header, tuple(rows)),) if len(rows) > 1 else (),
             findings=tuple(findings),
             warnings=tuple(warnings),
-            figure_data=lambda: _figure(trials.name, curves, keys, x_unit, y_unit),
+            figure_data=lambda: _figure(trials.name, curves, crossings, keys, x_unit, y_unit),
         )
 
 
@@ -402,13 +405,19 @@ def _drawn(curve: Measured, label: str) -> list[Curve]:
 
 
 def _figure(
-    name: str, curves: Sequence[Curve], keys: CrossingSettings, x_unit: str, y_unit: str
+    name: str,
+    curves: Sequence[Curve],
+    crossings: Sequence[Curve],
+    keys: CrossingSettings,
+    x_unit: str,
+    y_unit: str,
 ) -> FigureData:
     series = [Curve(one.x, one.y, place // 2, one.label, one.kind) for place, one in enumerate(curves)]
     panel = Panel(
-        tuple(series),
+        (*series, *crossings),
         x_label=f"{keys.over}, {x_unit}".rstrip(", "),
         y_label=f"{keys.one.objective}, {y_unit}".rstrip(", "),
         zero=keys.other is None and keys.level == 0.0,
     )
-    return FigureData(f"Where curves of {name} cross", ((Stack((panel,), width=1.6),),), row_height_in=3.8)
+    title = f"Where curves of {name} cross\nbold: 95 % interval of each crossing"
+    return FigureData(title, ((Stack((panel,), width=1.6),),), row_height_in=3.8)

@@ -125,6 +125,9 @@ def test_every_level_has_its_crossing_and_one_is_held_against_the_other(fit):
         assert one.value == pytest.approx(np.sqrt(0.25 / drag), abs=0.003)
         assert one.ci95[0] < one.value < one.ci95[1]
         assert one.unit == "m/s"
+    drawn = [one for one in found.figure_data().rows[0][0].panels[0].curves if one.bold]
+    assert [tuple(one.x) for one in drawn] == [one.ci95 for one in found.parameters.values()]
+    assert all((one.y == 0.0).all() for one in drawn)
     (said,) = (one for one in found.findings if "net against neutral" in one)
     assert 16 < float(said.split("+")[1].split(" ")[0]) < 22  # (0.25 - 0.06) / (0.25 - 0.09)
     assert "pose" in found.to_text(100)
