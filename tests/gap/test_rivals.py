@@ -27,3 +27,12 @@ def test_two_forms_that_contain_each_other_are_rivals_whichever_fits_better():
 
 def test_a_richer_form_that_earns_nothing_is_the_best_again_and_no_rival():
     assert names(rated("coulomb-friction", 50.0), [rated("hysteresis", 49.5)]) == []
+
+
+def test_a_simpler_form_that_does_nearly_as_well_is_the_kin_that_is_told():
+    # dry friction that yields 2.5 mrad first: a person mends it by the friction their simulator has
+    best, bouc_wen = rated("presliding-friction", 900.0), rated("hysteresis", 600.0)
+    dry = SimpleNamespace(**{**vars(rated("coulomb-friction", 200.0)), "share": 0.9})
+    assert names(best, [bouc_wen, dry]) == ["coulomb-friction"]
+    dry.share = 0.8
+    assert names(best, [bouc_wen, dry]) == ["hysteresis"]

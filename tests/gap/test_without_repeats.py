@@ -18,7 +18,7 @@ from labrun.gap.null import independent_share
 from labrun.models import parse_model
 from labrun.store import SignalInfo
 
-from .benches import CONDITIONS, FloatArray, dry_friction, nothing, pendulum, recorded
+from .benches import CONDITIONS, TRUE, FloatArray, dry_friction, nothing, pendulum, recorded
 
 QUICK = Options(places=False)
 MUSCLE = """
@@ -154,3 +154,34 @@ def test_dry_friction_behind_a_lag_is_not_taken_for_play() -> None:
     assert sizes["presliding-friction"]["torque"].value == pytest.approx(4.0, rel=0.05)
     assert sizes["lag"]["time_constant"].value == pytest.approx(0.06, rel=0.15)
     assert len(sizes) == 2
+
+
+def yielding_under_load(amplitude: float, frequency: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return a swing with friction in proportion to the load whose bristles give way by 20 mrad."""
+    time_s = np.arange(0.0, 4.0, 1 / 100)
+    torque = amplitude * np.sin(2 * np.pi * frequency * time_s)
+
+    def slope(t: float, x: FloatArray) -> list[float]:
+        angle, rate, bristle = x
+        friction = 0.15 * abs(TRUE["gravity"] * np.cos(angle)) * bristle
+        force = float(np.interp(t, time_s, torque)) - friction - TRUE["damping"] * rate
+        force -= TRUE["stiffness"] * angle + TRUE["gravity"] * np.sin(angle)
+        return [rate, force / TRUE["inertia"], (rate - abs(rate) * bristle) / 0.02]
+
+    course = solve_ivp(slope, (0.0, time_s[-1]), [0.0, 0.0, 0.0], "LSODA", time_s, rtol=1e-7, atol=1e-9)
+    return time_s, torque, course.y[0]
+
+
+@pytest.mark.slow
+def test_friction_under_load_that_yields_before_it_slips_is_no_other_friction() -> None:
+    rng, plain = np.random.default_rng(1), recorded(repeats=1)
+    trials = []
+    for one, (amplitude, frequency) in zip(plain.trials, CONDITIONS, strict=True):
+        time_s, torque, angle = yielding_under_load(amplitude * 2, frequency)
+        noisy = angle + 5e-4 * rng.standard_normal(len(angle))
+        trials.append(replace(one, time_s=time_s, inputs=torque[:, None], outputs=noisy[:, None]))
+    found = diagnose_dataset(replace(plain, trials=tuple(trials)), pendulum(), QUICK)
+    assert [str(one.name) for one in found.causes] == ["load-dependent-friction at hinge"]
+    assert found.causes[0].values["coefficient"].value == pytest.approx(0.15, rel=0.05)
+    assert found.causes[0].values["presliding"].value == pytest.approx(0.02, rel=0.1)
+    assert "transition_speed" not in found.causes[0].values
