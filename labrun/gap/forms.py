@@ -57,7 +57,7 @@ def widened(base: Base, screened: Screened) -> Screened:
 
 
 def _further(one: EffectParameter, size: float) -> EffectParameter:
-    if one.neutral != 0.0 or one.quantity == "ratio":
+    if one.quantity == "ratio" or (one.neutral != 0.0 and one.quantity != "stiffness"):
         return one
     if one.lower < 0.0 and size <= (1.0 - criteria.AT_BOUND) * one.lower:
         return replace(one, lower=criteria.WIDER * one.lower)
