@@ -120,6 +120,11 @@ class Dataset:
     conditions: tuple[str, ...] = ()
 
     @property
+    def signal_units(self) -> dict[str, str]:
+        """Units of inputs and outputs, as recorded."""
+        return {one.name: one.unit for one in (*self.inputs, *self.outputs)}
+
+    @property
     def repeats(self) -> int:
         """The fewest trials of any condition."""
         groups = {trial.group for trial in self.trials}

@@ -191,7 +191,7 @@ ANOTHER_SHARE = 0.08
 """Part of the recalibrated excess that a further cause must remove on withheld conditions."""
 NOTICED_SHARE, NOTICED_OF_LEFT = 0.04, 0.5
 """The same of a cause that removes at least this part of what is left."""
-SMALL_SHARE, SMALL_OF_LEFT, SMALL_GAP = 5e-4, 0.8, 2.0
+SMALL_SHARE, SMALL_OF_LEFT, SMALL_GAP = 5e-4, 0.8, 1.0
 """The same of one beside a far larger one, if it removes nearly all of what is plainly left (in units of the noise)."""
 ONE_CAUSE_GAP = 0.5
 """A smaller gap, in units of a noise that no repeats tell, is no place to look for a second cause."""

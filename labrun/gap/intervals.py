@@ -187,5 +187,5 @@ def effect_units(attached: AttachedEffect, model: Model, dataset: Dataset) -> di
         signal = next((one.unit for one in signals if one.name == attached.site), "1")
     else:
         site = model.place(attached.site, attached.effect.kind)
-        coordinate = model.coordinate_unit(site, [one.unit for one in dataset.outputs])
+        coordinate = model.coordinate_unit(site, dataset.signal_units)
     return {one.name: unit_of(one.quantity, coordinate, signal) for one in attached.effect.parameters}

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -187,25 +188,20 @@ class Model:
             hint=suggest(name, known) if known else f"it has no {what} at all",
         )
 
-    def coordinate_unit(self, site: Site, output_units: Sequence[str] = ()) -> str:
+    def coordinate_unit(self, site: Site, measured: Mapping[str, str] = MappingProxyType({})) -> str:
         """Return the unit of the coordinate of a joint or body site.
 
-        As the site says it; else as the output that shows the coordinate or its rate has it; else from the unit of the
+        As the site says it; else as the signal that shows the coordinate or its rate has it; else from the unit of the
         site's stiffness ("N m/rad"). Where nothing tells, a joint turns and a body moves.
 
         Parameters
         ----------
         site
             One of `sites`.
-        output_units
-            Of the outputs as they were measured, where that is not what the model says.
+        measured : name -> unit
+            Of inputs and outputs as they were measured, where that is not what the model says.
         """
-        units = {
-            one.name: unit
-            for one, unit in zip(
-                self.outputs, output_units or [one.unit for one in self.outputs], strict=True
-            )
-        }
+        units = {one.name: one.unit for one in self.outputs} | dict(measured)
         shown = (units.get(name, "1").removesuffix("/s") for name in (site.coordinate, site.rate))
         stiffness = next((one.unit for one in self.parameters if one.name == site.stiffness), "")
         sprung = [one for one in ("rad", "m") if stiffness.endswith(f"/{one}")]

@@ -45,3 +45,17 @@ speed = 0.0
 def test_the_unit_is_said_or_shown_or_that_of_the_spring_or_of_the_kind(said, output, spring, kind, unit):
     model = parse_model(MODEL.format(said=said, output=output, spring=spring, kind=kind), "slide.toml")
     assert model.coordinate_unit(model.place("slide")) == unit
+
+
+def test_a_coordinate_that_is_an_input_has_the_unit_of_its_recording():
+    model = parse_model(
+        MODEL.replace('states = ["way", "speed"]', "states = []")
+        .replace("[inputs]", '[inputs]\nway = {{ unit = "1" }}')
+        .replace('way = "speed"\nspeed = "force.slide + push - spring*way"\n', "")
+        .replace('equation = "way", unit = "V"', 'equation = "push - spring*way + force.slide", unit = "N"')
+        .replace("[initial]\nway = 0.0\nspeed = 0.0\n", "")
+        .replace('rate = "speed"\n', 'rate = "0*way"\n')
+        .format(said="", output="", spring="1/s^2", kind="joint"),
+        "slide.toml",
+    )
+    assert model.coordinate_unit(model.place("slide"), {"way": "m"}) == "m"

@@ -1,6 +1,6 @@
 """What is compared: a recalibrated model beside the mean of every unit of data, its conditions, and what moves."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -264,18 +264,17 @@ def input_movers(difference: Difference, pieces: Sequence[ConditionData]) -> tup
     return tuple(found)
 
 
-def force_unit(model: Model, site: Site, output_units: Sequence[str]) -> str:
+def force_unit(model: Model, site: Site, measured: Mapping[str, str]) -> str:
     """Return the unit of a force (or torque) at a joint or body site."""
-    return unit_of("force", model.coordinate_unit(site, output_units))
+    return unit_of("force", model.coordinate_unit(site, measured))
 
 
-def load_unit(model: Model, site: Site, output_units: Sequence[str]) -> str:
+def load_unit(model: Model, site: Site, measured: Mapping[str, str]) -> str:
     """Return the unit of the load of a site: of the output it is, else that of the force; "" where there is no load.
 
     The library's load-dependent friction is a pure number times the load, which therefore is a force of its kind.
     """
     if not site.load:
         return ""
-    units = {one.name: unit for one, unit in zip(model.outputs, output_units, strict=True)}
-    unit = units.get(site.load, "1")
-    return force_unit(model, site, output_units) if unit == "1" else unit
+    unit = measured.get(site.load, "1")
+    return force_unit(model, site, measured) if unit == "1" else unit

@@ -207,7 +207,7 @@ def _at(difference: Difference, site: Site, place: int) -> MissingForce | None:
     ]
     return MissingForce(
         site=site.name,
-        unit=force_unit(difference.model, site, difference.output_units),
+        unit=force_unit(difference.model, site, difference.units.signal_units),
         share=search.share(course),
         labels=tuple(trial.label for trial in trials),
         time_s=tuple(trial.time_s for trial in trials),
@@ -218,8 +218,8 @@ def _at(difference: Difference, site: Site, place: int) -> MissingForce | None:
         coordinate=tuple(one[:, 0] for one in motion),
         rate=tuple(one[:, 1] for one in motion),
         load=tuple(one[:, 2] for one in motion) if site.load else (),
-        coordinate_unit=difference.model.coordinate_unit(site, difference.output_units),
-        load_unit=load_unit(difference.model, site, difference.output_units),
+        coordinate_unit=difference.model.coordinate_unit(site, difference.units.signal_units),
+        load_unit=load_unit(difference.model, site, difference.units.signal_units),
     )
 
 
