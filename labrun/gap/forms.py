@@ -1,6 +1,5 @@
 """The form of a candidate: shapes that are fitted before anything is ruled out, and levels that it does without."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -141,12 +140,10 @@ def _shape_fitted(base: Base, screened: Screened) -> Screened:
     size = base.problem.size
     shared, own = screened.z[:size], screened.problem.own_states(screened.z)
     beside = around(base, screened.candidate)
-    starts = [np.concatenate([shared, sizes, own]) for sizes in _starts(choices, screened.sizes)]
-    problems = [_stepped_for(problem, start) for start in starts]
     ends = [
         minimise(
-            stepped,
-            start,
+            problem,
+            np.concatenate([shared, sizes, own]),
             tolerance=criteria.ROUGH_TOLERANCE,
             evaluations=criteria.ROUGH_EVALUATIONS,
             central=False,
@@ -154,46 +151,18 @@ def _shape_fitted(base: Base, screened: Screened) -> Screened:
             confirmed=beside is None,
             beside=beside,
         )
-        for stepped, start in zip(problems, starts, strict=True)
+        for sizes in _starts(choices, screened.sizes)
     ]
-    best, z = min(zip(problems, ends, strict=True), key=lambda pair: pair[0].squares(pair[1]))
-    shapes = [one for one in _parameters(screened.candidate) if one.shape]
-    return _without_needless_shapes(
-        base, replace(_ended(base, screened, best, z), candidate=candidate), shapes
-    )
-
-
-def _without_needless_shapes(base: Base, end: Screened, shapes: Sequence[EffectParameter]) -> Screened:
-    """Return a candidate without fitted shapes that nothing depends on: of two ways to yield, the other is at work."""
-    for shape in shapes:
-        names = [one.name for one in _fitted(end.candidate)]
-        candidate = _held(end.candidate, shape.name, shape.starts[0])
-        problem = candidate.added_to(base.problem).with_substeps(end.problem.substeps)
-        sizes = np.delete(end.sizes, names.index(shape.name))
-        z = np.concatenate([end.z[: base.problem.size], sizes, end.problem.own_states(end.z)])
-        if np.isclose(problem.squares(z), end.squares, rtol=1e-9):
-            end = replace(end, candidate=candidate, problem=problem, z=z)
-    return end
-
-
-def _stepped_for(problem: Problem, z: FloatArray) -> Problem:
-    """Return a problem in steps of the integrator as short as its force asks for there."""
-    while problem.substeps < criteria.FINEST:
-        finer = problem.with_substeps(criteria.FINER * problem.substeps)
-        if abs(finer.squares(z) - problem.squares(z)) < criteria.STEPS_DO * finer.squares(z):
-            break
-        problem = finer
-    return problem
+    return replace(_ended(base, screened, problem, min(ends, key=problem.squares)), candidate=candidate)
 
 
 def without_needless_levels(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screened:
     """Return an effect of several levels without those that the data do not ask for: an end stop on one side only."""
-    for level in _levels(screened.candidate):
-        far = level.upper if level.neutral == np.inf else level.lower
-        candidate = _held(screened.candidate, level.name, far)
+    for name in _levels(screened.candidate):
+        candidate = _out_of_reach(screened.candidate, name)
         problem = candidate.added_to(base.problem).with_substeps(screened.problem.substeps)
         fitted = [one.name for one in _fitted(screened.candidate)]
-        sizes = np.delete(screened.sizes, fitted.index(level.name))
+        sizes = np.delete(screened.sizes, fitted.index(name))
         start = np.concatenate(
             [screened.z[: base.problem.size], sizes, screened.problem.own_states(screened.z)]
         )
@@ -204,30 +173,26 @@ def without_needless_levels(base: Base, screened: Screened, threshold: NoiseThre
     return screened
 
 
-def _parameters(candidate: Candidate) -> tuple[EffectParameter, ...]:
-    return () if candidate.attached is None else candidate.attached.effect.parameters
-
-
 def _fitted(candidate: Candidate) -> list[EffectParameter]:
-    return [one for one in _parameters(candidate) if not one.held]
+    attached = candidate.attached
+    return [] if attached is None else [one for one in attached.effect.parameters if not one.held]
 
 
-def _levels(candidate: Candidate) -> list[EffectParameter]:
+def _levels(candidate: Candidate) -> list[str]:
     """Return the fitted parameters that are out of reach without the effect, if there is more than one."""
-    found = [one for one in _fitted(candidate) if one.neutral is not None and np.isinf(one.neutral)]
+    found = [one.name for one in _fitted(candidate) if one.neutral is not None and np.isinf(one.neutral)]
     return found if len(found) > 1 else []
 
 
-def _held(candidate: Candidate, name: str, size: float) -> Candidate:
-    """Return a candidate with one of its parameters no longer fitted, at a multiple of what is typical."""
+def _out_of_reach(candidate: Candidate, name: str) -> Candidate:
     attached, scale = candidate.attached, candidate.scale
     if attached is None or scale is None:
         return candidate
     parameters, values = list(attached.effect.parameters), list(attached.values)
     place = [one.name for one in parameters].index(name)
     one = parameters[place]
-    parameters[place] = replace(one, held=True, starts=one.starts[:1])
-    values[place] = size * scale.of(one.quantity)
+    far = one.upper if one.neutral == np.inf else one.lower
+    parameters[place], values[place] = replace(one, held=True), far * scale.of(one.quantity)
     effect = replace(attached.effect, parameters=tuple(parameters))
     return replace(candidate, attached=replace(attached, effect=effect, values=tuple(values)))
 
