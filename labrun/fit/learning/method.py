@@ -86,7 +86,7 @@ def origin_of(target: Path) -> tuple[str, dict[str, Any]]:
     provenance = folder / "provenance.json"
     if provenance.is_file():
         git = json.loads(provenance.read_text(encoding="utf-8")).get("git") or {}
-        found |= {"git": str(git.get("commit", "")), "changed_files": int(git.get("changed", 0) or 0)}
+        found |= {"git": str(git.get("commit", "")), "changed_files": int(git.get("changed_files", 0) or 0)}
     return "" if scene is None else scene.plugin, found
 
 

@@ -1,5 +1,6 @@
 """From samples of the rig to weights, to a loop that they steer: the shipped experiments, shortened."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,6 +32,9 @@ def collected(tmp_path_factory):
 
 
 def test_both_ways_of_learning_are_written_with_what_they_are(collected):
+    provenance = collected / "provenance.json"
+    made = {**json.loads(provenance.read_text()), "git": {"commit": "5eed", "changed_files": 2}}
+    provenance.write_text(json.dumps(made))
     found = fit(collected, model="mlp", workspace=EXPERIMENTS.parent)
     for name, added in (("mlp-error", "spm-inverse"), ("mlp-ik", "")):
         model = read_learned(collected / "fit" / f"{name}.toml")
@@ -38,6 +42,7 @@ def test_both_ways_of_learning_are_written_with_what_they_are(collected):
         assert list(model.inputs) == ["qw", "qx", "qy", "qz"]
         assert model.outputs == {"theta_1": "deg", "theta_2": "deg"}
         assert model.origin["run"] == collected.name
+        assert (model.origin["git"], model.origin["changed_files"]) == ("5eed", 2)
         errors = found.details["errors"][name]
         assert errors["withheld"] <= 1.05 * errors["affine_withheld"] < 0.5 * errors["without"]
     assert found.figure is not None
