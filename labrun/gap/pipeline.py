@@ -176,7 +176,7 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) ->
         likely = found_alone(
             asked.data, mean_residuals(problem, z), problem.simulated(z), simulated_changes(problem, z)
         )
-        deviations = _that_make_up_what_is_left(problem, z, likely)
+        deviations = _that_make_up_what_is_left(problem, z, first.noise, likely)
         if not deviations:
             break
         asked.note("taking apart what differs from trial to trial, and looking for causes beside it")
@@ -190,7 +190,7 @@ def _with_own_deviations(asked: "_Asked", first: Recalibrated, found: Search) ->
 
 
 def _that_make_up_what_is_left(
-    problem: Problem, z: FloatArray, likely: Sequence[tuple[Deviation, ...]]
+    problem: Problem, z: FloatArray, noise: Noise, likely: Sequence[tuple[Deviation, ...]]
 ) -> tuple[Deviation, ...]:
     """Return the deviations that leave least once everything is fitted with them; none if that is not next to nothing.
 
@@ -198,14 +198,16 @@ def _that_make_up_what_is_left(
     """
     if not likely or not any(one.kind in ALSO_SHAPES for one in likely[0]):
         return likely[0] if likely else ()
-    left = [_left_beside(problem, z, one) for one in likely]
+    left = [_left_beside(problem, z, noise, one) for one in likely]
     least = int(np.argmin(left))
     return likely[least] if left[least] <= 1.0 - criteria.DEVIATION_NEARLY_ALL else ()
 
 
-def _left_beside(problem: Problem, z: FloatArray, deviations: Sequence[Deviation]) -> float:
+def _left_beside(problem: Problem, z: FloatArray, noise: Noise, deviations: Sequence[Deviation]) -> float:
+    """Return the part that is left beside deviations, in units of what is left then: else they are taken for noise."""
     beside, start = with_deviations(problem, z, deviations)
-    after, before = mean_residuals(beside, refit(beside, start)), mean_residuals(problem, z)
+    fitted = in_noise(beside, noise, start)
+    after, before = mean_residuals(fitted.problem, fitted.z), mean_residuals(problem, z)
     left, all_of_it = (np.mean(np.square(np.concatenate(one)), axis=0) for one in (after, before))
     return float(np.mean(left / np.where(all_of_it > 0, all_of_it, 1.0)))
 
