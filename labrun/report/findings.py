@@ -15,7 +15,7 @@ from labrun.report.statistics import Drift, Repeatability, Settling, settling
 from labrun.report.stored_fits import StoredFit
 from labrun.report.timing import LoopHealth, StreamHealth
 from labrun.runner import unsettled
-from labrun.search import Best
+from labrun.search import Best, RunResult, stored_result
 from labrun.spec import PAST, Experiment, Value, condition_text
 from labrun.store import Run, TrialOutcome, imported_channels, imported_source, remarks_of
 
@@ -65,6 +65,8 @@ class Findings:
         Objective and direction, if one has a goal.
     objective_units, condition_units
         Units of the objectives, and of the conditions' values.
+    result
+        How the run ended, its searches above all; None while it has not, or of a ``run.h5`` that stands alone.
     """
 
     run: Path
@@ -96,6 +98,7 @@ class Findings:
     goal: tuple[str, str] | None = None
     objective_units: Mapping[str, str] = field(default_factory=dict)
     condition_units: Mapping[str, str] = field(default_factory=dict)
+    result: RunResult | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return everything, JSON-ready."""
@@ -112,6 +115,7 @@ class Findings:
             "rejected_and_failed": self.spoiled,
             "bench_time_s": self.bench_time_s,
             "best": None if self.best is None else self.best.to_json(),
+            **({} if self.result is None else self.result.searches_to_json()),
             "conditions": [result.to_json(self.objective_units) for result in self.conditions],
             "conditions_total": self.conditions_total,
             "figure": None if self.figure is None else str(self.figure),
@@ -281,6 +285,7 @@ def findings(source: ReportSource) -> Findings | RecordingFindings:
         goal=experiment.goal,
         objective_units={name: source.unit_of(name) for name in experiment.objectives},
         condition_units=experiment.units,
+        result=None if source.folder is None else stored_result(source.folder),
     )
 
 

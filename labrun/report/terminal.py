@@ -64,6 +64,8 @@ def _print_run(found: Findings, console: Console) -> None:
     for fault in found.faults:
         console.print(Text(f"damaged: {fault}", style="yellow"))
     _print_best(found, console)
+    for line in [] if found.result is None else found.result.search_lines():
+        console.print(Text(line), highlight=False)
     print_conditions(found, console)
     console.print(_trials(found))
     spoiled = [f"{count} x {reason}" for reason, count in list(found.spoiled.items())[:_MOST_REASONS]]

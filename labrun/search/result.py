@@ -119,9 +119,23 @@ class RunResult:
             "run": str(self.run),
             "trials": {"done": self.done, "rejected": self.rejected, "failed": self.failed},
             "best": None if self.best is None else self.best.to_json(),
+            **self.searches_to_json(),
+        }
+
+    def searches_to_json(self) -> dict[str, Any]:
+        """Return how each search ended and the winners of several, JSON-ready; empty where nothing was searched."""
+        return {
             **({"search": [one.to_record() for one in self.verdicts]} if self.verdicts else {}),
             **({"winners": [one.to_json() for one in self.winners]} if self.winners else {}),
         }
+
+    def search_lines(self) -> list[str]:
+        """Return how each search ended and the winners of several, a line each."""
+        lines = []
+        for verdict in self.verdicts:
+            where = f"{condition_text(verdict.level)}: " if verdict.level else ""
+            lines.append(f"search    {where}{verdict.text}")
+        return lines + winner_lines(self.winners, [verdict.level or {} for verdict in self.verdicts])
 
     def _repr_html_(self) -> str:
         return as_html(self.to_text(), self.figure)
@@ -134,10 +148,7 @@ class RunResult:
             lines.append(f"warning   {self.unsettled_text()}")
         if self.best is not None:
             lines += _best_lines(self.best)
-        for verdict in self.verdicts:
-            where = f"{condition_text(verdict.level)}: " if verdict.level else ""
-            lines.append(f"search    {where}{verdict.text}")
-        lines += winner_lines(self.winners, [verdict.level or {} for verdict in self.verdicts])
+        lines += self.search_lines()
         lines += self.more
         lines.append(f"run       {self.run}")
         if self.figure is not None:

@@ -1,10 +1,15 @@
 """A search for every level of a factor, and the winners compared."""
 
+import io
+
 import pytest
+from rich.console import Console
 
 import labrun
+from labrun.app.report import show
 from labrun.app.resume import resume
 from labrun.app.run import execute
+from labrun.report.terminal import print_findings
 from labrun.search import Best, stored_result, winner_lines
 from labrun.spec import load_experiment
 from labrun.store import open_run
@@ -23,6 +28,14 @@ def each(write):
 @pytest.fixture
 def whole(each, dry_run):
     return dry_run(each)
+
+
+def test_what_is_shown_of_the_run_later_tells_how_its_searches_ended(whole):
+    shown, text = show(whole.run), io.StringIO()
+    print_findings(shown, Console(file=text, width=400))
+    for line in whole.search_lines():
+        assert line in text.getvalue()
+    assert len(shown.to_json()["search"]) == len(shown.to_json()["winners"]) == 2
 
 
 def test_the_plan_counts_a_mounting_for_each_level(each):
