@@ -6,7 +6,7 @@ from pathlib import Path
 from labrun.app.question import ask, find_data
 from labrun.fit import Note, silent
 from labrun.gap.next import Proposal, propose
-from labrun.gap.next.proposal import require_free
+from labrun.gap.next.proposal import require_experiment_place
 
 
 def propose_next(
@@ -35,7 +35,7 @@ def propose_next(
         No such data or model, or nothing is left to separate.
     """
     if out is not None:
-        require_free(out)
+        require_experiment_place(out)
     results, workspace = Path(results), Path(workspace)
     folder = find_data(target, results)
     further = [find_data(one, results) for one in more]

@@ -11,7 +11,7 @@ from labrun.fit import Note, silent
 from labrun.fit import workers as pool
 from labrun.gap.next import RunBench, TrialPlan
 from labrun.gap.next import plan_trials as plan
-from labrun.gap.next.proposal import free_place, require_free
+from labrun.gap.next.proposal import free_place, require_experiment_place
 from labrun.models import Model, load_model
 from labrun.search import at_settings, conditions, settings_of
 from labrun.spec import LoadedExperiment, load_named
@@ -56,7 +56,7 @@ def plan_trials(
     if repeats < 1:
         raise RequestError(f"{repeats} repeats: at least 1 was expected")
     if out is not None:
-        require_free(out)
+        require_experiment_place(out)
     loaded = load_named(str(rig), workspace)
     chosen = load_model(model)
     experiment = loaded.experiment

@@ -318,6 +318,16 @@ def free_place(folder: Path, stem: str, name: str = "") -> Path:
     raise RequestError(f"{folder} holds a thousand proposals already", hint="say where with --out")
 
 
+def require_experiment_place(path: Path) -> None:
+    """Raise RequestError unless an experiment file may be written there, and will be found by its name."""
+    if path.suffix != ".toml":
+        raise RequestError(
+            f"{path} does not end in .toml: labrun would not find it as an experiment",
+            hint=f"--out {path}.toml",
+        )
+    require_free(path)
+
+
 def require_free(path: Path) -> None:
     """Raise RequestError if something is there."""
     if path.exists():

@@ -205,3 +205,9 @@ def test_a_proposal_never_overwrites_a_file(tmp_path):
     taken.write_text("")
     with pytest.raises(RequestError, match="there already"):
         propose(tmp_path, out=taken)
+
+
+def test_a_proposal_that_could_not_be_run_by_its_name_is_not_begun(tmp_path):
+    with pytest.raises(RequestError, match=r"does not end in \.toml") as caught:
+        propose(tmp_path, out=tmp_path / "mine")
+    assert caught.value.hint == f"--out {tmp_path / 'mine'}.toml"
