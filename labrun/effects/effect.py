@@ -168,6 +168,8 @@ class EffectParameter:
     held
         Not estimated: stays at its first start (a regularisation speed). With further starts it is a shape, which is
         estimated too where the effect explains much and its usual shape does not do.
+    instead_of
+        Of a shape: the other shape in whose place it is estimated, never beside it.
     """
 
     name: str
@@ -177,6 +179,7 @@ class EffectParameter:
     upper: float
     starts: tuple[float, ...]
     held: bool = False
+    instead_of: str = ""
 
     @property
     def shape(self) -> bool:
@@ -300,8 +303,9 @@ class AttachedEffect:
 
     @property
     def named_values(self) -> Mapping[str, float]:
-        """The values by name."""
-        return dict(zip((one.name for one in self.effect.parameters), self.values, strict=True))
+        """The values by name, without shapes that stand in for another one but do not (they are 0)."""
+        pairs = zip(self.effect.parameters, self.values, strict=True)
+        return {one.name: value for one, value in pairs if value != 0.0 or not one.instead_of}
 
     def with_values(self, values: Sequence[float]) -> "AttachedEffect":
         """Return the same with other values."""

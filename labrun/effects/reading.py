@@ -28,6 +28,7 @@ class _Parameter(Table):
     upper: float
     starts: tuple[float, ...] = Field(min_length=1)
     held: bool = False
+    instead_of: str = ""
 
 
 class _Entry(Table):
@@ -82,6 +83,10 @@ class _Entry(Table):
         if (equation is None) == (not self.function) or stray is not None:
             yield (), f"an effect at {self.kinds[0]} sites needs either {name}, its equation, or a function"
             return
+        for own, shape in self.parameters.items():
+            other = self.parameters.get(shape.instead_of)
+            if shape.instead_of and not (shape.held and other is not None and other.held):
+                yield ("parameters", own, "instead_of"), "a shape stands in for another shape of its effect"
         known = [*(_SITE if force else _SIGNAL), *self.parameters, *self.rates]
         for helper, one in self.where.items():
             yield from _strangers(("where", helper), one, known)
@@ -146,14 +151,17 @@ def read_effects(path: str | Path, *, origin: str | None = None) -> tuple[Effect
 
 
 def _filled(table: Any, shared: Mapping[str, Any]) -> Any:
-    """Return an entry in which parameters that are "shared" are what the file's table [shared] says."""
-    if not isinstance(table, dict) or not isinstance(table.get("parameters"), dict):
-        return table if isinstance(table, dict) else {}
-    own = table["parameters"]
-    return {
-        **table,
-        "parameters": {name: shared.get(name, one) if one == "shared" else one for name, one in own.items()},
-    }
+    """Return an entry in which what is "shared" is what the file's table [shared] says under that name."""
+    if not isinstance(table, dict):
+        return {}
+    filled = dict(table)
+    for part in ("parameters", "where", "states"):
+        own = table.get(part)
+        if isinstance(own, dict):
+            filled[part] = {
+                name: shared.get(name, one) if one == "shared" else one for name, one in own.items()
+            }
+    return filled
 
 
 def _effects(id_: str, entry: _Entry, origin: str) -> Iterator[Effect]:

@@ -152,6 +152,11 @@ SHAPE_PRICE = 5.0
 SHAPE_EARNS = 0.002
 """... and by which part of what the candidate explains."""
 
+OTHER_SHAPE_LEAVES = 0.4
+"""Of what the usual shape leaves beyond noise, the most that a shape in its place may: friction that yields before it
+slips left 0.06 to 0.2 where it was simulated so; on recordings, beside the lag of a load cell or the play of a gear,
+0.49 and more."""
+
 # --- the threshold that noise alone sets ----------------------------------------------------------------------------
 
 NOISE_PERCENTILE = 97.0

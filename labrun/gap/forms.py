@@ -1,5 +1,6 @@
 """The form of a candidate: shapes that are fitted before anything is ruled out, and levels that it does without."""
 
+from collections.abc import Collection
 from dataclasses import replace
 from itertools import product
 
@@ -99,7 +100,7 @@ def shaped(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screene
     left = screened.squares - threshold.floor
     if screened.gain < threshold.gain or left < criteria.SHAPE_REMAINDER * screened.gain:
         return screened
-    end = _shape_fitted(base, screened)
+    end = _shape_fitted(base, screened, threshold.floor)
     earned = threshold.log_likelihood(end.gain) - threshold.log_likelihood(screened.gain)
     needed = criteria.SHAPE_PRICE * (end.candidate.variables - screened.candidate.variables)
     enough = earned >= needed and end.gain - screened.gain >= criteria.SHAPE_EARNS * screened.gain
@@ -122,7 +123,7 @@ def sharpened(base: Base, chosen: Screened, threshold: NoiseThreshold) -> Screen
     ):
         return chosen
     in_these_units = replace(base, problem=base.problem.with_noise(chosen.problem.noise), brisk=False)
-    end = _shape_fitted(in_these_units, chosen)
+    end = _shape_fitted(in_these_units, chosen, 0.0)
     relative = np.isfinite(threshold.squares)
     of_what_is_left = replace(threshold, squares=chosen.squares) if relative else threshold
     earned = of_what_is_left.log_likelihood(max(chosen.squares - end.squares, 0.0))
@@ -130,30 +131,37 @@ def sharpened(base: Base, chosen: Screened, threshold: NoiseThreshold) -> Screen
     return replace(end, usual=chosen.usual or chosen) if earned >= needed else chosen
 
 
-def _shape_fitted(base: Base, screened: Screened) -> Screened:
-    """Return the candidate with its shape among what is fitted; as it was if it has none, or that is fitted already."""
-    found = _with_shape(screened.candidate)
-    if found is None:
-        return screened
-    candidate, choices = found
-    problem = candidate.added_to(base.problem).with_substeps(screened.problem.substeps)
+def _shape_fitted(base: Base, screened: Screened, floor: float) -> Screened:
+    """Return the candidate with its shape among what is fitted; as it was if it has none, or that is fitted already.
+
+    Parameters
+    ----------
+    floor
+        Squared residual that is noise.
+    """
     size = base.problem.size
     shared, own = screened.z[:size], screened.problem.own_states(screened.z)
     beside = around(base, screened.candidate)
-    ends = [
-        minimise(
-            problem,
-            np.concatenate([shared, sizes, own]),
-            tolerance=criteria.ROUGH_TOLERANCE,
-            evaluations=criteria.ROUGH_EVALUATIONS,
-            central=False,
-            secant=beside is not None,
-            confirmed=beside is None,
-            beside=beside,
-        )
-        for sizes in _starts(choices, screened.sizes)
-    ]
-    return replace(_ended(base, screened, problem, min(ends, key=problem.squares)), candidate=candidate)
+    best = screened
+    for candidate, choices in _with_shape(screened.candidate):
+        problem = candidate.added_to(base.problem).with_substeps(screened.problem.substeps)
+        ends = [
+            minimise(
+                problem,
+                np.concatenate([shared, sizes, own]),
+                tolerance=criteria.ROUGH_TOLERANCE,
+                evaluations=criteria.ROUGH_EVALUATIONS,
+                central=False,
+                secant=beside is not None,
+                confirmed=beside is None,
+                beside=beside,
+            )
+            for sizes in _starts(choices, screened.sizes)
+        ]
+        end = replace(_ended(base, screened, problem, min(ends, key=problem.squares)), candidate=candidate)
+        if best is screened or end.squares - floor < criteria.OTHER_SHAPE_LEAVES * (best.squares - floor):
+            best = end
+    return best
 
 
 def without_needless_levels(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screened:
@@ -197,19 +205,31 @@ def _out_of_reach(candidate: Candidate, name: str) -> Candidate:
     return replace(candidate, attached=replace(attached, effect=effect, values=tuple(values)))
 
 
-def _with_shape(candidate: Candidate) -> tuple[Candidate, list[tuple[float, ...]]] | None:
-    """Return the candidate with its shapes among what is fitted, and the starts of every variable; None if it has none.
+def _with_shape(candidate: Candidate) -> list[tuple[Candidate, list[tuple[float, ...]]]]:
+    """Return the candidate with its shapes among what is fitted, and the starts of every variable; one for each choice.
 
-    The starts of what is fitted anyway are left open (empty).
+    A shape that stands in for another one makes a candidate of its own. The starts of what is fitted anyway are left
+    open (empty).
     """
     attached = candidate.attached
-    if attached is None or not any(parameter.shape for parameter in attached.effect.parameters):
-        return None
-    parameters = attached.effect.parameters
-    freed = tuple(replace(one, held=False) if one.shape else one for one in parameters)
-    choices = [one.starts[1:] if one.shape else () for one in parameters if one.shape or not one.held]
-    effect = replace(attached.effect, parameters=freed)
-    return replace(candidate, attached=replace(attached, effect=effect)), choices
+    if attached is None:
+        return []
+    shapes = [one for one in attached.effect.parameters if one.shape]
+    found = []
+    for choice in dict.fromkeys(one.instead_of for one in shapes):
+        free = {one.name for one in shapes if one.instead_of in {"", choice} and one.name != choice}
+        parameters = tuple(_settled(one, free) for one in attached.effect.parameters)
+        choices = [one.starts[1:] if one.name in free else () for one in parameters if not one.held]
+        effect = replace(attached.effect, parameters=parameters)
+        found.append((replace(candidate, attached=replace(attached, effect=effect)), choices))
+    return found
+
+
+def _settled(one: EffectParameter, free: Collection[str]) -> EffectParameter:
+    """Return a parameter that is fitted if it is among these, and is no open shape any more if it is not."""
+    if not one.shape:
+        return one
+    return replace(one, held=False) if one.name in free else replace(one, starts=one.starts[:1])
 
 
 def _starts(choices: list[tuple[float, ...]], sizes: FloatArray) -> list[tuple[float, ...]]:

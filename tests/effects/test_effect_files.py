@@ -75,6 +75,7 @@ def test_a_model_saved_with_it_names_its_file(file):
         ('kind   = "joint"', 'kind   = ["joint", "input"]', "either for joints and bodies or for inputs"),
         ('"force", neutral', '"forces", neutral', r"stiction.parameters.torque.quantity"),
         ("where  =", "wher   =", 'stiction.wher: .*did you mean "where"'),
+        ("held = true", 'held = true, instead_of = "torque"', "stands in for another shape of its effect"),
     ],
 )
 def test_a_fault_of_an_entry_is_told_with_its_key(file, line, instead, message):

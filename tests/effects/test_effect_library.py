@@ -37,7 +37,7 @@ def test_an_effect_shows_from_every_start(effect):
         values = [one.start_values(scale)[min(index, len(one.starts) - 1)] for one in effect.parameters]
         for one, value in zip(effect.parameters, values, strict=True):
             low, high = one.bounds(scale)
-            assert low <= value <= high
+            assert low <= value <= high or (one.instead_of and value == 0.0)  # not chosen
         attached = AttachedEffect(effect, SITES[effect.kind], tuple(values))
         moved = simulate(MODEL, TIME, DRIVE, effects=[attached], substeps=4)
         assert moved.finite
@@ -59,7 +59,7 @@ def test_an_effect_says_what_it_is(effect):
 
 
 def test_units_follow_the_site():
-    (torque, speed) = load_effect("coulomb-friction").parameters
+    (torque, speed, presliding) = load_effect("coulomb-friction").parameters
     assert (torque.name, torque.unit("rad"), torque.unit("m"), torque.unit("V")) == (
         "torque",
         "N m",
@@ -67,6 +67,7 @@ def test_units_follow_the_site():
         "force",
     )
     assert (speed.held, speed.unit("m")) == (True, "m/s")
+    assert (presliding.instead_of, presliding.unit("rad")) == (speed.name, "rad")
 
 
 def test_an_effect_sits_only_where_the_site_gives_what_it_needs():
@@ -91,10 +92,10 @@ def test_wrong_places_and_values_are_errors():
         simulate(MODEL, TIME, DRIVE, effects=[named("coulomb-friction", site="hing")], substeps=1)
     with pytest.raises(ModelError, match="no parameter 'torqe'"):
         named("coulomb-friction", torqe=1.0)
-    broken = dataclasses.replace(named("coulomb-friction"), values=(math.nan, 0.1))
+    broken = dataclasses.replace(named("coulomb-friction"), values=(math.nan, 0.1, 0.0))
     with pytest.raises(ModelError, match="torque is not a number"):
         simulate(MODEL, TIME, DRIVE, effects=[broken], substeps=1)
-    with pytest.raises(ModelError, match="takes torque, transition_speed; 1 values"):
+    with pytest.raises(ModelError, match="takes torque, transition_speed, presliding; 1 values"):
         simulate(MODEL, TIME, DRIVE, effects=[named("coulomb-friction").with_values([1.0])], substeps=1)
 
 

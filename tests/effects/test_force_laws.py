@@ -145,12 +145,21 @@ def test_an_echo_comes_back_one_delay_later(omega):
     assert result.outputs[500:, 0] == pytest.approx(late[500:], abs=tolerance)
 
 
-def test_bristles_give_way_like_a_softening_spring_before_they_slide():
+@pytest.mark.parametrize(
+    "friction",
+    [
+        named("presliding-friction", torque=2.0, presliding=0.01, damping_time=0.01),
+        named("coulomb-friction", torque=2.0, presliding=0.01),
+        named("asymmetric-friction", torque=2.0, asymmetry=0.0, presliding=0.01),
+        named("stribeck-friction", torque=2.0, static_excess=0.0, stribeck_speed=0.1, presliding=0.01),
+    ],
+    ids=lambda one: one.effect.id,
+)
+def test_bristles_give_way_like_a_softening_spring_before_they_slide(friction):
     """Pushed slowly, the joint gives way by presliding * ln(1 / (1 - push / torque)), and stays there."""
-    friction = named("presliding-friction", torque=2.0, presliding=0.01, damping_time=0.01)
     time_s = np.linspace(0, 20, 2001)
     push = np.column_stack(
-        [0.4 * np.minimum(time_s / 10, 1.0), np.zeros(2001)]
+        [0.4 * np.minimum(time_s / 18, 1.0), np.zeros(2001)]
     )  # slowly, or it would overshoot and slide
     result = simulate(
         MODEL,
@@ -162,6 +171,17 @@ def test_bristles_give_way_like_a_softening_spring_before_they_slide():
         substeps=16,
     )
     assert result.outputs[-1, 0] == pytest.approx(0.01 * np.log(1 / (1 - 0.4 / 2.0)), rel=0.05)
+
+
+@pytest.mark.parametrize("presliding", [1e-9, 1e-6])
+def test_bristles_shorter_than_a_step_hold_like_a_sharp_sign(presliding):
+    """A step goes a thousand times as far: explicit integration would blow up, had the bristles no end."""
+    bristles = named("coulomb-friction", torque=1.0, presliding=presliding)
+    sign = named("coulomb-friction", torque=1.0, transition_speed=5e-4)
+    one, other = (
+        simulate(MODEL, TIME, DRIVE, effects=[effect], substeps=256).outputs for effect in (bristles, sign)
+    )
+    assert one == pytest.approx(other, abs=2e-3)
 
 
 def test_a_stop_pushes_and_never_pulls():

@@ -151,8 +151,9 @@ def test_dry_friction_behind_a_lag_is_not_taken_for_play() -> None:
     data = Dataset("muscle", Path("muscle"), "recording", *channels, (trial,))
     found = diagnose_dataset(data, parse_model(MUSCLE, "muscle.toml"), QUICK)
     sizes = {one.name.effect: one.values for one in found.causes}
-    assert sizes["presliding-friction"]["torque"].value == pytest.approx(4.0, rel=0.05)
-    assert sizes["lag"]["time_constant"].value == pytest.approx(0.06, rel=0.15)
+    assert sizes["coulomb-friction"]["torque"].value == pytest.approx(4.0, rel=0.02)
+    assert sizes["coulomb-friction"]["presliding"].value == pytest.approx(4.0 / 8000.0, rel=0.02)
+    assert sizes["lag"]["time_constant"].value == pytest.approx(0.06, rel=0.02)
     assert len(sizes) == 2
 
 
