@@ -259,6 +259,13 @@ NO_SENSORS_NOISE = 6.0
 sensor, however slow: its own past predicts 97 % of it. Of 46 controls that are not repeated (seeds 175 and 177; some of
 them with noise of a colour) what cannot be learned was at most 4.0; of nine cases outside of the library that had been
 called undecided six are beyond it. Of one trial alone a disturbance may make as much."""
+CHANCE_OF_LINES = 1e-4
+"""Probability up to which lines in the spectrum of what is left are none of noise. Of 16 controls and seven effects too
+small to be named (seeds 192 and 191, not repeated) the least is 0.0015; of ten cases outside of the library at 0.5
+times the noise and above (seed 195) seven are below it, three of which nothing else tells."""
+LINES_NEAR, SLOWEST_LINE = 31, 3
+"""Powers of a spectrum whose median a line is held against; and how many times it has to come back in a trial, at
+least: what is slower is drift."""
 
 # --- verdict ------------------------------------------------------------------------------------------------------
 

@@ -15,6 +15,7 @@ from labrun.gap import criteria
 from labrun.gap.candidates import site_courses, typical_time_s
 from labrun.gap.held_out import mean_residuals
 from labrun.gap.noise import Noise
+from labrun.gap.null import chance_of_lines
 from labrun.gap.what_is_left import BeyondScatter
 
 
@@ -45,8 +46,10 @@ def beyond_scatter(problem: Problem, z: FloatArray, noise: Noise) -> BeyondScatt
         return BeyondScatter()
     common = _without_own(problem, z, residual)
     left = sum(float(np.sum(np.square(one))) for one in common)
-    size = np.sqrt(np.mean(np.square(np.concatenate(common) * (problem.spread / noise.sd))))
-    return BeyondScatter(_share(problem, z, common, conditions=False) * left / total, float(size))
+    units = [problem.spread / (noise.sd * noise.mean_sd(trial.count)) for trial in problem.data.trials]
+    size = np.sqrt(np.mean(np.square(np.concatenate([a * b for a, b in zip(common, units, strict=True)]))))
+    learnable = _share(problem, z, common, conditions=False) * left / total
+    return BeyondScatter(learnable, float(size), chance_of_lines(common))
 
 
 def _without_own(problem: Problem, z: FloatArray, residual: Sequence[FloatArray]) -> list[FloatArray]:

@@ -112,3 +112,28 @@ def independent_share(residual: Sequence[FloatArray]) -> float:
         return 1.0
     pooled = np.sum(energies) ** 2 / np.sum(np.square(energies) / np.array(freedoms))
     return float(min(pooled / sum(one.size for one in residual), 1.0))
+
+
+def chance_of_lines(residual: Sequence[FloatArray]) -> float:
+    """Return how probable it is that noise has such lines in its spectrum in two trials, at most 1.
+
+    The spectrum of a sensor's noise is smooth, whatever its colour; a vibration, a spring that pulsates, a motion that
+    is not as simulated have lines. The second strongest trial counts: in one alone it may be a disturbance.
+    """
+    chances = sorted(_chance_of_largest_line(one) for one in residual)
+    return min(len(chances) * chances[1], 1.0) if len(chances) > 1 else 1.0
+
+
+def _chance_of_largest_line(residual: FloatArray) -> float:
+    """Return how probable the largest power (n samples, m channels) is beside the median of those near it."""
+    from scipy.ndimage import median_filter
+
+    tapered = (residual - np.mean(residual, axis=0)) * np.hanning(len(residual))[:, None]
+    power = np.square(np.abs(np.fft.rfft(tapered, axis=0)))[1 : (len(residual) + 1) // 2]
+    near = median_filter(power, size=(criteria.LINES_NEAR, 1), mode="reflect")
+    seen = power[criteria.SLOWEST_LINE :]
+    if not seen.size or np.any(near <= 0.0):
+        return 1.0
+    # powers of noise are distributed exponentially, and half of them are below ln 2 of their mean
+    largest = np.max(seen / near[criteria.SLOWEST_LINE :]) * np.log(2.0)
+    return float(min(seen.size * np.exp(-largest), 1.0))

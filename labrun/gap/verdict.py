@@ -98,17 +98,21 @@ def verdict(found: VerdictBasis) -> Verdict:
 
 
 def _unexplained(found: VerdictBasis) -> bool:
-    """Tell whether there is a gap without a cause: plainly more than noise, or at least predictable."""
+    """Tell whether there is a gap without a cause: plainly more than noise, or at least no noise by its kind."""
+    left = found.beyond_scatter
+    learnable = left.learnable >= criteria.LEARNABLE
     if not found.noise_known:
-        no_noise = found.trials > 1 and found.beyond_scatter.size >= criteria.NO_SENSORS_NOISE
-        learnable = found.beyond_scatter.learnable >= criteria.LEARNABLE
-        return (learnable or no_noise) and found.sizes.recalibrated >= 1.0
+        lines = left.chance_of_lines <= criteria.CHANCE_OF_LINES and left.size >= 1.0
+        large = left.size >= criteria.NO_SENSORS_NOISE and found.trials > 1
+        return (learnable or lines or large) and found.sizes.recalibrated >= 1.0
+    if left.size <= 1.0 and not learnable:
+        return False  # scatter of parameters from condition to condition: new beams, another mounting
     floor = found.sizes.floor
     if found.sizes.recalibrated >= max(criteria.FAR_ABOVE_FLOOR * floor, criteria.SMALL_GAP_UNEXPLAINED):
         return True
     # slow noise has few independent numbers a trial: the mean of a few repeats is then above the floor by chance
     small = max(criteria.BEYOND_FLOOR * floor, criteria.SMALL_GAP_UNEXPLAINED)
-    return found.sizes.recalibrated >= small and found.beyond_scatter.learnable >= criteria.LEARNABLE
+    return found.sizes.recalibrated >= small and learnable
 
 
 def _recalibration_helps(sizes: Sizes) -> bool:
@@ -182,8 +186,8 @@ def _of_noise(recalibrated: str, unit: str, sizes: Sizes) -> str:
     if sizes.recalibrated > sizes.floor:
         return (
             f"No gap that can be told from noise: model and measurement differ by {recalibrated} times {unit}, more "
-            f"than repeats let expect ({floor}), but nothing of it can be predicted: noise that is slow beside a "
-            "trial does that."
+            f"than repeats let expect ({floor}), but no more than parameters that scatter from trial to trial, or "
+            "noise that is slow beside a trial, make."
         )
     return (
         f"No gap beyond noise: what model and measurement differ by ({recalibrated} times {unit}) is what noise "

@@ -38,11 +38,14 @@ class BeyondScatter:
     learnable
         Part of the squared residual that is predicted of withheld pieces, 0 to 1.
     size
-        Root mean square, in units of the noise.
+        Root mean square, in units of the noise of the mean of repeats.
+    chance_of_lines
+        How probable it is that noise has such lines in its spectrum.
     """
 
     learnable: float = 0.0
     size: float = 0.0
+    chance_of_lines: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ def findings(
         effects,
         parameters,
         None if share is None else Shrinkage(*share),
-        BeyondScatter(more.get("learnable", 0.0), more.get("size", 0.0)),
+        BeyondScatter(more.get("learnable", 0.0), more.get("size", 2.0), more.get("chance_of_lines", 1.0)),
         more.get("trials", 5),
     )
 
@@ -86,6 +86,19 @@ def test_a_gap_that_nothing_explains_is_not_in_the_library_only_where_it_is_told
     assert verdict(findings(**{**unexplained, "sizes": (5.0, 1.2, 1.2, 0.3)})) == "not-in-library"
     assert verdict(findings(**unexplained, repeated=False)) == "parameter"
     assert verdict(findings(**unexplained, significant=False)) == "parameter"
+
+
+def test_what_is_no_more_than_noise_once_parameters_scatter_is_no_gap():
+    mounted_anew = {"effects": 0, "share": None, "sizes": (0.5, 0.42, 0.42, 0.0)}
+    assert verdict(findings(**mounted_anew, size=1.2)) == "not-in-library"
+    assert verdict(findings(**mounted_anew, size=0.9)) == "no-gap"
+
+
+def test_lines_tell_a_gap_of_the_size_of_the_noise_from_it_where_nothing_else_tells_the_noise():
+    unexplained = {"effects": 0, "share": None, "sizes": (5.0, 1.2, 1.2, 0.3), "repeated": False}
+    assert verdict(findings(**unexplained, size=1.1, chance_of_lines=1e-6)) == "not-in-library"
+    assert verdict(findings(**unexplained, size=1.1, chance_of_lines=1e-2)) == "parameter"
+    assert verdict(findings(**unexplained, size=0.6, chance_of_lines=1e-6)) == "parameter"
 
 
 def test_what_is_plainly_more_than_a_sensor_adds_in_several_trials_is_a_gap_without_repeats():

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from scipy.signal import butter, filtfilt
+from scipy.signal import butter, filtfilt, lfilter
 
 from labrun.fit.dataset import Dataset, FitTrial
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.noise import of_sensor
 from labrun.gap.noise_threshold import NoiseThreshold
-from labrun.gap.null import independent_share
+from labrun.gap.null import chance_of_lines, independent_share
 from labrun.models import parse_model
 from labrun.store import SignalInfo
 
@@ -66,6 +66,30 @@ def test_white_noise_has_an_independent_number_to_each_sample_and_a_sine_few_to_
     sine = [np.sin(2 * np.pi * 5 * np.arange(1000) / 1000)[:, None]]
     assert independent_share(noise) > 0.85
     assert independent_share(sine) == pytest.approx(4 / 1000, rel=1e-3)
+
+
+@given(st.integers(0, 10**6), st.sampled_from([0.0, 0.7, 0.97]), st.booleans())
+def test_noise_of_any_colour_has_no_lines(seed: int, colour: float, rounded: bool) -> None:
+    rng = np.random.default_rng(seed)
+    noise = [lfilter([1.0], [1.0, -colour], rng.standard_normal((500, 2)), axis=0) for _ in range(5)]
+    assert chance_of_lines([np.round(one) if rounded else one for one in noise]) > 1e-6
+
+
+def test_a_vibration_below_the_noise_is_a_line_where_two_trials_have_it() -> None:
+    rng = np.random.default_rng(2)
+    noise = [lfilter([1.0], [1.0, -0.9], rng.standard_normal((800, 1)), axis=0) for _ in range(4)]
+    humming = [one + np.sin(np.arange(800) + place)[:, None] for place, one in enumerate(noise)]
+    assert chance_of_lines(humming) < 1e-12
+    assert chance_of_lines([humming[0], *noise[1:]]) > 1e-3
+    assert chance_of_lines(humming[:1]) == 1.0
+
+
+def test_a_spring_that_pulsates_is_no_noise_though_nothing_that_was_recorded_tells_it() -> None:
+    found = diagnose_dataset(
+        recorded(lambda t, q, v: -0.004 * float(np.sin(9.0 * t)) * q, repeats=1), pendulum(), QUICK
+    )
+    assert found.verdict == "not-in-library"
+    assert found.gap.recalibrated < 3.0
 
 
 @pytest.mark.parametrize("slow", [0.0, 0.05])

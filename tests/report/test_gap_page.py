@@ -9,6 +9,7 @@ import pytest
 from gap_strategies import diagnoses
 from hypothesis import HealthCheck, given, settings
 
+from labrun.gap.diagnosis import Sizes
 from labrun.report.figures.gap import diagnosis_figure
 from labrun.report.gap_page import diagnosis_page
 from labrun.report.style import as_png
@@ -139,3 +140,14 @@ def test_any_diagnosis_becomes_a_page_and_a_picture(diagnosis):
     assert SENTENCE not in text
     assert set(re.findall(r'href="#([^"]+)"', text)) <= set(re.findall(r' id="([^"]+)"', text))
     assert as_png(diagnosis_figure(diagnosis))
+
+
+def test_a_floor_of_next_to_nothing_stays_in_the_picture():
+    """Far to the left of a logarithmic axis it left no room for anything else."""
+    found = replace(examples.explained(), gap=Sizes(62.0, 30.0, 1.2, 7e-9))
+    figure = diagnosis_figure(found)
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        assert axes.get_window_extent().width > 100
+        for text in axes.texts:
+            assert text.get_window_extent().x0 > axes.get_window_extent().x0 - 5

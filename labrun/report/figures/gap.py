@@ -174,13 +174,14 @@ def draw_how_far(axes: Axes, diagnosis: Diagnosis) -> None:
     sizes = [max(size, 0.0) if math.isfinite(size) else 0.0 for _, size, _ in rows]
     largest = max(*sizes, gap.floor) or 1.0
     low = _set_scale(axes, [*sizes, gap.floor], largest)
-    axes.axvspan(low, gap.floor, color=_FLOOR, linewidth=0, zorder=0)
-    axes.axvline(gap.floor, color=_FLOOR_EDGE, linewidth=1.2, linestyle=(0, (4, 2)), zorder=3)
+    floor = max(gap.floor, low)  # of next to nothing: at the end of a logarithmic axis, not far beyond it
+    axes.axvspan(low, floor, color=_FLOOR, linewidth=0, zorder=0)
+    axes.axvline(floor, color=_FLOOR_EDGE, linewidth=1.2, linestyle=(0, (4, 2)), zorder=3)
     for row, ((_, size, colour), width) in enumerate(zip(rows, sizes, strict=True)):
         axes.barh(row, max(width - low, 0.0), left=low, height=0.62, color=colour, zorder=2)
         axes.annotate(
             times_noise(size),
-            (_clear_of(axes, max(width, low), gap.floor), row),
+            (_clear_of(axes, max(width, low), floor), row),
             xytext=(5, 0),
             textcoords="offset points",
             va="center",
@@ -194,13 +195,13 @@ def draw_how_far(axes: Axes, diagnosis: Diagnosis) -> None:
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(rows) - 0.45, -0.95)
     axes.text(
-        gap.floor,
+        floor,
         -0.56,
         f" noise floor {times_noise(gap.floor)}",
         color="#00694c",
         fontsize=8.5,
         va="bottom",
-        ha="left" if _place(axes, gap.floor) < 0.8 else "right",
+        ha="left" if _place(axes, floor) < 0.8 else "right",
     )
     axes.set_xlabel(
         "gap: rms of measured - simulated beyond the noise (noise of one trial = 1)"
