@@ -230,6 +230,9 @@ class Selector:
         drag is taken for damping.
         """
         rounds, chosen = [self._round(self.base)], list[Chosen]()
+        left_over = fitted_excess(self.base.problem, self.base.z, self.noise)
+        if not self.null.relative and left_over.gap == 0.0:
+            return [], rounds  # no more than noise makes: a cause would explain all of nothing
         while len(chosen) < criteria.MOST_CAUSES:
             left = chosen[-1].held_out if chosen else self.reference
             one = self._choose(rounds[-1], left, further=bool(chosen))

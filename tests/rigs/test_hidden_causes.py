@@ -1,4 +1,4 @@
-"""What is hidden in the bench of a specimen's rig, or of the caudal fin, is found from the rig's own experiment."""
+"""What is hidden in a rig's bench is found from the rig's own experiment, and nothing where nothing is hidden."""
 
 import pytest
 
@@ -72,7 +72,12 @@ def test_a_hidden_cause_is_named_alone_or_in_a_stated_set(rig, hidden, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rig", ["polyester-tensile", "hinge-tensile"])
+@pytest.mark.parametrize(
+    "rig",
+    [
+        "polyester-tensile", "hinge-tensile", "hinge-repeatability", "fin-materials", "fin-trace", "six-bar",
+    ],
+)  # fmt: skip
 def test_where_nothing_is_hidden_nothing_is_announced(rig, tmp_path):
     run = labrun.run(rig, dry_run=True, seed=1, hide=["none"], results=tmp_path).run
     labrun.diagnose(run, page=False, results=tmp_path)
