@@ -16,7 +16,20 @@ DECOY_M = (1.0, 2.0, 3.0)
 @pytest.fixture(scope="module")
 def served():
     with emulated("optitrack", KEYS, **BENCH) as bench:
+        bench.wait_until(
+            lambda: _answers(bench.driver), within_s=60.0
+        )  # a busy machine may compile its scene first
         yield bench
+
+
+def _answers(driver):
+    try:
+        driver.open()
+    except DeviceError:
+        return False
+    finally:
+        driver.close()
+    return True
 
 
 @pytest.fixture
