@@ -24,9 +24,9 @@ from labrun.devices import (
 )  # fmt: skip
 from labrun_plugins.ati_netft import examination, network, status
 from labrun_plugins.ati_netft.box_info import BoxInfo, box_rate
+from labrun_plugins.ati_netft.network import ask_status
 from labrun_plugins.ati_netft.reception import CHANNELS, Reception
 from labrun_plugins.ati_netft.settings import AtiNetFtSettings
-from labrun_plugins.ati_netft.single import ask_status
 from labrun_plugins.ati_netft.source import BoxSource, Source
 
 _NEAR_END = 0.9

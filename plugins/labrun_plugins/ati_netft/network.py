@@ -1,4 +1,4 @@
-"""The network towards the box: which of this computer's addresses to use, its web pages, and its TCP port."""
+"""The network towards the box: this computer's address, the box's web pages, its TCP port, and one sample over UDP."""
 
 import fcntl
 import http.client
@@ -7,8 +7,9 @@ import socket
 import threading
 from contextlib import closing, suppress
 
-from labrun.devices import DeviceError
-from labrun_plugins.ati_netft import box_info
+from labrun.devices import Clock, DeviceError
+from labrun_plugins.ati_netft import box_info, codec
+from labrun_plugins.ati_netft.datagrams import DatagramSocket
 from labrun_plugins.ati_netft.settings import AtiNetFtSettings
 
 _PATIENCE_S = 2.0
@@ -152,3 +153,48 @@ def _hang_up(connection: http.client.HTTPConnection) -> None:
     with suppress(OSError):
         if connection.sock is not None:
             connection.sock.shutdown(socket.SHUT_RDWR)
+
+
+_TRIES = 4
+_SAMPLE_S = 0.5
+_LOOK_EVERY_S = 0.002
+
+
+def ask_status(device: str, settings: AtiNetFtSettings, clock: Clock, own: str) -> int:
+    """Return the status that comes with one sample.
+
+    Raises
+    ------
+    DeviceError
+        No answer to any of a few requests: a datagram may get lost, four do not.
+    """
+    box = DatagramSocket(device, clock, own, (settings.host, settings.rdt_port))
+    malformed = 0
+    try:
+        for _ in range(_TRIES):
+            try:
+                box.send(codec.request(codec.STREAM, 1))
+            except OSError:
+                clock.sleep(_SAMPLE_S)  # refused at once; it may be starting up
+                continue
+            until_s = clock.now() + _SAMPLE_S
+            while clock.now() < until_s:
+                clock.sleep(_LOOK_EVERY_S)
+                try:
+                    heard = box.take()
+                except DeviceError:  # nobody listens on that port
+                    clock.sleep(_SAMPLE_S)
+                    break
+                if len(heard):
+                    records, _, bad = codec.decode_block(heard.slots, heard.length)
+                    malformed += bad
+                    if len(records):
+                        return int(records["status"][-1])
+    finally:
+        box.close()
+    found = f", but {malformed} datagrams of a wrong length" if malformed else ""
+    raise DeviceError(
+        device,
+        f"no sample from {settings.host}, UDP port {settings.rdt_port}, to {_TRIES} requests{found}",
+        hint="enable RDT on its web page (Communications), and let UDP pass the firewall of this computer",
+    )

@@ -1,7 +1,9 @@
 """A solver as a device: one run of a program a condition, its table played as samples."""
 
+import csv
 import hashlib
 import json
+import math
 import os
 import shlex
 import shutil
@@ -9,12 +11,13 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn
 
 import numpy as np
+from pydantic import Field, PositiveFloat
 
 from labrun.devices import (
     Channel,
@@ -28,8 +31,96 @@ from labrun.devices import (
     Samples,
     Trajectory,
 )
-from labrun_plugins.command.settings import CommandSettings
-from labrun_plugins.command.table import TableError, read_table
+from labrun.toml import suggest
+
+
+class CommandSettings(DeviceSettings):
+    """Keys of a command.
+
+    Attributes
+    ----------
+    run
+        The program and its arguments, one text each. ``{name}`` stands for a value of the condition, ``{output}`` for
+        the CSV file that the program has to write.
+    channels
+        Columns of that file that are read, with their units.
+    time
+        Its column of time, s; without it rows follow each other at `rate_hz`.
+    rate_hz
+        Rows a second, as the trial plays them.
+    timeout_s
+        How long the program may take.
+    keep
+        Folder for what was computed: a condition is computed once, also in later runs.
+    """
+
+    example: ClassVar[str] = (
+        'run = ["python", "solve.py", "--angle", "{angle}", "--output", "{output}"]\n'
+        'channels = { moment = "N m" }        # columns of the CSV file, with their units\n'
+        "timeout_s = 3600"
+    )
+
+    run: list[str] = Field(min_length=1)
+    channels: dict[str, str] = Field(min_length=1)
+    time: str | None = None
+    rate_hz: PositiveFloat = 100.0
+    timeout_s: PositiveFloat = 3600.0
+    keep: str = "solver"
+
+
+class TableError(Exception):
+    """A file that is not the table asked for."""
+
+
+def read_table(path: Path, columns: Sequence[str], time: str | None) -> tuple[FloatArray, FloatArray | None]:
+    """Return the wanted columns, shape (n, columns), and the times from the first row on, shape (n,), if it has any.
+
+    Raises
+    ------
+    TableError
+        There is no such file, column or number; times that do not increase; no row.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = [row for row in csv.reader(file) if row]
+    except FileNotFoundError:
+        raise TableError("it wrote no file {output}") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise TableError(f"{path.name} cannot be read as CSV: {error}") from error
+    if not rows:
+        raise TableError(f"{path.name} is empty")
+    header = [name.strip() for name in rows[0]]
+    wanted = [*columns, *([] if time is None else [time])]
+    for name in wanted:
+        if name not in header:
+            raise TableError(f"{path.name} has no column {name!r}; {suggest(name, header, kind='columns')}")
+    if len(rows) < 2:
+        raise TableError(f"{path.name} has a header and no row below it")
+    places = [header.index(name) for name in wanted]
+    table = np.array([_numbers(path, number, row, header, places) for number, row in enumerate(rows[1:], 2)])
+    if time is None:
+        return table, None
+    times = table[:, -1] - table[0, -1]
+    if not (np.diff(times) > 0).all():
+        line = int(np.argmin(np.diff(times) > 0)) + 3
+        raise TableError(f"{path.name}, line {line}: {time} does not increase")
+    return table[:, :-1], times
+
+
+def _numbers(path: Path, line: int, row: list[str], header: list[str], places: list[int]) -> list[float]:
+    if len(row) != len(header):
+        raise TableError(f"{path.name}, line {line}: {len(row)} values under {len(header)} headings")
+    found = []
+    for place in places:
+        try:
+            value = float(row[place])
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise TableError(f"{path.name}, line {line}: {header[place]} = {row[place][:40]!r} is no number")
+        found.append(value)
+    return found
+
 
 _LOOK_S = 0.05
 _LEAD_S = 0.1

@@ -207,7 +207,7 @@ class DynamixelServos:
     def emergency_stop(cls, name: str, settings: Any) -> None:
         """Connect from scratch and stop: the runner is dead or hangs."""
         from labrun.devices.clock import RealClock
-        from labrun_plugins.dynamixel.emergency import emergency_stop
+        from labrun_plugins.dynamixel.torque import emergency_stop
 
         emergency_stop(name, settings, RealClock())
 

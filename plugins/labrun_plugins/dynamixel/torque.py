@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from labrun.devices import DeviceError, FloatArray
+from labrun.devices import Clock, DeviceError, FloatArray
 from labrun_plugins.dynamixel.bus import Bus
 from labrun_plugins.dynamixel.commands import OVERSHOOT_RAD
 from labrun_plugins.dynamixel.control_table import (
@@ -22,6 +22,7 @@ from labrun_plugins.dynamixel.control_table import (
 )
 from labrun_plugins.dynamixel.report import shut_down
 from labrun_plugins.dynamixel.scale import Scale
+from labrun_plugins.dynamixel.settings import DynamixelSettings
 
 STOP_WAIT_S = 0.02
 """A stop waits no longer than this for another thread that holds the bus."""
@@ -143,3 +144,32 @@ def hold(bus: Bus, scales: Mapping[int, Scale], last_rad: FloatArray | None) -> 
             bus.group_write_bytes(STOP, stop, wait_s=0.0)
             bus.group_write_bytes(STOP, stop, wait_s=0.0)
     return silent
+
+
+def emergency_stop(name: str, settings: DynamixelSettings, clock: Clock) -> None:
+    """Hold every joint where it is, or switch its torque off, as `on_stop` says.
+
+    A servo that its watchdog has stopped already takes no goal, and needs none. One that does not answer is left to
+    its watchdog: after this nobody talks on the bus.
+
+    Raises
+    ------
+    DeviceError
+        The port cannot be opened, or a servo does not answer.
+    """
+    scales = {table.id: Scale.of(table, settings) for table in settings.joints.values()}
+    bus = Bus(
+        name, settings.port, settings.baud, clock, {t.id: joint for joint, t in settings.joints.items()}
+    )
+    bus.open()
+    try:
+        if settings.on_stop == "torque-off":
+            switch_off(bus, list(scales))
+            bus.require(list(scales), whole(TORQUE_ENABLE))
+            return
+        silent = hold(bus, scales, None)
+        if silent:
+            bus.require(silent, MOTION)
+            hold(bus, scales, None)
+    finally:
+        bus.close()

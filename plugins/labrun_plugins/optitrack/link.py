@@ -1,13 +1,133 @@
-"""Datagrams to and from the server, and from nobody else."""
+"""Datagrams to and from the server, and from nobody else, over sockets on one named interface."""
 
 import contextlib
+import ipaddress
 import select
 import socket
+import struct
+import sys
 from dataclasses import dataclass
 
 from labrun.devices import Clock, DeviceError
 from labrun_plugins.optitrack.messages import split
-from labrun_plugins.optitrack.sockets import open_command, open_multicast
+
+_RECEIVE_BUFFER = 4 << 20
+_SIOCGIFADDR = 0x8915
+_IP_MULTICAST_ALL = getattr(socket, "IP_MULTICAST_ALL", 49)
+
+
+def host_address(device: str, host: str) -> str:
+    """Return the IPv4 address of a host; DeviceError if it has none."""
+    try:
+        return socket.gethostbyname(host)
+    except (OSError, UnicodeError) as error:
+        raise DeviceError(
+            device,
+            f"host {host!r} has no address: {error}",
+            hint="give the IPv4 address of the computer that runs Motive as host",
+        ) from error
+
+
+def local_address(device: str, address: str, interface: str) -> str:
+    """Return the address of this computer's interface: the named one, else the one that routes to `address`.
+
+    Raises
+    ------
+    DeviceError
+        There is no such interface, or no way to the address.
+    """
+    if interface:
+        with contextlib.suppress(ValueError):
+            return str(ipaddress.IPv4Address(interface))
+        return _address_of(device, interface)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect((address, 9))  # sends nothing: only asks for the route
+            return str(probe.getsockname()[0])
+        except OSError as error:
+            raise DeviceError(
+                device,
+                f"no network interface leads to {address}: {error.strerror}",
+                hint="connect this computer to Motive's network; check with: ping " + address,
+            ) from error
+
+
+def open_command(device: str, local: str) -> socket.socket:
+    """Return a socket for requests, and for frames sent to this computer alone; bound to the interface."""
+    return _bound(device, local, 0, local)
+
+
+def open_multicast(device: str, local: str, group: str, port: int) -> socket.socket:
+    """Return a socket for the frames of a multicast group, joined on one interface.
+
+    On Linux and macOS a socket that is bound to the interface's own address gets no multicast: it must be bound to the
+    address of the group, and the interface is chosen by the membership alone. There, other programs' memberships
+    would count as well, were it not for IP_MULTICAST_ALL. Windows knows no binding to a group: there it is the
+    interface's address. None of them needs 0.0.0.0.
+
+    Raises
+    ------
+    DeviceError
+        Not a multicast group, a port in use, or an interface without multicast.
+    """
+    if not ipaddress.IPv4Address(group).is_multicast:
+        raise DeviceError(
+            device,
+            f"{group} is not a multicast group",
+            hint="see Multicast Interface in Motive's streaming pane",
+        )
+    bound_to = local if sys.platform == "win32" else group
+    opened = _bound(device, bound_to, port, local, shared=True)
+    try:
+        if sys.platform == "linux":
+            opened.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
+        membership = struct.pack("=4s4s", socket.inet_aton(group), socket.inet_aton(local))
+        opened.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+    except OSError as error:
+        opened.close()
+        raise DeviceError(
+            device,
+            f"multicast group {group} cannot be joined on interface {local}: {error.strerror}",
+            hint="name the interface that leads to Motive (interface), or stream unicast",
+        ) from error
+    return opened
+
+
+def _bound(device: str, address: str, port: int, local: str, *, shared: bool = False) -> socket.socket:
+    opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        if shared:  # several programs of one computer may listen to a group
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        with contextlib.suppress(OSError):  # as much as the system grants
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        opened.bind((address, port))
+        opened.setblocking(False)
+    except OSError as error:
+        opened.close()
+        raise DeviceError(
+            device,
+            f"cannot listen on {address}:{port}: {error.strerror}",
+            hint=f"this computer's interfaces do not include {local}, or another program holds the port alone",
+        ) from error
+    return opened
+
+
+def _address_of(device: str, interface: str) -> str:
+    """Return the address of an interface by its name, as Linux tells it."""
+    try:
+        import fcntl
+
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            asked = struct.pack("256s", interface.encode()[:15])
+            return socket.inet_ntoa(fcntl.ioctl(probe.fileno(), _SIOCGIFADDR, asked)[20:24])
+    except (ImportError, OSError) as error:
+        names = ", ".join(name for _, name in socket.if_nameindex())
+        raise DeviceError(
+            device,
+            f"interface {interface!r} is not one of this computer's, or has no IPv4 address",
+            hint=f"give its IPv4 address or one of: {names}",
+        ) from error
+
 
 _PATIENCE_S = 0.02
 _MOST = 65_536

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from labrun_plugins.dynamixel.commands import CommandCheck
 from labrun_plugins.dynamixel.control_table import MODELS, hardware_errors
 from labrun_plugins.dynamixel.driver import Dynamixel
+from labrun_plugins.dynamixel.measuring import TickClock
 from labrun_plugins.dynamixel.scale import Scale
 from labrun_plugins.dynamixel.settings import DynamixelSettings, Joint
-from labrun_plugins.dynamixel.ticks import TickClock
 from labrun_plugins.simulated.dynamixel import SimulatedDynamixel
 
 from labrun.devices import Actuator, DeviceContext, DeviceError, Sensor, Trajectory

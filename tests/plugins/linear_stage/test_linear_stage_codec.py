@@ -17,7 +17,7 @@ from labrun_plugins.linear_stage.codec import (
     parse_state,
     velocity_argument,
 )
-from labrun_plugins.linear_stage.counting import DeviceClock, SampleCounter, ahead
+from labrun_plugins.linear_stage.reception import DeviceClock, SampleCounter, ahead
 
 REQUESTS = {
     b"$1,HOME*5E91\n": (1, "HOME"),

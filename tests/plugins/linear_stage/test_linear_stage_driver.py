@@ -283,5 +283,5 @@ def test_no_part_of_the_emulator_is_the_drivers():
     folder = Path(LinearStage.probe.__code__.co_filename).parent
     for module in ("emulator.py", "emulated_axis.py"):
         text = (folder / module).read_text(encoding="utf-8")
-        for own in ("linear_stage.codec", "linear_stage.counting", "linear_stage.reception", "labline.codec"):
+        for own in ("linear_stage.codec", "linear_stage.reception", "labline.codec"):
             assert own not in text

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from emulated import emulated
 from labrun_plugins.optitrack.driver import OptiTrack
+from labrun_plugins.optitrack.link import local_address, open_command, open_multicast
 from labrun_plugins.optitrack.settings import OptiTrackSettings
-from labrun_plugins.optitrack.sockets import local_address, open_command, open_multicast
 from optitrack_bench import BENCH, KEYS, at_least, collect, is_one_row_of_frames
 
 from labrun.devices import DeviceContext, Sensor, Tracker

@@ -7,8 +7,8 @@ from labrun_plugins.ur5 import packages as wire
 from labrun_plugins.ur5.emulated_rtde import Session, framed, pack_values, text_message, unpack_values
 from labrun_plugins.ur5.emulated_script import MoveL, Program, ScriptReader, SetWatchdog, StopL, StopProgram
 from labrun_plugins.ur5.packages import Package, PackageStream, Text
-from labrun_plugins.ur5.primary import PrimaryStream
-from labrun_plugins.ur5.recipe import Recipe
+from labrun_plugins.ur5.programs import PrimaryStream
+from labrun_plugins.ur5.rtde import Recipe
 from labrun_plugins.ur5.script import STOP, STOP_PROGRAM, move_program
 
 from labrun.devices.emulation import EmulatorLog, Faults
