@@ -64,14 +64,14 @@ def keys_at(path: str = "") -> list[Key]:
     ----------
     path
         Such as ``trial.settle``, ``trial.settle.hold_s``, ``rig.devices.dynamixel`` (the keys of a plugin) or just
-        ``dynamixel``; empty for the top of the file.
+        ``dynamixel``; empty for the top of the file. Brackets as in the file, ``[trial.settle]``, may stand.
 
     Raises
     ------
     RequestError
         There is no such key; names the nearest.
     """
-    parts = [part for part in path.split(".") if part]
+    parts = [part for part in path.strip("[]").split(".") if part]
     if parts and parts[0] not in Experiment.model_fields:
         for group in dict.fromkeys(_GROUPS.values()):
             if registry.is_installed(group, parts[0]):

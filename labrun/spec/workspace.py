@@ -79,7 +79,8 @@ def find_experiment(name_or_path: str, workspace: Path) -> Path:
                 return path
         if len(given.parts) > 1:
             raise RequestError(
-                f"there is no experiment file {given}", hint="labrun list shows the experiments there are"
+                f"there is no file or folder {given}",
+                hint="labrun list shows the experiments, runs and recordings there are",
             )
     name = given.name.removesuffix(".toml")
     for folder in _folders(workspace):

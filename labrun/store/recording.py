@@ -117,7 +117,7 @@ def read_recording(folder: Path) -> Recording:
         raise RecordingError(
             f"{folder} is not a recording: it has no recording.toml",
             hint="a recording is a folder with recording.toml and one CSV file per trial; "
-            "a robot's log is imported with --model arm.xml",
+            "a robot's log takes its model: labrun import LOG --model arm.xml --to recordings/arm",
         )
     contents, faults = read_toml(path)
     names = list(contents.channels)

@@ -21,6 +21,10 @@ def test_the_top_of_the_file_has_every_table():
     assert list(told("")) == list(Experiment.model_fields)
 
 
+def test_brackets_as_in_the_file_may_stand():
+    assert keys_at("[trial.settle]") == keys_at("trial.settle")
+
+
 @pytest.mark.parametrize(
     ("path", "default"),
     [("cmaes.variables.a.from", "must be given"), ("rig.devices.wrench.limits.force_n", "")],

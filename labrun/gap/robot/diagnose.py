@@ -211,7 +211,9 @@ def _looked(
     jobs = ((place, diagnose_dataset, (one.dataset, one.model, options)) for place, one in joints.items())
     told("")
     for place, answer in here() if there is None else spread(there, jobs):
-        answers[place] = _announced(answer, _smoothing_gap(joints[place], one_joint(drawn, place)))
+        answers[place] = _announced(
+            answer, _smoothing_gap(joints[place], one_joint(drawn, place)), found.own.step_s
+        )
         told(f": {joints[place].joint.name} {answers[place].verdict}")
     return [(one, answers[place]) for place, one in joints.items()]
 
@@ -259,23 +261,39 @@ def _smoothing_gap(one: OneJoint, drawn: OneJoint) -> float:
     return float(ratio) if np.isfinite(ratio) else 0.0
 
 
-def _announced(answer: Diagnosis, smoothing: float) -> Diagnosis:
-    """Return a diagnosis without causes where the gap is one that prescribed motion makes by itself."""
+def _announced(answer: Diagnosis, smoothing: float, step_s: float) -> Diagnosis:
+    """Return a diagnosis without causes where the gap is one that prescribed motion or a simulator makes by itself.
+
+    Parameters
+    ----------
+    smoothing
+        What smoothing may leave, see `_smoothing_gap`.
+    step_s
+        The file's own time step. A log that a simulator wrote leads the equations of motion by up to that much: its
+        integrator moves on with the rates at the end of each step, not with those on the way.
+    """
     least = max(criteria.LEAST_JOINT_GAP, criteria.LINEAR_SLACK * smoothing)
     told = answer.causes or answer.verdict == "not-in-library"
-    if answer.gap.recalibrated >= least or not told:
-        return answer
     names = " and ".join(str(cause.name) for cause in answer.causes) or "What is not in the library"
+    if told and answer.gap.recalibrated < least:
+        sentence = (
+            "Recalibrated, the joint moves as measured, but for less than smoothing of the others may leave."
+        )
+        below = f"{answer.gap.recalibrated:.2g} of the noise: not announced below {least:.2g}"
+    elif answer.causes and all(
+        cause.name.effect == "early-clock" and cause.values["lead"].value < step_s for cause in answer.causes
+    ):
+        sentence = "Recalibrated, the joint moves as measured, but for less than a time step of the file."
+        below = (
+            f"but leads by less than the {1e3 * step_s:.3g} ms a simulator takes in one step: not announced"
+        )
+    else:
+        return answer
     return replace(
-        answer, verdict="no-gap", causes=(), effects=(), shrinkage=None, what_next=(),
-        sentence="Recalibrated, the joint moves as measured, but for less than smoothing the others' motion may leave.",
+        answer, verdict="no-gap", causes=(), effects=(), shrinkage=None, what_next=(), sentence=sentence,
         corrected={name: value for name, (_, _, value) in answer.recalibration.items()},
         gap=replace(answer.gap, after=answer.gap.recalibrated),
-        notes=(
-            *answer.notes,
-            f"{names} would explain what is left, {answer.gap.recalibrated:.2g} of the noise: "
-            f"not announced below {least:.2g}",
-        ),
+        notes=(*answer.notes, f"{names} would explain what is left, {below}"),
     )  # fmt: skip
 
 

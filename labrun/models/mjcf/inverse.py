@@ -229,6 +229,8 @@ class RobotTerms:
         Where its spring pulls to.
     coupled
         What ties joints together beside their bodies, in a sentence; "" if nothing.
+    step_s
+        The time step that the file is simulated with.
     """
 
     damping: tuple[float, ...]
@@ -238,6 +240,7 @@ class RobotTerms:
     rest: tuple[float, ...]
     drives: dict[str, JointDrive]
     coupled: str
+    step_s: float
 
 
 def robot_terms(xml: str, joints: list[str]) -> RobotTerms:
@@ -277,5 +280,5 @@ def robot_terms(xml: str, joints: list[str]) -> RobotTerms:
     return RobotTerms(
         of(model.dof_damping, dofs), of(model.jnt_stiffness, numbers), of(model.dof_armature, dofs),
         of(model.dof_frictionloss, dofs), of(model.qpos_spring, [int(model.joint(n).qposadr[0]) for n in joints]),
-        drives, coupled,
+        drives, coupled, float(model.opt.timestep),
     )  # fmt: skip

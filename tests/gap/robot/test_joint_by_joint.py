@@ -33,17 +33,20 @@ XML = """
 <position name="elbow" joint="elbow" kp="40" kv="2"/></actuator></mujoco>
 """
 NOISE = 2e-4
-STEP_S, SAMPLE_S, SAMPLES = 5e-4, 0.01, 220
+SAMPLE_S, SAMPLES = 0.01, 220
+SHORT_S = 5e-4
 
 
 @cache
-def log(friction: float = 0.0, trials: int = 5) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+def log(
+    friction: float = 0.0, trials: int = 5, step_s: float = SHORT_S
+) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """Return goals and measured angles; Coulomb friction of the elbow as a spring of bristles (Dahl)."""
     import mujoco
 
     rng = np.random.default_rng(3)
     model = mujoco.MjModel.from_xml_string(XML)
-    model.opt.timestep = STEP_S
+    model.opt.timestep = step_s
     time_s = np.arange(SAMPLES) * SAMPLE_S
     fade = np.sin(np.pi * np.arange(SAMPLES) / SAMPLES) ** 1.5
     made = []
@@ -56,22 +59,22 @@ def log(friction: float = 0.0, trials: int = 5) -> tuple[tuple[np.ndarray, np.nd
         angles, bristle = np.empty_like(goals), 0.0
         for row in range(SAMPLES):
             angles[row] = data.qpos
-            for _ in range(round(SAMPLE_S / STEP_S)):
-                bristle = float(np.clip(bristle + STEP_S * data.qvel[1] / 2e-4, -1, 1))
+            for _ in range(round(SAMPLE_S / step_s)):
+                bristle = float(np.clip(bristle + step_s * data.qvel[1] / 2e-4, -1, 1))
                 data.ctrl[:], data.qfrc_applied[1] = goals[row], -friction * bristle
                 mujoco.mj_step(model, data)
         made.append((goals, angles + NOISE * rng.standard_normal(angles.shape)))
     return tuple(made)
 
 
-def arm(tmp_path: Path, friction: float = 0.0):
+def arm(tmp_path: Path, friction: float = 0.0, step_s: float = SHORT_S):
     file = tmp_path / "arm.xml"
     file.write_text(XML, encoding="utf-8")
     robot, model = read_robot(file), load_model(file)
     time_s = np.arange(SAMPLES) * SAMPLE_S
     trials = tuple(
         FitTrial(f"trial {k}", {"motion": f"m{k}"}, 1, time_s, goals, angles)
-        for k, (goals, angles) in enumerate(log(friction))
+        for k, (goals, angles) in enumerate(log(friction, step_s=step_s))
     )
     inputs = tuple(SignalInfo(one.name, one.unit, "hold") for one in model.inputs)
     outputs = tuple(SignalInfo(one.name, one.unit) for one in model.outputs)
@@ -161,6 +164,14 @@ def test_friction_is_named_at_its_joint_and_nothing_at_the_other(tmp_path):
     assert elbow.corrected < 0.5 * elbow.recalibrated
     assert found.sentence == "1 of 2 joints lack physics: elbow: Coulomb friction."
     assert any("2 of 2 joints" in one for one in said)
+
+
+@pytest.mark.slow
+def test_a_simulators_own_time_step_is_no_early_clock(tmp_path):
+    robot, model, dataset = arm(tmp_path, step_s=2e-3)
+    found = diagnose_robot(robot, model, dataset, Options(workers=2))
+    assert not found.named
+    assert any("early-clock" in note for one in found.joints for note in one.diagnosis.notes)
 
 
 def test_a_motor_behind_a_gear_drives_its_joint_with_what_the_gear_makes_of_its_control(tmp_path):
