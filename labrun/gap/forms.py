@@ -1,6 +1,6 @@
 """The form of a candidate: shapes that are fitted before anything is ruled out, and levels that it does without."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from itertools import product
 
@@ -107,7 +107,7 @@ def shaped(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screene
     return end if enough else screened
 
 
-def sharpened(base: Base, chosen: Screened, threshold: NoiseThreshold) -> Screened:
+def sharpened(base: Base, chosen: Screened, threshold: NoiseThreshold, noise_share: float) -> Screened:
     """Return a chosen cause with the sharpness of its sign fitted, if that explains clearly more of what it leaves.
 
     Beside it, what the usual sharpness leaves would be taken for a cause of its own.
@@ -116,39 +116,48 @@ def sharpened(base: Base, chosen: Screened, threshold: NoiseThreshold) -> Screen
     ----------
     chosen
         Fitted in units of what it leaves, where noise is not told by repeats.
+    noise_share
+        Part of the squares that it leaves which is noise.
     """
-    attached = chosen.candidate.attached
+    usual = chosen if chosen.usual is None else chosen.usual
+    attached = usual.candidate.attached
     if attached is None or not any(
         one.shape and one.quantity == "rate" for one in attached.effect.parameters
     ):
         return chosen
     in_these_units = replace(base, problem=base.problem.with_noise(chosen.problem.noise), brisk=False)
-    end = _shape_fitted(in_these_units, chosen, 0.0)
+    end = _shape_fitted(in_these_units, chosen, noise_share * chosen.squares, usual.candidate)
     relative = np.isfinite(threshold.squares)
     of_what_is_left = replace(threshold, squares=chosen.squares) if relative else threshold
     earned = of_what_is_left.log_likelihood(max(chosen.squares - end.squares, 0.0))
     needed = criteria.SHAPE_PRICE * (end.candidate.variables - chosen.candidate.variables)
-    return replace(end, usual=chosen.usual or chosen) if earned >= needed else chosen
+    return replace(end, usual=usual) if earned >= needed else chosen
 
 
-def _shape_fitted(base: Base, screened: Screened, floor: float) -> Screened:
-    """Return the candidate with its shape among what is fitted; as it was if it has none, or that is fitted already.
+def _shape_fitted(base: Base, screened: Screened, floor: float, usual: Candidate | None = None) -> Screened:
+    """Return the candidate with its shape among what is fitted; as it was if it has none.
 
     Parameters
     ----------
     floor
         Squared residual that is noise.
+    usual
+        The candidate with its shapes open, where one of them has been fitted already: the others are tried beside it.
     """
     size = base.problem.size
     shared, own = screened.z[:size], screened.problem.own_states(screened.z)
     beside = around(base, screened.candidate)
-    best = screened
-    for candidate, choices in _with_shape(screened.candidate):
+    best, known = screened, _fitted(screened.candidate)
+    first = usual is None or known == _fitted(usual)
+    sizes = {one.name: size for one, size in zip(known, screened.sizes.tolist(), strict=True)}
+    for candidate, choices in _with_shape(screened.candidate if usual is None else usual):
+        if _fitted(candidate) == known:
+            continue
         problem = candidate.added_to(base.problem).with_substeps(screened.problem.substeps)
         ends = [
             minimise(
                 problem,
-                np.concatenate([shared, sizes, own]),
+                np.concatenate([shared, start, own]),
                 tolerance=criteria.ROUGH_TOLERANCE,
                 evaluations=criteria.ROUGH_EVALUATIONS,
                 central=False,
@@ -156,11 +165,11 @@ def _shape_fitted(base: Base, screened: Screened, floor: float) -> Screened:
                 confirmed=beside is None,
                 beside=beside,
             )
-            for sizes in _starts(choices, screened.sizes)
+            for start in _starts(candidate, choices, sizes)
         ]
         end = replace(_ended(base, screened, problem, min(ends, key=problem.squares)), candidate=candidate)
-        if best is screened or end.squares - floor < criteria.OTHER_SHAPE_LEAVES * (best.squares - floor):
-            best = end
+        if first or end.squares - floor < criteria.OTHER_SHAPE_LEAVES * (best.squares - floor):
+            best, first = end, False
     return best
 
 
@@ -232,7 +241,9 @@ def _settled(one: EffectParameter, free: Collection[str]) -> EffectParameter:
     return replace(one, held=False) if one.name in free else replace(one, starts=one.starts[:1])
 
 
-def _starts(choices: list[tuple[float, ...]], sizes: FloatArray) -> list[tuple[float, ...]]:
+def _starts(
+    candidate: Candidate, choices: list[tuple[float, ...]], sizes: Mapping[str, float]
+) -> list[tuple[float, ...]]:
     """Return the fitted sizes with every combination of the shapes' starts."""
-    fitted = iter(sizes.tolist())
-    return list(product(*(choice or (next(fitted),) for choice in choices)))
+    fitted = _fitted(candidate)
+    return list(product(*(choice or (sizes[one.name],) for one, choice in zip(fitted, choices, strict=True))))

@@ -357,7 +357,8 @@ class Selector:
             problem = in_units_of(self.noise, problem, z)
             z = refit(problem, z)
         fitted = replace(best.screened, problem=problem, z=z, squares=problem.squares(z))
-        sharp = sharpened(current.base, fitted, current.threshold)
+        noise_share = min(current.threshold.floor / best.screened.squares, 1.0)
+        sharp = sharpened(current.base, fitted, current.threshold, noise_share)
         if sharp is not fitted:
             problem = in_units_of(self.noise, sharp.problem, sharp.z)
             z = refit(problem, sharp.z)
