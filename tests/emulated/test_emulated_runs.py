@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from forked_labrun import run_labrun
 
+from labrun.report.timing import command_health
 from labrun.store import open_run
 
 RUNS = [
@@ -23,6 +24,8 @@ RUNS = [
 ]
 SOON_AT_REST = ("--set", 'trial.settle={ until = "time", timeout_s = 3 }')
 """What the undisturbed bench is like takes ten seconds of a run to find out, and is not what these tests are about."""
+PUNCTUAL_S, ATTEMPTS = 20e-3, 3
+"""A set-point that leaves later moves the fin later. Such a run says nothing about drivers: it is made again."""
 PATIENT_MS = 2000
 """Watchdogs here are for benches whose computer does not run a whole suite of tests beside."""
 
@@ -35,30 +38,22 @@ def both(
     servos: Sequence[str],
     changes: tuple[str, ...] = (),
 ):
-    """Return the run in front of emulators and the dry run of the same seed."""
-    found = []
+    """Return the run in front of emulators, with its commands on time, and the dry run of the same seed."""
     patient = [
         part for servo in servos for part in ("--set", f"rig.devices.{servo}.watchdog_ms={PATIENT_MS}")
     ]
-    for mode in ("--emulate", "--dry-run"):
-        done = run_labrun(
-            command,
-            experiment,
-            mode,
-            "--limit",
-            str(limit),
-            "--seed",
-            "3",
-            "--results",
-            mode[2:],
-            "--json",
-            *patient,
-            *changes,
-            cwd=folder,
-        )
+
+    def run_of(mode: str):
+        told = ["--limit", str(limit), "--seed", "3", "--results", mode[2:], "--json", *patient, *changes]
+        done = run_labrun(command, experiment, mode, *told, cwd=folder)
         assert done.returncode == 0, done.stderr
-        found.append(open_run(folder / json.loads(done.stdout)["run"]))
-    return found
+        return open_run(folder / json.loads(done.stdout)["run"])
+
+    for _ in range(ATTEMPTS):
+        emulated = run_of("--emulate")
+        if all(one.late_worst_s < PUNCTUAL_S for one in command_health(emulated.events)):
+            break
+    return emulated, run_of("--dry-run")
 
 
 def difference(emulated, simulated, index, channel):
@@ -119,8 +114,8 @@ def test_several_trials_in_front_of_emulators_agree_with_the_dry_run_of_their_se
 
 
 def test_a_run_says_that_emulators_stood_behind_its_drivers_and_how_evenly_commands_went_out(first_trial):
-    folder, _, _ = first_trial("sweep", "fin-params", "tail")
-    (run,) = (folder / "emulate").glob("fin-params/*")
+    folder, emulated, _ = first_trial("sweep", "fin-params", "tail")
+    run = emulated.path
     assert json.loads((run / "provenance.json").read_text())["devices"]["tail"]["firmware"].startswith(
         "labservo"
     )
