@@ -13,10 +13,12 @@ FAMILIES: Mapping[str, tuple[str, ...]] = {
     ),
     "hysteretic friction": ("presliding-friction", "hysteresis"),
     "lost motion": ("backlash", "dead-band", "end-stop"),
+    "friction under load": ("load-dependent-friction", "gear-efficiency"),
     "lateness": ("lag", "delay"),
 }
 """Effects of one family, the common ones first. Presliding friction is dry friction that yields before it slips;
-friction that grows with the load is not of the family: another load shows it."""
+friction that grows with the load is not of that family, since another load shows it. A gear's efficiency is such
+friction, with another share where the load drives."""
 
 COMMON = (
     "coulomb-friction", "viscous-damping", "constant-force", "bias", "added-mass", "added-inertia", "gain-error",

@@ -224,10 +224,13 @@ def rivals_of(
         )
         shares /= shares.sum()
     own = float(shares[near.index(best)])
-    # of what is as probable, the common comes first
+    # of what is as probable, what is the same to the data comes first, then the common
     ordered = sorted(
-        zip(near, shares, strict=True), key=lambda pair: (-round(pair[1], 2), rank(pair[0].candidate.name))
-    )
+        zip(near, shares, strict=True),
+        key=lambda pair: (
+            -round(pair[1], 2), not relative and not _the_same(best, pair[0]), rank(pair[0].candidate.name)
+        ),
+    )  # fmt: skip
     rivals = [(one, float(weight)) for one, weight in ordered if one is not best]
     found = [pair for pair in rivals if pair[1] >= criteria.RIVAL_WEIGHT]
     return tuple(found or _kin(best, rated)), own
@@ -270,16 +273,27 @@ def _richer(one: Rated, other: Rated) -> bool:
     return _contains(one, other) and other.share >= one.share - criteria.SIMPLER_SHARE
 
 
-def more_common(best: Rated, rated: Sequence[Rated]) -> Rated:
-    """Return the most common of those that explain as much as the best does; for where noise is not told by repeats."""
+def more_common(best: Rated, rated: Sequence[Rated], *, relative: bool) -> Rated:
+    """Return the most common of those that explain as much as the best does.
+
+    Where noise is told by repeats, these are what is the same to the data: a sensor's bias and a constant force.
+    """
     alike = [
         one
         for one in rated
         if one.evidence > 1.0
         and one.share >= best.share - criteria.SIMPLER_SHARE
-        and as_good(best, one) >= criteria.AS_GOOD
+        and (as_good(best, one) >= criteria.AS_GOOD if relative else _the_same(best, one))
     ]
     return min([best, *alike], key=lambda one: rank(one.candidate.name))
+
+
+def _the_same(best: Rated, one: Rated) -> bool:
+    """Tell whether the data tell two effects apart by less than a single variable's worth."""
+    return (
+        best.candidate.name.kind == one.candidate.name.kind == "effect"
+        and abs(best.score - one.score) < criteria.VARIABLE_PRICE
+    )
 
 
 def as_good(best: Rated, one: Rated) -> float:

@@ -347,7 +347,7 @@ class Selector:
         best = preferred(current.rated, left, self.reference, further=further, relative=self.null.relative)
         if best is None:
             return None
-        return self._taken(more_common(best, current.rated) if self.null.relative else best, current)
+        return self._taken(more_common(best, current.rated, relative=self.null.relative), current)
 
     def _taken(self, best: Rated, current: Round) -> Chosen:
         """Return a candidate as a cause: with its rivals, and fitted in units of what it leaves."""

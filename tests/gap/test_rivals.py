@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 from labrun.effects import Scale, load_effect
 from labrun.gap.diagnosis import Name
-from labrun.gap.rating import rivals_of
+from labrun.gap.rating import more_common, rivals_of
 
 SCALE = Scale(coordinate=1.0, rate=1.0, acceleration=1.0, force=1.0, signal=1.0, time_s=1.0)
 
@@ -36,3 +36,21 @@ def test_a_simpler_form_that_does_nearly_as_well_is_the_kin_that_is_told():
     assert names(best, [bouc_wen, dry]) == ["coulomb-friction"]
     dry.share = 0.8
     assert names(best, [bouc_wen, dry]) == ["hysteresis"]
+
+
+def test_of_what_is_the_same_to_the_data_the_most_common_is_named_and_the_next_told_first():
+    # a tensile test at one speed: an offset of the force, wherever it comes from, is an offset
+    rest, pull, damping = (
+        rated("rest-offset", 534788.4),
+        rated("constant-force", 534787.9),
+        rated("viscous-damping", 534761.1),
+    )
+    for best in (rest, pull):
+        assert more_common(best, [rest, pull, damping], relative=False) is pull
+    assert names(pull, [rest, damping]) == ["rest-offset", "viscous-damping"]
+
+
+def test_a_gears_efficiency_and_friction_under_load_are_told_beside_each_other():
+    level, gear = rated("load-dependent-friction", 1330.0), rated("gear-efficiency", 1471.0)
+    assert names(gear, [level]) == ["load-dependent-friction"]
+    assert names(level, [gear]) == ["gear-efficiency"]
