@@ -53,8 +53,11 @@ REWEIGHED = 2
 """How often a fit without repeats is repeated in units of what it left."""
 MODEL_ROUNDING = 5e-4
 """Part of an output's spread below which no model is believed: integrators and sampling differ by as much."""
-INTEGRATION_ERROR = 0.03
-"""Root mean square, in units of the noise, that halving the integrator's steps may move an output by."""
+INTEGRATION_ERROR = 1.0
+"""Squares, in units of the noise and over all samples, that halving the integrator's steps may move the outputs by.
+
+Half of that is a log likelihood, less than any cause has to earn. A root mean square over long trials hides what the steps
+make of a trial's first samples."""
 MOST_SUBSTEPS = 64
 """Steps of the integrator per sample beyond which they are not halved again."""
 

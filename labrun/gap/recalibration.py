@@ -118,8 +118,8 @@ def with_shorter_steps(problem: Problem, z: FloatArray) -> Problem:
     while problem.substeps < criteria.MOST_SUBSTEPS:
         finer = problem.with_substeps(2 * problem.substeps)
         after = finer.simulated(z)
-        moved = max(
-            float(np.max(np.sqrt(np.mean(np.square((one - two) * problem.noise.weights), axis=0))))
+        moved = sum(
+            float(np.sum(np.square((one - two) * problem.noise.weights)))
             for one, two in zip(before, after, strict=True)
         )
         if moved <= criteria.INTEGRATION_ERROR:

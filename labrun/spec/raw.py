@@ -81,9 +81,16 @@ def one_or_several(loop: Mapping[str, Any], key: str) -> list[tuple[KeyPath, dic
     return [(path, one) for path, one in found if isinstance(one, dict)]
 
 
+def asks_for_leaders(conditions: Mapping[str, Any]) -> bool:
+    """Tell ``{ leaders_of = "another experiment" }`` from a condition that was written without its list."""
+    return any(name.startswith("leader") or name in {"count", "names"} for name in conditions)
+
+
 def listed_conditions(data: Mapping[str, Any], kind: str) -> list[dict[str, Any]]:
     """Return the conditions that the table of a kind lists one by one."""
     conditions = table(data, kind).get("conditions")
+    if isinstance(conditions, dict) and not asks_for_leaders(conditions):  # one that lacks its list
+        return [conditions]
     if isinstance(conditions, dict):  # leaders of another run: what they will be called is known, and no more
         names = conditions.get("names")
         return [dict.fromkeys(names, 0.0)] if isinstance(names, list) and names else []

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Discriminator, Field, PositiveFloat, PositiveInt, Tag, model_validator
 
 from labrun.spec.condition import Bounds, Number, Value
+from labrun.spec.raw import asks_for_leaders
 from labrun.toml import Table, TableFaults
 
 
@@ -86,7 +87,9 @@ class TakenFrom(Table):
 
 
 def _conditions_kind(conditions: object) -> str:
-    return "leaders" if isinstance(conditions, Mapping | LeadersOf) else "list"
+    if isinstance(conditions, Mapping):
+        return "leaders" if asks_for_leaders(conditions) else "list"
+    return "leaders" if isinstance(conditions, LeadersOf) else "list"
 
 
 class RunTable(Over):

@@ -197,6 +197,8 @@ def _expectation(error: ErrorDetails, path: KeyPath) -> str:
     if kind in _LENGTHS:
         words, name = _LENGTHS[kind]
         return f"{words} {context[name]} " + ("entry" if context[name] == 1 else "entries")
+    if kind == "list_type" and isinstance(error["input"], Mapping):
+        return "a list of tables [{ ... }, ...]"
     if kind in _EXPECTED:
         return _EXPECTED[kind] + (f" ({unit})" if unit and kind in _NUMBERS else "")
     if kind == "value_error":  # a plugin's own validator, in its own words

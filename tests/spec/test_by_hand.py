@@ -74,3 +74,20 @@ def test_what_would_damage_is_refused_unless_the_file_allows_it():
     assert any(
         "come last" in note for note in whole_plan(loads_experiment(allowed, "specimens"), 0, None).notes
     )
+
+
+@pytest.mark.parametrize(
+    ("conditions", "complaint"),
+    [
+        ('{ specimen = ["p1", "p2"], v = 1 }', "run.conditions: expected a list of tables [{ ... }, ...]"),
+        ('{ leader_of = "lab" }', 'run.conditions.leader_of = "lab": unknown key; did you mean "leaders_of"?'),
+        ("3", "run.conditions = 3: expected a list [...]"),
+    ],
+)
+def test_conditions_that_are_no_list_are_one_mistake(conditions, complaint):
+    sweep = '[sweep]\naxes = { specimen = ["p1", "p2"], v = [1, 2] }\n'
+    given = FILE.replace(sweep, "").replace('kind = "sweep"', f'kind = "run"\nrun.conditions = {conditions}')
+    with pytest.raises(SpecError) as error:
+        loads_experiment(given, "specimens")
+    (told,) = str(error.value).splitlines()
+    assert complaint in told
