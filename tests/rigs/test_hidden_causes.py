@@ -72,14 +72,10 @@ def test_a_hidden_cause_is_named_alone_or_in_a_stated_set(rig, hidden, tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "rig",
-    [
-        "polyester-tensile", "hinge-tensile", "hinge-repeatability", "fin-materials", "fin-trace", "six-bar",
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("rig", [*CAUSES, "six-bar"])
 def test_where_nothing_is_hidden_nothing_is_announced(rig, tmp_path):
-    run = labrun.run(rig, dry_run=True, seed=1, hide=["none"], results=tmp_path).run
+    overrides, _ = CAUSES.get(rig, ((), ()))
+    run = labrun.run(rig, dry_run=True, seed=1, overrides=overrides, hide=["none"], results=tmp_path).run
     labrun.diagnose(run, page=False, results=tmp_path)
     compared = reveal(run, results=tmp_path)
     assert compared.score == "right", compared.stored["sentence"]
