@@ -56,8 +56,8 @@ MODEL_ROUNDING = 5e-4
 INTEGRATION_ERROR = 1.0
 """Squares, in units of the noise and over all samples, that halving the integrator's steps may move the outputs by.
 
-Half of that is a log likelihood, less than any cause has to earn. A root mean square over long trials hides what the steps
-make of a trial's first samples."""
+Half of that is a log likelihood, less than any cause has to earn. A root mean square over long trials hides what the
+steps make of a trial's first samples."""
 MOST_SUBSTEPS = 64
 """Steps of the integrator per sample beyond which they are not halved again."""
 

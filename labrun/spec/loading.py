@@ -233,7 +233,7 @@ def _load(
     experiment, faults = validate(Experiment, data)
     unnamed = any(fault.path[1:2] == ("conditions",) for fault in faults) and not condition_names(data)
     faults += [*unreadable, *nameless]
-    if plugins and not (nameless or unnamed):  # without the names of conditions every use of one would be a fault
+    if plugins and not (nameless or unnamed):  # every use of a condition's name would be a fault
         faults += cross_check(data, beside)
     if experiment is None or faults:
         raise refusal(SpecError, str(path), Places(str(path), text, data, origins).of_all(faults))

@@ -197,10 +197,10 @@ def _expectation(error: ErrorDetails, path: KeyPath) -> str:
     if kind in _LENGTHS:
         words, name = _LENGTHS[kind]
         return f"{words} {context[name]} " + ("entry" if context[name] == 1 else "entries")
-    if kind == "list_type" and isinstance(error["input"], Mapping):
-        return "a list of tables [{ ... }, ...]"
     if kind in _EXPECTED:
-        return _EXPECTED[kind] + (f" ({unit})" if unit and kind in _NUMBERS else "")
+        of_tables = kind == "list_type" and isinstance(error["input"], Mapping)
+        expected = "a list of tables [{ ... }, ...]" if of_tables else _EXPECTED[kind]
+        return expected + (f" ({unit})" if unit and kind in _NUMBERS else "")
     if kind == "value_error":  # a plugin's own validator, in its own words
         return error["msg"].removeprefix("Value error, ")
     return f"{error['msg'][:1].lower()}{error['msg'][1:]}, not {shown(error['input'])}"

@@ -80,7 +80,10 @@ def test_what_would_damage_is_refused_unless_the_file_allows_it():
     ("conditions", "complaint"),
     [
         ('{ specimen = ["p1", "p2"], v = 1 }', "run.conditions: expected a list of tables [{ ... }, ...]"),
-        ('{ leader_of = "lab" }', 'run.conditions.leader_of = "lab": unknown key; did you mean "leaders_of"?'),
+        (
+            '{ leader_of = "lab" }',
+            'run.conditions.leader_of = "lab": unknown key; did you mean "leaders_of"?',
+        ),
         ("3", "run.conditions = 3: expected a list [...]"),
     ],
 )
