@@ -149,6 +149,9 @@ def score(stored: Mapping[str, Any], hidden: Sequence[Hidden]) -> Score:
 
     A parameter among the causes is neither right nor wrong beside an effect: what a model states may be off as well. It
     counts where it was hidden itself, or where what was hidden is stated as its rival.
+
+    Two are told of effects that these data cannot tell apart. A third one that stands in the list of candidates as
+    explaining them as well is right in part.
     """
     truth = {(one.effect, one.site) for one in hidden}
     named, sets = [], []
@@ -167,7 +170,12 @@ def score(stored: Mapping[str, Any], hidden: Sequence[Hidden]) -> Score:
     useless = [together for together in sets if not together & truth]
     if found == truth and not useless:
         return "right" if truth == set(named) else "right, in a stated set"
-    return "right in part" if found else "wrong"
+    as_well = {
+        (one["effect"], one["site"])
+        for one in stored.get("candidates", [])
+        if one["verdict"] == "indistinguishable"
+    }
+    return "right in part" if found or truth & as_well else "wrong"
 
 
 def _too_small(one: Hidden, candidates: Sequence[Mapping[str, Any]]) -> bool:

@@ -54,6 +54,13 @@ class NoiseThreshold:
         left = max(1.0 - gain / self.squares, criteria.LEAST_LEFT)
         return -0.5 * self.squares / self.dispersion * float(np.log(left))
 
+    def less_luck(self, gain: float, among: float) -> float:
+        """Return a gain less what the best of so many tries gains by chance, twice their logarithm."""
+        luck = 2.0 * self.dispersion * float(np.log(among))
+        if np.isfinite(self.squares):
+            luck = (self.squares - gain) * float(np.expm1(luck / self.squares))
+        return max(gain - luck, 0.0)
+
     def _odds(self, gain: float) -> float:
         return gain / max(self.squares - gain, criteria.LEAST_LEFT * self.squares)
 

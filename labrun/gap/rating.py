@@ -64,7 +64,7 @@ def rate(
     beyond = max(screened.squares - threshold.floor, 0.0)
     return Rated(
         screened,
-        threshold.evidence(screened.gain),
+        threshold.evidence(threshold.less_luck(screened.gain, screened.survey.among)),
         score(screened, threshold),
         left,
         max(share, -1.0),
@@ -88,7 +88,7 @@ def _conditions(base: Base, screened: Screened) -> float:
 def score(screened: Screened, threshold: NoiseThreshold) -> float:
     """Return the tempered log likelihood that a candidate adds, less a price for its variables."""
     price = criteria.VARIABLE_PRICE * max(screened.candidate.variables, 1)
-    return threshold.log_likelihood(screened.gain) - price
+    return threshold.log_likelihood(threshold.less_luck(screened.gain, screened.survey.among)) - price
 
 
 def promising(

@@ -65,6 +65,8 @@ class Survey:
         Norm of each change before that, in units of the noise.
     potential
         By how much the sum of squares would fall if one of the changes, in the best measure, were added.
+    among
+        How many starts that differ it was searched among, where they were read from the residual.
     """
 
     candidate: Candidate
@@ -73,6 +75,7 @@ class Survey:
     directions: FloatArray = field(repr=False)
     whole: FloatArray
     potential: float
+    among: float = 1.0
 
     def different(self, most: int) -> list[FloatArray]:
         """Return the most promising starts that change the residuals in different ways.
@@ -150,7 +153,8 @@ def survey(base: Base, candidate: Candidate) -> Survey:
     shared, own = base.z[: base.problem.size], base.problem.own_states(base.z)
     before = base.nuisance.remainder(base.residual, base.problem.priors.residual(base.z))
     rated: list[tuple[float, int, FloatArray, FloatArray, float]] = []
-    for number, start in enumerate((*candidate.starts, *line_starts(base.problem, base.z, candidate))):
+    lines = line_starts(base.problem, base.z, candidate)
+    for number, start in enumerate((*candidate.starts, *lines.starts)):
         z = np.concatenate([shared, start, own])
         if candidate.attached is None:
             change, whole = _released(base, problem)
@@ -174,6 +178,7 @@ def survey(base: Base, candidate: Candidate) -> Survey:
         directions,
         np.array([whole for *_, whole in rated]),
         float(np.max(np.square(along), initial=0.0)),
+        lines.among,
     )
 
 

@@ -1,6 +1,7 @@
 """What a diagnosis said beside what was hidden."""
 
 import json
+from dataclasses import replace
 
 import gap_examples as examples
 import pytest
@@ -9,6 +10,7 @@ from labrun.app.diagnose import store
 from labrun.app.reveal import reveal
 from labrun.blind import Seal, write_seal
 from labrun.errors import RecordingError, RequestError
+from labrun.gap.diagnosis import Name, RatedCandidate
 from labrun.report.gap_answers import compared_text
 
 TRUTH = {
@@ -78,6 +80,13 @@ def run_hiding(folder, *hidden, says):
 )
 def test_verdict_and_truth_are_compared_by_effect_and_site(tmp_path, hidden, says, score):
     assert reveal(run_hiding(tmp_path / "run", *hidden, says=says())).score == score
+
+
+def test_a_third_that_explains_the_data_as_well_is_right_in_part(tmp_path):
+    as_well = RatedCandidate(Name("backlash", "hinge"), "indistinguishable", 0.97, 11.3)
+    says = replace(examples.explained(), candidates=(*examples.explained().candidates, as_well))
+    hidden = {**TRUTH, "effect": "backlash", "values": {"gap": 0.004}}
+    assert reveal(run_hiding(tmp_path / "run", hidden, says=says)).score == "right in part"
 
 
 def test_said_and_hidden_stand_under_each_other_in_the_same_units(tmp_path):
