@@ -436,6 +436,8 @@ BY_HAND_S = 60.0
 
 # --- robots, joint by joint ---------------------------------------------------------------------------------------
 
+LOAD_STEPS = 4
+"""Steps to the place of a load, and of reweighing the joints that tell it: both settle within three."""
 LEAST_JOINT_GAP = 0.3
 """Gap of a joint, in units of the noise, below which nothing is announced: what the smoothed motion of its neighbours
 gets wrong left 0.24 at a joint without any cause, and 0.18 where a tilted base was known to its third digit. Of

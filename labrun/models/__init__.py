@@ -7,7 +7,7 @@ from labrun.models.chains.model import ClosedChain
 from labrun.models.inputs import Drive
 from labrun.models.loading import load_model, parse_model, shipped_models
 from labrun.models.mjcf.exporting import Exported, MjcfRange, mjcf_of, mjcf_ranges
-from labrun.models.mjcf.inverse import Carried, RobotTerms, carried, robot_terms
+from labrun.models.mjcf.inverse import Carried, RobotTerms, TipLoad, carried, robot_terms
 from labrun.models.mjcf.robot import Robot, RobotActuator, RobotJoint, identifier, is_robot, read_robot
 from labrun.models.model import Between, Condition, Input, Model, Origin, Output, Parameter
 from labrun.models.observed import measured_name, observed
@@ -28,7 +28,7 @@ from labrun.models.writing import corrected_model_text
 __all__ = [
     "Between", "Carried", "ClosedChain", "Condition", "Drive", "Exported", "FloatArray", "Input", "MjcfRange",
     "Model", "NativeFunction", "Origin", "Output", "Parameter", "Pointer", "Robot", "RobotActuator",
-    "RobotJoint", "RobotTerms", "Simulation", "Site", "SiteKind", "Stepper", "Unfiltered", "carried",
+    "RobotJoint", "RobotTerms", "Simulation", "Site", "SiteKind", "Stepper", "TipLoad", "Unfiltered", "carried",
     "corrected_model_text", "filtered", "identifier", "is_robot", "kernel", "load_model", "measured_name",
     "mjcf_of", "mjcf_ranges", "native", "observed", "parse_model", "prepare", "python_model", "read_robot",
     "robot_terms", "shipped_models", "simulate", "simulate_unfiltered", "site_course", "suggest_substeps",

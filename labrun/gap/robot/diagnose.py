@@ -15,14 +15,17 @@ from labrun.gap import criteria
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Diagnosis
 from labrun.gap.robot.one_joint import OneJoint, Prescribed, one_joint, prescribed
-from labrun.models import Model, Robot, RobotJoint, simulate, suggest_substeps
+from labrun.gap.robot.tip_load import place_of_load
+from labrun.models import Model, Robot, RobotJoint, identifier, simulate, suggest_substeps
 from labrun.workers import Pool, pool, spread
 
+OfTheWhole = tuple[str, tuple[str, ...], Mapping[str, float]]
+"""An effect of the whole robot, the joints that tell it, and its values."""
 OF_THE_WHOLE = ("gravity-tilt", "payload")
 """Effects that one joint shows and the whole robot has."""
 IN_THE_ROBOT: Mapping[str, Mapping[str, str]] = {
     "gravity-tilt": {"base_roll": "roll", "base_pitch": "pitch"},
-    "payload": {"tip_load": "mass"},
+    "payload": {"tip_load": "mass", "tip_load_x": "x", "tip_load_y": "y", "tip_load_z": "z"},
 }
 """Their parameters in the model of the whole robot, and what these are called in the effect."""
 _MOST_SUBSTEPS = 16
@@ -79,7 +82,7 @@ class RobotDiagnosis:
     model: str
     source: str
     joints: tuple[JointDiagnosis, ...]
-    whole: tuple[tuple[str, tuple[str, ...], Mapping[str, float]], ...]
+    whole: tuple[OfTheWhole, ...]
     effects: tuple[AttachedEffect, ...]
     values: Mapping[str, float]
     remarks: tuple[str, ...]
@@ -180,17 +183,29 @@ def diagnose_robot(
     # a process a joint: half of a diagnosis is Python, which threads would wait for in turn
     with nullcontext() if options.workers <= 1 else pool(min(options.workers, len(every)), None) as there:
         answers = _looked(found, every, alone, there, note)
-        whole, beside = _of_the_whole(answers), _beside_sensors(answers)
+        tip, place = found.tip, found.tip.far_end
+        hanging = _where_something_hangs(answers, tip.body)
+        better = place_of_load(found, tip) if hanging else None
+        if better is not None:
+            note(
+                "looking again at joints that carry more, for a load where all joints together tell it to be"
+            )
+            moved = found.with_load_at(tip.torque(better))
+            second = dict(zip(hanging, _looked(moved, hanging, alone, there, note), strict=True))
+            if _loads(answers, hanging) < _loads(second, hanging):
+                answers = [second.get(number, one) for number, one in enumerate(answers)]
+                found, place = moved, better
+        whole, beside = _of_the_whole(answers, place), _beside_sensors(answers)
         again = _that_others_may_explain(answers, beside) if whole or beside else []
         if again:
             note(
                 "looking again at joints that say something else, with base, load and links as others tell them"
             )
-            around = (found.with_links(beside) if beside else found).with_whole(**_around(whole))
-            second = _looked(around, again, alone, there, note)
-            answers = _explained_by_others(answers, dict(zip(again, second, strict=True)))
+            around = _among(found.with_links(beside) if beside else found, whole)
+            second = dict(zip(again, _looked(around, again, alone, there, note), strict=True))
+            answers = _explained_by_others(answers, second)
     note("simulating the whole robot with what was found")
-    return _together(found, answers, start)
+    return _together(found, answers, whole, start)
 
 
 def _looked(
@@ -297,14 +312,29 @@ def _announced(answer: Diagnosis, smoothing: float, step_s: float) -> Diagnosis:
     )  # fmt: skip
 
 
-def _around(whole: Sequence[tuple[str, tuple[str, ...], Mapping[str, float]]]) -> dict[str, float]:
+def _among(found: Prescribed, whole: Sequence[OfTheWhole]) -> Prescribed:
+    """Return the joints of a robot whose base and load are known."""
     told = {name: values for name, _, values in whole}
     tilt, load = told.get("gravity-tilt", {}), told.get("payload", {})
-    return {
-        "roll": tilt.get("roll", 0.0),
-        "pitch": tilt.get("pitch", 0.0),
-        "load_kg": load.get("mass", 0.0),
-    }
+    return found.on_base(tilt.get("roll", 0.0), tilt.get("pitch", 0.0)).loaded(load.get("mass", 0.0))
+
+
+def _where_something_hangs(answers: Sequence[tuple[OneJoint, Diagnosis]], body: str) -> list[int]:
+    """Return the joints that tell a load, or that the last body is heavier than stated: alone they look the same."""
+    heavier = f"{identifier(body)}_mass_ratio"
+    return [
+        place
+        for place, (_, answer) in enumerate(answers)
+        if {cause.name.effect for cause in answer.causes} & {"payload", heavier}
+    ]
+
+
+def _loads(
+    answers: Sequence[tuple[OneJoint, Diagnosis]] | Mapping[int, tuple[OneJoint, Diagnosis]],
+    at: Sequence[int],
+) -> int:
+    """Return at how many of some joints a load, and nothing else, explains what they lack."""
+    return sum([cause.name.effect for cause in answers[place][1].causes] == ["payload"] for place in at)
 
 
 def _beside_sensors(answers: Sequence[tuple[OneJoint, Diagnosis]]) -> dict[int, list[FloatArray]]:
@@ -363,7 +393,10 @@ def _explained_by_others(
 
 
 def _together(
-    found: Prescribed, answers: Sequence[tuple[OneJoint, Diagnosis]], start: float
+    found: Prescribed,
+    answers: Sequence[tuple[OneJoint, Diagnosis]],
+    whole: Sequence[OfTheWhole],
+    start: float,
 ) -> RobotDiagnosis:
     model = found.whole
     names = {one.name for one in model.parameters}
@@ -377,7 +410,6 @@ def _together(
             except Exception as error:
                 if one.effect.id not in OF_THE_WHOLE:
                     left.append(f"{one.effect.id} at {one.site} is not in the corrected model: {error}")
-    whole = _of_the_whole(answers)
     before, after, last = (
         _errors(found, model.with_values(values).with_effects(added))
         for values, added in (({}, ()), (recalibrated, ()), (corrected, tuple(effects)))
@@ -398,7 +430,7 @@ def _together(
         for place, (one, answer) in enumerate(answers)
     )
     return RobotDiagnosis(
-        found.robot.name, model.name, str(found.dataset.source), joints, whole, tuple(effects),
+        found.robot.name, model.name, str(found.dataset.source), joints, tuple(whole), tuple(effects),
         {name: value for name, value in corrected.items() if name in names}, tuple(left), time.perf_counter() - start,
     )  # fmt: skip
 
@@ -427,8 +459,8 @@ def _into_damping(joint: str, values: dict[str, float], answer: Diagnosis) -> No
 
 
 def _of_the_whole(
-    answers: Sequence[tuple[OneJoint, Diagnosis]],
-) -> tuple[tuple[str, tuple[str, ...], dict[str, float]], ...]:
+    answers: Sequence[tuple[OneJoint, Diagnosis]], load_at: FloatArray
+) -> tuple[OfTheWhole, ...]:
     found = []
     for effect in OF_THE_WHOLE:
         shown = [
@@ -438,10 +470,11 @@ def _of_the_whole(
             if cause.name.effect == effect
         ]
         if shown:
-            names = shown[0][1].values
             values = {
-                name: float(np.median([cause.values[name].value for _, cause in shown])) for name in names
+                name: float(np.median([cause.values[name].value for _, cause in shown]))
+                for name in shown[0][1].values
             }
+            values |= dict(zip("xyz", load_at.tolist(), strict=True)) if effect == "payload" else {}
             found.append((effect, tuple(name for name, _ in shown), values))
     return tuple(found)
 

@@ -24,6 +24,7 @@ from labrun.models import (
     RobotActuator,
     RobotJoint,
     RobotTerms,
+    TipLoad,
     carried,
     identifier,
     parse_model,
@@ -33,7 +34,8 @@ from labrun.store import SignalInfo
 
 LEAST_SHARE = 0.01
 """Part of a joint's torque that a body must ask for to have a mass of its own among the parameters."""
-_GAIN_TOLERANCE, _MASS_TOLERANCE = 0.1, 0.05
+GAIN_TOLERANCE, MASS_TOLERANCE = 0.1, 0.05
+"""How far the gains of a drive and the masses of a file may be off."""
 
 
 @dataclass(frozen=True)
@@ -67,12 +69,28 @@ class Prescribed:
     own: RobotTerms
     around: tuple[FloatArray, ...] = ()
 
-    def with_whole(self, roll: float, pitch: float, load_kg: float) -> "Prescribed":
-        """Return the same with a base that is tilted by these angles (rad), and a load at the tip."""
-        more = tuple(
-            roll * one.tilt[:, :, 0] + pitch * one.tilt[:, :, 1] + load_kg * one.load for one in self.terms
-        )
+    def on_base(self, roll: float, pitch: float) -> "Prescribed":
+        """Return the same with a base that is tilted by these angles (rad)."""
+        tilted = tuple(roll * one.tilt[:, :, 0] + pitch * one.tilt[:, :, 1] for one in self.terms)
+        return replace(self, around=tilted)
+
+    def loaded(self, mass_kg: float) -> "Prescribed":
+        """Return the same with a load where one is looked for."""
+        before = self.around or tuple(np.zeros_like(one.load) for one in self.terms)
+        more = tuple(was + mass_kg * one.load for was, one in zip(before, self.terms, strict=True))
         return replace(self, around=more)
+
+    @property
+    def tip(self) -> TipLoad:
+        """A kilogram on the last body along the whole log."""
+        q, rate, acceleration = (np.concatenate([one[k] for one in self.motions]) for k in range(3))
+        return TipLoad(self.robot.xml, [one.name for one in self.robot.joints], (q, rate, acceleration))
+
+    def with_load_at(self, torque: FloatArray) -> "Prescribed":
+        """Return the same with a load looked for where a kilogram asks this of the joints, (all samples, joints)."""
+        parts = np.split(torque, np.cumsum([len(one.load) for one in self.terms])[:-1])
+        terms = tuple(replace(one, load=part) for one, part in zip(self.terms, parts, strict=True))
+        return replace(self, terms=terms)
 
     def with_links(self, beside: Mapping[int, Sequence[FloatArray]]) -> "Prescribed":
         """Return the same with joints that stand beside what was measured of them, by place and trial, by so much."""
@@ -270,24 +288,24 @@ def _parameters(
             found.whole,
             f"{q}_stiffness",
             found.own.stiffness[place],
-            _GAIN_TOLERANCE,
+            GAIN_TOLERANCE,
             f"{force}/{joint.unit}",
         )
     armature = found.own.armature[place]
     if armature:
         # a rotor's inertia behind a gear is known no better than the masses that hang on the joint
         inertia = "kg m^2" if joint.unit == "rad" else "kg"
-        yield _parameter(found.whole, f"{q}_armature", armature, _MASS_TOLERANCE, inertia)
+        yield _parameter(found.whole, f"{q}_armature", armature, MASS_TOLERANCE, inertia)
     else:
         yield f"{q}_armature = {{ value = 0.0, tolerance = 0.0 }}"
     gains = found.own.drives.get(joint.name)
     if gains is not None and gains.kp:
-        yield _parameter(found.whole, _gain(joint, drive), gains.kp, _GAIN_TOLERANCE, f"{force}/{joint.unit}")
+        yield _parameter(found.whole, _gain(joint, drive), gains.kp, GAIN_TOLERANCE, f"{force}/{joint.unit}")
     if gains is not None and gains.kv and drive is not None and drive.command == "position":
         # of the motion alone it is the joint's damping; of what the drive puts on the gear it is a part
-        yield _parameter(found.whole, _rate_gain(joint, drive), gains.kv, _GAIN_TOLERANCE, per)
+        yield _parameter(found.whole, _rate_gain(joint, drive), gains.kv, GAIN_TOLERANCE, per)
     for k, body in enumerate(bodies):
-        yield f"{identifier(body)}_mass_ratio = {{ value = 1.0, tolerance = {_MASS_TOLERANCE}, lower = 0.0 }} # {k}"
+        yield f"{identifier(body)}_mass_ratio = {{ value = 1.0, tolerance = {MASS_TOLERANCE}, lower = 0.0 }} # {k}"
 
 
 def _sites(joint: RobotJoint, effort: str, *, driven: bool, tilted: bool, loaded: bool) -> Iterator[str]:

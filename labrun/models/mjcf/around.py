@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from labrun.models.mjcf.inverse import tip_body
+from labrun.models.mjcf.inverse import far_end, tip_body
 from labrun.models.mjcf.plant import imported
 
 ROLL, PITCH, LOAD = "base_roll", "base_pitch", "tip_load"
 """Parameters of the model file: rad about x, rad about y, kg."""
+PLACE = ("tip_load_x", "tip_load_y", "tip_load_z")
+"""Where the load is in the frame of the last body, m: at its far end unless somebody knows better."""
 _LEAST_MASS = 0.1
 """Part of the last body's mass that a load below zero leaves of it."""
 
@@ -52,9 +54,11 @@ def around(xml: str, masses: Mapping[str, str]) -> tuple[list[str], dict[str, st
     if name in masses:
         mass = float(model.body_mass[body])
         low = (_LEAST_MASS - 1.0) * mass
-        parameters.append(
-            f'{LOAD} = {{ value = 0.0, tolerance = 0.0, unit = "kg", lower = {low!r} }} # twice as far as its centre'
-        )
+        parameters.append(f'{LOAD} = {{ value = 0.0, tolerance = 0.0, unit = "kg", lower = {low!r} }}')
+        parameters += [
+            f'{parameter} = {{ value = {float(value)!r}, tolerance = 0.0, unit = "m" }} # twice as far as its centre'
+            for parameter, value in zip(PLACE, far_end(model), strict=True)
+        ]
         equations |= _loaded(model, body, name, masses[name])
     return parameters, equations
 
@@ -78,26 +82,27 @@ def _in_proportion(model: Any, name: str, mass: str) -> dict[str, str]:
 
 
 def _loaded(model: Any, body: int, name: str, mass: str) -> dict[str, str]:
-    """Return mass, centre and inertia of a body with a point mass where its length ends.
+    """Return mass, centre and inertia of a body with a point mass on it.
 
     Parallel axes (Siciliano, Sciavicco, Villani, Oriolo, Robotics (2009), section B.2). Products of inertia in the
-    body's principal axes are left out: none arise where its centre lies on one of them.
+    body's principal axes are left out: none arise where the line from its centre to the load lies on one of them.
     """
     mujoco = imported()
-    centre = np.array(model.body_ipos[body])
-    turned = np.empty(3)
-    back = np.empty(4)
-    mujoco.mju_negQuat(back, model.body_iquat[body])
-    mujoco.mju_rotVecQuat(turned, centre, back)
+    centre = [float(one) for one in model.body_ipos[body]]
+    turn = np.empty(9)
+    mujoco.mju_quat2Mat(turn, model.body_iquat[body])
+    to_principal = turn.reshape(3, 3).T
     found = {f"body.{name}.mass": f"{mass} + {LOAD}"}
     share = f"{LOAD}/({mass} + {LOAD})"
+    away = [f"({place} - {at!r})" for place, at in zip(PLACE, centre, strict=True)]
     for axis in range(3):
-        if centre[axis]:
-            found[f"body.{name}.ipos[{axis}]"] = f"{float(centre[axis])!r}*(1 + {share})"
-        arm = float(centre @ centre - turned[axis] ** 2)
+        found[f"body.{name}.ipos[{axis}]"] = f"{centre[axis]!r} + {away[axis]}*{share}"
+        along = [f"{float(part)!r}*{one}" for part, one in zip(to_principal[axis], away, strict=True) if part]
         own = float(model.body_inertia[body, axis] / model.body_mass[body])
-        if arm > 1e-9 * float(centre @ centre):
-            found[f"body.{name}.inertia[{axis}]"] = f"{own!r}*{mass} + {arm!r}*{mass}*{share}"
+        squares = " + ".join(f"{one}^2" for one in away)
+        found[f"body.{name}.inertia[{axis}]"] = (
+            f"{own!r}*{mass} + ({squares} - ({' + '.join(along)})^2)*{mass}*{share}"
+        )
     return found
 
 

@@ -85,9 +85,15 @@ def carried(xml: str, joints: list[str], motion: tuple[FloatArray, FloatArray, F
         )  # the base turns one way, gravity in it the other
         tilt.append(one.torque(gravity_only=True) - still)
     model.opt.gravity[:] = gravity
-    load = _tip_load(model, one)
+    tip = TipLoad(xml, joints, motion)
     return Carried(
-        names, np.stack(inertia, 2), np.stack(torque, 2), slope, rate_slope, np.stack(tilt, 2), load
+        names,
+        np.stack(inertia, 2),
+        np.stack(torque, 2),
+        slope,
+        rate_slope,
+        np.stack(tilt, 2),
+        tip.torque(tip.far_end),
     )
 
 
@@ -104,21 +110,51 @@ def tip_body(model: Any) -> int:
     return max(chain, key=lambda body: _depth(model, body))
 
 
-def _tip_load(model: Any, one: "_Pass") -> FloatArray:
-    """Return the torque per kilogram at the far end of the last body: its centre, seen once more from its joint."""
-    masses, inertias, places = model.body_mass.copy(), model.body_inertia.copy(), model.body_ipos.copy()
-    frames = model.body_sameframe.copy()
-    last = tip_body(model)
-    model.body_mass[:], model.body_inertia[:] = 0.0, 0.0
-    model.body_mass[last] = 1.0
-    model.body_inertia[last] = 1e-9
-    model.body_ipos[last] = 2.0 * places[last]
-    model.body_sameframe[last] = 0
-    model.body_simple[last] = 0
-    found = one.torque()
-    model.body_mass[:], model.body_inertia[:], model.body_ipos[:] = masses, inertias, places
-    model.body_sameframe[:] = frames
-    return found
+def far_end(model: Any) -> FloatArray:
+    """Return where the last body ends, m in its frame: its centre, seen once more from its joint."""
+    return 2.0 * np.array(model.body_ipos[tip_body(model)])
+
+
+class TipLoad:
+    """A kilogram on the last body of a robot that moves as measured.
+
+    Parameters
+    ----------
+    xml, joints, motion
+        As `carried` takes them.
+    """
+
+    def __init__(
+        self, xml: str, joints: list[str], motion: tuple[FloatArray, FloatArray, FloatArray]
+    ) -> None:
+        mujoco = imported()
+        model = mujoco.MjModel.from_xml_string(xml)
+        self.far_end = far_end(model)
+        """Where the body ends, m in its frame."""
+        self._body = tip_body(model)
+        self.body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, self._body) or ""
+        """Its name; "" if it has none."""
+        positions = np.array([model.joint(name).qposadr[0] for name in joints])
+        dofs = np.array([model.joint(name).dofadr[0] for name in joints])
+        model.dof_armature[:] = 0.0
+        self._model = model
+        self._pass = _Pass(mujoco, model, mujoco.MjData(model), positions, dofs, motion)
+
+    def torque(self, place_m: FloatArray) -> FloatArray:
+        """Return what it asks of the joints, own accelerations included: N m (N) per kg, shape (n, joints).
+
+        Parameters
+        ----------
+        place_m : (3,)
+            Of the point, in the body's frame.
+        """
+        model, last = self._model, self._body
+        if not last:
+            return np.zeros_like(self._pass.motion[0])
+        model.body_mass[:], model.body_inertia[:] = 0.0, 0.0
+        model.body_mass[last], model.body_inertia[last] = 1.0, 1e-9
+        model.body_ipos[last], model.body_sameframe[last], model.body_simple[last] = place_m, 0, 0
+        return self._pass.torque()
 
 
 def _depth(model: Any, body: int) -> int:
