@@ -98,14 +98,14 @@ TWO_LINKS = """
 """
 
 
-def turned(xml, roll, pitch, load):
-    """Return MuJoCo's own model of the arm on a turned base, with a ball where its last link ends."""
+def turned(xml, roll, pitch, load, place):
+    """Return MuJoCo's own model of the arm on a turned base, with a ball on its last link."""
     spec = mujoco.MjSpec()
     spec.compiler.degree, spec.option.timestep = False, 0.001
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     base = spec.worldbody.add_body(name="base", euler=[roll, 0, 0]).add_body(euler=[0, pitch, 0])
     spec.attach(mujoco.MjSpec.from_string(xml), frame=base.add_frame(), prefix="in-")
-    tip = spec.body("in-lower").add_body(pos=[0.2, 0, 0])
+    tip = spec.body("in-lower").add_body(pos=place)
     tip.mass, tip.ipos, tip.inertia, tip.explicitinertial = load, [0, 0, 0], [1e-9] * 3, True
     return spec.compile()
 
@@ -124,10 +124,12 @@ def moved(native, joints):
     return time_s, goals, np.array(angles)
 
 
-def test_a_tilted_base_and_a_load_are_in_the_exported_file(tmp_path):
+@pytest.mark.parametrize("place", [(0.2, 0.0, 0.0), (0.14, 0.05, 0.0)])
+def test_a_tilted_base_and_a_load_are_in_the_exported_file(tmp_path, place):
     (tmp_path / "arm.xml").write_text(TWO_LINKS)
+    at = "".join(f"tip_load_{axis} = {value}\n" for axis, value in zip("xyz", place, strict=True))
     (tmp_path / "corrected.toml").write_text(
-        'base = "arm.xml"\n[values]\nbase_roll = 0.08\nbase_pitch = -0.06\ntip_load = 0.12\n'
+        f'base = "arm.xml"\n[values]\nbase_roll = 0.08\nbase_pitch = -0.06\ntip_load = 0.12\n{at}'
     )
     model = load_model(tmp_path / "corrected.toml")
     exported = mjcf_of(model)
@@ -137,7 +139,7 @@ def test_a_tilted_base_and_a_load_are_in_the_exported_file(tmp_path):
     begin = np.zeros(4)
     own = simulate(model, time_s, goals, initial_state=begin).outputs
     _, _, level = moved(mujoco.MjModel.from_xml_string(TWO_LINKS), joints)
-    _, _, real = moved(turned(TWO_LINKS, 0.08, -0.06, 0.12), ["in-shoulder", "in-elbow"])
+    _, _, real = moved(turned(TWO_LINKS, 0.08, -0.06, 0.12, place), ["in-shoulder", "in-elbow"])
     assert np.sqrt(np.mean((level - real) ** 2, axis=0)).min() > 5 * NOISE_RAD, "both are to be seen at all"
     assert np.sqrt(np.mean((alone - own) ** 2)) < NOISE_RAD
     assert np.sqrt(np.mean((real - own) ** 2)) < NOISE_RAD
