@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from labrun.errors import RecordingError
 from labrun.notebook import as_html
 from labrun.search.verdict import Verdict
 from labrun.spec import Value, condition_text
@@ -163,11 +164,26 @@ class RunResult:
 
 
 def stored_result(run: Path) -> RunResult | None:
-    """Return the result of a finished run; None if the run is not finished."""
+    """Return the result of a finished run; None if the run is not finished.
+
+    Raises
+    ------
+    RecordingError
+        The result is damaged; the trials it was made from are not in that file.
+    """
     path = run / RESULT_FILE
     if not path.is_file():
         return None
-    record = json.loads(path.read_text(encoding="utf-8"))
+    try:
+        return _from_record(run, json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, LookupError, TypeError) as error:
+        raise RecordingError(
+            f"{path} is damaged: {error}",
+            hint=f"the trials are in the run's other files: delete this one, and {resume_line(run)} writes it anew",
+        ) from error
+
+
+def _from_record(run: Path, record: Mapping[str, Any]) -> RunResult:
     trials = record["trials"]
     figure = run / record["figure"] if record["figure"] is not None else None
     best = None if record["best"] is None else Best.from_record(record["best"])

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from labrun.app.diagnose import store
 from labrun.app.report import read_source, write_report
 from labrun.cli.app import app
+from labrun.errors import RecordingError
 from labrun.report.text import interval_words
 from labrun.search import stored_result
 from labrun.store import RunFolder, import_recording, open_run
@@ -72,6 +73,14 @@ def annotated(finished, tmp_path_factory):
 def words_of(text):
     body = re.sub(r"<(style|script)>.*?</\1>", "", text, flags=re.S)
     return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", body)).replace("\u00a0", " ")
+
+
+@pytest.mark.parametrize("left", ['{"trials": ', "{}", "[]", '{"trials": 3, "figure": null, "best": null}'])
+def test_a_damaged_result_is_told_with_the_way_to_write_it_anew(copy, left):
+    (copy / "result.json").write_text(left)
+    with pytest.raises(RecordingError, match=r"result\.json is damaged") as told:
+        page_of(copy)
+    assert "labrun resume" in told.value.hint
 
 
 def test_a_report_tells_the_honest_best_with_its_interval_and_the_luckiest_beside_it(finished, page):
