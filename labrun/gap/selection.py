@@ -165,7 +165,12 @@ class Selector:
         other = replace(self, candidates=rest, _rounds=rounds)._select()
         if not other.chosen or not self._better(other, found):
             return found
-        return replace(other, rounds=[first, *other.rounds[1:]])  # the table is of all candidates
+        chosen = other.chosen
+        if len(chosen) == 1:  # what was left out may be its kin
+            chosen = (replace(chosen[0], rivals=self._alone(chosen[0]).rivals),)
+        return replace(
+            other, chosen=chosen, rounds=[first, *other.rounds[1:]]
+        )  # the table is of all candidates
 
     def _doubtful(self, found: Selection) -> set[Name]:
         """Return the effects without which the search is worth another look."""

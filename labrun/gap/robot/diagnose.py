@@ -13,7 +13,7 @@ from labrun.effects import AttachedEffect
 from labrun.fit import Dataset, FitTrial, Note, silent
 from labrun.gap import criteria
 from labrun.gap.diagnose import Options, diagnose_dataset
-from labrun.gap.diagnosis import Diagnosis
+from labrun.gap.diagnosis import Diagnosis, Verdict
 from labrun.gap.robot.one_joint import OneJoint, Prescribed, one_joint, prescribed
 from labrun.gap.robot.tip_load import place_of_load
 from labrun.models import Model, Robot, RobotJoint, identifier, simulate, suggest_substeps
@@ -304,8 +304,10 @@ def _announced(answer: Diagnosis, smoothing: float, step_s: float) -> Diagnosis:
         )
     else:
         return answer
+    # of a parameter alone, how far it is off is told with the joint: see `JointDiagnosis.moved`
+    verdict: Verdict = "parameter" if answer.verdict == "parameter" else "no-gap"
     return replace(
-        answer, verdict="no-gap", causes=(), effects=(), shrinkage=None, what_next=(), sentence=sentence,
+        answer, verdict=verdict, causes=(), effects=(), shrinkage=None, what_next=(), sentence=sentence,
         corrected={name: value for name, (_, _, value) in answer.recalibration.items()},
         gap=replace(answer.gap, after=answer.gap.recalibrated),
         notes=(*answer.notes, f"{names} would explain what is left, {below}"),

@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
+import gap_examples as examples
 import numpy as np
 import pytest
 
@@ -15,6 +16,7 @@ from labrun.gap.motion import smoothed
 from labrun.gap.robot.diagnose import (
     JointDiagnosis,
     RobotDiagnosis,
+    _announced,
     _beside_sensors,
     _into_damping,
     _smoothing_gap,
@@ -221,3 +223,15 @@ def test_a_gain_that_alone_explains_a_joint_by_being_far_from_what_is_stated_is_
     assert joint(28.0, verdict="not-in-library").moved == {}
     found = RobotDiagnosis("arm", "arm", "log", (joint(28.0), joint(41.0)), (), (), {}, (), 1.0)
     assert found.sentence == "parameters are far from what is stated: elbow_kp -30 %."
+
+
+def test_a_gain_that_leaves_no_gap_once_it_is_recalibrated_is_told_all_the_same():
+    """The gap it makes is gone with it: nothing is left to announce, but how far it is off."""
+    found = examples.parameter()
+    answer = _announced(
+        dataclasses.replace(found, gap=dataclasses.replace(found.gap, recalibrated=0.0)), 0.0, 0.002
+    )
+    assert answer.verdict == "parameter"
+    assert not answer.causes
+    joint = JointDiagnosis(SimpleNamespace(name="hinge"), answer, 1.0, 0.1, 0.1)
+    assert joint.moved == {"inertia": pytest.approx(5.1 / 3.9)}
