@@ -92,6 +92,8 @@ def real_time(seconds, rate_hz, frames_hz, *more):
     print(f"{rate_hz:g} steps a second, {frames_hz} frames a second, {seconds:g} s:")
     print(f"  steps late or skipped       {late} of {due} ({100 * late / due:.3f} %)")
     print(f"  trainings                   {float(loop['pose_trainings'].max()):.0f}")
+    apart = [rate_hz * np.quantile(np.diff(begun_s), share) for share in (0.01, 0.5, 0.99, 1.0)]
+    print("  periods from step to step   {:.2f}, {:.2f}, {:.2f}, {:.2f} (1, 50, 99, 100 %)".format(*apart))
     for name, times_s in (
         ("sample to its first command", reaction_s[fresh]),
         ("newest sample to a command", age_s),

@@ -59,14 +59,14 @@ class Wired:
         start_s = due_s - number * self.period_s
         return due_s - await_step(self.law, self.bench, SEEN, start_s, self.period_s, number, before_s)
 
-    def run(self, steps, watched_for_s, rows=64):
+    def run(self, steps, watched_for_s, rows=64, references=None):
         shared = np.zeros(5, dtype=np.int64)
         ring = np.empty((rows, MORE + 1 + 3 + 2 + 5))
         for count in (0, steps):  # the first one compiles
             shared[WATCHED_NS] = time.monotonic_ns() + int(1e9 * watched_for_s)
             status = run_steps(
-                self.law, self.bench, np.zeros((steps, 1)), time.monotonic(), self.period_s, count, np.zeros(1),
-                np.zeros(1), ring, shared,
+                self.law, self.bench, np.zeros((steps, 1)) if references is None else references,
+                time.monotonic(), self.period_s, count, np.zeros(1), np.zeros(1), ring, shared,
             )  # fmt: skip
         return status, ring[: shared[0]]
 
@@ -108,10 +108,20 @@ def test_two_steps_are_a_quarter_of_a_period_apart():
     assert time.monotonic() >= before_s + PERIOD_S / 4
 
 
-def test_a_step_comes_no_more_than_a_period_early():
-    wired = Wired(period_s=0.05)
+def test_a_step_comes_no_more_than_eight_periods_early():
+    wired = Wired(period_s=0.01)
     wired.sample(1.0)
-    assert wired.wait(0.1) <= 0.05
+    assert wired.wait(0.1) <= 0.08
+
+
+@pytest.mark.slow
+def test_a_step_that_is_early_follows_the_reference_of_its_time():
+    wired = Wired(period_s=0.02)
+    wired.sample(0.0)
+    threading.Timer(0.105, wired.sample, [0.0]).start()
+    status, records = wired.run(8, 1000.0, references=np.arange(8.0)[:, None])
+    assert status == GOOD
+    assert records[:, MORE + 1] == pytest.approx(np.floor(records[:, 0] / 0.02 + 1e-9))
 
 
 @pytest.mark.slow

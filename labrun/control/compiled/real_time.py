@@ -41,6 +41,9 @@ _SPIN_S = 1.5e-4
 """Waking up takes the system some 0.05 to 0.1 ms."""
 _LEAST_SHARE = 0.25
 """Of a period, between two steps: a rate of change over less would be that of the noise."""
+_AHEAD = 8
+"""Steps that a loop may be ahead of its rate. Where samples come as often as steps, each step is then taken for a
+sample, though one comes late now and then and the next ones all at once; with a step or two, those would wait."""
 _PRIORITY, _PRIORITY_OF_PYTHON = 50, 10
 _SWITCH_S = 2e-4
 """Python's own 5 ms are what a thread that hears a sensor may wait for one that stores or draws."""
@@ -79,9 +82,9 @@ def run_steps(
 ) -> int:  # fmt: skip
     """Take all steps of a trial; return `GOOD` or why it ended before.
 
-    A step is taken when it is due, or up to a period sooner: when a sample comes that no step has seen, the wire has
-    room, and a quarter of a period has passed since the step before. One that is late is taken as soon as can be;
-    those that fell due meanwhile are skipped and counted.
+    A step is taken when it is due, or up to `_AHEAD` periods sooner: when a sample comes that no step has seen, the
+    wire has room, and a quarter of a period has passed since the step before. Its reference is that of the time when
+    it is taken. One that is late is taken as soon as can be; those that fell due meanwhile are skipped and counted.
     """
     joints = len(angles)
     latest = np.full(bench.channels_at[-1], np.nan)
@@ -95,8 +98,8 @@ def run_steps(
             return STOPPED
         if now_s - 1e-9 * shared[WATCHED_NS] > UNWATCHED_S:
             return UNWATCHED
-        newest = min(int((now_s - start_s) / period_s + 1e-9), steps)
-        skipped = max(0, newest - number)
+        newest = max(0, int((now_s - start_s) / period_s + 1e-9))
+        skipped = max(0, min(newest, steps) - number)
         number += skipped
         if number >= steps:
             shared[SKIPPED] += skipped
@@ -112,7 +115,7 @@ def run_steps(
                 heard_s = min(heard_s, bench.heard_s[sensor][(seen[sensor] - 1) % SLOTS])
         record = ring[shared[HEAD] % len(ring)]
         status = take_step(
-            law, now_s - start_s, now_s - before_s, references[number], latest, latest_s, drives, angles,
+            law, now_s - start_s, now_s - before_s, references[newest], latest, latest_s, drives, angles,
             record[MORE + joints :],
         )  # fmt: skip
         if status != GOOD:
@@ -143,7 +146,8 @@ def await_step(
     due_s = start_s + number * period_s
     if number == 0:
         return float(wait_until(due_s, _SPIN_S))
-    soonest_s = max(due_s - period_s, before_s + _LEAST_SHARE * period_s, bench.state[FREE_S])
+    ahead_s = _AHEAD * period_s
+    soonest_s = max(due_s - ahead_s, before_s + _LEAST_SHARE * period_s, bench.state[FREE_S])
     now_s = wait_until(min(due_s, soonest_s), 0.0)
     while now_s < due_s and not _fresh(law, bench, seen):
         long = due_s - now_s > _SPIN_S
