@@ -30,7 +30,7 @@ class SampleClock:
 
 
 class NewestView(NamedTuple):
-    """What compiled code sees of a `Newest`: sample number n stands in row ``n % SLOTS`` once `number` is above n.
+    """What compiled code sees of a `Newest`: the newest sample stands in row ``(number - 1) % SLOTS``.
 
     Attributes
     ----------
@@ -94,8 +94,9 @@ class Newest:
             return
         made_s = self._clock.made_s(samples.device_time_s, samples.host_time_s)
         number, times, heard_s, values = self.view
-        row = int(number[0]) % SLOTS
+        count = int(number[0]) + len(samples)
+        row = (count - 1) % SLOTS
         times[row], heard_s[row], values[row] = made_s[-1], samples.host_time_s[-1], samples.values[-1]
-        number[0] += 1  # last: who sees the number finds the sample
+        number[0] = count  # last: who sees the number finds the sample
         if self._bell is not None:
             self._bell.ring()

@@ -41,9 +41,14 @@ _SPIN_S = 1.5e-4
 """Waking up takes the system some 0.05 to 0.1 ms."""
 _LEAST_SHARE = 0.25
 """Of a period, between two steps: a rate of change over less would be that of the noise."""
-_AHEAD = 8
+_AHEAD = 12
 """Steps that a loop may be ahead of its rate. Where samples come as often as steps, each step is then taken for a
 sample, though one comes late now and then and the next ones all at once; with a step or two, those would wait."""
+_FAR_AHEAD = 8
+"""Steps ahead of its rate from which on none is made up for: at `_AHEAD` samples would wait after all."""
+_MADE_UP_SHARE = 0.4
+"""Of a period after the step before: when a step is made up for that a sample had lost to a newer one. What it acts on
+is still young then; when it is due it would be a period old, or more."""
 _PRIORITY, _PRIORITY_OF_PYTHON = 50, 10
 _SWITCH_S = 2e-4
 """Python's own 5 ms are what a thread that hears a sensor may wait for one that stores or draws."""
@@ -84,16 +89,17 @@ def run_steps(
 
     A step is taken when it is due, or up to `_AHEAD` periods sooner: when a sample comes that no step has seen, the
     wire has room, and a quarter of a period has passed since the step before. Its reference is that of the time when
-    it is taken. One that is late is taken as soon as can be; those that fell due meanwhile are skipped and counted.
+    it is taken. Of samples that came at once the newest counts, and the steps of the others are made up for soon after
+    its own. A step that is late is taken as soon as can be; those that fell due meanwhile are skipped and counted.
     """
     joints = len(angles)
     latest = np.full(bench.channels_at[-1], np.nan)
     latest_s = np.full(len(bench.number), -np.inf)
     seen, fresh = np.zeros(len(bench.number), dtype=np.int64), np.zeros(len(bench.number), dtype=np.bool_)
     nothing, said = np.zeros(1), np.zeros(1)
-    number, before_s = 0, start_s - period_s
+    number, owed, before_s = 0, 0, start_s - period_s
     while number < steps:
-        now_s = await_step(law, bench, seen, start_s, period_s, number, before_s)
+        now_s = await_step(law, bench, seen, start_s, period_s, number, before_s, owed > 0)
         if shared[STOP] != 0:
             return STOPPED
         if now_s - 1e-9 * shared[WATCHED_NS] > UNWATCHED_S:
@@ -107,6 +113,8 @@ def run_steps(
         if shared[HEAD] - shared[TAIL] >= len(ring):
             return FULL
         made_s, heard_s = np.inf, np.inf
+        begun = before_s >= start_s  # what came before the first step asks for none
+        owed = min(max(owed + _passed_over(law, bench, seen), 0), _AHEAD) if begun else 0
         for sensor in range(len(bench.number)):
             fresh[sensor] = _look(bench, sensor, start_s, latest, latest_s, seen)
         for sensor in law.wiring.sensor:
@@ -140,14 +148,21 @@ def run_steps(
 
 @kernel
 def await_step(
-    law: Law, bench: LiveBench, seen: IntArray, start_s: float, period_s: float, number: int, before_s: float
-) -> float:
-    """Wait until a step is to be taken, see `run_steps`; return the time. The one before began at `before_s`."""
+    law: Law, bench: LiveBench, seen: IntArray, start_s: float, period_s: float, number: int, before_s: float,
+    owed: bool,
+) -> float:  # fmt: skip
+    """Wait until a step is to be taken, see `run_steps`; return the time.
+
+    The one before began at `before_s`; `owed` tells whether one is to be made up for.
+    """
     due_s = start_s + number * period_s
     if number == 0:
         return float(wait_until(due_s, _SPIN_S))
     ahead_s = _AHEAD * period_s
     soonest_s = max(due_s - ahead_s, before_s + _LEAST_SHARE * period_s, bench.state[FREE_S])
+    if owed:
+        made_up_s = max(before_s + _MADE_UP_SHARE * period_s, due_s - _FAR_AHEAD * period_s, soonest_s)
+        due_s = min(due_s, made_up_s)
     now_s = wait_until(min(due_s, soonest_s), 0.0)
     while now_s < due_s and not _fresh(law, bench, seen):
         long = due_s - now_s > _SPIN_S
@@ -162,6 +177,18 @@ def _fresh(law: Law, bench: LiveBench, seen: IntArray) -> bool:
     for sensor in law.wiring.sensor:
         fresh = fresh or bench.number[sensor][0] > seen[sensor]
     return fresh
+
+
+@kernel
+def _passed_over(law: Law, bench: LiveBench, seen: IntArray) -> int:
+    """Return how many samples get no step of their own, because a newer one is there; -1 if there is no new one.
+
+    Of several sensors, of that which has the fewest.
+    """
+    fewest = _AHEAD
+    for sensor in law.wiring.sensor:
+        fewest = min(fewest, bench.number[sensor][0] - seen[sensor] - 1)
+    return int(fewest)
 
 
 @kernel
