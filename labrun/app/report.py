@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,16 +11,7 @@ import numpy as np
 from labrun.app.kept_diagnosis import FOLDER as GAP_FOLDER
 from labrun.app.kept_diagnosis import PAGE, read_stored
 from labrun.errors import RequestError, StoreError
-from labrun.report import (
-    Findings,
-    RecordingFindings,
-    ReportSource,
-    RunView,
-    StoredFit,
-    StoredGap,
-    experiment_of,
-    findings,
-)
+from labrun.report import Findings, RunView, StoredFit, StoredGap, experiment_of
 from labrun.search import Best, read_generations, stored_result
 from labrun.store import SPEC, Run, find_run, is_recording, open_target, replace_durably
 
@@ -41,45 +33,20 @@ def report(
     results
         Where runs are.
     """
-    with open_target(_named(target, results), Path(results)) as run:
-        return write_report(run, output)
+    with opened(target, results=results) as findings:
+        return write_report(findings, output)
 
 
-def show(
-    target: str | Path | None = None, *, results: str | Path = "results"
-) -> Findings | RecordingFindings:
-    """Return what a run found, or what a recording holds.
-
-    Parameters
-    ----------
-    target
-        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder; the latest run if None.
-    results
-        Where runs are.
-    """
-    with open_target(_named(target, results), Path(results)) as run:
-        return findings(read_source(run))
+@contextmanager
+def opened(target: str | Path | None = None, *, results: str | Path = "results") -> Iterator[Findings]:
+    """Open what a run found, or what a recording holds; `target` and `results` as for `report`."""
+    named = find_run(None, Path(results)) if target is None else target
+    with open_target(str(named), Path(results)) as run:
+        yield read_findings(run)
 
 
-def _named(target: str | Path | None, results: str | Path) -> str:
-    return str(find_run(None, Path(results)) if target is None else target)
-
-
-def write_report(run: Run, output: Path | None = None) -> Path:
-    """Write an open run's report.
-
-    Parameters
-    ----------
-    run
-        Open for reading; finished or not, measured or imported.
-    output
-        The file. Else ``report.html`` in the run's folder; of a ``run.h5`` that stands alone, ``<name>-report.html``
-        beside it.
-
-    Returns
-    -------
-    Path
-        The file, which holds everything it shows and loads nothing.
+def write_report(findings: Findings, output: Path | None = None) -> Path:
+    """Write the report of a run: one file, which holds everything it shows and loads nothing.
 
     Raises
     ------
@@ -88,13 +55,12 @@ def write_report(run: Run, output: Path | None = None) -> Path:
     SpecError
         The stored experiment file does not hold.
     """
-    source = read_source(run)
-    path = output if output is not None else _beside(source)
+    path = output if output is not None else _beside(findings)
     from labrun.report.run_page import run_page  # matplotlib
 
     with _writing(path):  # before anything is computed
         path.parent.mkdir(parents=True, exist_ok=True)
-    text = run_page(source)
+    text = run_page(findings)
     with _writing(path):
         replace_durably(path, text.encode())
     return path
@@ -110,31 +76,35 @@ def _writing(path: Path) -> Iterator[None]:
         ) from error
 
 
-def read_source(run: Run) -> ReportSource:
-    """Read a run for its report.
+def read_findings(run: Run) -> Findings:
+    """Read an open run with all that lies beside it; finished or not, packed or not, measured or imported.
 
-    Parameters
-    ----------
-    run
-        Open for reading; finished or not, packed or not, measured or imported.
+    Raises
+    ------
+    SpecError
+        The stored experiment file does not hold.
     """
     folder = run.path if run.path.is_dir() else run.path.parent
-    alone = not (folder / SPEC).is_file()
     experiment = experiment_of(run.experiment_toml, run.name)
+    alone = not (folder / SPEC).is_file()
     result = None if alone else stored_result(folder)
     ended = any(event["event"] == "finished" for event in run.events)
-    # A run is packed when it ends, so a packed file that stands alone, without the journal's last lines, is whole.
-    finished = result is not None or ended or run.path.is_file()
-    return ReportSource(
+    found = Findings(
         run=run,
         experiment=experiment,
         best=result.best if result is not None else confirmed_best(RunView(run, experiment, None)),
-        folder=None if alone else folder,
-        finished=finished,
-        figure=None if result is None else result.figure,
-        fits=[] if alone else stored_fits(folder),
-        diagnosis=None if alone else stored_gap(folder),
-        generations=[] if alone else read_generations(folder / "search"),
+        # A run is packed when it ends, so a packed file that stands alone, without the journal's last lines, is whole.
+        finished=result is not None or ended or run.path.is_file(),
+    )
+    if alone:
+        return found
+    return replace(
+        found,
+        folder=folder,
+        result=result,
+        fits=stored_fits(folder),
+        diagnosis=stored_gap(folder),
+        generations=read_generations(folder / "search"),
     )
 
 
@@ -188,9 +158,9 @@ def confirmed_best(view: RunView) -> Best | None:
     )
 
 
-def _beside(source: ReportSource) -> Path:
-    if is_recording(source.run.path):
-        return Path(f"{source.run.path.name}-{REPORT}")
-    if source.folder is not None:
-        return source.folder / REPORT
-    return source.run.path.with_name(f"{source.run.path.stem}-{REPORT}")
+def _beside(findings: Findings) -> Path:
+    if is_recording(findings.run.path):
+        return Path(f"{findings.run.path.name}-{REPORT}")
+    if findings.folder is not None:
+        return findings.folder / REPORT
+    return findings.run.path.with_name(f"{findings.run.path.stem}-{REPORT}")

@@ -102,7 +102,7 @@ def reveal(
     """
     with reported(as_json):
         from labrun.app.reveal import reveal as open_seal
-        from labrun.report.gap_answers import compared_text
+        from labrun.report.gap_text import compared_text
 
         compared = open_seal(target, results=results)
         print_result(compared, as_json, compared_text)

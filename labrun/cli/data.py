@@ -31,14 +31,14 @@ def show(
     Example:  labrun show fin-params
     """
     with reported(as_json):
-        from labrun.app.report import show as findings_of
+        from labrun.app.report import opened
         from labrun.report import print_findings
 
-        found = findings_of(target, results=results)
-        if as_json:
-            print_json(found.to_json())
-        else:
-            print_findings(found)
+        with opened(target, results=results) as findings:
+            if as_json:
+                print_json(findings.to_json())
+            else:
+                print_findings(findings)
 
 
 def export(

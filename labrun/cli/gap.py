@@ -252,7 +252,7 @@ def test(
     """
     with reported(as_json):
         from labrun.app.fresh import predict_fresh
-        from labrun.report.gap_answers import fresh_text
+        from labrun.report.gap_text import fresh_text
 
         horizons_s = _numbers(horizon, "--horizon")
         with status() as note:
@@ -279,7 +279,7 @@ def compare(
     """
     with reported(as_json):
         from labrun.app.compare_units import compare_units
-        from labrun.report.gap_answers import units_text
+        from labrun.report.gap_text import units_text
 
         with status() as note:
             found = compare_units(
@@ -322,7 +322,7 @@ def plan(
     """
     with reported(as_json, "interrupted; no experiment was written"):
         from labrun.app.plan_trials import plan_trials
-        from labrun.report.gap_answers import plan_text
+        from labrun.report.gap_text import plan_text
 
         with status() as note:
             found = plan_trials(

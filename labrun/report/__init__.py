@@ -8,20 +8,26 @@ import sys
 
 from labrun import UseCasePackage
 from labrun.report.data import RunView, experiment_of
-from labrun.report.findings import Findings, RecordingFindings, findings
-from labrun.report.live import LiveProgress, PlainProgress, render, watch
-from labrun.report.ranking import ranking_text
-from labrun.report.report_source import ReportSource, StoredGap
-from labrun.report.snapshot import BestYet, Snapshot, State, event_text
+from labrun.report.findings import Findings, StoredGap
+from labrun.report.live import (
+    BestYet,
+    LiveProgress,
+    PlainProgress,
+    Snapshot,
+    State,
+    event_text,
+    render,
+    watch,
+)
 from labrun.report.statistics import Drift, drift_of, without_drift
 from labrun.report.stored_fits import StoredFit
 from labrun.report.terminal import keys_text, plan_text, print_findings, remark_text
 from labrun.report.text import duration_text, interval_text
 
 __all__ = [
-    "BestYet", "Drift", "Findings", "LiveProgress", "PlainProgress", "RecordingFindings", "ReportSource",
+    "BestYet", "Drift", "Findings", "LiveProgress", "PlainProgress",
     "RunView", "Snapshot", "State", "StoredFit", "StoredGap", "drift_of", "duration_text", "event_text",
-    "experiment_of", "findings", "interval_text", "keys_text", "plan_text", "print_findings", "ranking_text",
+    "experiment_of", "interval_text", "keys_text", "plan_text", "print_findings",
     "remark_text", "render", "watch", "without_drift",
 ]  # fmt: skip
 

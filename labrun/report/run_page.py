@@ -7,9 +7,9 @@ from typing import Any
 from labrun.report.conditions import conditions_context
 from labrun.report.figures import run_figure
 from labrun.report.figures.trust import MOST_PANELS, draw_drift, draw_repeatability, draw_settling
+from labrun.report.findings import Findings
 from labrun.report.page import PageFigure, PageTable, drawn, render
-from labrun.report.report_source import ReportSource
-from labrun.report.statistics import repeatability_columns, settling, standard_deviations
+from labrun.report.statistics import repeatability_columns, standard_deviations
 from labrun.report.stored_fits import as_table, fit_context
 from labrun.report.text import (
     counted,
@@ -33,7 +33,7 @@ from labrun.report.verdict import (
     why_it_went_on,
     why_unfinished,
 )
-from labrun.search import apart_text, resume_line, stored_result
+from labrun.search import apart_text, resume_line
 from labrun.signals import Signals
 from labrun.spec import condition_text
 from labrun.store import TrialOutcome
@@ -55,25 +55,25 @@ _TOLD_APART = frozenset(
 _LINKS = {"result": "figure", "rejected": "rejected trials"}
 
 
-def run_page(source: ReportSource) -> str:
+def run_page(findings: Findings) -> str:
     """Return the page of a run; the same run gives the same text, byte for byte."""
-    return render("run.html.j2", run_context(source))
+    return render("run.html.j2", run_context(findings))
 
 
-def run_context(source: ReportSource) -> dict[str, Any]:
+def run_context(findings: Findings) -> dict[str, Any]:
     """Return what the template ``run.html.j2`` tells of; a section that says nothing is None."""
-    run = source.run
+    run = findings.run
     sections = {
-        "result": _figure(source),
-        "search": _search(source),
-        "conditions": conditions_context(source) if source.accepted else None,
-        "repeatability": _repeatability(source),
-        "drift": _drift(source),
-        "settling": _settling(source),
-        "timing": _timing(source),
-        "rejected": _rejected(source),
-        "fits": [fit_context(fit) for fit in source.fits] or None,
-        "gap": source.diagnosis,
+        "result": _figure(findings),
+        "search": _search(findings),
+        "conditions": conditions_context(findings) if findings.accepted else None,
+        "repeatability": _repeatability(findings),
+        "drift": _drift(findings),
+        "settling": _settling(findings),
+        "timing": _timing(findings),
+        "rejected": _rejected(findings),
+        "fits": [fit_context(fit) for fit in findings.fits] or None,
+        "gap": findings.diagnosis,
         "provenance": {
             "origin": PageTable(("", ""), _origin(run.provenance), words=(0, 1)),
             "resolved": run.experiment_toml,
@@ -81,29 +81,29 @@ def run_context(source: ReportSource) -> dict[str, Any]:
         },
     }
     return {
-        "title": f"{source.experiment.title} ({run.identifier})",
-        "source": source,
-        "folder": run.path if source.folder is None else source.folder,
+        "title": f"{findings.experiment.title} ({run.identifier})",
+        "findings": findings,
+        "folder": run.path if findings.folder is None else findings.folder,
         "links": [
             (name, _LINKS.get(name, name)) for name, section in sections.items() if section is not None
         ],
-        "to_go_on": None if source.finished or source.folder is None else resume_line(source.folder),
-        "why_unfinished": why_unfinished(source),
-        "what_was_run": what_was_run(source),
-        "best": _best(source),
-        "what_came_out": "" if source.best is not None else what_came_out(source),
-        "checks": checks(source),
+        "to_go_on": None if findings.finished or findings.folder is None else resume_line(findings.folder),
+        "why_unfinished": why_unfinished(findings),
+        "what_was_run": what_was_run(findings),
+        "best": _best(findings),
+        "what_came_out": "" if findings.best is not None else what_came_out(findings),
+        "checks": checks(findings),
         **sections,
     }
 
 
-def _figure(source: ReportSource) -> PageFigure | None:
-    alt = f"Result of {source.experiment.title}: the numbers it shows stand in the tables below"
-    return drawn(lambda: run_figure(source, source.generations), "result", alt)
+def _figure(findings: Findings) -> PageFigure | None:
+    alt = f"Result of {findings.experiment.title}: the numbers it shows stand in the tables below"
+    return drawn(lambda: run_figure(findings, findings.generations), "result", alt)
 
 
-def _best(source: ReportSource) -> Mapping[str, str] | None:
-    best = source.best
+def _best(findings: Findings) -> Mapping[str, str] | None:
+    best = findings.best
     if best is None:
         return None
     value, interval = interval_words(best.value, best.ci95, best.unit)
@@ -111,20 +111,20 @@ def _best(source: ReportSource) -> Mapping[str, str] | None:
     below = f"95 % interval {interval}, from {confirming} that took no part in the choice"
     if not interval:
         below = f"no interval: {confirming}"
-    if not source.finished:
+    if not findings.finished:
         below += "; provisional, the confirmation was not completed"
     return {
         "name": spaced(best.objective_name),
         "value": value,
         "below": below,
         "luckiest": quantity_text(best.luckiest, best.unit),
-        "at": named_condition(best.parameters, source.experiment.units),
+        "at": named_condition(best.parameters, findings.experiment.units),
     }
 
 
-def _search(source: ReportSource) -> Mapping[str, Any] | None:
+def _search(findings: Findings) -> Mapping[str, Any] | None:
     """How each search ended, and the winners of several side by side; None for a run that did not search."""
-    result = None if source.folder is None else stored_result(source.folder)
+    result = findings.result
     if result is None or not result.verdicts:
         return None
     levels = [verdict.level or {} for verdict in result.verdicts]
@@ -148,11 +148,11 @@ def _search(source: ReportSource) -> Mapping[str, Any] | None:
 # How far the run can be believed
 
 
-def _repeatability(source: ReportSource) -> Mapping[str, Any] | None:
-    found = source.repeatability
+def _repeatability(findings: Findings) -> Mapping[str, Any] | None:
+    found = findings.repeatability
     if not found:
-        return {"table": None} if source.experiment.objectives and source.accepted else None
-    main = next((item for item in found if item.objective == source.objective), found[0])
+        return {"table": None} if findings.experiment.objectives and findings.accepted else None
+    main = next((item for item in found if item.objective == findings.objective), found[0])
     rows = [
         [
             spaced(item.objective),
@@ -163,67 +163,67 @@ def _repeatability(source: ReportSource) -> Mapping[str, Any] | None:
     ]
     alt = f"Standard deviation of repeated trials against the mean of {main.objective}, one dot a condition"
     return {
-        "told": what_it_resolves(source, main),
-        "figure": drawn(lambda: draw_repeatability(source, main), "repeatability", alt),
+        "told": what_it_resolves(findings, main),
+        "figure": drawn(lambda: draw_repeatability(findings, main), "repeatability", alt),
         "table": PageTable(("objective", *repeatability_columns(found), "degrees of freedom"), rows),
     }
 
 
-def _drift(source: ReportSource) -> Mapping[str, Any] | None:
-    if not source.experiment.objectives or not source.run.outcomes:
+def _drift(findings: Findings) -> Mapping[str, Any] | None:
+    if not findings.experiment.objectives or not findings.run.outcomes:
         return None
-    if not source.drift:
-        references = sum(outcome.role == "reference" for outcome in source.run.outcomes)
+    if not findings.drift:
+        references = sum(outcome.role == "reference" for outcome in findings.run.outcomes)
         there = f"There {'is' if references == 1 else 'are'} {counted(references, 'reference trial')}"
         return {"too_few": there}
-    shown = ", ".join(item.objective for item in source.drift[:MOST_PANELS])
+    shown = ", ".join(item.objective for item in findings.drift[:MOST_PANELS])
     alt = f"Reference trials over bench time with the line through them, for {shown}"
     return {
         "too_few": "",
-        "told": [drift_sentence(source, item) for item in source.drift],
-        "figure": drawn(lambda: draw_drift(source, source.drift), "drift", alt),
+        "told": [drift_sentence(findings, item) for item in findings.drift],
+        "figure": drawn(lambda: draw_drift(findings, findings.drift), "drift", alt),
     }
 
 
-def _settling(source: ReportSource) -> Mapping[str, Any] | None:
-    found = settling(source.run.outcomes)
+def _settling(findings: Findings) -> Mapping[str, Any] | None:
+    found = findings.settling
     if found is None:
         return None
-    watched = {outcome.settle.channel for outcome in source.run.outcomes if outcome.settle is not None}
+    watched = {outcome.settle.channel for outcome in findings.run.outcomes if outcome.settle is not None}
     alt = "Distribution of settle times by reason, and settle times in the order of the trials"
     return {
         "told": f"{why_it_went_on(found)} Half of the waits took {found.median_s:.3g} s or less, the longest "
         f"{short_time_text(found.longest_s)}.",
         "watched": ", ".join(sorted(channel for channel in watched if channel)),
-        "figure": drawn(lambda: draw_settling(source.run.outcomes), "settling", alt),
+        "figure": drawn(lambda: draw_settling(findings.run.outcomes), "settling", alt),
     }
 
 
 # Time
 
 
-def _timing(source: ReportSource) -> Mapping[str, Any] | None:
-    if not source.run.outcomes:
+def _timing(findings: Findings) -> Mapping[str, Any] | None:
+    if not findings.run.outcomes:
         return None
-    looked, of = len(source.streams_looked_at), len(source.run.outcomes)
+    looked, of = len(findings.streams_looked_at), len(findings.run.outcomes)
     return {
-        "bench": _bench(source),
-        "loop": None if source.loop is None else (loop_words(source.loop), bool(source.loop.missed)),
-        "commands": _commands(source),
-        "streams": _streams(source),
+        "bench": _bench(findings),
+        "loop": None if findings.loop is None else (loop_words(findings.loop), bool(findings.loop.missed)),
+        "commands": _commands(findings),
+        "streams": _streams(findings),
         "looked_at": f"{counted(looked, 'trial')} "
         + (f"(all {looked})" if looked == of else f"({looked} of {of}, evenly over the run)"),
     }
 
 
-def _bench(source: ReportSource) -> Mapping[str, Any] | None:
-    spent = source.bench_time
+def _bench(findings: Findings) -> Mapping[str, Any] | None:
+    spent = findings.bench_time
     if spent is None:
         return None
     longest = max(STEPS, key=spent.of)
     return {
         "total": duration_text(spent.total_s),
-        "each": short_time_text(spent.total_s / len(source.run.outcomes)),
+        "each": short_time_text(spent.total_s / len(findings.run.outcomes)),
         "longest": _STEP_WORDS[longest],
         "longest_share": share_text(spent.of(longest), spent.total_s),
         "rows": [
@@ -239,7 +239,7 @@ def _bench(source: ReportSource) -> Mapping[str, Any] | None:
     }
 
 
-def _commands(source: ReportSource) -> PageTable | None:
+def _commands(findings: Findings) -> PageTable | None:
     """Return how evenly set-points went out; None where no device tells."""
     rows = [
         [
@@ -249,16 +249,16 @@ def _commands(source: ReportSource) -> PageTable | None:
             f"{item.missed} ({share_text(item.missed, item.sent + item.missed)})" if item.missed else "0",
             *(f"{1e3 * late_s:.2g}" for late_s in (item.late_median_s, item.late_p99_s, item.late_worst_s)),
         ]
-        for item in command_health(source.run.events)
+        for item in command_health(findings.run.events)
     ]
     columns = ("device", "rate (Hz)", "sent", "skipped", "late, median (ms)", "99 % (ms)", "worst (ms)")
     return PageTable(columns, rows) if rows else None
 
 
-def _streams(source: ReportSource) -> PageTable | None:
-    if not source.streams:
+def _streams(findings: Findings) -> PageTable | None:
+    if not findings.streams:
         return None
-    first = source.run.signals(source.run.outcomes[0].index)
+    first = findings.run.signals(findings.run.outcomes[0].index)
     rows = [
         [
             item.device,
@@ -271,13 +271,13 @@ def _streams(source: ReportSource) -> PageTable | None:
             f"{item.lost} ({share_text(item.lost, item.samples + item.lost)})" if item.lost else "0",
             str(item.saturated),
         ]
-        for item in source.streams
+        for item in findings.streams
     ]
     columns = (
         "device", "channels", "nominal (Hz)", "actual (Hz)", "jitter, sd (ms)", "clock offset", "drift",
         "samples", "lost", "saturated",
     )  # fmt: skip
-    marked = [place for place, item in enumerate(source.streams) if item.saturated]
+    marked = [place for place, item in enumerate(findings.streams) if item.saturated]
     return PageTable(columns, rows, words=(0, 1), marked=marked)
 
 
@@ -290,11 +290,11 @@ def _channels(signals: Signals | None) -> str:
 # Trials that do not count
 
 
-def _rejected(source: ReportSource) -> Mapping[str, Any] | None:
-    total = len(source.run.outcomes)
+def _rejected(findings: Findings) -> Mapping[str, Any] | None:
+    total = len(findings.run.outcomes)
     if not total:
         return None
-    counts = Counter((outcome.status, _kind_of(outcome)) for outcome in source.spoiled)
+    counts = Counter((outcome.status, _kind_of(outcome)) for outcome in findings.spoiled)
     reasons = [
         [status, reason, str(count), share_text(count, total)]
         for (status, reason), count in counts.most_common()
@@ -304,26 +304,26 @@ def _rejected(source: ReportSource) -> Mapping[str, Any] | None:
             str(outcome.index),
             outcome.status,
             outcome.reason,
-            named_condition(outcome.condition, source.experiment.units),
+            named_condition(outcome.condition, findings.experiment.units),
             outcome.role,
             str(outcome.repeat + 1),
             str(outcome.attempt + 1),
         ]
-        for outcome in source.spoiled[:_TRIALS_SHOWN]
+        for outcome in findings.spoiled[:_TRIALS_SHOWN]
     ]
     columns = ("trial", "status", "reason", "condition", "role", "repeat", "attempt")
     incidents = [
         [str(event.get("time_utc", ""))[:19].replace("T", " "), event["event"], _told(event)]
-        for event in source.run.events
+        for event in findings.run.events
         if event["event"] in _INCIDENTS
     ]
     return {
         "total": total,
-        "spoiled": len(source.spoiled),
+        "spoiled": len(findings.spoiled),
         "reasons": PageTable(("status", "reason", "trials", "share"), reasons, words=(0, 1)),
         "trials": PageTable(columns, trials, words=(1, 2, 3, 4)),
-        "folded": len(source.spoiled) > _UNFOLDED,
-        "more": len(source.spoiled) - len(trials),
+        "folded": len(findings.spoiled) > _UNFOLDED,
+        "more": len(findings.spoiled) - len(trials),
         "incidents": PageTable(("UTC", "event", ""), incidents, words=(0, 1, 2)),
     }
 

@@ -4,8 +4,9 @@ import math
 import re
 import shutil
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from rich import box
 from rich.console import Console, OverflowMethod
@@ -15,8 +16,8 @@ from rich.text import Text
 from labrun.devices import Remark
 from labrun.estimate import rounded
 from labrun.report.conditions import ConditionResult, standard_error, varying
-from labrun.report.findings import Findings, RecordingFindings
-from labrun.report.statistics import repeatability_columns, standard_deviations
+from labrun.report.findings import Findings
+from labrun.report.statistics import Drift, Repeatability, repeatability_columns, standard_deviations
 from labrun.report.stored_fits import StoredFit
 from labrun.report.text import (
     bytes_text,
@@ -34,7 +35,7 @@ from labrun.report.text import (
 )
 from labrun.report.timing import LEAST_JITTER_S, clock_text, loop_words
 from labrun.runner import JointPeak, Plan, percent
-from labrun.search import unsettled_text
+from labrun.search import Best, unsettled_text
 from labrun.spec import Key
 
 _MOST_REASONS = 6
@@ -42,59 +43,68 @@ _LINK = re.compile(r"\[(.*?)\]\(#[^)]*\)")
 _STATUSES = ("done", "rejected", "failed")
 
 
-def print_findings(found: Findings | RecordingFindings, console: Console | None = None) -> None:
+def print_findings(findings: Findings, console: Console | None = None) -> None:
     """Print what a run found, or what a recording holds; to standard output if no console is given."""
-    if isinstance(found, Findings):
-        _print_run(found, console or Console())
+    console = console or Console(highlight=False)
+    if findings.channels:
+        _print_recording(findings.to_json(), console)
     else:
-        _print_recording(found, console or Console())
+        _print_run(findings, console)
 
 
-def _print_run(found: Findings, console: Console) -> None:
+def _print_run(findings: Findings, console: Console) -> None:
     """Print what the run was, its best, and what speaks for and against trusting it."""
-    console.print(Text(found.title, style="bold"))
-    state = "finished" if found.finished else f"not finished; labrun resume {found.run}"
-    dry = "dry run, " if found.dry_run else "emulated, " if found.emulated else ""
-    console.print(
-        Text(
-            f"{found.experiment}, {found.kind}, {dry}{duration_text(found.bench_time_s)} of bench time, {state}"
-        ),
-        highlight=False,
-    )
-    for fault in found.faults:
+    run = findings.run
+    console.print(Text(findings.experiment.title, style="bold"))
+    state = "finished" if findings.finished else f"not finished; labrun resume {run.path}"
+    dry = "dry run, " if findings.dry_run else "emulated, " if findings.emulated else ""
+    lasted = duration_text(findings.elapsed_s)
+    console.print(Text(f"{run.name}, {findings.experiment.kind}, {dry}{lasted} of bench time, {state}"))
+    for fault in run.faults:
         console.print(Text(f"damaged: {fault}", style="yellow"))
-    _print_best(found, console)
-    for line in [] if found.result is None else found.result.search_lines():
-        console.print(Text(line), highlight=False)
-    print_conditions(found, console)
-    console.print(_trials(found))
-    spoiled = [f"{count} x {reason}" for reason, count in list(found.spoiled.items())[:_MOST_REASONS]]
-    for text in (*spoiled, *_shortened(found.damage), *_shortened(found.remarks)):
-        console.print(Text(f"  {text}", style="yellow"), highlight=False)
-    if found.repeatability:
-        console.print(_repeatability(found))
-    if found.drift:
-        console.print(_drift(found))
-    if found.settling is not None:
-        reasons = ", ".join(f"{count} {reason}" for reason, count in found.settling.reasons.items())
-        median, longest = (
-            short_time_text(one) for one in (found.settling.median_s, found.settling.longest_s)
-        )
-        settled = f"settling: {reasons}; median {median}, longest {longest}"
-        console.print(Text(settled), highlight=False)
-    if found.unsettled:
-        warning = unsettled_text(found.unsettled, sum(by.get("done", 0) for by in found.trials.values()))
-        console.print(Text(f"warning: {warning}", style="bold yellow"), highlight=False)
-    if found.streams:
-        console.print(_streams(found))
-    if found.loop is not None:
-        style = "yellow" if found.loop.missed else ""
-        console.print(Text(f"loop: {loop_words(found.loop)}", style=style), highlight=False)
-    for fit in found.fits:
+    if findings.best is not None and findings.finished:
+        console.print(_best(findings.best))
+    for line in [] if findings.result is None else findings.result.search_lines():
+        console.print(Text(line))
+    print_conditions(findings, console)
+    _print_trials(findings, console)
+    _print_trust(findings, console)
+    for fit in findings.fits:
         print_fit(fit, console)
-    for name, path in (("run", found.run), ("figure", found.figure)):
-        if path is not None:
-            console.print(Text(f"{name:<7} {path}"), highlight=False, soft_wrap=True)
+    console.print(Text(f"run     {run.path}"), soft_wrap=True)
+    if findings.figure is not None:
+        console.print(Text(f"figure  {findings.figure}"), soft_wrap=True)
+
+
+def _print_trials(findings: Findings, console: Console) -> None:
+    table = _table("trials", "role", *_STATUSES)
+    for role, counts in findings.trials.items():
+        table.add_row(role, *(str(counts.get(status, 0)) for status in _STATUSES))
+    console.print(table)
+    spoiled = [f"{count} x {reason}" for reason, count in list(findings.reasons.items())[:_MOST_REASONS]]
+    for text in (*spoiled, *_shortened(findings.damage), *_shortened(findings.remarks)):
+        console.print(Text(f"  {text}", style="yellow"))
+
+
+def _print_trust(findings: Findings, console: Console) -> None:
+    """Print what speaks for and against trusting the run."""
+    if findings.repeatability:
+        console.print(_repeatability(findings.repeatability))
+    if findings.drift:
+        console.print(_drift(findings.drift))
+    if findings.settling is not None:
+        found = findings.settling
+        reasons = ", ".join(f"{count} {reason}" for reason, count in found.reasons.items())
+        median, longest = short_time_text(found.median_s), short_time_text(found.longest_s)
+        console.print(Text(f"settling: {reasons}; median {median}, longest {longest}"))
+    if findings.unsettled:
+        warning = unsettled_text(findings.unsettled, len(findings.accepted))
+        console.print(Text(f"warning: {warning}", style="bold yellow"))
+    if findings.streams:
+        console.print(_streams(findings))
+    if findings.loop is not None:
+        style = "yellow" if findings.loop.missed else ""
+        console.print(Text(f"loop: {loop_words(findings.loop)}", style=style))
 
 
 def _shortened(texts: Sequence[str]) -> list[str]:
@@ -103,58 +113,49 @@ def _shortened(texts: Sequence[str]) -> list[str]:
     return [*texts[:_MOST_REASONS], *([f"and {more} more; --json has all"] if more > 0 else [])]
 
 
-def _print_recording(found: RecordingFindings, console: Console) -> None:
-    """Print what a recording holds: its channels, and its trials by condition."""
-    console.print(Text(f"Recording {found.experiment}", style="bold"))
-    lasting = short_time_text(found.duration_s)
-    console.print(Text(f"{found.trials} trials, {lasting} of samples"), highlight=False)
-    for fault in found.faults:
+def _print_recording(found: Mapping[str, Any], console: Console) -> None:
+    """Print what a recording holds, as `Findings.to_json` tells: its channels, and its trials by condition."""
+    console.print(Text(f"Recording {found['experiment']}", style="bold"))
+    console.print(Text(f"{found['trials']} trials, {short_time_text(found['duration_s'])} of samples"))
+    for fault in found["faults"]:
         console.print(Text(f"damaged: {fault}", style="yellow"))
-    if found.source:
-        told = ", ".join(f"{key} {value}" for key, value in found.source.items() if key != "kind")
-        console.print(Text(f"source: {found.source.get('kind', '')}, {told}"), highlight=False)
+    source = found["source"]
+    if source:
+        told = ", ".join(f"{key} {value}" for key, value in source.items() if key != "kind")
+        console.print(Text(f"source: {source.get('kind', '')}, {told}"))
     channels = _table("channels", "channel", "kind", "unit", "rate")
-    for channel in found.channels:
-        channels.add_row(channel.name, channel.kind, channel.unit, f"{channel.rate_hz:.4g} Hz")
+    for channel in found["channels"]:
+        channels.add_row(channel["name"], channel["kind"], channel["unit"], f"{channel['rate_hz']:.4g} Hz")
     console.print(channels)
     conditions = _table("trials by condition", "condition", "trials", "done", "duration")
-    for item in found.conditions:
-        shortest, longest = f"{item.shortest_s:.4g}", f"{item.longest_s:.4g}"
+    for item in found["conditions"]:
+        shortest, longest = f"{item['shortest_s']:.4g}", f"{item['longest_s']:.4g}"
         lasted = f"{longest} s" if shortest == longest else f"{shortest} to {longest} s"
-        name = condition_text(item.condition) or "(none given)"
-        conditions.add_row(name, str(item.trials), str(item.done), lasted)
+        name = condition_text(item["condition"]) or "(none given)"
+        conditions.add_row(name, str(item["trials"]), str(item["done"]), lasted)
     console.print(conditions)
-    paths = {"run": found.run, "imported from": found.imported_from}
-    if found.run == found.imported_from:
-        paths = {"recording": found.run}
+    paths = {"run": found["run"], "imported from": found["imported_from"]}
+    if found["run"] == found["imported_from"]:
+        paths = {"recording": found["run"]}
     for name, path in paths.items():
-        console.print(Text(f"{name:<13} {path}"), highlight=False, soft_wrap=True)
+        console.print(Text(f"{name:<13} {path}"), soft_wrap=True)
 
 
-def _print_best(found: Findings, console: Console) -> None:
-    best = found.best
-    if best is None:
-        return
-    value = interval_text(best.value, best.ci95, best.unit)
-    console.print(
-        Text.assemble(
-            ("best ", "bold"),
-            f"{best.objective_name} = ",
-            (value, "bold green"),
-            f" (95 % interval, {best.trials} confirming trials)\n",
-            f"  at {condition_text(best.parameters)}\n",
-            (f"  luckiest single trial {quantity_text(best.luckiest, best.unit)}", "dim"),
-        ),
-        highlight=False,
+def _best(best: Best) -> Text:
+    return Text.assemble(
+        ("best ", "bold"),
+        f"{best.objective_name} = ",
+        (interval_text(best.value, best.ci95, best.unit), "bold green"),
+        f" (95 % interval, {best.trials} confirming trials)\n",
+        f"  at {condition_text(best.parameters)}\n",
+        (f"  luckiest single trial {quantity_text(best.luckiest, best.unit)}", "dim"),
     )
 
 
 def print_fit(fit: StoredFit, console: Console) -> None:
     """Print a fit's estimates and what it says of itself."""
     if fit.fault:
-        console.print(
-            Text(f"fit {fit.path.name} cannot be read: {fit.fault}", style="yellow"), highlight=False
-        )
+        console.print(Text(f"fit {fit.path.name} cannot be read: {fit.fault}", style="yellow"))
         return
     table = _table(f"fit: {fit.title}", "parameter", "value, 95 % interval", "unit")
     for name, estimate in fit.estimates.items():
@@ -162,9 +163,9 @@ def print_fit(fit: StoredFit, console: Console) -> None:
         table.add_row(name, f"{value} [{low}, {high}]", estimate.unit)
     console.print(table)
     for sentence in fit.sentences("findings"):
-        console.print(Text(f"- {sentence}"), highlight=False)
+        console.print(Text(f"- {sentence}"))
     for sentence in fit.sentences("warnings"):
-        console.print(Text(f"! {sentence}", style="yellow"), highlight=False)
+        console.print(Text(f"! {sentence}", style="yellow"))
 
 
 def _table(title: str, *columns: str) -> Table:
@@ -174,39 +175,32 @@ def _table(title: str, *columns: str) -> Table:
     return table
 
 
-def _trials(found: Findings) -> Table:
-    table = _table("trials", "role", *_STATUSES)
-    for role, counts in found.trials.items():
-        table.add_row(role, *(str(counts.get(status, 0)) for status in _STATUSES))
-    return table
-
-
-def _repeatability(found: Findings) -> Table:
-    table = _table("repeatability", "objective", *repeatability_columns(found.repeatability), "freedom")
-    for item in found.repeatability:
-        sds = standard_deviations(item, found.repeatability)
+def _repeatability(found: Sequence[Repeatability]) -> Table:
+    table = _table("repeatability", "objective", *repeatability_columns(found), "freedom")
+    for item in found:
+        sds = standard_deviations(item, found)
         cells = ["" if sd is None else quantity_text(sd, item.unit) for sd in sds]
         table.add_row(item.objective, *cells, str(item.degrees_of_freedom))
     return table
 
 
-def _drift(found: Findings) -> Table:
+def _drift(found: Sequence[Drift]) -> Table:
     table = _table(
         "drift, by reference trials", "objective", "per hour of bench time, 95 % interval", "trials", ""
     )
-    for item in found.drift:
+    for item in found:
         slope = interval_text(item.slope_per_h, item.ci95, f"{item.unit}/h")
         verdict = Text("drifts", style="yellow") if item.visible else Text("none visible")
         table.add_row(item.objective, slope, str(item.trials), verdict)
     return table
 
 
-def _streams(found: Findings) -> Table:
-    title = f"streams, from {found.streams_of} trials"
+def _streams(findings: Findings) -> Table:
+    title = f"streams, from {len(findings.streams_looked_at)} trials"
     columns = ("device", "rate, nominal (Hz)", "jitter", "offset", "drift", "samples", "lost", "saturated")
     table = _table(title, *columns)
     table.collapse_padding = True  # with short words, all of it fits a terminal of 80 columns
-    for item in found.streams:
+    for item in findings.streams:
         style = "yellow" if item.lost or item.saturated else ""
         table.add_row(
             item.device,
@@ -226,42 +220,46 @@ _BEST_SHOWN = 10
 _UNBOUNDED = 10_000
 
 
-def print_conditions(found: Findings, console: Console) -> None:
+def print_conditions(findings: Findings, console: Console) -> None:
     """Print what every condition gave: all of a few, or the most promising of many."""
-    if not found.objective_units or not found.conditions:
+    if not findings.objective_units or not findings.conditions:
         return
-    shown = _shown(found)
-    table = _condition_table(found, shown, " ")
+    shown = _shown(findings)
+    table = _condition_table(findings, shown, " ")
     unbounded = console.options.update(max_width=_UNBOUNDED)
     if console.measure(table, options=unbounded).maximum > console.width:
-        table = _condition_table(found, shown, "\n")  # units below the names, so that no number is broken
+        table = _condition_table(findings, shown, "\n")  # units below the names, so that no number is broken
         table.collapse_padding = True
         if console.measure(table, options=unbounded).maximum > console.width:
-            table = _condition_table(found, shown, "\n", means_only=True)
+            table = _condition_table(findings, shown, "\n", means_only=True)
             table.collapse_padding = True
     console.print(table)
-    if len(shown) < found.conditions_total:
-        text = f"... of {found.conditions_total} conditions"
-        if found.goal is not None:
+    if len(shown) < len(findings.conditions):
+        text = f"... of {len(findings.conditions)} conditions"
+        if findings.experiment.goal is not None:
             text += "; all accepted trials: what leads is on average too good"
-        console.print(Text(text), highlight=False)
+        console.print(Text(text))
 
 
 def _condition_table(
-    found: Findings, shown: Sequence[ConditionResult], before_unit: str, *, means_only: bool = False
+    findings: Findings, shown: Sequence[ConditionResult], before_unit: str, *, means_only: bool = False
 ) -> Table:
     """Return the table; with `means_only` as narrow as it gets: no intervals, and names on several lines."""
-    names = varying(result.condition for result in found.conditions)
-    headed = f"conditions, by {found.goal[0]}" if found.goal is not None else "conditions"
+    names = varying(result.condition for result in findings.conditions)
+    headed = (
+        f"conditions, by {findings.experiment.goal[0]}"
+        if findings.experiment.goal is not None
+        else "conditions"
+    )
     title = f"{headed}: means{' (a wider terminal shows intervals)' if means_only else ' ± half their 95 % intervals'}"
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     for name in names:
         words = any(isinstance(result.condition.get(name), str) for result in shown)
-        heading = label(name, found.condition_units).replace(" (", f"{before_unit}(")
+        heading = label(name, findings.experiment.units).replace(" (", f"{before_unit}(")
         table.add_column(heading, justify="left" if words else "right")
     table.add_column("n", justify="right")
     decimals: dict[str, int | None] = {}
-    for name, unit in found.objective_units.items():
+    for name, unit in findings.objective_units.items():
         heading = with_unit(name.replace("_", "_\n") if means_only else name, unit)
         overflow: OverflowMethod = "fold" if means_only else "ellipsis"
         table.add_column(heading.replace(" (", f"{before_unit}("), justify="right", overflow=overflow)
@@ -276,18 +274,18 @@ def _condition_table(
     for result in shown:
         cells = [value_text(result.condition[name]) if name in result.condition else "" for name in names]
         cells.append(str(result.accepted))
-        cells += [_mean(result, name, decimals[name], alone=means_only) for name in found.objective_units]
+        cells += [_mean(result, name, decimals[name], alone=means_only) for name in findings.objective_units]
         if marked:
             cells.append("best" if result.best else "")
         table.add_row(*cells, style="green" if result.best else "")
     return table
 
 
-def _shown(found: Findings) -> list[ConditionResult]:
-    if found.conditions_total <= _ALL_SHOWN:
-        return list(found.conditions)
-    shown = list(found.conditions[: _BEST_SHOWN if found.goal is not None else _ALL_SHOWN])
-    winner = next((result for result in found.conditions if result.best), None)
+def _shown(findings: Findings) -> list[ConditionResult]:
+    if len(findings.conditions) <= _ALL_SHOWN:
+        return list(findings.conditions)
+    shown = list(findings.conditions[: _BEST_SHOWN if findings.experiment.goal is not None else _ALL_SHOWN])
+    winner = next((result for result in findings.conditions if result.best), None)
     if winner is not None and winner not in shown:
         shown[-1] = winner
     return shown

@@ -7,7 +7,7 @@ from typing import Literal
 from scipy.special import stdtrit
 
 from labrun.report.conditions import varying
-from labrun.report.report_source import ReportSource
+from labrun.report.findings import Findings
 from labrun.report.statistics import Drift, Repeatability, Settling, grows_with_size, spreads
 from labrun.report.text import (
     capital,
@@ -56,67 +56,75 @@ class Check:
     text: str
 
 
-def what_was_run(source: ReportSource) -> str:
+def what_was_run(findings: Findings) -> str:
     """Return what was run and how much of the bench's time it took, in a sentence or two."""
-    run, kind = source.run, _KINDS.get(source.experiment.kind, source.experiment.kind)
+    run, kind = findings.run, _KINDS.get(findings.experiment.kind, findings.experiment.kind)
     conditions = {condition_key(outcome.condition) for outcome in run.outcomes if outcome.role != "reference"}
     trials = f"{counted(len(run.outcomes), 'trial')} at {counted(len(conditions), 'condition')}"
-    if source.imported:
-        return f"A recording made elsewhere, imported: {trials}, {duration_text(source.bench_time_s)} of samples."
-    spoiled = len(source.spoiled)
-    accepted = "all accepted" if not spoiled else f"{len(source.accepted)} accepted"
-    text = f"This {kind} took {trials} in {duration_text(source.bench_time_s)} of bench time; {accepted}."
+    if findings.imported:
+        return f"A recording made elsewhere, imported: {trials}, {duration_text(findings.bench_time_s)} of samples."
+    spoiled = len(findings.spoiled)
+    accepted = "all accepted" if not spoiled else f"{len(findings.accepted)} accepted"
+    text = f"This {kind} took {trials} in {duration_text(findings.bench_time_s)} of bench time; {accepted}."
     if not run.outcomes:
         text = f"This {kind} has no trial yet."
-    if source.dry_run:
-        wall = source.wall_time_s
+    if findings.dry_run:
+        wall = findings.wall_time_s
         took = f", in {duration_text(wall)} of computing" if wall is not None else ""
         text += f" It was a dry run: the bench is simulated{took}."
-    elif source.emulated:
+    elif findings.emulated:
         text += " It was emulated: the real drivers, in front of a simulated bench."
     return text
 
 
-def what_came_out(source: ReportSource) -> str:
+def what_came_out(findings: Findings) -> str:
     """Return what a run without an honest best measured, in a sentence."""
-    experiment = source.experiment
-    if not source.accepted:
+    experiment = findings.experiment
+    if not findings.accepted:
         return "No trial was accepted, so there is nothing to conclude yet."
     goal = experiment.goal
     if goal is not None:
-        points = source.points(goal[0])
+        points = findings.points(goal[0])
         if not points:
             return f"No accepted trial has a value of {goal[0]} yet."
         choose = max if goal[1] == "maximise" else min
         top = choose(points, key=lambda point: point.mean)
         return (
             f"No best can be named yet: the leaders were not measured again. The most promising mean so far is "
-            f"{goal[0]} = {quantity_text(top.mean, source.unit)} ({counted(len(top.values), 'trial')}) at "
+            f"{goal[0]} = {quantity_text(top.mean, findings.unit)} ({counted(len(top.values), 'trial')}) at "
             f"{named_condition(top.condition, experiment.units)}; being picked from {len(points)}, it is likely "
             "too good."
         )
-    sentences = [text for name in experiment.objectives if (text := _range(source, name))]
+    sentences = [text for name in experiment.objectives if (text := _range(findings, name))]
     if sentences:
         return " ".join(sentences)
-    channels = sum(len(signals.columns) for signals in source.run.signals(source.accepted[0].index).values())
+    channels = sum(
+        len(signals.columns) for signals in findings.run.signals(findings.accepted[0].index).values()
+    )
     if not channels:
         return "It declares no objective and recorded no channel: there is nothing to draw."
     return f"It declares no objective: what it measured is the signals of {counted(channels, 'channel')}, shown below."
 
 
-def checks(source: ReportSource) -> list[Check]:
+def checks(findings: Findings) -> list[Check]:
     """Return what decides whether the run can be believed, in the order of the sections."""
-    if not source.run.outcomes:
+    if not findings.run.outcomes:
         return []
-    found = [*_noise(source), *_steadiness(source), *_rest(source), *_sampling(source), *_losses(source)]
-    return [check for check in found if not (source.imported and check.verdict == "open")]
+    found = [
+        *_noise(findings),
+        *_steadiness(findings),
+        *_rest(findings),
+        *_sampling(findings),
+        *_losses(findings),
+    ]
+    return [check for check in found if not (findings.imported and check.verdict == "open")]
 
 
-def _noise(source: ReportSource) -> list[Check]:
-    name = source.objective
+def _noise(findings: Findings) -> list[Check]:
+    name = findings.objective
     if name is None:
         return []
-    item = next((item for item in source.repeatability if item.objective == name), None)
+    item = next((item for item in findings.repeatability if item.objective == name), None)
     if item is None:
         return [
             Check("repeatability", "open", "No condition was repeated: the noise of a trial is not known.")
@@ -129,17 +137,17 @@ def _noise(source: ReportSource) -> list[Check]:
     return [Check("repeatability", "good" if ratio < 1 else "look", text)]
 
 
-def _steadiness(source: ReportSource) -> list[Check]:
-    if not source.experiment.objectives:
+def _steadiness(findings: Findings) -> list[Check]:
+    if not findings.experiment.objectives:
         return []
-    if not source.drift:
+    if not findings.drift:
         return [Check("drift", "open", "Fewer than three reference trials: drift of the bench is not known.")]
-    visible = [item.objective for item in source.drift if item.visible]
+    visible = [item.objective for item in findings.drift if item.visible]
     if visible:
         return [Check("drift", "look", f"The reference trials drift in {', '.join(visible)}.")]
-    trials = counted(max(item.trials for item in source.drift), "reference trial")
-    item = next((item for item in source.drift if item.objective == source.objective), source.drift[0])
-    hidden, sd = most_hidden(source, item), source.sd_of(item.objective)
+    trials = counted(max(item.trials for item in findings.drift), "reference trial")
+    item = next((item for item in findings.drift if item.objective == findings.objective), findings.drift[0])
+    hidden, sd = most_hidden(findings, item), findings.sd_of(item.objective)
     limit = f"they exclude more than {scatter_text(hidden, item.unit)} over the run"
     if sd and hidden > _HIDDEN * sd:
         times = f"{hidden / sd:.0f} times the scatter of a trial"
@@ -148,8 +156,8 @@ def _steadiness(source: ReportSource) -> list[Check]:
     return [Check("drift", "good", f"No drift visible in {trials}: {limit}.")]
 
 
-def _rest(source: ReportSource) -> list[Check]:
-    settled = [outcome.settle for outcome in source.run.outcomes if outcome.settle is not None]
+def _rest(findings: Findings) -> list[Check]:
+    settled = [outcome.settle for outcome in findings.run.outcomes if outcome.settle is not None]
     if not settled:
         return [Check("settling", "open", "The experiment does not wait for the bench to come to rest.")]
     late = sum(summary.reason == "timeout" for summary in settled)
@@ -167,44 +175,44 @@ def _rest(source: ReportSource) -> list[Check]:
     return [Check("settling", "good", f"The bench was at rest before all {len(settled)} trials.")]
 
 
-def _sampling(source: ReportSource) -> list[Check]:
+def _sampling(findings: Findings) -> list[Check]:
     bad = [
         f"{item.device} lost {share_text(item.lost_share, 1.0)} of its samples, {item.saturated} were saturated"
-        for item in source.streams
+        for item in findings.streams
         if item.lost_share > _LOST or item.saturated
     ]
     bad += [
         f"{item.device} ran at {item.actual_hz:.4g} Hz instead of {item.nominal_hz:.4g} Hz"
-        for item in source.streams
+        for item in findings.streams
         if item.nominal_hz and abs(item.actual_hz / item.nominal_hz - 1) > _RATE_OFF
     ]
     if bad:
         return [Check("timing", "look", f"{'; '.join(bad)}.")]
-    if not source.streams:
+    if not findings.streams:
         return []
-    of = f"in the {counted(len(source.streams_looked_at), 'trial')} that were looked at"
-    lost = max(item.lost_share for item in source.streams)
+    of = f"in the {counted(len(findings.streams_looked_at), 'trial')} that were looked at"
+    lost = max(item.lost_share for item in findings.streams)
     if lost:
         text = f"At most {share_text(lost, 1.0)} of a device's samples lost {of}, none saturated."
         return [Check("timing", "good", text)]
     return [Check("timing", "good", f"No sample lost or saturated {of}.")]
 
 
-def _losses(source: ReportSource) -> list[Check]:
-    spoiled, total = len(source.spoiled), len(source.run.outcomes)
+def _losses(findings: Findings) -> list[Check]:
+    spoiled, total = len(findings.spoiled), len(findings.run.outcomes)
     if not spoiled:
         return [Check("rejected", "good", f"All {counted(total, 'trial')} accepted.")]
-    failed = sum(outcome.status == "failed" for outcome in source.spoiled)
+    failed = sum(outcome.status == "failed" for outcome in findings.spoiled)
     of = f"{counted(total, 'trial')} ({share_text(spoiled, total)})"
     text = f"{spoiled - failed} rejected and {failed} failed of {of}."
     return [Check("rejected", "look" if failed or spoiled > _MOST_SPOILED * total else "good", text)]
 
 
-def _range(source: ReportSource, objective: str) -> str:
-    points = source.points(objective)
+def _range(findings: Findings, objective: str) -> str:
+    points = findings.points(objective)
     if not points:
         return ""
-    unit, name = source.unit_of(objective), spaced(objective)
+    unit, name = findings.unit_of(objective), spaced(objective)
     if len(points) == 1:
         value, interval = interval_words(points[0].mean, points[0].ci95, unit)
         certain = (
@@ -212,7 +220,7 @@ def _range(source: ReportSource, objective: str) -> str:
         )
         return f"Measured {name}: {value}{certain}."
     low, high = (choose(points, key=lambda point: point.mean) for choose in (min, max))
-    units = source.experiment.units
+    units = findings.experiment.units
     differing = varying(point.condition for point in points)
     lowest, highest = (
         named_condition({n: v for n, v in point.condition.items() if n in differing}, units)
@@ -224,10 +232,10 @@ def _range(source: ReportSource, objective: str) -> str:
     )
 
 
-def why_unfinished(source: ReportSource) -> str:
+def why_unfinished(findings: Findings) -> str:
     """Return why a run that is not finished came to a stop; "" where nobody noted it."""
     ends = ("interrupted", "failed", "limit-reached")
-    last = next((event for event in reversed(source.run.events) if event["event"] in ends), None)
+    last = next((event for event in reversed(findings.run.events) if event["event"] in ends), None)
     if last is None:
         return ""
     if last["event"] == "limit-reached":
@@ -254,11 +262,11 @@ def why_it_went_on(found: Settling) -> str:
     return f"Of {counted(total, 'trial')}: {', '.join(parts)}."
 
 
-def drift_sentence(source: ReportSource, item: Drift) -> str:
+def drift_sentence(findings: Findings, item: Drift) -> str:
     """Return what the reference trials say of one objective: how fast it drifts, or how much drift could hide."""
-    hours = _hours(source)
+    hours = _hours(findings)
     slope = slope_words(item.slope_per_h, item.ci95, item.unit)
-    sd = source.sd_of(item.objective)
+    sd = findings.sd_of(item.objective)
     name = spaced(item.objective)
     if item.visible:
         change = item.slope_per_h * hours
@@ -268,7 +276,7 @@ def drift_sentence(source: ReportSource, item: Drift) -> str:
         )
         text += f", {abs(change) / sd:.2g} times the scatter of a single trial." if sd else "."
         return capital(text)
-    most = most_hidden(source, item)
+    most = most_hidden(findings, item)
     text = (
         f"{name} shows no drift: {slope} by {counted(item.trials, 'reference trial')}. "
         f"Up to {scatter_text(most, item.unit)} over the run's {hours:.2g} h could hide in that"
@@ -277,14 +285,14 @@ def drift_sentence(source: ReportSource, item: Drift) -> str:
     return capital(text)
 
 
-def most_hidden(source: ReportSource, item: Drift) -> float:
+def most_hidden(findings: Findings, item: Drift) -> float:
     """Return how far the bench may have drifted over the whole run without the references showing it."""
-    return max(abs(end) for end in item.ci95) * _hours(source)
+    return max(abs(end) for end in item.ci95) * _hours(findings)
 
 
-def what_it_resolves(source: ReportSource, item: Repeatability) -> str:
+def what_it_resolves(findings: Findings, item: Repeatability) -> str:
     """Return how noisy a trial is, and how far apart two conditions must be to differ beyond chance."""
-    means, sds, counts = spreads(source, item.objective)
+    means, sds, counts = spreads(findings, item.objective)
     repeats = round(float(sorted(counts.tolist())[len(counts) // 2]))
     least = float(stdtrit(item.degrees_of_freedom, 0.975)) * item.sd * math.sqrt(2 / repeats)
     text = (
@@ -303,6 +311,6 @@ def what_it_resolves(source: ReportSource, item: Repeatability) -> str:
     return text
 
 
-def _hours(source: ReportSource) -> float:
-    starts = [outcome.started_s for outcome in source.run.outcomes]
+def _hours(findings: Findings) -> float:
+    starts = [outcome.started_s for outcome in findings.run.outcomes]
     return (max(starts) - min(starts)) / 3600

@@ -7,7 +7,7 @@ import pytest
 
 import labrun
 from labrun.errors import RequestError
-from labrun.report import ranking_text
+from labrun.report.comparison import ranking_text
 
 LAB = """
 title = "Thrust in the laboratory"

@@ -11,7 +11,7 @@ from labrun.app.reveal import reveal
 from labrun.blind import Seal, write_seal
 from labrun.errors import RecordingError, RequestError
 from labrun.gap.diagnosis import Name, RatedCandidate
-from labrun.report.gap_answers import compared_text
+from labrun.report.gap_text import compared_text
 
 TRUTH = {
     "effect": "coulomb-friction",

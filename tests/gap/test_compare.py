@@ -10,7 +10,7 @@ from labrun.errors import RequestError
 from labrun.fit import workers
 from labrun.gap import compare_units
 from labrun.models import load_model, parse_model
-from labrun.report.gap_answers import units_text
+from labrun.report.gap_text import units_text
 from labrun.store import SignalInfo
 
 

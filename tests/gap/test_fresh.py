@@ -10,7 +10,7 @@ from labrun.errors import RequestError
 from labrun.fit import Dataset, FitTrial
 from labrun.gap import predict_fresh
 from labrun.models import corrected_model_text, load_model, parse_model
-from labrun.report.gap_answers import fresh_text
+from labrun.report.gap_text import fresh_text
 from labrun.store import SignalInfo
 
 RATE, RATE_HZ, NOISE_V = 0.8, 100.0, 2e-3

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from labrun.report.data import RunView
+from labrun.report.findings import Findings
 from labrun.search import Best, sweep_conditions, t_interval
 from labrun.signals import Signals
 from labrun.spec import Experiment
@@ -19,6 +19,10 @@ class MemoryRun:
     rate_hz: float = 100.0
     lost: int = 0
     traces: dict = field(default_factory=dict)
+    events: list = field(default_factory=list)
+    faults: list = field(default_factory=list)
+    provenance: dict = field(default_factory=lambda: {"seed": 1, "dry_run": True})
+    experiment_toml: str = ""
 
     def signals(self, index):
         outcome = self.outcomes[index]
@@ -49,7 +53,7 @@ class MemoryRun:
 
 
 def sweep_view(truth, axes, *, units=None, repeats=3, noise=0.02, kind="sweep", **sweep):
-    """Return a finished sweep over `axes` whose thrust is `truth` of the condition."""
+    """Return what is found of a finished sweep over `axes` whose thrust is `truth` of the condition."""
     table = {"axes": axes, **sweep}
     experiment = Experiment.model_validate(
         {
@@ -100,4 +104,4 @@ def sweep_view(truth, axes, *, units=None, repeats=3, noise=0.02, kind="sweep", 
     best = Best(
         winner, "thrust", float(values.mean()), t_interval(values), "N", float(values.max()) + 0.03, 5
     )
-    return RunView(MemoryRun(outcomes), experiment, best)
+    return Findings(MemoryRun(outcomes), experiment, best, finished=True)

@@ -10,10 +10,9 @@ import pytest
 from memory_run import sweep_view
 from rich.console import Console
 
-from labrun.app.report import read_source
+from labrun.app.report import read_findings
 from labrun.report.conditions import condition_results, in_order, most_promising, varying
 from labrun.report.figures.runs import condition_title
-from labrun.report.findings import findings
 from labrun.report.terminal import print_conditions, print_findings
 from labrun.store import open_run
 
@@ -59,14 +58,14 @@ def test_a_value_without_dimension_has_no_unit_over_its_panel():
 
 def test_show_tells_which_controller_has_which_error(tracked):
     with open_run(tracked) as run:
-        found = findings(read_source(run))
-    console = Console(file=io.StringIO(), width=80)
-    print_findings(found, console)
+        found = read_findings(run)
+        console = Console(file=io.StringIO(), width=80)
+        print_findings(found, console)
+        rows = json.loads(json.dumps(found.to_json()))["conditions"]
     text = console.file.getvalue()
     for objective in ("first_cycle (N)", "later (N)", "bias (N)"):
         assert objective in text
-    rows = json.loads(json.dumps(found.to_json()))["conditions"]
-    assert len(rows) == found.conditions_total
+    assert len(rows) == len(found.conditions)
     for row in rows:
         line = next(
             line for line in text.splitlines() if line.startswith(f" {row['condition']['controller']} ")
@@ -78,7 +77,7 @@ def test_show_tells_which_controller_has_which_error(tracked):
 
 def test_controllers_stand_in_the_order_of_the_file(tracked):
     with open_run(tracked) as run:
-        shown = [result.condition["controller"] for result in findings(read_source(run)).conditions]
+        shown = [result.condition["controller"] for result in read_findings(run).conditions]
     listed = ["P-100", "P-109", "P-120", "PI", "FF-P", "FF-PI"]
     assert shown == [name for name in listed if name in shown]
 
@@ -93,7 +92,7 @@ def test_a_narrow_terminal_shows_means_that_are_not_cut():
     console = Console(file=io.StringIO(), width=80)
     print_conditions(
         SimpleNamespace(
-            conditions=results, conditions_total=2, objective_units=units, goal=None, condition_units={}
+            conditions=results, objective_units=units, experiment=SimpleNamespace(goal=None, units={})
         ),
         console,
     )

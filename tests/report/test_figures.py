@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 from memory_run import MemoryRun, sweep_view
 
 from labrun.report.data import RunView
-from labrun.report.figures.runs import draw_plain_run
+from labrun.report.figures.runs import cycles_of, draw_plain_run, draw_traces, folded_cycle
 from labrun.report.figures.search import draw_search
 from labrun.report.figures.sweep import Axis, axes_of, best_over_others, draw_sweep, map_colours, most_telling
-from labrun.report.figures.traces import cycles_of, draw_traces, folded_cycle
 from labrun.report.style import DIVERGING, SEQUENTIAL, save
 
 GRID = {"from": 0, "to": 10, "step": 2.5}

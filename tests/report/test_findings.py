@@ -1,5 +1,6 @@
 import io
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,16 +9,25 @@ import tomli_w
 from memory_run import MemoryRun, sweep_view
 from rich.console import Console
 
-from labrun.app.report import read_source
+from labrun.app.report import read_findings
 from labrun.errors import SpecError
 from labrun.report.data import RunView
-from labrun.report.findings import Findings, findings
 from labrun.report.live import LiveProgress
-from labrun.report.statistics import drift, repeatability, settling
+from labrun.report.statistics import drift, repeatability
 from labrun.report.terminal import print_findings
 from labrun.report.timing import stream_health
 from labrun.spec import loads_experiment
 from labrun.store import RunFolder, TrialOutcome, open_run
+
+
+class OwnClock(MemoryRun):
+    """Its device's clock is 12 s ahead and 50 ppm slow."""
+
+    def signals(self, index):
+        stream = super().signals(index)["wrench"]
+        host_time_s = stream.host_time_s + 60.0 * index
+        device_time_s = (host_time_s + 12.0) * (1 - 50e-6)
+        return {"wrench": replace(stream, device_time_s=device_time_s, host_time_s=host_time_s)}
 
 
 def with_references(slope_per_h, noise, seed, count=30):
@@ -29,7 +39,7 @@ def with_references(slope_per_h, noise, seed, count=30):
         for k in range(count)
     ]  # fmt: skip
     streams = MemoryRun([replace(trial, duration_s=1.0) for trial in trials])
-    return RunView(streams, view.experiment, view.best)
+    return replace(view, run=streams)
 
 
 def test_the_interval_of_the_drift_covers_the_truth_95_percent_of_the_time():
@@ -78,16 +88,7 @@ def test_streams_are_reported_with_rate_jitter_and_losses():
 def test_a_clock_is_reported_with_its_offset_and_the_drift_from_trial_to_trial():
     view = sweep_view(lambda c: 0.0, {"f": [1, 2]}, repeats=3)
 
-    class OwnClock(MemoryRun):
-        def signals(self, index):
-            stream = super().signals(index)["wrench"]
-            host_time_s = stream.host_time_s + 60.0 * index
-            device_time_s = (host_time_s + 12.0) * (1 - self.drift)
-            return {"wrench": replace(stream, device_time_s=device_time_s, host_time_s=host_time_s)}
-
-    run = OwnClock(view.run.outcomes)
-    run.drift = 50e-6
-    (found,) = stream_health(RunView(run, view.experiment, None), range(6))
+    (found,) = stream_health(RunView(OwnClock(view.run.outcomes), view.experiment, None), range(6))
     assert found.clock_offset_s == pytest.approx(-12.0, abs=0.02)
     assert found.clock_drift_ppm == pytest.approx(50, abs=1)
     assert found.glitches == 0
@@ -104,67 +105,48 @@ def test_a_stored_run_is_read_where_its_plugins_are_not_installed(tmp_path):
         folder.writer(index).finish(
             TrialOutcome(index, {"f": 1.0}, index, objectives={"thrust": 1.0 + index}), None, None
         )
-    found = findings(read_source(open_run(folder.path)))
+    found = read_findings(open_run(folder.path))
     assert found.repeatability[0].sd == pytest.approx(1.0)
     assert found.repeatability[0].unit == ""
     with pytest.raises(SpecError, match="gone"):
         loads_experiment(text, "fin")
 
 
-def found_of(view, tmp_path, **changes):
-    values = {
-        "run": tmp_path, "experiment": "fin", "title": "Thrust", "kind": "sweep", "seed": 1, "dry_run": True,
-        "finished": True, "trials": {"measure": {"done": 9, "rejected": 1}}, "spoiled": {"rejected: outlier": 1},
-        "bench_time_s": 4000.0, "best": view.best, "figure": tmp_path / "figure.png",
-        "repeatability": repeatability(view), "drift": drift(with_references(0.1, 0.01, 1)),
-        "settling": settling(view.run.outcomes), "streams": stream_health(view, [0, 1]), "streams_of": 2, "faults": [],
-    }  # fmt: skip
-    return Findings(**{**values, **changes})
+def printed(found, width=120):
+    console = Console(file=io.StringIO(), width=width)
+    print_findings(found, console)
+    return console.file.getvalue()
 
 
-def test_findings_print_everything_one_asks_of_a_run(tmp_path):
-    view = sweep_view(lambda c: c["f"], {"f": [1, 2]})
-    console = Console(file=io.StringIO(), width=120)
-    print_findings(found_of(view, tmp_path), console)
-    text = console.file.getvalue()
-    for expected in (
-        "Thrust",
-        "95 % interval",
-        "luckiest",
-        "rejected: outlier",
-        "drifts",
-        "quiet",
-        "wrench",
-        "figure",
-    ):
+def test_findings_print_everything_one_asks_of_a_run():
+    view = with_references(0.1, 0.01, 1)
+    rejected = [replace(view.run.outcomes[0], index=30, role="measure", status="rejected", reason="outlier")]
+    swept = sweep_view(lambda c: c["f"], {"f": [1, 2]})
+    found = replace(swept, run=MemoryRun([*view.run.outcomes, *rejected, *swept.run.outcomes]))
+    text = printed(found)
+    for expected in ("Thrust", "95 % interval", "luckiest", "rejected: outlier", "drifts", "quiet", "wrench"):
         assert expected in text
 
 
-def test_clocks_of_the_streams_are_printed_whole_in_80_columns(tmp_path):
+def test_clocks_of_the_streams_are_printed_whole_in_80_columns():
     view = sweep_view(lambda c: c["f"], {"f": [1, 2]})
-    (health,) = stream_health(view, [0, 1])
-    console = Console(file=io.StringIO(), width=80)
-    streams = [
-        replace(health, clock_offset_s=812.34, clock_drift_ppm=-51.0, jitter_s=9.6e-4, samples=20235, lost=12)
-    ]
-    print_findings(found_of(view, tmp_path, streams=streams), console)
-    (row,) = [line for line in console.file.getvalue().splitlines() if line.strip().startswith("wrench")]
-    assert "812.3 s" in row
-    assert "-51 ppm" in row
-    assert "…" not in console.file.getvalue()
+    text = printed(replace(view, run=OwnClock(view.run.outcomes, lost=12)), 80)
+    (row,) = [line for line in text.splitlines() if line.strip().startswith("wrench")]
+    assert re.search(r" -?[\d.]+ s ", row)
+    assert re.search(r" -?[\d.]+ ppm ", row)
+    assert "…" not in text
 
 
-def test_findings_are_json_without_holes(tmp_path):
-    view = sweep_view(lambda c: c["f"], {"f": [1, 2]})
-    text = json.dumps(found_of(view, tmp_path).to_json(), allow_nan=False)
+def test_findings_are_json_without_holes():
+    view = replace(with_references(0.1, 0.01, 1), finished=True)
+    text = json.dumps(view.to_json(), allow_nan=False)
     assert json.loads(text)["drift"][0]["objective"] == "thrust"
 
 
 def test_a_run_that_is_not_finished_says_how_to_go_on(tmp_path):
     view = sweep_view(lambda c: c["f"], {"f": [1, 2]})
-    console = Console(file=io.StringIO(), width=200)
-    print_findings(found_of(view, tmp_path, finished=False, best=None, figure=None), console)
-    assert f"labrun resume {tmp_path}" in console.file.getvalue()
+    run = MemoryRun(view.run.outcomes, path=tmp_path)
+    assert f"labrun resume {tmp_path}" in printed(replace(view, run=run, finished=False), 200)
 
 
 def drive(progress):

@@ -9,10 +9,9 @@ import pytest
 from rich.console import Console
 
 from labrun.app.carry_out import draw
-from labrun.app.report import read_source
+from labrun.app.report import read_findings
 from labrun.app.resume import resume
 from labrun.errors import RequestError
-from labrun.report.findings import findings
 from labrun.report.live import LiveProgress
 from labrun.report.terminal import print_findings
 from labrun.store import export_run, import_recording, open_target
@@ -43,14 +42,14 @@ def recording(tmp_path):
 
 def shown(run):
     console = Console(file=io.StringIO(), width=120)
-    print_findings(findings(read_source(run)), console)
+    print_findings(read_findings(run), console)
     return console.file.getvalue()
 
 
 def test_an_imported_recording_is_shown_with_channels_trials_and_origin(recording, tmp_path):
     run_folder = import_recording(recording, tmp_path / "results")
     with open_target("swing", tmp_path / "results") as run:
-        found = json.loads(json.dumps(findings(read_source(run)).to_json(), allow_nan=False))
+        found = json.loads(json.dumps(read_findings(run).to_json(), allow_nan=False))
         text = shown(run)
     assert found["kind"] == "recording"
     assert found["run"] == str(run_folder)
@@ -76,13 +75,13 @@ def test_a_recording_folder_is_shown_as_it_would_be_imported_and_nothing_stays(
     monkeypatch.setattr(tempfile, "tempdir", str(scratch))
     before = sorted(tmp_path.rglob("*"))
     with open_target(str(recording), tmp_path / "results") as run:
-        found = findings(read_source(run)).to_json()
+        found = read_findings(run).to_json()
         assert "angle" in shown(run)
     assert sorted(tmp_path.rglob("*")) == before
     assert found["run"] == found["imported_from"] == str(recording)
     import_recording(recording, tmp_path / "results")
     with open_target("swing", tmp_path / "results") as run:
-        assert findings(read_source(run)).to_json() == {**found, "run": str(run.path)}
+        assert read_findings(run).to_json() == {**found, "run": str(run.path)}
 
 
 def test_a_recording_folder_is_exported_to_the_current_directory_and_left_as_it_is(

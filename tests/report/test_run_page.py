@@ -12,7 +12,7 @@ from report_runs import measure
 from typer.testing import CliRunner
 
 from labrun.app.diagnose import store
-from labrun.app.report import read_source, write_report
+from labrun.app.report import read_findings, write_report
 from labrun.cli.app import app
 from labrun.errors import RecordingError
 from labrun.report.text import interval_words
@@ -27,7 +27,7 @@ def copy(finished, tmp_path):
 
 def page_of(target, output=None):
     with open_run(target) as run:
-        return write_report(run, output).read_text(encoding="utf-8")
+        return write_report(read_findings(run), output).read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,7 @@ def test_a_report_tells_the_honest_best_with_its_interval_and_the_luckiest_besid
     best = stored_result(finished).best
     words = words_of(page)
     with open_run(finished) as run:
-        assert read_source(run).best == best
+        assert read_findings(run).best == best
     value, interval = interval_words(best.value, best.ci95, best.unit)
     assert f"{value} 95 % interval {interval}" in words
     assert f"luckiest single trial {best.luckiest:.4g} N" in words
@@ -126,15 +126,15 @@ def test_bench_time_is_that_of_the_run_s_clock(copy):
     with open_run(copy) as run:
         first = next(event["clock_s"] for event in run.events if event["event"] == "prepare")
         last = json.loads(run.outcomes[-1].checkpoint)["clock_s"]
-        assert read_source(run).bench_time_s == pytest.approx(last - first)
+        assert read_findings(run).bench_time_s == pytest.approx(last - first)
 
 
 def test_a_packed_file_alone_tells_the_same_best(finished, tmp_path):
     alone = tmp_path / "kept.h5"
     shutil.copy(finished / "run.h5", alone)
     with open_run(alone) as run:
-        written = write_report(run)
-        found = read_source(run)
+        found = read_findings(run)
+        written = write_report(found)
     assert written == tmp_path / "kept-report.html"
     assert found.best == stored_result(finished).best
     assert "not finished" not in written.read_text(encoding="utf-8")

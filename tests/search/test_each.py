@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 import labrun
-from labrun.app.report import show
+from labrun.app.report import opened
 from labrun.app.resume import resume
 from labrun.app.run import execute
 from labrun.report.terminal import print_findings
@@ -31,11 +31,13 @@ def whole(each, dry_run):
 
 
 def test_what_is_shown_of_the_run_later_tells_how_its_searches_ended(whole):
-    shown, text = show(whole.run), io.StringIO()
-    print_findings(shown, Console(file=text, width=400))
+    text = io.StringIO()
+    with opened(whole.run) as found:
+        print_findings(found, Console(file=text, width=400))
+        shown = found.to_json()
     for line in whole.search_lines():
         assert line in text.getvalue()
-    assert len(shown.to_json()["search"]) == len(shown.to_json()["winners"]) == 2
+    assert len(shown["search"]) == len(shown["winners"]) == 2
 
 
 def test_the_plan_counts_a_mounting_for_each_level(each):

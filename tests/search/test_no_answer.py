@@ -7,11 +7,10 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from labrun.app.report import read_source
+from labrun.app.report import read_findings
 from labrun.app.resume import resume
 from labrun.cli.app import app
 from labrun.errors import ExperimentError
-from labrun.report.findings import findings
 from labrun.report.terminal import print_findings
 from labrun.search import RunResult
 from labrun.store import RunFolder, open_run
@@ -105,7 +104,7 @@ def test_a_bench_that_never_settles_is_warned_of_wherever_the_result_is_shown(wr
     assert resume(result.run, draw=False) == result
     console = Console(width=300, file=io.StringIO())
     with open_run(result.run) as run:
-        print_findings(findings(read_source(run)), console)
+        print_findings(read_findings(run), console)
     assert warning in console.file.getvalue()
 
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from labrun.report.data import RunView
-from labrun.report.figures.traces import cycles_of, draw_cycle, draw_traces
+from labrun.report.figures.runs import cycles_of, draw_cycle, draw_traces
 from labrun.report.style import (
     BEST,
     COLOURS,

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from labrun.arrays import FloatArray
 from labrun.report.data import Point, RunView
-from labrun.report.figures.traces import cycles_of, draw_cycle, draw_traces
+from labrun.report.figures.runs import cycles_of, draw_cycle, draw_traces
 from labrun.report.style import BEST, COLOURS, DIVERGING, SEQUENTIAL, SOFT, heading, new_figure, zero_line
 from labrun.report.text import label, unit_text, value_text
 from labrun.spec import Value

@@ -5,7 +5,7 @@ import pytest
 from labrun.app.check import check
 from labrun.app.plan_trials import plan_trials
 from labrun.errors import RequestError
-from labrun.report.gap_answers import plan_text
+from labrun.report.gap_text import plan_text
 
 
 @pytest.fixture(scope="module")
