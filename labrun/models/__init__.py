@@ -4,16 +4,17 @@ from labrun.arrays import FloatArray
 from labrun.compiled import NativeFunction, Pointer, kernel, native
 from labrun.effects import Site, SiteKind
 from labrun.models.chains.model import ClosedChain
-from labrun.models.inputs import Drive
-from labrun.models.loading import load_model, parse_model, shipped_models
+from labrun.models.equations import python_model
+from labrun.models.files import corrected_model_text, load_model, parse_model, shipped_models
+from labrun.models.layout import Drive
 from labrun.models.mjcf.exporting import Exported, MjcfRange, mjcf_of, mjcf_ranges
 from labrun.models.mjcf.inverse import Carried, RobotTerms, TipLoad, carried, robot_terms
 from labrun.models.mjcf.robot import Robot, RobotActuator, RobotJoint, identifier, is_robot, read_robot
 from labrun.models.model import Between, Condition, Input, Model, Origin, Output, Parameter
 from labrun.models.observed import measured_name, observed
-from labrun.models.python_model import python_model
 from labrun.models.simulation import (
     Simulation,
+    Stepper,
     Unfiltered,
     filtered,
     prepare,
@@ -22,8 +23,6 @@ from labrun.models.simulation import (
     site_course,
     suggest_substeps,
 )
-from labrun.models.stepper import Stepper
-from labrun.models.writing import corrected_model_text
 
 __all__ = [
     "Between", "Carried", "ClosedChain", "Condition", "Drive", "Exported", "FloatArray", "Input", "MjcfRange",

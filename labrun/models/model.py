@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -162,6 +162,11 @@ class Model:
     notes: tuple[str, ...] = ()
     effects: tuple[AttachedEffect, ...] = ()
     origin: Origin | None = None
+    layouts: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """Of `labrun.models.layout`, made once for each combination of effects; addresses, which do not travel."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "layouts": {}}
 
     @property
     def places(self) -> tuple[Site, ...]:

@@ -72,7 +72,7 @@ def observed(model: Model, gain: FloatArray, condition: Condition) -> ObservedMo
         "outputs": len(model.outputs),
     }
     made = generated({"derivative": _DERIVATIVE.format(**numbers)}, _IMPORTS)["derivative"]
-    own = {one.name: getattr(model, one.name) for one in fields(Model)}
+    own = {one.name: getattr(model, one.name) for one in fields(Model) if one.init}
     measured = tuple(Input(measured_name(one.name), one.unit, prescribed=True) for one in model.outputs)
     own |= {
         "inputs": (*model.inputs, *measured),

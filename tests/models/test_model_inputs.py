@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from labrun.errors import ModelError
 from labrun.models import parse_model, simulate
-from labrun.models.inputs import drive
+from labrun.models.layout import drive
 
 MODEL = parse_model(FOLLOWER, "follower.toml")
 TAU = 0.5

@@ -10,6 +10,17 @@ from pydantic import BeforeValidator, Field
 
 from labrun.effects import Site
 from labrun.models.chains.model import AT_REST, CLOSED, MEASURES, OPENINGS, ClosedChain, Tree, functions
+from labrun.models.equations import (
+    Expressions,
+    conditions_of,
+    initial_of,
+    inputs_of,
+    meanings_of,
+    parameter_of,
+    places_of,
+    read_effects,
+    refuse_unused,
+)
 from labrun.models.model import Output
 from labrun.models.tables import (
     Equation,
@@ -22,17 +33,6 @@ from labrun.models.tables import (
     SystemFile,
     alone,
     listed,
-)
-from labrun.models.toml_model import (
-    Expressions,
-    conditions_of,
-    initial_of,
-    inputs_of,
-    meanings_of,
-    parameter_of,
-    places_of,
-    read_effects,
-    refuse_unused,
 )
 from labrun.toml import Expression, ExpressionError, KeyPath, Table, suggest
 

@@ -95,17 +95,8 @@ def filter_outputs(
             _gather(last[e], c, before)
             _gather(y[row], c, after)
             _keep(y[row], last[e])
-            call_filter(
-                addresses[e],
-                before,
-                after,
-                steps_s[row - 1],
-                values,
-                offsets[e],
-                memory,
-                memory_offsets[e],
-                out,
-            )
+            dt = steps_s[row - 1]
+            call_filter(addresses[e], before, after, dt, values, offsets[e], memory, memory_offsets[e], out)
             y[row, c] = out[1]
 
 

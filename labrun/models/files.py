@@ -1,8 +1,6 @@
-"""The corrected model as a file: another model's text with other values, and with effects at its sites.
+"""Models by name: found, read, and written with corrections."""
 
-Comments and layout of the text stay as they are.
-"""
-
+import dataclasses
 import math
 import os
 import re
@@ -13,11 +11,166 @@ from pathlib import Path
 
 import tomli_w
 
+from labrun import registry
 from labrun.effects import AttachedEffect, Effect, effects
-from labrun.errors import ModelError
-from labrun.models.loading import model_file
-from labrun.models.model import Model
+from labrun.errors import LabrunError, ModelError
+from labrun.models.chains.file import chain_model
+from labrun.models.chains.model import AT_REST, ClosedChain
+from labrun.models.equations import equations_model, initial_of, read_effects
+from labrun.models.mjcf.file import mujoco_model
+from labrun.models.mjcf.robot import is_robot, read_robot
+from labrun.models.model import Model, Origin
+from labrun.models.tables import BasedFile, ModelFile
 from labrun.toml import KeyPath, locate, replaced, suggest
+
+_GROUP = "labrun.models"
+_PYTHON = "name the model in it, where Python finds the file: --model {}:MODEL, or a function that makes one"
+_DEEPEST = 16
+"""Files that refer to files: more is a circle."""
+
+
+def load_model(source: str | Path, depth: int = 0) -> Model:
+    """Return a model.
+
+    Parameters
+    ----------
+    source
+        A ``.toml`` file, an MJCF or URDF file (see `read_robot`), the name of a model that ships with labrun or that a
+        plugin brings (entry point of group ``labrun.models``), or ``"package.module:object"``; the object is a
+        `Model`, or a function that returns one.
+    depth
+        How many files have referred to this one as their base.
+
+    Raises
+    ------
+    ModelError
+        The file is not there or does not hold.
+    PluginError
+        The plugin does not import.
+    """
+    path = model_file(source)
+    if path is not None and path.suffix == ".py":
+        path = None
+    if path is not None and is_robot(path):
+        robot = read_robot(path)
+        model = parse_model(robot.table(), str(path), depth)
+        return dataclasses.replace(model, notes=(*robot.remarks, *model.notes))
+    if path is not None:
+        return parse_model(_text(path), str(path), depth)
+    name = str(source)
+    if ":" in name or registry.is_installed(_GROUP, name):
+        found = registry.load(_GROUP, name)
+        made = found() if callable(found) and not isinstance(found, Model) else found
+        if not isinstance(made, Model):
+            raise ModelError(f"{name} is no labrun model but {type(made).__name__}")
+        return made
+    if name.endswith(".py"):
+        raise ModelError(
+            f"a file of Python such as {name} holds many things", hint=_PYTHON.format(Path(name).stem)
+        )
+    known = [*shipped_models(), *registry.names(_GROUP)]
+    raise ModelError(f"there is no model {name!r}", hint=suggest(name, known))
+
+
+def parse_model(text: str, name: str, depth: int = 0) -> Model:
+    """Make a model from the text of a TOML file.
+
+    Parameters
+    ----------
+    text
+        See the example in docs or ``experiments/models/hinge-pendulum.toml``.
+    name
+        What the file is called in messages; a path in the text is counted from its folder.
+    depth
+        How many files have referred to this one as their base.
+
+    Raises
+    ------
+    ModelError
+        Anything that does not hold, with file, line, key, and for an equation the place in it.
+    """
+    file = ModelFile(name, text)
+    model = _based_model(file, depth) if "base" in file.data else _own_model(file)
+    return dataclasses.replace(model, origin=_origin(file)) if "corrected" in file.data else model
+
+
+def _own_model(file: ModelFile) -> Model:
+    """Return the model of a file that refers to no other."""
+    if "mujoco" in file.data:
+        return mujoco_model(file)
+    return chain_model(file) if {"bodies", "joints", "loop"} & set(file.data) else equations_model(file)
+
+
+def _origin(file: ModelFile) -> Origin:
+    """Return where a corrected model says it comes from; files are counted from the folder of its own."""
+    table, folder = file.data["corrected"], Path(file.name).parent
+    named = (table["from"], table.get("by", ""))
+    return Origin(*(str(folder / one) if one and (folder / one).exists() else one for one in named))
+
+
+def _based_model(file: ModelFile, depth: int) -> Model:
+    """Return the model a file makes of its base: what `load_model` takes, a path counted from the file's own folder."""
+    given = file.read(BasedFile)
+    if depth >= _DEEPEST:
+        file.fail(("base",), f"models refer to one another more than {_DEEPEST} deep", "is it a circle?")
+    beside = Path(file.name).parent / given.base
+    is_file = given.base.endswith(".toml") or beside.is_file()
+    try:
+        model = load_model(beside if is_file else given.base, depth + 1)
+    except LabrunError as error:
+        file.fail(("base",), str(error.args[0]), error.hint)
+    parameters = {one.name: one for one in model.parameters}
+    for name, value in given.values.items():
+        one = parameters.get(name)
+        if one is None:
+            hint = suggest(name, parameters)
+            file.note(("values", name), f"model {model.name} has no parameter {name!r}", hint)
+        elif not one.lower <= value <= one.upper:
+            expected = f"expected a number from {one.lower:g} to {one.upper:g}"
+            file.note(("values", name), expected, at_value=True)
+    rules = {state: rule for state, rule in given.initial.items() if not _rests(model, state, rule)}
+    initial_of(file, rules, model.states, model.outputs)
+    file.refuse()
+    model = model.with_values(given.values).with_initial(given.initial)
+    return dataclasses.replace(
+        model,
+        name=model.name if given.name is None else given.name,
+        source=file.name,
+        effects=(*model.effects, *read_effects(file, given.effects, model)),
+    )
+
+
+def _rests(model: Model, state: str, rule: float | str) -> bool:
+    return isinstance(model, ClosedChain) and rule == AT_REST and state in model.tree.joints
+
+
+def shipped_models() -> dict[str, Path]:
+    """Return the model files that come with labrun, by name."""
+    package = Path(__file__).parents[1]
+    for folder in (package / "shipped_experiments" / "models", package.parent / "experiments" / "models"):
+        if folder.is_dir():
+            return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+    return {}
+
+
+def model_file(source: str | Path) -> Path | None:
+    """Return the file that `load_model` would read for a source; None where it is no file."""
+    path = Path(source)
+    if path.suffix == ".toml" or is_robot(path) or path.is_file():
+        return path
+    name = str(source)
+    if ":" in name or registry.is_installed(_GROUP, name):
+        return None
+    return shipped_models().get(name)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ModelError(f"there is no model file {path}", hint=f"looked from {Path.cwd()}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ModelError(f"{path} cannot be read: {error}") from None
 
 
 def corrected_model_text(
@@ -76,7 +229,8 @@ def corrected_model_text(
         base = given if named or path is None else _from_folder(path, folder)
         body = _with_values(f"base = {_quoted(base)}\n", changed)
     else:
-        _refuse_strangers(model, text, changed)
+        for name in changed.keys() - table.get("parameters", {}).keys():
+            raise ModelError(f"the text given for model {model.name} has no parameter {name!r}")
         body = _with_parameters(text, changed)
     origin = path.name if path is not None else given if not text else model.source or model.name
     top = _comment(model, f"{heading} from {origin}", changed, remarks)
@@ -94,13 +248,6 @@ def _from_folder(path: Path, folder: Path | None) -> str:
     """Return a path as a file in that folder would name it."""
     absolute = path.resolve()
     return str(absolute) if folder is None else os.path.relpath(absolute, folder.resolve())
-
-
-def _refuse_strangers(model: Model, text: str, changed: Mapping[str, float]) -> None:
-    there = tomllib.loads(text).get("parameters", {})
-    for name in changed:
-        if name not in there:
-            raise ModelError(f"the text given for model {model.name} has no parameter {name!r}")
 
 
 def _changed(model: Model, values: Mapping[str, float]) -> dict[str, float]:

@@ -1,11 +1,15 @@
-"""Models whose equations stand in a TOML file; and what every kind of model file has: names, starts, effects."""
+"""Models with equations in a TOML file, or as functions of Python; names, starts and effects of any model file."""
 
 import dataclasses
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
 
-from labrun.compiled import equations, generated
-from labrun.effects import AttachedEffect, Effect, EffectParameter, Site, load_effect
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.compiled import equations, generated, native
+from labrun.effects import FORCED, AttachedEffect, Effect, EffectParameter, Site, load_effect
 from labrun.errors import ModelError, PluginError
 from labrun.models.model import Input, Meaning, Model, Output, Parameter
 from labrun.models.tables import (
@@ -15,6 +19,7 @@ from labrun.models.tables import (
     EquationsFile,
     InputTable,
     ModelFile,
+    SiteTable,
     is_name,
 )
 from labrun.toml import Expression, ExpressionError, KeyPath, suggest
@@ -33,33 +38,21 @@ def equations_model(file: ModelFile) -> Model:
     inputs = inputs_of(given.inputs)
     outputs = tuple(Output(name, one.unit) for name, one in given.outputs.items())
     parameters = tuple(parameter_of(name, one, one.value) for name, one in given.parameters.items())
-    sites = tuple(
-        Site(
-            name,
-            one.kind,
-            one.text("coordinate"),
-            one.text("rate"),
-            one.text("load"),
-            one.text("stiffness"),
-            one.drive,
-            one.unit,
-        )
-        for name, one in given.sites.items()
-    )
+    sites = tuple(_site(name, one) for name, one in given.sites.items())
     places = places_of(file, given.states, inputs, parameters)
     initial = initial_of(file, given.initial, given.states, outputs)
     _check_states(file, given)
 
-    derivatives = [given.equations.get(state, Expression.of(0.0)) for state in given.states]
-    readings = [one.equation for one in given.outputs.values()]
-    quantities = [getattr(one, quantity) for one in given.sites.values() for quantity in SITE_QUANTITIES]
-    expressions: dict[KeyPath, Expression] = {("equations", key): one for key, one in given.equations.items()}
-    expressions |= {("outputs", name): one.equation for name, one in given.outputs.items()}
-    expressions |= {
+    readings: dict[KeyPath, Expression] = {
+        ("outputs", name): one.equation for name, one in given.outputs.items()
+    }
+    quantities: dict[KeyPath, Expression] = {
         ("sites", name, quantity): getattr(one, quantity)
         for name, one in given.sites.items()
         for quantity in SITE_QUANTITIES
     }
+    expressions: dict[KeyPath, Expression] = {("equations", key): one for key, one in given.equations.items()}
+    expressions |= {**readings, **quantities}
     _check_springs(file, given)
     _check_forces(file, expressions, sites)
     conditions = conditions_of(file, expressions, places, given.conditions)
@@ -68,13 +61,12 @@ def equations_model(file: ModelFile) -> Model:
 
     places |= {one: f"p[{len(parameters) + index}]" for index, one in enumerate(conditions)}
     places |= {f"force.{site.name}": f"force[{index}]" for index, site in enumerate(sites)}
-    functions = generated(
-        {
-            "derivative": equations("derivative", derivatives, places),
-            "output": equations("output", readings, places),
-            "site_values": equations("site_values", quantities, places),
-        }
-    )
+    written = {
+        "derivative": [given.equations[state] for state in given.states],
+        "output": list(readings.values()),
+        "site_values": list(quantities.values()),
+    }
+    functions = generated({name: equations(name, those, places) for name, those in written.items()})
     model = Model(
         name=given.name,
         states=given.states,
@@ -92,6 +84,11 @@ def equations_model(file: ModelFile) -> Model:
         notes=(*_unused_inputs(expressions, inputs), *only_in_loads(expressions, parameters)),
     )
     return dataclasses.replace(model, effects=read_effects(file, given.effects, model))
+
+
+def _site(name: str, table: SiteTable) -> Site:
+    coordinate, rate, load, stiffness = (table.text(one) for one in SITE_QUANTITIES)
+    return Site(name, table.kind, coordinate, rate, load, stiffness, table.drive, table.unit)
 
 
 def inputs_of(tables: Mapping[str, InputTable]) -> tuple[Input, ...]:
@@ -193,11 +190,8 @@ def _check_states(file: ModelFile, given: EquationsFile) -> None:
             file.note(("equations", state), f"there is no state {state!r}", suggest(state, given.states))
     for state in given.states:
         if state not in given.equations:
-            file.note(
-                ("equations",),
-                f"state {state!r} has no equation",
-                f'{state} = "..." gives its time derivative',
-            )
+            hint = f'{state} = "..." gives its time derivative'
+            file.note(("equations",), f"state {state!r} has no equation", hint)
 
 
 def _check_springs(file: ModelFile, given: EquationsFile) -> None:
@@ -320,3 +314,84 @@ def _wanted(parameter: EffectParameter, value: float) -> str:
         if sign * bound > 0.0 and sign * value <= 0.0:
             return "a number above 0" if sign > 0 else "a number below 0"
     return ""
+
+
+def python_model(
+    name: str,
+    *,
+    derivative: Callable[..., Any],
+    output: Callable[..., Any],
+    states: Sequence[str] = (),
+    inputs: Sequence[Input | str] = (),
+    outputs: Sequence[Output | str],
+    parameters: Sequence[Parameter] = (),
+    conditions: Sequence[str] = (),
+    sites: Sequence[Site] = (),
+    initial: Mapping[str, float | str] | None = None,
+    constants: FloatArray | None = None,
+    source: str = "",
+) -> Model:
+    """Make a model from functions.
+
+    They are written in what numba compiles and stand at the top level of a module; `x`, `u`, `p` and `force` are
+    pointers to float64 (indexing only). They are compiled when first simulated, and kept on disk beside their module.
+
+    Parameters
+    ----------
+    name
+        Its name.
+    derivative
+        ``derivative(t, x, u, p, force, dx)`` writes the derivative of every state to `dx`.
+    output
+        ``output(t, x, u, p, force, y)`` writes every output to `y`.
+    states, inputs, outputs, parameters, conditions
+        In the order of `x`, `u`, `y` and `p` (parameters, then conditions, then `constants`).
+    sites
+        Joint and body sites, in the order of `force`; coordinate, rate and load are expressions in the names above.
+    initial
+        As in `Model`; states not named are "free".
+    constants
+        Numbers or a flattened table the functions read from ``p[len(parameters) + len(conditions)]`` on.
+
+    Raises
+    ------
+    ModelError
+        A site's expression does not hold.
+    """
+    ins = tuple(Input(one) if isinstance(one, str) else one for one in inputs)
+    outs = tuple(Output(one) if isinstance(one, str) else one for one in outputs)
+    variables = {one: f"x[{index}]" for index, one in enumerate(states)}
+    variables |= {one.name: f"u[{index}]" for index, one in enumerate(ins)}
+    numbers = [*(one.name for one in parameters), *conditions]
+    variables |= {one: f"p[{index}]" for index, one in enumerate(numbers)}
+    expressions = []
+    for site in sites:
+        if site.kind not in FORCED:
+            raise ModelError(
+                f"site {site.name} of model {name}: declare joint and body sites only, not {site.kind}"
+            )
+        for key in SITE_QUANTITIES:
+            text = getattr(site, key) or "0"
+            where = f"site {site.name} of model {name}: {key} = {text!r}"
+            try:
+                expressions.append(Expression.of(text))
+            except ExpressionError as problem:
+                raise ModelError(f"{where}: {problem.reason}", hint=problem.hint) from None
+            for used in expressions[-1].names:
+                if used not in variables and used != "t":
+                    raise ModelError(f"{where}: there is no {used!r}", hint=suggest(used, list(variables)))
+    return Model(
+        name=name,
+        states=tuple(states),
+        inputs=ins,
+        outputs=outs,
+        parameters=tuple(parameters),
+        conditions=tuple(conditions),
+        sites=tuple(sites),
+        initial={**dict.fromkeys(states, "free"), **(initial or {})},
+        derivative=native("model", derivative),
+        output=native("model", output),
+        site_values=generated({"sites": equations("sites", expressions, variables)})["sites"],
+        constants=np.empty(0) if constants is None else np.ascontiguousarray(constants, dtype=float).ravel(),
+        source=source or f"{derivative.__module__}:{derivative.__qualname__}",
+    )
