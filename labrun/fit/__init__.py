@@ -4,10 +4,17 @@ import sys
 
 from labrun import UseCasePackage
 from labrun.estimate import Estimate, rounded
-from labrun.fit.comparison import ComparedPoint, Comparison, Pair, compared, predictions
+from labrun.fit.comparison import (
+    ComparedPoint,
+    Comparison,
+    Pair,
+    compared,
+    paired,
+    predicted_numbers,
+    predictions,
+    told_apart,
+)
 from labrun.fit.dataset import Dataset, FitTrial, OutputsAlone, load_dataset, thinned, until_peak
-from labrun.fit.identifiability import divergence_warnings
-from labrun.fit.levenberg_marquardt import NormalEquations, minimise
 from labrun.fit.method import (
     GROUP,
     FitJob,
@@ -21,14 +28,19 @@ from labrun.fit.method import (
     silent,
 )
 from labrun.fit.output_error import FEW_TRIALS, fit_model
-from labrun.fit.per_trial import FIRST_SAMPLES, SIMULATED, Deviation, DeviationKind
-from labrun.fit.problem import Jacobian, Problem
-from labrun.fit.resampling import LEVEL, by_mounting, correlation_length, resample_trials, student
-from labrun.fit.residuals import FEWEST_SAMPLES, OutputNoise
+from labrun.fit.problem import FEWEST_SAMPLES, Jacobian, OutputNoise, Problem
 from labrun.fit.result import Curve, FigureData, FitResult, FitSummary, FittedData, Panel, Stack, TextTable
-from labrun.fit.side_by_side import paired, predicted_numbers, told_apart
+from labrun.fit.search import NormalEquations, minimise, search
 from labrun.fit.simulations import Each, one_by_one, workers
-from labrun.fit.starts import search
+from labrun.fit.uncertainty import (
+    LEVEL,
+    by_mounting,
+    correlation_length,
+    divergence_warnings,
+    resample_trials,
+    student,
+)
+from labrun.fit.variables import FIRST_SAMPLES, SIMULATED, Deviation, DeviationKind
 from labrun.store import is_recording
 
 __all__ = [

@@ -1,14 +1,19 @@
-"""A prediction as it stands beside what was measured: nothing is fitted, the worst point comes first."""
+"""A prediction, or another run, beside what was measured: nothing is fitted, the worst point comes first."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.errors import RequestError
 from labrun.fit.dataset import Dataset
 from labrun.fit.problem import Problem
-from labrun.models import Model
+from labrun.models import Model, simulate
+from labrun.signals import Signal
+from labrun.spec import condition_text
+from labrun.store import COMMAND, Run, TrialOutcome, imported_channels, is_recording
 
 LEAST_SIZE = 0.05
 """A value below this share of its channel's greatest is held against that share: next to zero nothing is exact."""
@@ -20,8 +25,6 @@ class Pair:
 
     Attributes
     ----------
-    label
-        Names the trial.
     time_s, measured, predicted : (n,)
         A single number, as a row of a table, is a signal of one sample.
     trials
@@ -138,22 +141,18 @@ def compared(pairs: Sequence[Pair]) -> tuple[ComparedPoint, ...]:
 def _point(group: Sequence[Pair], size: float) -> ComparedPoint:
     first, differences = group[0], _differences(group)
     rmse = _rms(differences)
+    both = [[getattr(pair, side) for pair in group] for side in ("measured", "predicted")]
+    at_s = None
     if all(len(pair.time_s) == 1 for pair in group):
-        measured, predicted = (
-            float(np.mean([getattr(pair, side)[0] for pair in group])) for side in ("measured", "predicted")
-        )
-        at_s = None
+        measured, predicted = (float(np.mean([one[0] for one in values])) for values in both)
     else:
         place = int(np.argmax(np.abs(differences)))
-        measured, predicted, at_s = (
-            float(np.concatenate([getattr(pair, side) for pair in group])[place])
-            for side in ("measured", "predicted", "time_s")
-        )
+        all_s = [pair.time_s for pair in group]
+        measured, predicted, at_s = (float(np.concatenate(values)[place]) for values in (*both, all_s))
     relative = rmse / size if size > 0 else (np.inf if rmse > 0 else 0.0)
     trials = sum(pair.trials for pair in group)
-    return ComparedPoint(
-        first.condition, first.channel, first.unit, trials, measured, predicted, rmse, float(relative), at_s
-    )
+    named = (first.condition, first.channel, first.unit, trials)
+    return ComparedPoint(*named, measured, predicted, rmse, float(relative), at_s)
 
 
 def predictions(model: Model, data: Dataset) -> tuple[list[Pair], tuple[str, ...]]:
@@ -168,31 +167,23 @@ def predictions(model: Model, data: Dataset) -> tuple[list[Pair], tuple[str, ...
         The model leaves the finite numbers.
     """
     problem = Problem.of(model, data)
-    simulated = problem.simulated(problem.begin())
     pairs = [
-        Pair(
-            trial.label,
-            trial.condition,
-            output.name,
-            output.unit,
-            trial.time_s,
-            trial.outputs[:, column],
-            outputs[:, column],
-        )
-        for trial, outputs in zip(data.trials, simulated, strict=True)
-        for column, output in enumerate(data.outputs)
+        Pair(trial.label, trial.condition, output.name, output.unit, trial.time_s, *sides)
+        for trial, found in zip(data.trials, problem.simulated(problem.begin()), strict=True)
+        for output, *sides in zip(data.outputs, trial.outputs.T, found.T, strict=True)
     ]
-    constant = problem.constant_states
     free = [model.states[state] for state in problem.states.free]
-    first = [name for place, name in enumerate(free) if place not in constant]
-    whole = [name for place, name in enumerate(free) if place in constant]
-    notes = (
-        f"the start of {' and '.join(first)} was read from the first samples of each trial" if first else "",
-        f"{' and '.join(whole)}, which does not change in a trial, was read from the whole of it, each on its own"
-        if whole
-        else "",
-    )
-    return pairs, tuple(filter(None, notes))
+    whole = [free[place] for place in problem.constant_states]
+    first = [name for name in free if name not in whole]
+    notes = []
+    if first:
+        notes.append(f"the start of {' and '.join(first)} was read from the first samples of each trial")
+    if whole:
+        names = " and ".join(whole)
+        notes.append(
+            f"{names}, which does not change in a trial, was read from the whole of it, each on its own"
+        )
+    return pairs, tuple(notes)
 
 
 def _differences(pairs: Sequence[Pair]) -> FloatArray:
@@ -212,3 +203,252 @@ def _key(condition: Mapping[str, float | str]) -> tuple[tuple[str, float | str],
 
 def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+Key = tuple[tuple[str, float | str], ...]
+
+
+@dataclass(frozen=True)
+class Side:
+    """What a run or recording can be compared by.
+
+    Numbers are a run's objectives, or the outputs of a recording whose trials are rows of a table; signals are
+    everything that was recorded over time.
+    """
+
+    run: Run
+    name: str
+
+    @cached_property
+    def outcomes(self) -> list[TrialOutcome]:
+        """Trials that were accepted."""
+        return [one for one in self.run.outcomes if one.status == "done"]
+
+    @cached_property
+    def _recorded(self) -> bool:
+        return is_recording(self.run.path) or bool(imported_channels(self.run.experiment_toml))
+
+    @cached_property
+    def _is_table(self) -> bool:
+        return self._recorded and all(
+            len(self.run.measured(one.index)["output"]) == 1 for one in self.outcomes
+        )
+
+    @cached_property
+    def numbers(self) -> dict[str, str]:
+        """Names and units of its numbers."""
+        if self._is_table:
+            return self._channels
+        units = self.run.units()
+        names = dict.fromkeys(name for one in self.outcomes for name in one.objectives)
+        return {name: units.get(name, "1") for name in names}
+
+    @cached_property
+    def signals(self) -> dict[str, str]:
+        """Names and units of its signals."""
+        return {} if self._is_table else self._channels
+
+    @cached_property
+    def _channels(self) -> dict[str, str]:
+        if self._recorded:
+            return dict(self.run.devices.get("output", {}))
+        return {
+            f"{device}.{column}": unit
+            for device, columns in self.run.devices.items()
+            if device != COMMAND
+            for column, unit in columns.items()
+        }
+
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """Names that the conditions of all its trials have."""
+        found = [set(one.condition) for one in self.outcomes]
+        return frozenset(set.intersection(*found)) if found else frozenset()
+
+    def by_condition(self, names: Iterable[str]) -> dict[Key, list[TrialOutcome]]:
+        """Return its trials by what these names are in them."""
+        groups: dict[Key, list[TrialOutcome]] = {}
+        wanted = sorted(names)
+        for one in self.outcomes:
+            groups.setdefault(tuple((name, _rounded(one.condition[name])) for name in wanted), []).append(one)
+        return groups
+
+    def number(self, name: str, outcomes: Sequence[TrialOutcome]) -> FloatArray:
+        """Return one number of each trial that has it."""
+        if self._is_table:
+            return np.array([self.signal(name, one).values[0] for one in outcomes])
+        found = [one.objectives[name] for one in outcomes if name in one.objectives]
+        return np.array([value for value in found if np.isfinite(value)])
+
+    def signal(self, name: str, outcome: TrialOutcome) -> Signal:
+        """Return one signal of a trial, from its start to its end."""
+        device, _, column = ("output", "", name) if self._recorded else name.partition(".")
+        signal = self.run.measured(outcome.index)[device].signal(column)
+        end_s = outcome.duration_s if outcome.duration_s > 0 else np.inf
+        return signal if self._recorded else signal.between(-1e-3, end_s + 1e-3)
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """Names and units of its numbers and of its signals."""
+        return {**self.numbers, **self.signals, **self.numbers}
+
+    def signals_of(self, name: str, outcomes: Sequence[TrialOutcome]) -> list[Signal]:
+        """Return one signal of each trial."""
+        return [self.signal(name, one) for one in outcomes]
+
+
+def told_apart(data: Run, other: Run) -> tuple[str, str]:
+    """Return the names of two runs or recordings; those of the same experiment also by when they began."""
+    if data.name != other.name:
+        return data.name, other.name
+    return f"{data.name} {data.identifier}", f"{other.name} {other.identifier}"
+
+
+def paired(data: Run, other: Run) -> tuple[list[Pair], tuple[str, ...]]:
+    """Return what two runs or recordings have in common, and what had to be left out.
+
+    Numbers of the same name are compared where there are any, else signals of the same name (``cameras.angle`` is the
+    same as a recording's ``angle``), on the times of `data`. Conditions are the same if they agree in all names that
+    both have; trials of one condition are averaged.
+
+    Raises
+    ------
+    RequestError
+        They have no quantity or no condition in common, or conditions that the other cannot tell apart.
+    """
+    mine, theirs = (Side(run, name) for run, name in zip((data, other), told_apart(data, other), strict=True))
+    shared = _same_conditions(mine, theirs)
+    numbers = [name for name in mine.numbers if name in theirs.numbers]
+    matched = [(name, name) for name in numbers] or _same_signals(mine, theirs)
+    if not matched:
+        raise RequestError(
+            f"{mine.name} and {theirs.name} have neither a number nor a signal of the same name",
+            hint=f"{mine.name} has {', '.join(mine.units) or 'none'}; "
+            f"{theirs.name} has {', '.join(theirs.units) or 'none'}",
+        )
+    own, others = mine.by_condition(shared), theirs.by_condition(shared)
+    common = [key for key in own if key in others]
+    if not common:
+        raise RequestError(
+            f"{mine.name} and {theirs.name} have no condition in common",
+            hint="; ".join(
+                f"{side.name} has {_some(keys)}" for side, keys in ((mine, own), (theirs, others))
+            ),
+        )
+    notes = [
+        f"{count} conditions are in {name} only" if count > 1 else f"one condition is in {name} only"
+        for count, name in ((len(own) - len(common), mine.name), (len(others) - len(common), theirs.name))
+        if count
+    ]
+    pairs = []
+    for first, second in matched:
+        units = mine.units[first], theirs.units[second]
+        if units[0] != units[1] and "1" not in units:
+            raise RequestError(
+                f"{first} of {mine.name} is in {units[0]}, {second} of {theirs.name} in {units[1]}",
+                hint="say the same unit in both, converting the numbers of one of them",
+            )
+        for key in common:
+            found = (
+                _numbers_beside(mine.number(first, own[key]), theirs.number(second, others[key]))
+                if numbers
+                else _signals_beside(mine.signals_of(first, own[key]), theirs.signals_of(second, others[key]))
+            )
+            if found is not None:
+                condition = own[key][0].condition
+                pairs.append(Pair(condition_text(condition), condition, first, units[0], *found))
+    if not pairs:
+        raise RequestError(f"{mine.name} and {theirs.name} have no accepted trial to compare")
+    return pairs, tuple(notes)
+
+
+def predicted_numbers(data: Run, model: Model) -> list[Pair] | None:
+    """Return a model without states beside the objectives of a run; None if it predicts anything else."""
+    side = Side(data, data.name)
+    outputs = [output.name for output in model.outputs]
+    if model.states or model.inputs or not all(name in side.numbers for name in outputs):
+        return None
+    pairs, at = [], np.zeros(1)
+    for outcomes in side.by_condition(side.names).values():
+        condition = outcomes[0].condition
+        told = simulate(model, at, np.empty((1, 0)), condition=condition, substeps=1).outputs[0]
+        for name, value in zip(outputs, told, strict=True):
+            found = _numbers_beside(side.number(name, outcomes), np.array([value]))
+            if found is not None:
+                pairs.append(Pair(condition_text(condition), condition, name, side.numbers[name], *found))
+    return pairs or None
+
+
+_Beside = tuple[FloatArray, FloatArray, FloatArray, int]
+"""Times, what was measured and what is held against it there, and of how many trials."""
+
+
+def _same_conditions(mine: Side, theirs: Side) -> frozenset[str]:
+    """Return the names by which conditions of both are told apart."""
+    for side in (mine, theirs):
+        if not side.outcomes:
+            raise RequestError(f"{side.name} has no accepted trial", hint="labrun show tells why")
+    shared = mine.names & theirs.names
+    for side, other in ((mine, theirs), (theirs, mine)):
+        for outcomes in side.by_condition(shared).values():
+            differing = sorted(
+                name
+                for name in side.names - shared
+                if len({_rounded(one.condition[name]) for one in outcomes}) > 1
+            )
+            if differing:
+                raise RequestError(
+                    f"conditions of {side.name} differ in {', '.join(differing)}, "
+                    f"which {other.name} does not have",
+                    hint="compare data whose conditions have the same names",
+                )
+    return shared
+
+
+def _same_signals(mine: Side, theirs: Side) -> list[tuple[str, str]]:
+    found = []
+    for name in mine.signals:
+        last = name.rpartition(".")[2]
+        alike = [one for one in theirs.signals if one == name] or [
+            one
+            for one in theirs.signals
+            if one.rpartition(".")[2] == last and ("." not in name or "." not in one)
+        ]
+        if len(alike) == 1:
+            found.append((name, alike[0]))
+    return found
+
+
+def _numbers_beside(measured: FloatArray, held: FloatArray) -> _Beside | None:
+    if not len(measured) or not len(held):
+        return None
+    return np.zeros(1), np.array([np.mean(measured)]), np.array([np.mean(held)]), len(measured)
+
+
+def _signals_beside(measured: Sequence[Signal], held: Sequence[Signal]) -> _Beside | None:
+    """Return the means of signals at those times of the first one at which all were recorded; None without any."""
+    start_s = max(float(one.time_s[0]) for one in (*measured, *held))
+    end_s = min(float(one.time_s[-1]) for one in (*measured, *held))
+    time_s = measured[0].time_s
+    time_s = time_s[(time_s >= start_s) & (time_s <= end_s)]
+    if not len(time_s):
+        return None
+    return time_s, _mean(measured, time_s), _mean(held, time_s), len(measured)
+
+
+def _some(keys: Iterable[Key], most: int = 3) -> str:
+    told = [condition_text(dict(key)) or "one without names" for key in keys]
+    return "; ".join(told[:most]) + (f" and {len(told) - most} more" if len(told) > most else "")
+
+
+def _mean(signals: Sequence[Signal], time_s: FloatArray) -> FloatArray:
+    on_base = []
+    for one in signals:
+        known = np.isfinite(one.values)
+        on_base.append(np.interp(time_s, one.time_s[known], one.values[known]))
+    return np.asarray(np.mean(on_base, axis=0))
+
+
+def _rounded(value: float | str) -> float | str:
+    """Return a value that is the same whoever wrote its last digits."""
+    return value if isinstance(value, str) else float(f"{value:.9g}")

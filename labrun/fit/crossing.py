@@ -18,7 +18,7 @@ from labrun.estimate import Estimate
 from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Stack, TextTable
 from labrun.spec import condition_text
-from labrun.store import TrialOutcome, is_recording, open_run
+from labrun.store import Run, TrialOutcome, is_recording, open_run
 from labrun.toml import suggest
 
 _RESAMPLES = 2000
@@ -119,6 +119,10 @@ class Measured:
         rest = (self.y - fitted) * np.sqrt(n / freedom)
         return np.asarray(fitted + rest[rng.integers(n, size=(count, n))])
 
+    def drawn(self, rng: np.random.Generator, count: int = _RESAMPLES) -> FloatArray:
+        """Return the values as measured, and those of every resample below, shape (count + 1, n)."""
+        return np.vstack([self.y, self.resampled(rng, count)])
+
 
 @dataclass(frozen=True, slots=True)
 class Crossing:
@@ -146,24 +150,17 @@ class Crossing:
 def crossing(
     one: Measured, other: Measured | float, rng: np.random.Generator, resamples: int = _RESAMPLES
 ) -> Crossing | None:
-    """Return where two fitted curves cross; None if they do not where both were measured.
-
-    Parameters
-    ----------
-    one, other
-        The curves; a number is a level.
-    """
+    """Return where two fitted curves, or a curve and a level, cross; None if not where both were measured."""
     places = [one.x] if isinstance(other, float) else [one.x, other.x]
     grid = np.linspace(max(x.min() for x in places), min(x.max() for x in places), _GRID)
     if not grid[0] < grid[-1]:
         return None
-    draws = np.vstack([one.y, one.resampled(rng, resamples)])
-    course = one.coefficients(draws) @ one.terms(grid).T
-    if isinstance(other, float):
-        difference = course - other
-    else:
-        others = np.vstack([other.y, other.resampled(rng, resamples)])
-        difference = course - other.coefficients(others) @ other.terms(grid).T
+    course = one.coefficients(one.drawn(rng, resamples)) @ one.terms(grid).T
+    difference = (
+        course - other
+        if isinstance(other, float)
+        else course - other.coefficients(other.drawn(rng, resamples)) @ other.terms(grid).T
+    )
     at = _first_zero(grid, difference)
     if np.isnan(at[0]):
         return None
@@ -205,34 +202,35 @@ class CrossingFit(WithSettings[CrossingSettings]):
             Too few places for a curve, or curves that do not cross where they were measured.
         """
         keys, runs = self._settings, _read(job)
-        trials = _of(runs, keys.one, next(iter(runs)))
-        others = None if keys.other is None else _of(runs, keys.other, next(iter(runs)))
-        levels = _levels(trials.outcomes, keys.by)
+        target = next(iter(runs))
+        run = _run_of(runs, keys.one, target)
+        other = None if keys.other is None else _run_of(runs, keys.other, target)
         parameters: dict[str, Estimate] = {}
-        findings: list[str] = []
-        warnings: list[str] = []
-        rows: list[tuple[str, ...]] = []
-        curves: list[Curve] = []
-        crossings: list[Curve] = []
-        measured: dict[str, Measured] = {}
-        x_unit, y_unit = trials.units.get(keys.over, ""), trials.units.get(keys.one.objective, "")
-        for level in levels:
+        findings, warnings, rows = list[str](), list[str](), list[tuple[str, ...]]()
+        curves, crossings, measured = list[Curve](), list[Curve](), dict[str, Measured]()
+        x_unit, y_unit = run.units().get(keys.over, ""), run.units().get(keys.one.objective, "")
+        against = f"{keys.level:g} {y_unit}".rstrip() if keys.other is None else keys.other.objective
+        for level in _levels(_counted(run), keys.by):
             name = _name(level, keys.names)
-            first = _curve(trials, keys, keys.one, level)
-            measured[name] = first
+            first = measured[name] = _curve(run, keys, keys.one, level)
             second: Measured | float = keys.level
-            if others is not None and keys.other is not None:
+            if other is not None and keys.other is not None:
                 # Another run need not know the factor: its curve then is that of all levels.
-                known = any(keys.by in one.condition for one in others.outcomes) if keys.by else False
-                second = _curve(others, keys, keys.other, level if known else None)
+                known = any(keys.by in one.condition for one in _counted(other)) if keys.by else False
+                second = _curve(other, keys, keys.other, level if known else None)
+            told = f"{name}: " if name else ""
             found = crossing(first, second, job.rng)
             if found is None:
-                raise _no_crossing(name, keys, first, second, x_unit)
-            label = f"at_{name.replace(' ', '_')}" if name else "at"
-            parameters[label] = Estimate(found.at, found.ci95, x_unit)
-            against = f"{keys.level:g} {y_unit}".rstrip() if keys.other is None else keys.other.objective
-            told = f"{name}: " if name else ""
+                raise FitError(
+                    f"{told}{keys.one.objective}, {first.y.min():.3g} to {first.y.max():.3g}, does not meet "
+                    f"{keys.other.objective if keys.other else f'{keys.level:g}'} where both were measured",
+                    hint=f"measure farther: {keys.over} went from {first.x.min():g} to {first.x.max():g} "
+                    f"{x_unit}".rstrip(),
+                )
             low, high = found.ci95
+            parameters[f"at_{name.replace(' ', '_')}" if name else "at"] = Estimate(
+                found.at, found.ci95, x_unit
+            )
             findings.append(
                 f"{told}{keys.one.objective} meets {against} at {keys.over} = {found.at:.4g} {x_unit} "
                 f"({low:.4g} to {high:.4g})"
@@ -245,68 +243,64 @@ class CrossingFit(WithSettings[CrossingSettings]):
             rows.append((name or "all", f"{len(first.y)}", f"{found.at:.4g}", f"{found.value:.4g}"))
             ends = np.clip(found.ci95, first.x.min(), first.x.max())  # of an open one, as far as was measured
             crossings.append(Curve(ends, np.full(2, found.value), len(curves) // 2, bold=True))
-            curves += _drawn(first, name or keys.one.objective)
+            curves += _drawn(first, name or keys.one.objective, len(curves) // 2)
             if isinstance(second, Measured) and keys.other is not None:
-                curves += _drawn(second, f"{name} {keys.other.objective}".strip())
+                curves += _drawn(second, f"{name} {keys.other.objective}".strip(), len(curves) // 2)
         if keys.gain_at is not None and len(measured) > 1:
             findings += _gains(measured, keys.gain_at, x_unit, keys.one.objective, job.rng)
-        if any(one.truncation.get(keys.one.objective) for one in trials.outcomes):
+        if any(one.truncation.get(keys.one.objective) for one in _counted(run)):
             warnings.append("what cycles cut by the window may do to each value is not in these intervals")
         used = sum(len(one.y) for one in measured.values())
-        header = (
-            keys.by or "",
-            "trials",
-            f"{keys.over}, {x_unit}".rstrip(", "),
-            f"value, {y_unit}".rstrip(", "),
+        x_label, y_label = (
+            f"{name}, {unit}".rstrip(", ")
+            for name, unit in ((keys.over, x_unit), (keys.one.objective, y_unit))
         )
+        header = (keys.by or "", "trials", x_label, f"value, {y_unit}".rstrip(", "))
+        zero = keys.other is None and keys.level == 0.0
+        panel = Panel((*curves, *crossings), x_label=x_label, y_label=y_label, zero=zero)
+        title = f"Where curves of {run.name} cross\nbold: 95 % interval of each crossing"
+        figure = FigureData(title, ((Stack((panel,), width=1.6),),), row_height_in=3.8)
         return FitSummary(
             method="crossing",
             model_name="crossing",
-            data=FittedData(trials.name, "run", used, len(trials.outcomes) - used),
+            data=FittedData(run.name, "run", used, len(_counted(run)) - used),
             parameters=parameters,
             tables=(TextTable("where the curves cross", header, tuple(rows)),) if len(rows) > 1 else (),
             findings=tuple(findings),
             warnings=tuple(warnings),
-            figure_data=lambda: _figure(trials.name, curves, crossings, keys, x_unit, y_unit),
+            figure_data=lambda: figure,
         )
 
 
-@dataclass(frozen=True, slots=True)
-class _Trials:
-    name: str
-    outcomes: tuple[TrialOutcome, ...]
-    units: Mapping[str, str]
-
-
-def _read(job: FitJob) -> dict[str, _Trials]:
-    found: dict[str, _Trials] = {}
+def _read(job: FitJob) -> dict[str, Run]:
+    found: dict[str, Run] = {}
     for path in (job.target, *job.more):
         if is_recording(path):
             raise RequestError(
                 f"{path} is a recording, and has no objectives",
                 hint="crossing takes runs: labrun import makes one of a recording",
             )
-        with open_run(path) as run:
-            counted = tuple(one for one in run.outcomes if one.status == "done" and one.role != "reference")
-            found[run.name] = _Trials(run.name, counted, run.units())
+        run = open_run(path)
+        found[run.name] = run
     return found
 
 
-def _of(runs: Mapping[str, _Trials], table: CurveTable, target: str) -> _Trials:
+def _counted(run: Run) -> list[TrialOutcome]:
+    return [one for one in run.outcomes if one.status == "done" and one.role != "reference"]
+
+
+def _run_of(runs: Mapping[str, Run], table: CurveTable, target: str) -> Run:
     name = table.experiment or target
     if name not in runs:
         raise RequestError(
             f"{table.objective} is that of {name}, and only {', '.join(runs)} was given",
             hint=f"labrun fit {target} --with {name}",
         )
-    trials = runs[name]
-    known = dict.fromkeys(objective for one in trials.outcomes for objective in one.objectives)
+    known = dict.fromkeys(objective for one in _counted(runs[name]) for objective in one.objectives)
     if table.objective not in known:
-        raise RequestError(
-            f"{name} has no objective {table.objective!r}",
-            hint=suggest(table.objective, known, kind="objectives"),
-        )
-    return trials
+        hint = suggest(table.objective, known, kind="objectives")
+        raise RequestError(f"{name} has no objective {table.objective!r}", hint=hint)
+    return runs[name]
 
 
 def _levels(trials: Sequence[TrialOutcome], by: str | None) -> list[tuple[str, float | str] | None]:
@@ -326,58 +320,42 @@ def _name(level: tuple[str, float | str] | None, names: Mapping[str, str]) -> st
 
 
 def _curve(
-    trials: _Trials, keys: CrossingSettings, table: CurveTable, level: tuple[str, float | str] | None
+    run: Run, keys: CrossingSettings, table: CurveTable, level: tuple[str, float | str] | None
 ) -> Measured:
     wanted = {**table.where, **({} if level is None else dict([level]))}
     own = [
         one
-        for one in trials.outcomes
+        for one in _counted(run)
         if all(one.condition.get(name) == value for name, value in wanted.items())
         and table.objective in one.objectives
     ]
     if not own:
-        raise FitError(f"no trial of {trials.name} that counts has {condition_text(wanted)}")
+        raise FitError(f"no trial of {run.name} that counts has {condition_text(wanted)}")
     places = [one.condition.get(keys.over) for one in own]
     numbers = [place for place in places if isinstance(place, int | float)]
     if len(numbers) < len(places):
         known = dict.fromkeys(name for one in own for name in one.condition)
         raise RequestError(
-            f"trials of {trials.name} have no number for the condition {keys.over!r}",
+            f"trials of {run.name} have no number for the condition {keys.over!r}",
             hint=f"fit.settings.over is one of {', '.join(known)}",
         )
-    different = len(set(numbers))
-    if different < len(table.powers):
+    different, terms = len(set(numbers)), len(table.powers)
+    if different < terms:
         raise FitError(
-            f"{condition_text(wanted) or trials.name}: {different} values of {keys.over} are too few for a curve of "
-            f"{len(table.powers)} terms",
-            hint=f"measure at {len(table.powers)} or more, or give the curve fewer powers",
+            f"{condition_text(wanted) or run.name}: {different} values of {keys.over} are too few for a curve of "
+            f"{terms} terms",
+            hint=f"measure at {terms} or more, or give the curve fewer powers",
         )
     values = np.array([table.scale * one.objectives[table.objective] for one in own])
     return Measured(np.array(numbers, dtype=float), values, table.powers)
-
-
-def _no_crossing(
-    name: str, keys: CrossingSettings, one: Measured, other: Measured | float, unit: str
-) -> FitError:
-    told = f"{name}: " if name else ""
-    against = f"{other:g}" if isinstance(other, float) else keys.other.objective if keys.other else ""
-    span = (one.x.min(), one.x.max())
-    return FitError(
-        f"{told}{keys.one.objective}, {one.y.min():.3g} to {one.y.max():.3g}, does not meet {against} where both were "
-        f"measured",
-        hint=f"measure farther: {keys.over} went from {span[0]:g} to {span[1]:g} {unit}".rstrip(),
-    )
 
 
 def _gains(
     measured: Mapping[str, Measured], at: float, unit: str, objective: str, rng: np.random.Generator
 ) -> list[str]:
     """Say how much greater each level's curve is than the lowest one, at one place."""
-    place = np.array([at])
     draws = {
-        name: (one.coefficients(np.vstack([one.y, one.resampled(rng, _RESAMPLES)])) @ one.terms(place).T)[
-            :, 0
-        ]
+        name: one.coefficients(one.drawn(rng)) @ one.terms(np.array([at]))[0]
         for name, one in measured.items()
     }
     lowest = min(draws, key=lambda name: float(draws[name][0]))
@@ -395,29 +373,7 @@ def _gains(
     return told
 
 
-def _drawn(curve: Measured, label: str) -> list[Curve]:
+def _drawn(curve: Measured, label: str, series: int) -> list[Curve]:
     line = np.linspace(curve.x.min(), curve.x.max(), 80)
-    fitted = curve.terms(line) @ curve.coefficients(curve.y)
-    return [
-        Curve(curve.x, curve.y, "measured", label, kind="points"),
-        Curve(line, np.asarray(fitted), "fitted"),
-    ]
-
-
-def _figure(
-    name: str,
-    curves: Sequence[Curve],
-    crossings: Sequence[Curve],
-    keys: CrossingSettings,
-    x_unit: str,
-    y_unit: str,
-) -> FigureData:
-    series = [Curve(one.x, one.y, place // 2, one.label, one.kind) for place, one in enumerate(curves)]
-    panel = Panel(
-        (*series, *crossings),
-        x_label=f"{keys.over}, {x_unit}".rstrip(", "),
-        y_label=f"{keys.one.objective}, {y_unit}".rstrip(", "),
-        zero=keys.other is None and keys.level == 0.0,
-    )
-    title = f"Where curves of {name} cross\nbold: 95 % interval of each crossing"
-    return FigureData(title, ((Stack((panel,), width=1.6),),), row_height_in=3.8)
+    fitted = np.asarray(curve.terms(line) @ curve.coefficients(curve.y))
+    return [Curve(curve.x, curve.y, series, label, kind="points"), Curve(line, fitted, series)]

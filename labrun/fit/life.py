@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -95,44 +95,52 @@ class LifeFit(WithSettings[LifeSettings]):
         FitError
             No accepted trial.
         """
+        load = self._settings.load
         with open_run(job.target) as run:
             lives, left_out = _lives(run, self._settings)
             name = run.name
-        parameters: dict[str, Estimate] = {}
-        findings: list[str] = []
-        fitted: dict[str, Weibull] = {}
+        parameters, fitted = dict[str, Estimate](), dict[str, Weibull]()
+        findings, falls, rows = list[str](), list[str](), list[tuple[str, str]]()
         for life in lives:
-            told = f"{life.kind}: " if life.kind else ""
+            told, count = f"{life.kind}: " if life.kind else "", len(life.cycles)
+            each = [
+                f"{cycles:.0f}" if failed else f"> {cycles:.0f}"
+                for cycles, failed in zip(life.cycles, life.failed, strict=True)
+            ]
+            rows.append((life.kind or "all", ", ".join(each)))
+            fall = falls_per_decade(life)
+            if fall is not None:
+                falls.append(f"{told}{load} falls by {100 * fall:.2g} % per decade of cycles")
             if life.failures < _FEWEST_FAILURES:
                 findings.append(told + _outlived(life))
                 continue
-            found = fit_weibull(life.cycles, life.failed)
-            fitted[life.kind] = found
-            median, shape = intervals(found, len(life.cycles), life.failures, job.rng)
-            mark = f"_{_word(life.kind)}" if life.kind else ""
-            parameters[f"median{mark}"] = Estimate(found.median, median, "cycles")
-            parameters[f"shape{mark}"] = Estimate(found.shape, shape, "1")
-            if life.failures < len(life.cycles):
-                alive = len(life.cycles) - life.failures
-                findings.append(
-                    f"{told}{alive} of {len(life.cycles)} outlived the test and count as more than it"
-                )
-        for life in lives:
-            told = f"{life.kind}: " if life.kind else ""
-            fall = falls_per_decade(life)
-            if fall is not None:
-                findings.append(
-                    f"{told}{self._settings.load} falls by {100 * fall:.2g} % per decade of cycles"
-                )
+            found = fitted[life.kind] = fit_weibull(life.cycles, life.failed)
+            median, shape = intervals(found, count, life.failures, job.rng)
+            # polyester_120 for layup = polyester, range = 120
+            word = "_".join(["", *(part.partition(" = ")[2] for part in life.kind.split(", ") if part)])
+            parameters[f"median{word}"] = Estimate(found.median, median, "cycles")
+            parameters[f"shape{word}"] = Estimate(found.shape, shape, "1")
+            if life.failures < count:
+                alive = count - life.failures
+                findings.append(f"{told}{alive} of {count} outlived the test and count as more than it")
         return FitSummary(
             method="life",
             model_name="life",
             data=FittedData(name, "run", sum(len(life.cycles) for life in lives), left_out),
             parameters=parameters,
-            tables=(_table(lives),),
-            findings=tuple(findings),
-            details={"lives": [_record(life) for life in lives]},
-            figure_data=lambda: _figure(name, lives, fitted, self._settings.load),
+            tables=(TextTable("cycles to failure", ("", "each specimen"), tuple(rows)),),
+            findings=(*findings, *falls),
+            details={
+                "lives": [
+                    {
+                        "kind": life.kind,
+                        "cycles": life.cycles.tolist(),
+                        "censored": [not one for one in life.failed],
+                    }
+                    for life in lives
+                ]
+            },
+            figure_data=lambda: _figure(name, lives, fitted, load),
         )
 
 
@@ -222,53 +230,29 @@ def _course(run: Run, outcome: TrialOutcome, settings: LifeSettings) -> FloatArr
         return np.empty(0)
     if settings.load not in table.columns:
         near = nearest(settings.load, table.columns)
-        raise RequestError(
-            f"the cycles of {run.name} have no {settings.load!r}",
-            hint=f"did you mean {near!r}?"
-            if near
-            else f"they have {', '.join(table.columns)}: --set load=NAME",
-        )
+        listed = f"they have {', '.join(table.columns)}: --set load=NAME"
+        hint = f"did you mean {near!r}?" if near else listed
+        raise RequestError(f"the cycles of {run.name} have no {settings.load!r}", hint=hint)
     return np.asarray(table.signal(settings.load).values)
 
 
 def _outlived(life: Life) -> str:
     """Say what is known where fewer than two failed: never a number for the life."""
-    survived = life.cycles[~life.failed.astype(bool)]
-    count = len(life.cycles)
+    failed, count = life.failed.astype(bool), len(life.cycles)
+    survived = life.cycles[~failed]
     if not life.failures:
-        least = float(survived.min())
         sure = 1.0 - 0.5**count
         return (
-            f"> {least:,.0f} cycles: all {count} outlived the test; that half of such specimens do is "
+            f"> {float(survived.min()):,.0f} cycles: all {count} outlived the test; that half of such specimens do is "
             f"{100 * sure:.0f} % sure"
         )
-    at = float(life.cycles[life.failed.astype(bool)][0])
+    at = float(life.cycles[failed][0])
     if not len(survived):
         return f"one specimen only, which failed after {at:,.0f} cycles: no distribution and no interval"
     return (
         f"one of {count} failed, after {at:,.0f} cycles, the others live > {float(survived.min()):,.0f}: "
         "too few failures for a distribution"
     )
-
-
-def _word(kind: str) -> str:
-    """Return ``polyester_120`` for ``layup = polyester, range = 120``."""
-    return "_".join(part.partition(" = ")[2] for part in kind.split(", "))
-
-
-def _table(lives: Sequence[Life]) -> TextTable:
-    rows = []
-    for life in lives:
-        told = [
-            f"{cycles:.0f}" if failed else f"> {cycles:.0f}"
-            for cycles, failed in zip(life.cycles, life.failed, strict=True)
-        ]
-        rows.append((life.kind or "all", ", ".join(told)))
-    return TextTable("cycles to failure", ("", "each specimen"), tuple(rows))
-
-
-def _record(life: Life) -> Mapping[str, Any]:
-    return {"kind": life.kind, "cycles": life.cycles.tolist(), "censored": [not one for one in life.failed]}
 
 
 def _figure(name: str, lives: Sequence[Life], fitted: Mapping[str, Weibull], load: str) -> FigureData:

@@ -11,20 +11,20 @@ from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
 from labrun.fit.dataset import Dataset, load_dataset
-from labrun.fit.identifiability import (
+from labrun.fit.method import FitJob, NoSettings, Note, WithSettings, silent
+from labrun.fit.problem import OutputNoise, Problem
+from labrun.fit.result import FitResult, FittedData, StartOutcome
+from labrun.fit.search import Minimum, minimise, search
+from labrun.fit.uncertainty import (
+    by_mounting,
+    correlation_length,
     divergence_warnings,
     interval_warnings,
+    resample_trials,
     sign_warnings,
     start_warnings,
     undetermined,
 )
-from labrun.fit.levenberg_marquardt import minimise
-from labrun.fit.method import FitJob, NoSettings, Note, WithSettings, silent
-from labrun.fit.problem import Problem
-from labrun.fit.resampling import by_mounting, correlation_length, resample_trials
-from labrun.fit.residuals import OutputNoise
-from labrun.fit.result import FitResult, FittedData, StartOutcome
-from labrun.fit.starts import Minimum, search
 from labrun.models import Model
 
 FEW_TRIALS = 5

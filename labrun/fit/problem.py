@@ -1,8 +1,8 @@
-"""A model with effects beside measured trials: where a search begins, and how residuals depend on the variables."""
+"""A model with effects beside measured trials: residuals in units of noise, derivatives, where a search begins."""
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
@@ -10,14 +10,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect, Scale
 from labrun.errors import FitError
-from labrun.fit.dataset import Dataset
-from labrun.fit.priors import Priors, changed
-from labrun.fit.residuals import OutputNoise, Residuals, prepared
-from labrun.models import Model, simulate
+from labrun.fit.dataset import Dataset, FitTrial
+from labrun.fit.simulations import Simulations, stop_if_told
+from labrun.fit.variables import Deviation, InitialStates, Priors, changed, deviated, driven
+from labrun.models import Drive, Model, filtered, prepare, simulate, simulate_unfiltered, suggest_substeps
 
+FEWEST_SAMPLES = 25
+"""A beginning of a trial is at least this long, if the trial is."""
+_HUGE = 1e3
+"""Residual, in units of a channel's own spread, of a simulation that left the finite numbers."""
+_MOST_SUBSTEPS = 64
+_PROBED_TRIALS = 3
+_READ = 0.01
+"""Part of an output's spread that a state read from its first samples is taken to be uncertain by, noise unknown."""
 _STEP = 1e-4
 """Central differences, in units of each variable's scale: error about 1e-8, well below any residual."""
+_GUESS_SUBSTEPS = 4
+_GUESS_ROUNDS = 3
+_LOST = 1e3
+"""Scaled, beyond which a guess says that the outputs hardly depend on how that state begins."""
+_AWAY = 1e-3
+"""Scaled, where free states are put to see which of them change."""
+
+
+@dataclass(frozen=True, eq=False)
+class OutputNoise:
+    """What residuals are measured in.
+
+    Attributes
+    ----------
+    weights : (m,)
+        One over the standard deviation of each output.
+    whiten
+        Makes the weighted residual (n, m) of a trial, the mean of so many, white; left as it is if None.
+    """
+
+    weights: FloatArray
+    whiten: Callable[[FloatArray, int], FloatArray] | None = None
 
 
 @dataclass(frozen=True)
@@ -42,59 +73,46 @@ class Jacobian:
         return Jacobian(*([of[index] for index in chosen] for of in (self.shared, self.own, self.residual)))
 
 
-def difference_quotient(
-    residual: Callable[[float], FloatArray | None],
-    centre: float,
-    base: FloatArray,
-    low: float = -math.inf,
-    high: float = math.inf,
-    *,
-    central: bool = True,
-) -> FloatArray:
-    """Return the derivative at `centre` by differences, inside bounds.
-
-    To both sides if `central`, else to one; to the other side alone where the simulation is not finite, zero where it
-    is so nowhere. `base`: the residual at `centre`.
-    """
-    before, after = max(centre - _STEP, low), min(centre + _STEP, high)
-    ahead = residual(after) if after > centre else None
-    if ahead is not None and not central:
-        return (ahead - base) / (after - centre)
-    behind = residual(before) if before < centre else None
-    if ahead is not None and behind is not None:
-        return (ahead - behind) / (after - before)
-    if ahead is not None:
-        return (ahead - base) / (after - centre)
-    if behind is not None:
-        return (base - behind) / (centre - before)
-    return np.zeros_like(base)
-
-
-def columns(found: Sequence[FloatArray], rows: int) -> FloatArray:
-    """Return columns side by side, (rows, 0) if there are none."""
-    return np.column_stack(found) if found else np.empty((rows, 0))
-
-
-_GUESS_SUBSTEPS = 4
-_GUESS_ROUNDS = 3
-_LOST = 1e3
-"""Scaled, beyond which a guess says that the outputs hardly depend on how that state begins."""
-_AWAY = 1e-3
-"""Scaled, where free states are put to see which of them change."""
-
-
 @dataclass(frozen=True, eq=False)
-class Problem(Residuals):
-    """One model with effects and its trials: its residuals, their derivatives, and where a search begins."""
+class Problem:
+    """One model with effects and its trials, by scaled variables; nothing in it changes.
+
+    The vector `z` holds the variables of the priors, then the free initial states of the first trial, of the second,
+    and so on, each divided by its scale. A trial's initial states change that trial alone, so that their derivatives
+    cost one pair of simulations of one trial each, whatever the number of trials.
+
+    Attributes
+    ----------
+    spread : (m,)
+        Size of each output.
+    drives
+        Inputs of every trial on the integrator's steps, laid out once for all simulations of it.
+    read_free
+        Whether a state that begins at the "first" samples is free too, held by what noise they have.
+    short
+        Whether the trials are beginnings only: what is read from the first samples is taken from them then.
+    deviations
+        What every trial has of its own beside its initial states, behind which it stands in `z`.
+    seen : per trial (n,), or None for all
+        1 for samples that count, 0 for those that are withheld.
+    """
+
+    data: Dataset
+    model: Model
+    effects: tuple[AttachedEffect, ...]
+    priors: Priors
+    noise: OutputNoise
+    spread: FloatArray
+    drives: tuple[Drive, ...]
+    read_free: bool = False
+    short: bool = False
+    deviations: tuple[Deviation, ...] = ()
+    seen: tuple[FloatArray, ...] | None = None
+    simulations: Simulations = field(default_factory=Simulations)
 
     @classmethod
     def of(
-        cls,
-        model: Model,
-        data: Dataset,
-        *,
-        prior_weight: float = 1.0,
-        substeps: int | None = None,
+        cls, model: Model, data: Dataset, *, prior_weight: float = 1.0, substeps: int | None = None
     ) -> Self:
         """Hold a model against data, each output in units of its own spread.
 
@@ -106,15 +124,260 @@ class Problem(Residuals):
             Steps of the integrator per sample; as many as the stated parameters ask for if None.
         """
         model = model.with_between({signal.name: signal.between for signal in data.inputs})
-        priors = Priors.of(model, weight=prior_weight)
-        spread = channel_spread(data)
-        drives = prepared(model, data, _GUESS_SUBSTEPS if substeps is None else substeps)
+        priors, spread = Priors.of(model, weight=prior_weight), channel_spread(data)
+        drives = prepared(model, data, substeps or _GUESS_SUBSTEPS)
         made = cls(data, model, (), priors, OutputNoise(1.0 / spread), spread, drives)
         return made if substeps is not None else made.refined(made.begin())
 
-    def begin(self) -> FloatArray:
-        """Return `z` of the stated parameters, initial states guessed."""
-        return np.concatenate([self.priors.stated, self.guess(self.priors.values)])
+    # --- variables ------------------------------------------------------------------------------------------------
+
+    @property
+    def size(self) -> int:
+        """Number of variables that all trials share."""
+        return self.priors.size
+
+    @property
+    def own_size(self) -> int:
+        """Number of free initial states and deviations of one trial."""
+        return len(self.states.free) + len(self.deviations)
+
+    @property
+    def behind(self) -> int:
+        """Number of rows behind the samples of a trial's residual: what is read of initial states, and deviations."""
+        return len(self.states.read) + len(self.deviations)
+
+    @property
+    def substeps(self) -> int:
+        """Steps of the integrator per sample."""
+        return self.drives[0].substeps
+
+    @cached_property
+    def states(self) -> InitialStates:
+        """How the trials begin."""
+        sd = self.spread * _READ if self.noise.whiten is None else 1.0 / self.noise.weights
+        return InitialStates(self.model, self.data.trials, self.spread, sd, self.read_free, self.short)
+
+    @cached_property
+    def _huge(self) -> float:
+        return _HUGE * float(np.max(self.noise.weights * self.spread))
+
+    def parameters(self, z: FloatArray) -> FloatArray:
+        """Return all parameters of model and effects, in their order and units."""
+        return self.priors.parameters(z)
+
+    def model_parameters(self, z: FloatArray) -> FloatArray:
+        """Return the parameters of the model alone."""
+        return self.parameters(z)[: len(self.model.parameters)]
+
+    def attached(self, parameters: FloatArray) -> tuple[AttachedEffect, ...]:
+        """Return the effects with their sizes, from the vector that `parameters` gives."""
+        found, at = [], len(self.model.parameters)
+        for one in self.effects:
+            found.append(one.with_values(parameters[at : at + len(one.values)].tolist()))
+            at += len(one.values)
+        return tuple(found)
+
+    def own(self, z: FloatArray, trial: int) -> FloatArray:
+        """Return the scaled free initial states of one trial, and its deviations."""
+        start = self.size + trial * self.own_size
+        return z[start : start + self.own_size]
+
+    def own_states(self, z: FloatArray) -> FloatArray:
+        """Return those of all trials, one after the other."""
+        return z[self.size :]
+
+    def initial_state(self, trial: int, own: FloatArray) -> FloatArray:
+        """Return the initial state of one trial, shape (k,)."""
+        free = len(self.states.free)
+        found = self.states.state(trial, own[:free])
+        spread = np.sqrt(self.data.trials[trial].count)
+        for one, size in zip(self.deviations, own[free:], strict=False):
+            if one.kind == "initial state" and one.output is not None:
+                found[one.output] += size * one.sd / spread
+        return found
+
+    # --- problems made from this one --------------------------------------------------------------------------------
+
+    def with_noise(self, noise: OutputNoise) -> Self:
+        """Return the problem measured in units of another noise."""
+        return replace(self, noise=noise)
+
+    def with_effects(self, effects: Sequence[AttachedEffect], scales: Sequence[Scale]) -> Self:
+        """Return the problem with further effects whose parameters are variables too."""
+        priors = self.priors.with_effects(effects, scales, len(self.effects))
+        return replace(self, effects=(*self.effects, *effects), priors=priors)
+
+    def with_substeps(self, substeps: int) -> Self:
+        """Return the problem with so many of the integrator's steps per sample."""
+        return replace(self, drives=prepared(self.model, self.data, substeps))
+
+    def with_measured(self, outputs: Sequence[FloatArray]) -> Self:
+        """Return the problem with other measured outputs: the same experiment, had it come out differently."""
+        pairs = zip(self.data.trials, outputs, strict=True)
+        trials = tuple(replace(trial, outputs=one) for trial, one in pairs)
+        return replace(self, data=replace(self.data, trials=trials))
+
+    def with_seen(self, seen: Sequence[FloatArray]) -> Self:
+        """Return the problem in which some samples of every trial are withheld: (n,) per trial, 1 for what counts."""
+        return replace(self, seen=tuple(seen))
+
+    def on(self, data: Dataset) -> Self:
+        """Return the problem of other trials, held against the same prior and in the same units of noise."""
+        return replace(self, data=data, drives=prepared(self.model, data, self.substeps))
+
+    def part(self, chosen: Sequence[int]) -> Self:
+        """Return the problem of some of the trials."""
+        trials = tuple(self.data.trials[index] for index in chosen)
+        drives = tuple(self.drives[index] for index in chosen)
+        seen = None if self.seen is None else tuple(self.seen[index] for index in chosen)
+        return replace(self, data=replace(self.data, trials=trials), drives=drives, seen=seen)
+
+    def beginning(self, share: float) -> Self:
+        """Return the problem of the first part of every trial, not shorter than a few samples."""
+        trials, drives = [], []
+        for trial, drive in zip(self.data.trials, self.drives, strict=True):
+            length = len(trial.time_s)
+            trials.append(trial.first(min(length, max(round(share * length), FEWEST_SAMPLES))))
+            drives.append(_cut(drive, trials[-1]))
+        data = replace(self.data, trials=tuple(trials))
+        return replace(self, data=data, drives=tuple(drives), short=True, simulations=Simulations())
+
+    def refined(self, z: FloatArray) -> Self:
+        """Return the problem with as many of the integrator's steps as the widest trials ask for at `z`."""
+        parameters, trials = self.parameters(z), self.data.trials
+        width = [float(np.max(np.ptp(trial.outputs, axis=0) / self.spread)) for trial in trials]
+        widest = sorted(range(len(trials)), key=lambda index: -width[index])
+        needed = max(
+            suggest_substeps(
+                self.model,
+                trials[index].time_s,
+                trials[index].inputs,
+                parameters=parameters[: len(self.model.parameters)],
+                condition=trials[index].condition,
+                initial_state=self.initial_state(index, self.own(z, index)),
+                effects=self.attached(parameters),
+                most=_MOST_SUBSTEPS,
+            )
+            for index in widest[:_PROBED_TRIALS]
+        )
+        return self if needed == self.substeps else self.with_substeps(needed)
+
+    # --- simulation and residuals -----------------------------------------------------------------------------------
+
+    def simulate(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray | None:
+        """Return the outputs (n, m) of one trial; None where they are not finite."""
+        outputs = self._simulated(parameters, trial, own)
+        if outputs is None or not self.deviations:
+            return outputs
+        data = self.data.trials[trial]
+        return deviated(outputs, data.time_s, self.deviations, own[len(self.states.free) :], data.count)
+
+    def _simulated(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray | None:
+        stop_if_told()
+        effects, data, laid_out = self.attached(parameters), self.data.trials[trial], self.drives[trial]
+        parameters, start = parameters[: len(self.model.parameters)], self.initial_state(trial, own)
+        deviating = own[len(self.states.free) :]
+        drive = driven(laid_out, self.deviations, deviating, data.count)
+        if any(one.effect.kind == "output" for one in effects):
+            inside = tuple(one for one in effects if one.effect.kind != "output")
+            same = tuple((id(one.effect), one.site, one.values) for one in inside)
+            before = self.simulations.get(  # effects at outputs share what is before them
+                (id(laid_out), parameters.tobytes(), start.tobytes(), deviating.tobytes(), same),
+                lambda: simulate_unfiltered(
+                    self.model, drive, parameters=parameters, condition=data.condition, initial_state=start,
+                    effects=inside,
+                ),
+            )  # fmt: skip
+            found = filtered(self.model, before, effects)
+            return found.outputs if found.finite else None
+        simulation = simulate(
+            self.model, data.time_s, drive, parameters=parameters, condition=data.condition, initial_state=start,
+            effects=effects,
+        )  # fmt: skip
+        if not effects:
+            self.simulations.count(finite=simulation.finite)
+        return simulation.outputs if simulation.finite else None
+
+    def simulated(self, z: FloatArray) -> list[FloatArray]:
+        """Return the outputs of every trial.
+
+        Raises
+        ------
+        FitError
+            The model leaves the finite numbers.
+        """
+        parameters, found = self.parameters(z), []
+        for index, trial in enumerate(self.data.trials):
+            outputs = self.simulate(parameters, index, self.own(z, index))
+            if outputs is None:
+                raise FitError(
+                    f"model {self.model.name} leaves the finite numbers in {trial.label}",
+                    hint="check the units of its parameters and inputs, the sign of forces that should resist motion, "
+                    "and how its states begin",
+                )
+            found.append(outputs)
+        return found
+
+    def whiten(self, weighted: FloatArray, trial: int) -> FloatArray:
+        """Return weighted values (n, m) of a trial as multiples of its noise, white."""
+        if self.noise.whiten is None:
+            return weighted
+        return self.noise.whiten(weighted, self.data.trials[trial].count)
+
+    def trial_residual(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray | None:
+        """Return measured minus simulated of one trial in units of its noise, white, flat; None where not finite.
+
+        Behind it stand the first samples' residuals, where a state that begins there is free.
+        """
+        outputs = self.simulate(parameters, trial, own)
+        if outputs is None:
+            return None
+        residual = (self.data.trials[trial].outputs - outputs) * self.noise.weights
+        # a simulation on its way to infinity must not overflow when it is squared
+        residual = self.whiten(np.clip(residual, -self._huge, self._huge), trial)
+        if self.seen is not None:
+            residual = residual * self.seen[trial][: len(residual), None]
+        return np.concatenate([residual.ravel(), self._behind(trial, own)])
+
+    def _behind(self, trial: int, own: FloatArray) -> FloatArray:
+        """Return what first samples and the spread of deviations have against the trial's own variables."""
+        states = len(self.states.free)
+        return np.concatenate([self.states.read_residual(trial, own[:states]), own[states:]])
+
+    def finite_residuals(self, z: FloatArray) -> list[FloatArray] | None:
+        """Return the residual of every trial; None where a simulation is not finite."""
+        parameters, found = self.parameters(z), []
+        for index in range(len(self.data.trials)):
+            residual = self.trial_residual(parameters, index, self.own(z, index))
+            if residual is None:
+                return None
+            found.append(residual)
+        return found
+
+    def residuals(self, z: FloatArray) -> list[FloatArray]:
+        """Return the residual of every trial, huge where the simulation is not finite."""
+        parameters, found = self.parameters(z), []
+        for index, trial in enumerate(self.data.trials):
+            own = self.own(z, index)
+            residual = self.trial_residual(parameters, index, own)
+            if residual is None:
+                huge = np.full(trial.outputs.size, self._huge)
+                residual = np.concatenate([huge, self._behind(index, own)])
+            found.append(residual)
+        return found
+
+    def squares(self, z: FloatArray, residual: Sequence[FloatArray] | None = None) -> float:
+        """Return the sum of squared residuals (or take them as known), prior included."""
+        prior = self.priors.residual(z)
+        residual = self.residuals(z) if residual is None else residual
+        return float(prior @ prior) + sum(float(part @ part) for part in residual)
+
+    def misfit(self, z: FloatArray) -> float:
+        """Return the root mean square of the residuals, without prior."""
+        samples = sum(trial.outputs.size for trial in self.data.trials)
+        return float(np.sqrt(sum(float(part @ part) for part in self.residuals(z)) / samples))
+
+    # --- derivatives ------------------------------------------------------------------------------------------------
 
     def jacobian(
         self,
@@ -153,12 +416,48 @@ class Problem(Residuals):
                 for variable in range(self.size)
             ]
             by_state = [
-                self._by_state(parameters, index, start, variable, base, central)
-                for variable in range(self.own_size)
+                self._by_state(parameters, index, start, place, base, central)
+                for place in range(self.own_size)
             ]
-            shared.append(columns(by_parameter, len(base)))
-            own.append(columns(by_state, len(base)))
+            shared.append(_columns(by_parameter, len(base)))
+            own.append(_columns(by_state, len(base)))
         return Jacobian(shared, own if beside is None else beside.own, residual)
+
+    def _by_parameter(
+        self,
+        parameters: FloatArray,
+        trial: int,
+        own: FloatArray,
+        variable: int,
+        base: FloatArray,
+        central: bool,
+    ) -> FloatArray:
+        priors = self.priors
+        place, scale = priors.free[variable], priors.scale[variable]
+        return _difference_quotient(
+            lambda value: self.trial_residual(changed(parameters, place, value * scale), trial, own),
+            float(parameters[place] / scale),
+            base,
+            (float(priors.lower[variable]), float(priors.upper[variable])),
+            central,
+        )
+
+    def _by_state(
+        self, parameters: FloatArray, trial: int, own: FloatArray, place: int, base: FloatArray, central: bool
+    ) -> FloatArray:
+        return _difference_quotient(
+            lambda value: self.trial_residual(parameters, trial, changed(own, place, value)),
+            float(own[place]),
+            base,
+            (-math.inf, math.inf),
+            central,
+        )
+
+    # --- where a search begins --------------------------------------------------------------------------------------
+
+    def begin(self) -> FloatArray:
+        """Return `z` of the stated parameters, initial states guessed."""
+        return np.concatenate([self.priors.stated, self.guess(self.priors.values)])
 
     def guess(self, parameters: FloatArray) -> FloatArray:
         """Return free initial states, scaled, one trial after the other, from the first samples of each trial.
@@ -190,15 +489,11 @@ class Problem(Residuals):
         """Places, among the free initial states, of those that never change."""
         if not self.states.free:
             return ()
-        parameters, away = self.priors.values, np.full(self.own_size, _AWAY)
+        first, start = self.data.trials[0], self.initial_state(0, np.full(self.own_size, _AWAY))
         course = simulate(
-            self.model,
-            self.data.trials[0].time_s,
-            self.drives[0],
-            parameters=parameters[: len(self.model.parameters)],
-            condition=self.data.trials[0].condition,
-            initial_state=self.initial_state(0, away),
-        ).states[:, list(self.states.free)]
+            self.model, first.time_s, self.drives[0], parameters=self.priors.values[: len(self.model.parameters)],
+            condition=first.condition, initial_state=start,
+        ).states[:, list(self.states.free)]  # fmt: skip
         return tuple(np.flatnonzero(np.all(course == course[0], axis=0)).tolist())
 
     def _with_constant(self, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray:
@@ -215,40 +510,10 @@ class Problem(Residuals):
             return own
         return changed(own, places, least_squares(residual, own[places]).x)
 
-    def _by_parameter(
-        self,
-        parameters: FloatArray,
-        trial: int,
-        own: FloatArray,
-        variable: int,
-        base: FloatArray,
-        central: bool,
-    ) -> FloatArray:
-        place, scale = self.priors.free[variable], self.priors.scale[variable]
-        return difference_quotient(
-            lambda value: self.trial_residual(changed(parameters, place, value * scale), trial, own),
-            float(parameters[place] / scale),
-            base,
-            float(self.priors.lower[variable]),
-            float(self.priors.upper[variable]),
-            central=central,
-        )
 
-    def _by_state(
-        self,
-        parameters: FloatArray,
-        trial: int,
-        own: FloatArray,
-        variable: int,
-        base: FloatArray,
-        central: bool,
-    ) -> FloatArray:
-        return difference_quotient(
-            lambda value: self.trial_residual(parameters, trial, changed(own, variable, value)),
-            float(own[variable]),
-            base,
-            central=central,
-        )
+def prepared(model: Model, data: Dataset, substeps: int) -> tuple[Drive, ...]:
+    """Return the inputs of every trial on the integrator's steps."""
+    return tuple(prepare(model, trial.time_s, trial.inputs, substeps) for trial in data.trials)
 
 
 def channel_spread(data: Dataset) -> FloatArray:
@@ -256,9 +521,9 @@ def channel_spread(data: Dataset) -> FloatArray:
     spread = []
     for column, output in enumerate(data.outputs):
         values = np.concatenate([trial.outputs[:, column] for trial in data.trials])
-        size = float(np.std(values))
-        if size <= 1e-12 * float(np.max(np.abs(values))):
-            size = float(np.max(np.abs(values)))
+        size, largest = float(np.std(values)), float(np.max(np.abs(values)))
+        if size <= 1e-12 * largest:
+            size = largest
         if size == 0.0:
             raise FitError(
                 f"output {output.name!r} is zero throughout {data.name}: it says nothing about the model",
@@ -266,3 +531,37 @@ def channel_spread(data: Dataset) -> FloatArray:
             )
         spread.append(size)
     return np.array(spread)
+
+
+def _cut(drive: Drive, trial: FitTrial) -> Drive:
+    """Return the inputs of the first part of a trial."""
+    steps = (len(trial.time_s) - 1) * drive.substeps
+    last = drive.u[steps, 0] if steps < len(drive.u) else drive.u_last
+    return replace(drive, time_s=trial.time_s, steps_s=drive.steps_s[:steps], u=drive.u[:steps], u_last=last)
+
+
+def _difference_quotient(
+    residual: Callable[[float], FloatArray | None],
+    centre: float,
+    base: FloatArray,
+    bounds: tuple[float, float],
+    central: bool,
+) -> FloatArray:
+    """Return the derivative at `centre`, where the residual is `base`, by differences inside bounds.
+
+    To both sides if `central`, else to one; to the other side alone where the simulation is not finite, zero where it
+    is so nowhere.
+    """
+    before, after = max(centre - _STEP, bounds[0]), min(centre + _STEP, bounds[1])
+    ahead = residual(after) if after > centre else None
+    behind = residual(before) if before < centre and (central or ahead is None) else None
+    if ahead is None and behind is None:
+        return np.zeros_like(base)
+    upper, above = (base, centre) if ahead is None else (ahead, after)
+    lower, below = (base, centre) if behind is None else (behind, before)
+    return (upper - lower) / (above - below)
+
+
+def _columns(found: Sequence[FloatArray], rows: int) -> FloatArray:
+    """Return columns side by side, (rows, 0) if there are none."""
+    return np.column_stack(found) if found else np.empty((rows, 0))

@@ -4,7 +4,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit.transfer import TransferFunction
-from labrun.fit.transfer.response import Hold, powers
+from labrun.fit.transfer.transfer_function import Hold, powers
 
 
 def answer(

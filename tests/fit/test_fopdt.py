@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from labrun.errors import FitError, RequestError
 from labrun.fit.signals import trailing_mean
 from labrun.fit.transfer import TransferFunction
-from labrun.fit.transfer.estimation import ResponseTrial, Shape
-from labrun.fit.transfer.fitting import fit_transfer
+from labrun.fit.transfer.fitting import ResponseTrial, Shape, fit_transfer
 
 TIME_S = np.arange(0.0, 12.0, 0.02)
 STEP = np.where(TIME_S < 2.0, 0.0, 40.0)

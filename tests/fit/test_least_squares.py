@@ -6,7 +6,7 @@ import pytest
 from labrun.app.fit import fit
 from labrun.app.run import execute
 from labrun.errors import RequestError
-from labrun.fit.regression.least_squares import (
+from labrun.fit.regression.method import (
     BASKETS,
     collinear,
     condition,

@@ -12,7 +12,7 @@ from labrun.errors import FitError
 from labrun.fit.dataset import Dataset, FitTrial
 from labrun.fit.output_error import fit_model
 from labrun.fit.problem import Problem
-from labrun.fit.resampling import correlation_length
+from labrun.fit.uncertainty import correlation_length
 from labrun.models import Model, parse_model
 from labrun.store import SignalInfo
 

@@ -21,17 +21,13 @@ from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
 from labrun.fit.result import FitSummary, FittedData
 from labrun.fit.transfer import TransferFunction
-from labrun.fit.transfer.summary import TransferSummary
-from labrun.fit.tuning.closed_loop import Gains, run_loop
-from labrun.fit.tuning.designs import ControllerDesign
-from labrun.fit.tuning.figure import shown_designs
-from labrun.fit.tuning.loop import OpenLoop
-from labrun.fit.tuning.margins import margins, ultimate
+from labrun.fit.transfer.method import TransferSummary
+from labrun.fit.tuning.designs import ControllerDesign, Study, run_loop, study
+from labrun.fit.tuning.loop import Gains, OpenLoop, margins, ultimate
 from labrun.fit.tuning.method import FittedPlant, plant_of, summary
-from labrun.fit.tuning.optimum import loop_error, optimum
-from labrun.fit.tuning.rules import Reduced, reduce_order, rules, simc
+from labrun.fit.tuning.optimum import Reduced, loop_error, optimum, reduce_order, rules, simc
 from labrun.fit.tuning.settings import PidFitSettings
-from labrun.fit.tuning.study import Study, study
+from labrun.fit.tuning.summary import shown_designs
 from labrun.runner import SilentProgress
 from labrun.spec import load_named
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from labrun.fit.resampling import resample_trials
+from labrun.fit.uncertainty import resample_trials
 
 FloatArray = NDArray[np.float64]
 

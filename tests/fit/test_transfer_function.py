@@ -9,10 +9,13 @@ from scipy.signal import lsim
 
 from labrun.app.fit import fit as run_fit
 from labrun.fit.transfer import TransferFunction
-from labrun.fit.transfer.estimation import ResponseTrial, Shape
-from labrun.fit.transfer.fitting import compare_orders, fit_transfer, unconverged
-from labrun.fit.transfer.method import TransferFunctionFit, TransferFunctionSettings
-from labrun.fit.transfer.summary import response_figure, warnings_of
+from labrun.fit.transfer.fitting import ResponseTrial, Shape, compare_orders, fit_transfer, unconverged
+from labrun.fit.transfer.method import (
+    TransferFunctionFit,
+    TransferFunctionSettings,
+    response_figure,
+    warnings_of,
+)
 
 TIME_S = np.arange(0.0, 10.0, 0.02)
 

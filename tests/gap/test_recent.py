@@ -58,7 +58,7 @@ def test_candidates_at_an_output_share_one_simulation_per_unit(monkeypatch):
     made = []
     simulated = simulate_unfiltered
     monkeypatch.setattr(
-        "labrun.fit.residuals.simulate_unfiltered",
+        "labrun.fit.problem.simulate_unfiltered",
         lambda *given, **named: made.append(1) or simulated(*given, **named),
     )
     for one in SHOWN:

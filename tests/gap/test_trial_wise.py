@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labrun.fit import Dataset, Deviation, DeviationKind
-from labrun.fit.per_trial import deviated
+from labrun.fit.variables import deviated
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.recalibration import stated_problem
 from labrun.gap.trial_wise import found_alone, set_anew, shape_of, simulated_changes, words

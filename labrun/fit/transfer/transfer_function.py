@@ -1,4 +1,4 @@
-"""A transfer function with a dead time: what a fit hands over, what a controller is designed on, and its TOML.
+"""A transfer function with a dead time: its exact answers, what a controller is designed on, and its TOML.
 
 As TOML it is one table for each response, or the keys alone::
 
@@ -19,7 +19,7 @@ Keys that end in ``_ci95`` are read over: a fit writes its 95 % intervals so.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,8 +27,138 @@ from numpy.typing import ArrayLike, NDArray
 from labrun.arrays import FloatArray
 from labrun.control import TransferTable, response_table
 from labrun.errors import RequestError
-from labrun.fit.transfer.response import step_response
 from labrun.toml import Places, parsed, refusal, validate
+
+Hold = Literal["linear", "constant"]
+_WHOLE = 1e-9
+"""A dead time this close to a whole number of samples is one."""
+
+
+def powers(
+    denominator: tuple[float, ...],
+    dead_s: float,
+    step_s: float,
+    values: FloatArray,
+    hold: Hold = "linear",
+    before: float = 0.0,
+) -> FloatArray:
+    """Return the answers of ``s^k exp(-dead_s s) / denominator(s)``, k from 0 to its order, shape (n, order + 1).
+
+    Any numerator's answer is their sum, weighted by its coefficients, lowest power first. The state moves from sample
+    to sample by a matrix exponential, without any error of integration (Van Loan 1978, *IEEE Trans. Autom. Control*
+    23:395). The dead time need not be a whole number of samples: the output between two samples follows from the state
+    at the earlier one by the exponential of the part step.
+    """
+    system = StateSpace((1.0,), denominator, step_s)
+    whole = int(np.ceil(dead_s / step_s - _WHOLE))
+    part_s = whole * step_s - dead_s
+    following = values[1:] if hold == "linear" else values[:-1]
+    early = system.steady(before)
+    states = system.states(values, following, early)
+    count = max(len(values) - whole, 0)
+    after = np.append(following, values[-1])[:count]
+    late, held = system.later(
+        states[:count], values[:count], after, part_s if part_s > _WHOLE * step_s else 0.0
+    )
+    answers = np.tile(system.derivatives(early[None], np.array([before])), (len(values), 1))
+    answers[whole:] = system.derivatives(late, held)
+    return answers
+
+
+def free_answers(denominator: tuple[float, ...], step_s: float, count: int) -> FloatArray:
+    """Return a basis of what the system does by itself from any initial state, (count, order)."""
+    system = StateSpace((1.0,), denominator, step_s)
+    return system.states(np.zeros(count), np.zeros(count - 1), system.b)
+
+
+class StateSpace:
+    """Controller canonical form with time in units of its own speed, so that its matrix is well scaled."""
+
+    def __init__(self, numerator: tuple[float, ...], denominator: tuple[float, ...], step_s: float) -> None:
+        size = len(denominator) - 1
+        lead = denominator[0]
+        below = np.array(denominator[1:]) / lead
+        above = np.concatenate([np.zeros(size + 1 - len(numerator)), numerator]) / lead
+        self.size = size
+        self.step_s = step_s
+        self.through = float(above[0])
+        self.lead = lead
+        # each state in units of speed^k: the companion matrix of poles near the unit circle
+        powers = np.arange(1.0, size + 1)
+        speed = float(np.max(np.abs(below) ** (1.0 / powers))) if size and np.any(below) else 1.0
+        self.a = np.zeros((size, size))
+        self.b = np.zeros(size)
+        self.c = np.zeros(size)
+        if size:
+            self.a[0] = -below / speed ** (powers - 1)
+            self.a[range(1, size), range(size - 1)] = speed
+            self.b[0] = speed
+            self.c = (above[1:] - below * self.through) / speed**powers
+        self.speeds = speed**powers
+
+    def derivatives(self, states: FloatArray, values: FloatArray) -> FloatArray:
+        """Return the answers of s^k/denominator, k rising from 0, of states and input at the same times."""
+        # the first state's rate, in its own units, is the answer of s^n
+        highest = (states @ self.a[0] + self.b[0] * values) / self.b[0] if self.size else values
+        return np.column_stack([(states / self.speeds)[:, ::-1], highest]) / self.lead
+
+    def steady(self, value: float) -> FloatArray:
+        """Return the state that a constant input has led to."""
+        if value == 0.0 or self.size == 0:
+            return np.zeros(self.size)
+        try:
+            return np.asarray(np.linalg.solve(self.a, -self.b * value))
+        except np.linalg.LinAlgError:
+            raise RequestError(
+                "a transfer function with a pole at zero has no steady state under a constant input",
+                hint="start it from input 0",
+            ) from None
+
+    def matrices(self, step_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the state's move over a step: by itself, by the input, by how much the input grows over it."""
+        from scipy.linalg import expm
+
+        size = self.size
+        augmented = np.zeros((size + 2, size + 2))
+        augmented[:size, :size], augmented[:size, size] = self.a * step_s, self.b * step_s
+        augmented[size, size + 1] = 1.0
+        moved = expm(augmented)
+        return moved[:size, :size], moved[:size, size], moved[:size, size + 1]
+
+    def states(self, values: FloatArray, following: FloatArray, start: FloatArray) -> FloatArray:
+        """Return the state at every sample, (n, size).
+
+        The recursion runs in the basis of a Schur form, where each state is a filter of first order on those after it:
+        as exact with equal poles as with different ones.
+        """
+        from scipy.linalg import schur
+        from scipy.signal import lfilter
+
+        if self.size == 0:
+            return np.zeros((len(values), 0))
+        move, by_input, by_growth = self.matrices(self.step_s)
+        triangle, basis = schur(move, output="complex")
+        drive = np.outer(values[:-1], by_input) + np.outer(following - values[:-1], by_growth)
+        turned = drive @ basis.conj()
+        first = basis.conj().T @ start
+        found = np.empty((len(values), self.size), dtype=complex)
+        for row in range(self.size - 1, -1, -1):
+            pushed = turned[:, row] + found[:-1, row + 1 :] @ triangle[row, row + 1 :]
+            pole = triangle[row, row]
+            found[0, row] = first[row]
+            found[1:, row] = lfilter([1.0], [1.0, -pole], pushed, zi=[pole * first[row]])[0]
+        return np.asarray((found @ basis.T).real)
+
+    def later(
+        self, states: FloatArray, values: FloatArray, following: FloatArray, part_s: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return state and input `part_s` after each sample."""
+        growth = (following - values) * (part_s / self.step_s)
+        if not self.size:
+            return states, values + growth
+        move, by_input, by_growth = self.matrices(part_s)
+        return states @ move.T + np.outer(values, by_input) + np.outer(growth, by_growth), values + growth
+
 
 ComplexArray = NDArray[np.complex128]
 _NAMES = ("input_name", "output_name", "input_unit", "output_unit")
@@ -55,8 +185,6 @@ class TransferFunction:
     numerator, denominator
         Coefficients, highest power of s first, as they were given but for leading zeros, which are dropped. Those that
         a fit gives are scaled so that the denominator's last coefficient is 1 (its first, if the last is zero).
-    dead_s
-        Dead time, s.
     input_name, output_name, input_unit, output_unit
         What goes in and comes out; the gain's unit is output_unit/input_unit.
 
@@ -75,10 +203,7 @@ class TransferFunction:
     output_unit: str = "1"
 
     def __post_init__(self) -> None:
-        numerator, denominator = (
-            _without_leading_zeros(self.numerator),
-            _without_leading_zeros(self.denominator),
-        )
+        numerator, denominator = (_without_leading_zeros(one) for one in (self.numerator, self.denominator))
         if not np.all(np.isfinite([*numerator, *denominator, self.dead_s])):
             raise RequestError(
                 f"a transfer function needs finite numbers: {numerator} / {denominator}, {self.dead_s} s"
@@ -92,9 +217,9 @@ class TransferFunction:
             )
         if self.dead_s < 0:
             raise RequestError(f"a dead time cannot be negative: {self.dead_s:g} s")
-        object.__setattr__(self, "numerator", numerator)
-        object.__setattr__(self, "denominator", denominator)
-        object.__setattr__(self, "dead_s", float(self.dead_s))
+        changed = {"numerator": numerator, "denominator": denominator, "dead_s": float(self.dead_s)}
+        for name, value in changed.items():
+            object.__setattr__(self, name, value)
 
     @classmethod
     def first_order(cls, gain: float, lag_s: float, dead_s: float = 0.0, **names: str) -> "TransferFunction":
@@ -104,15 +229,11 @@ class TransferFunction:
     @property
     def gain(self) -> float:
         """Static gain, output_unit/input_unit; infinite with a pole at zero."""
-        if self.denominator[-1] == 0.0:
-            return float("inf")
-        return self.numerator[-1] / self.denominator[-1]
+        return self.numerator[-1] / self.denominator[-1] if self.denominator[-1] else float("inf")
 
     @property
     def gain_unit(self) -> str:
         """Unit of the gain."""
-        if self.input_unit == self.output_unit:
-            return "1" if self.input_unit == "1" else f"{self.output_unit}/{self.input_unit}"
         return self.output_unit if self.input_unit == "1" else f"{self.output_unit}/{self.input_unit}"
 
     @property
@@ -157,11 +278,8 @@ class TransferFunction:
         """
         import control
 
-        named = {
-            key: value
-            for key, value in (("inputs", self.input_name), ("outputs", self.output_name))
-            if value and "." not in value
-        }
+        names = {"inputs": self.input_name, "outputs": self.output_name}
+        named = {key: value for key, value in names.items() if value and "." not in value}
         numerator, denominator = np.array(self.numerator), np.array(self.denominator)
         if pade_order and self.dead_s > 0.0:
             above, below = control.pade(self.dead_s, pade_order)
@@ -176,32 +294,33 @@ class TransferFunction:
 
     def step_response(self, time_s: ArrayLike) -> FloatArray:
         """Return the answer at any times to an input that is 0 before t = 0 and 1 from then on."""
-        return step_response(self.numerator, self.denominator, self.dead_s, np.asarray(time_s, dtype=float))
+        from scipy.linalg import expm
+
+        system = StateSpace(self.numerator, self.denominator, 1.0)
+        after_s, size = np.asarray(time_s, dtype=float) - self.dead_s, system.size
+        augmented = np.zeros((size + 1, size + 1))
+        augmented[:size, :size], augmented[:size, size] = system.a, system.b
+        moved = expm(augmented * np.atleast_1d(np.maximum(after_s, 0.0))[..., None, None])
+        values = (moved[..., :size, size] @ system.c + system.through).reshape(after_s.shape)
+        return np.where(after_s >= 0.0, values, 0.0)
 
     def to_table(self) -> dict[str, Any]:
         """Return it as the keys of a TOML table."""
-        table: dict[str, Any] = {}
-        if self.is_first_order:
-            table |= {"gain": self.gain, "lag_s": self.lag_s}
-        else:
-            table |= {"numerator": list(self.numerator), "denominator": list(self.denominator)}
-        table["dead_s"] = self.dead_s
-        return table | {key: getattr(self, key) for key in _NAMES if getattr(self, key)}
+        table: dict[str, Any] = (
+            {"gain": self.gain, "lag_s": self.lag_s}
+            if self.is_first_order
+            else {"numerator": list(self.numerator), "denominator": list(self.denominator)}
+        )
+        names = {key: getattr(self, key) for key in _NAMES if getattr(self, key)}
+        return {**table, "dead_s": self.dead_s, **names}
 
     @classmethod
     def from_toml(
         cls, text: str, response: str | None = None, *, name: str = "transfer function"
     ) -> "TransferFunction":
-        """Read one of a TOML text.
+        """Read one of a TOML text: its keys at the top, or in a table for each response, as the fits write them.
 
-        Parameters
-        ----------
-        text
-            Its keys at the top, or in a table for each response, as the fits write them.
-        response
-            Which table; not needed where there is one.
-        name
-            Of the file, for messages.
+        `response` says which table, where there are several. `name`: of the file, for messages.
 
         Raises
         ------
@@ -210,9 +329,8 @@ class TransferFunction:
         """
         data = parsed(text, name)
         table, path = response_table(data, name, response)
-        keys, faults = validate(
-            NamedTransferTable, {key: one for key, one in table.items() if not key.endswith(_INTERVAL)}, path
-        )
+        stated = {key: one for key, one in table.items() if not key.endswith(_INTERVAL)}
+        keys, faults = validate(NamedTransferTable, stated, path)
         if keys is None:
             raise refusal(RequestError, name, Places(name, text, data).of_all(faults))
         return cls.of(keys)

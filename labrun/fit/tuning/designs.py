@@ -1,29 +1,168 @@
-"""Controllers designed for a plant, everything that is predicted of each, and their tables of an experiment file."""
+"""Controllers designed for a plant, all that is predicted of each, which one to take, and their tables."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
 import tomli_w
+from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
-from labrun.control import HalfSineReference, HalfSineSettings
-from labrun.errors import FitError
-from labrun.fit.tuning.closed_loop import (
-    Gains,
-    LoopResponse,
-    StepFigures,
-    horizon_s,
-    run_loop,
-    step_figures,
+from labrun.control import (
+    FeedforwardPid,
+    HalfSineReference,
+    HalfSineSettings,
+    LoopContext,
+    PidController,
+    Step,
 )
-from labrun.fit.tuning.loop import OpenLoop
-from labrun.fit.tuning.margins import Margins, margins
-from labrun.fit.tuning.optimum import optimum, require_stable
-from labrun.fit.tuning.rules import Structure, simc
+from labrun.errors import FitError
+from labrun.fit.transfer import TransferFunction
+from labrun.fit.tuning.loop import Gains, Margins, OpenLoop, SampledPlant, horizon_s, margins, sample_plant
+from labrun.fit.tuning.optimum import Structure, keeps, loop_error, optimum, require_stable, simc
 from labrun.fit.tuning.settings import GivenTable, PidFitSettings
+
+ComplexArray = NDArray[np.complex128]
+UNBOUNDED = (-1e12, 1e12)
+"""A range that bounds nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoopResponse:
+    """A closed loop over time, all of shape (n,).
+
+    Attributes
+    ----------
+    time_s
+        Times of the loop's steps.
+    reference, output, feedback
+        In the plant's output unit; the output at the steps, and what the controller was told of it.
+    drive
+        What was set, within its range.
+    """
+
+    time_s: FloatArray
+    reference: FloatArray
+    output: FloatArray
+    feedback: FloatArray
+    drive: FloatArray
+
+
+class _Stepper:
+    """A sampled plant that is stepped; it begins at rest."""
+
+    def __init__(self, plant: SampledPlant, output: SampledPlant, count: int, drive: float) -> None:
+        self._plant, self._output = plant, output
+        self._before = max(tap.whole for tap in (*plant.taps, *output.taps))
+        self._states = np.zeros((count + self._before + 1, len(plant.input)))
+        self._drives = np.full(count + self._before + 1, drive)
+        self._states[0] = plant.at_rest(drive)
+        for k in range(self._before):  # the integral of an output at rest grows
+            self._advance(k)
+
+    def feedback(self, k: int) -> float:
+        """Return the sample of step k; the drives before it are set."""
+        k += self._before
+        total = 0.0
+        for tap in self._plant.taps:
+            total += float(tap.from_state @ self._states[k - tap.whole])
+            total += tap.from_drive * float(self._drives[k - tap.whole])
+        return total
+
+    def drive(self, k: int, value: float) -> None:
+        """Hold a drive from step k to the next."""
+        self._drives[k + self._before] = value
+        self._advance(k + self._before)
+
+    def outputs(self, count: int) -> FloatArray:
+        """Return the output at all steps."""
+        total = np.zeros(count)
+        for tap in self._output.taps:
+            rows = slice(self._before - tap.whole, self._before - tap.whole + count)
+            total += self._states[rows] @ tap.from_state + tap.from_drive * self._drives[rows]
+        return total
+
+    def _advance(self, row: int) -> None:
+        self._states[row + 1] = (
+            self._plant.transition @ self._states[row] + self._plant.input * self._drives[row]
+        )
+
+
+def run_loop(
+    gains: Gains,
+    loop: OpenLoop,
+    reference: Callable[[float], float],
+    duration_s: float,
+    *,
+    bounds: tuple[float, float] = UNBOUNDED,
+    start: float = 0.0,
+    load: Callable[[float], float] | None = None,
+) -> LoopResponse:
+    """Run the controller plugin of the bench on a plant with a rate, from rest at the drive `start`.
+
+    `reference` and `load` are functions of time, s; `bounds` is the range the drive is clamped to, and the load is
+    added behind that.
+    """
+    step_s = loop.step_s
+    count = round(duration_s / step_s) + 1
+    controller = make_controller(gains, loop, bounds, start)
+    plant = _Stepper(loop.sampled, sample_plant(loop.plant, step_s, extra_s=loop.compute_s), count, start)
+    time_s: FloatArray = np.arange(count, dtype=float) * step_s
+    wanted = np.array([reference(float(t)) for t in time_s])
+    seen, drives, drive = np.empty(count), np.empty(count), start
+    for k, now_s in enumerate(time_s.tolist()):
+        seen[k] = plant.feedback(k)
+        asked = controller.update(Step(now_s, step_s, float(wanted[k]), float(seen[k]), drive, reference))
+        drive = drives[k] = min(max(asked, bounds[0]), bounds[1])
+        controller.applied(drive)
+        plant.drive(k, drive if load is None else drive + load(now_s))
+    return LoopResponse(time_s, wanted, plant.outputs(count), seen, drives)
+
+
+def make_controller(gains: Gains, loop: OpenLoop, bounds: tuple[float, float], start: float) -> PidController:
+    """Return the controller plugin with these gains."""
+    context = LoopContext(loop.step_s, bounds[0], bounds[1], start)
+    if gains.feedforward is None:
+        return PidController(gains.settings(loop.step_s, "second", None), context)
+    model = {"gain": 1.0 / gains.feedforward, "lag_s": 0.0, "dead_s": 0.0}
+    return FeedforwardPid(gains.settings(loop.step_s, "second", model), context)
+
+
+@dataclass(frozen=True, slots=True)
+class StepFigures:
+    """What a step of the reference leads to.
+
+    Attributes
+    ----------
+    overshoot
+        Of the output beyond the value it ends at, relative to the step; 0 if there is none.
+    settling_s
+        After which the output stays within 2 % of the step around the value it ends at; inf if it does not.
+    steady_error
+        What is left of the step, relative to it.
+    peak_drive
+        Largest drive per unit of the step, in the drive's unit per unit of the reference.
+    """
+
+    overshoot: float
+    settling_s: float
+    steady_error: float
+    peak_drive: float
+
+
+def step_figures(track: LoopResponse, steady_error: float) -> StepFigures:
+    """Return the figures of a unit step's track; `steady_error` is known from the static gains."""
+    end = 1.0 - steady_error
+    beyond = float(np.max(track.output)) - end if end >= 0 else end - float(np.min(track.output))
+    outside = np.flatnonzero(np.abs(track.output - end) > 0.02)
+    last = -1 if len(outside) == 0 else int(outside[-1])
+    settling_s = float(track.time_s[last + 1]) if last + 1 < len(track.time_s) else np.inf
+    peak = float(track.drive[int(np.argmax(np.abs(track.drive)))])
+    return StepFigures(max(beyond, 0.0), settling_s, steady_error, peak)
+
 
 _LONGEST = 8.0
 """A step is followed at most so many times as long as delays and lags ask for: a weak integral creeps for ever."""
@@ -86,10 +225,9 @@ class ControllerDesign:
     @cached_property
     def step(self) -> LoopResponse:
         """A step of the reference by 1, on a drive without bounds; of an unstable loop only its beginning."""
-        longest = _LONGEST * horizon_s(self.loop)
-        lasts_s = min(horizon_s(self.loop, self.gains), longest, _STEPS * self.loop.step_s)
-        if not self.margins.stable:
-            lasts_s = horizon_s(self.loop)
+        lasts_s = horizon_s(self.loop)
+        if self.margins.stable:
+            lasts_s = min(horizon_s(self.loop, self.gains), _LONGEST * lasts_s, _STEPS * self.loop.step_s)
         return run_loop(self.gains, self.loop, lambda _: 1.0, lasts_s)
 
     @property
@@ -116,67 +254,50 @@ class ControllerDesign:
         found = [margins(self.gains, loop, refine=False) for loop in loops]
         gain = np.array([one.gain if one.stable else min(one.gain, 1.0) for one in found])
         phase = np.array([one.phase_deg if one.stable else 0.0 for one in found])
-        return Spread(
-            _interval(gain), _interval(phase), float(np.mean([not one.stable for one in found])), len(found)
-        )
+        unstable = float(np.mean([not one.stable for one in found]))
+        return Spread(_interval(gain), _interval(phase), unstable, len(found))
 
     def errors(
         self, reference: HalfSineSettings, bounds: tuple[float, float], factors: Sequence[float]
     ) -> dict[float, tuple[float, float]]:
         """Return the mean magnitude of the error over the first and the second arch of a reference.
 
-        `bounds`: range of the drive, which starts at the end nearest to zero. `factors`: the plant's gain over the one
-        that the controller was made for.
+        `factors`: the plant's gain over the one that the controller was made for; the errors are by them.
         """
         found = {}
         for factor in factors:
             track = self.follow(reference, bounds, factor)
-            size = np.abs(track.reference - track.output)
-            half = len(size) // 2
-            found[factor] = (float(np.mean(size[:half])), float(np.mean(size[half:])))
+            first, second = np.split(np.abs(track.reference - track.output), [len(track.time_s) // 2])
+            found[factor] = (float(np.mean(first)), float(np.mean(second)))
         return found
 
     def follow(
         self, reference: HalfSineSettings, bounds: tuple[float, float], factor: float = 1.0
     ) -> LoopResponse:
-        """Run two arches of a reference, on a plant of `factor` times the gain."""
+        """Run two arches of a reference, on a plant of `factor` times the gain.
+
+        The drive starts at the end of its range, `bounds`, that is nearest to zero.
+        """
         start = float(min(max(0.0, bounds[0]), bounds[1]))
         lasting_s = self.loop.delay_s + float(np.sum(self.loop.lags_s))
         enough_hz = max(_TRACK_STEPS / (2.0 * reference.period_s), _PER_LAG / lasting_s)
-        rate_hz = min(self.loop.rate_hz or enough_hz, enough_hz)
         plant = self.loop.plant
         plant = replace(plant, numerator=tuple(factor * value for value in plant.numerator))
-        return run_loop(
-            self.gains,
-            replace(self.loop, plant=plant, rate_hz=rate_hz),
-            HalfSineReference(reference.model_dump(), {}),
-            2.0 * reference.period_s,
-            bounds=bounds,
-            start=start,
-        )
+        loop = replace(self.loop, plant=plant, rate_hz=min(self.loop.rate_hz or enough_hz, enough_hz))
+        course = HalfSineReference(reference.model_dump(), {})
+        return run_loop(self.gains, loop, course, 2.0 * reference.period_s, bounds=bounds, start=start)
 
 
 def as_json(design: ControllerDesign, rate_hz: float) -> Mapping[str, object]:
     """Return a design's numbers, JSON-ready; None for what is infinite."""
     gains, found, figures = design.gains, design.margins, design.figures
-    numbers: dict[str, float] = {
-        "p": gains.p,
-        "i_per_s": gains.i_per_s,
-        "i_per_sample": gains.i_per_sample(rate_hz),
-        "d_s": gains.d_s,
-        "filter_s": gains.filter_s,
-        "gain_margin": found.gain,
-        "phase_margin_deg": found.phase_deg,
-        "delay_margin_s": found.delay_s,
-        "max_sensitivity": found.sensitivity,
-        "crossover_rad_s": found.crossover_rad_s,
-        "phase_crossover_rad_s": found.phase_crossover_rad_s,
-        "overshoot": figures.overshoot,
-        "settling_s": figures.settling_s,
-        "steady_error": figures.steady_error,
-        "peak_drive": figures.peak_drive,
-        "noise_gain": design.noise_gain,
-    }
+    numbers = {
+        "p": gains.p, "i_per_s": gains.i_per_s, "i_per_sample": gains.i_per_sample(rate_hz), "d_s": gains.d_s,
+        "filter_s": gains.filter_s, "gain_margin": found.gain, "phase_margin_deg": found.phase_deg,
+        "delay_margin_s": found.delay_s, "max_sensitivity": found.sensitivity,
+        "crossover_rad_s": found.crossover_rad_s, "phase_crossover_rad_s": found.phase_crossover_rad_s,
+        **asdict(figures), "noise_gain": design.noise_gain,
+    }  # fmt: skip
     return {
         "structure": design.structure,
         "source": design.source,
@@ -200,13 +321,11 @@ def design_all(loop: OpenLoop, settings: PidFitSettings) -> tuple[list[Controlle
     require_stable(loop)
     designs: list[ControllerDesign] = []
     warnings: list[str] = []
-    for structure in settings.structures:
-        for rule in settings.rules:
-            try:
-                designs += _of(loop, settings, structure, rule)
-            except FitError as error:
-                told = f"no {structure} by {rule}: {error.args[0]}"
-                warnings.append(told)
+    for structure, rule in product(settings.structures, settings.rules):
+        try:
+            designs += _of(loop, settings, structure, rule)
+        except FitError as error:
+            warnings.append(f"no {structure} by {rule}: {error.args[0]}")
     if not designs and warnings:
         raise FitError("\n".join(warnings), hint='try method = "optimum", or smaller margins')
     designs.sort(key=lambda one: one.gains.feedforward is not None)
@@ -219,62 +338,36 @@ def given(loop: OpenLoop, tables: Mapping[str, GivenTable], lead_s: float) -> li
     for name, keys in tables.items():
         per_s = keys.i * (1.0 if keys.i_per == "second" else 1.0 / loop.step_s)
         filter_s = _DEFAULT_FILTER_STEPS * loop.step_s if keys.filter_s is None else keys.filter_s
-        gains = Gains(
-            keys.p,
-            per_s,
-            keys.d,
-            filter_s,
-            1.0 / loop.gain if keys.feedforward else None,
-            lead_s if keys.feedforward else 0.0,
-        )
-        found.append(ControllerDesign(name, "given", gains, loop))
+        ahead = (1.0 / loop.gain, lead_s) if keys.feedforward else (None, 0.0)
+        found.append(ControllerDesign(name, "given", Gains(keys.p, per_s, keys.d, filter_s, *ahead), loop))
     return found
 
 
 def _of(loop: OpenLoop, settings: PidFitSettings, structure: Structure, rule: str) -> list[ControllerDesign]:
     name = f"{structure.lower()}-{rule}"
-    inverse = 1.0 / loop.gain
-    # a derivative beside a feed-forward is not asked for: what it would hasten, the feed-forward does
-    also = settings.feedforward and structure != "PID"
+    ahead = {"feedforward": 1.0 / loop.gain, "lead_s": settings.lead_s}
     if rule == "simc":
         gains = simc(loop, structure, tau_c_s=settings.tau_c_s, derivative_filter=settings.derivative_filter)
-        made = [ControllerDesign(name, rule, gains, loop)]
-        if also:
-            made.append(
-                ControllerDesign(
-                    f"ff-{name}", rule, replace(gains, feedforward=inverse, lead_s=settings.lead_s), loop
-                )
-            )
-        return made
-    made = [ControllerDesign(name, rule, optimum(loop, structure, settings), loop)]
-    if also:
-        gains = optimum(
-            loop,
-            structure,
-            settings,
-            feedforward=inverse,
-            lead_s=settings.lead_s,
-            gain_error=settings.gain_error,
+    else:
+        gains = optimum(loop, structure, settings)
+    made = [ControllerDesign(name, rule, gains, loop)]
+    # a derivative beside a feed-forward is not asked for: what it would hasten, the feed-forward does
+    if settings.feedforward and structure != "PID":
+        helped = (
+            replace(gains, **ahead)
+            if rule == "simc"
+            else optimum(loop, structure, settings, **ahead, gain_error=settings.gain_error)
         )
-        made.append(ControllerDesign(f"ff-{name}", rule, gains, loop))
+        made.append(ControllerDesign(f"ff-{name}", rule, helped, loop))
     return made
 
 
 def controllers_toml(
     designs: Sequence[ControllerDesign], best: str | None, i_per: str, loop_name: str, heading: str
 ) -> str:
-    """Return tables ``[track.loops.NAME.controllers.DESIGN]``, ready to be pasted.
+    """Return tables ``[track.loops.NAME.controllers.DESIGN]``, ready to be pasted; the `best` comes first.
 
     Designs only: what was given stands in an experiment already, and what is unstable should stand in none.
-
-    Parameters
-    ----------
-    best
-        Name of the design that is recommended; it comes first.
-    i_per
-        ``"second"`` or ``"sample"``.
-    loop_name
-        The loop's name in the experiment.
     """
     lines = [f"# {line}".rstrip() for line in heading.splitlines()]
     stable = [one for one in designs if one.margins.stable and one.source != "given"]
@@ -303,3 +396,103 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, list):
         return [_rounded(one) for one in value]
     return float(f"{value:.{_DIGITS}g}") if isinstance(value, int | float) else value
+
+
+_NEARLY = 1.2
+"""Designs whose error is within this of the least are as good: then the drive's noise decides."""
+_LOST_SHARE = 0.025
+"""Share of plants on which a loop may be unstable before its margin counts as lost in the 95 % interval."""
+
+MOST_OVERSHOOT = 0.25
+"""Of a step: a design above it is for slow references only, and not taken where no reference is known."""
+
+Errors = Mapping[float, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Study:
+    """What came out.
+
+    Attributes
+    ----------
+    loop
+        Around the fitted plant.
+    designs
+        Those that were given last.
+    spreads
+        By design; empty where there are no resampled plants.
+    errors
+        By design: mean magnitude of the tracking error over the first and the second arch, by factor of the plant's
+        gain; empty without a reference. Of stable loops only.
+    best
+        Name of the design to take; None if none keeps its margins, or if each that does overshoots a step by more
+        than `MOST_OVERSHOOT` and there is no slower reference that it would have to follow instead.
+    scores
+        By design: the error that decides.
+    warnings
+        Of designs that could not be made.
+    """
+
+    settings: PidFitSettings
+    loop: OpenLoop
+    designs: tuple[ControllerDesign, ...]
+    spreads: Mapping[str, Spread]
+    errors: Mapping[str, Errors]
+    scores: Mapping[str, float]
+    best: str | None
+    warnings: tuple[str, ...]
+
+    def named(self, name: str) -> ControllerDesign:
+        """Return a design."""
+        return next(one for one in self.designs if one.name == name)
+
+
+def study(
+    plant: TransferFunction, plants: Sequence[TransferFunction], settings: PidFitSettings, average_s: float
+) -> Study:
+    """Design and judge.
+
+    `plant`, `plants`: the fitted one, and those that the data do not tell apart from it. `average_s`: over which the
+    feedback is a mean; 0 for none. Raises FitError: the plant does not settle, or no design could be made.
+    """
+    loop = OpenLoop(plant, settings.rate_hz, settings.compute_s, average_s)
+    designs, warnings = design_all(loop, settings)
+    around = [replace(loop, plant=one) for one in plants]
+    spreads = {one.name: one.over(around) for one in designs} if around else {}
+    stable = [one for one in designs if one.margins.stable]
+    reference, off, errors, scores = settings.reference, settings.gain_error, dict[str, Errors](), {}
+    factors = (1.0 - off, 1.0, 1.0 + off) if off else (1.0,)
+    for one in stable:
+        if reference is None:
+            scores[one.name] = loop_error(loop, one.gains, settings)
+        else:
+            errors[one.name] = one.errors(reference, settings.range or UNBOUNDED, factors)
+            scores[one.name] = max(0.5 * (first + second) for first, second in errors[one.name].values())
+    best = _best(stable, spreads, scores, settings)
+    return Study(settings, loop, tuple(designs), spreads, errors, scores, best, tuple(warnings))
+
+
+def lost(spread: Spread) -> bool:
+    """Tell whether a loop may be unstable on a plant within the fit's 95 % interval."""
+    return spread.unstable_share > _LOST_SHARE or spread.gain[0] <= 1.0
+
+
+def _best(
+    stable: Sequence[ControllerDesign],
+    spreads: Mapping[str, Spread],
+    scores: Mapping[str, float],
+    settings: PidFitSettings,
+) -> str | None:
+    fit = [
+        one
+        for one in stable
+        if one.source != "given"
+        and keeps(one.gains, one.loop, settings)
+        and not (one.name in spreads and lost(spreads[one.name]))
+        and (settings.reference is not None or one.figures.overshoot <= MOST_OVERSHOOT)
+    ]
+    if not fit:
+        return None
+    least = min(scores[one.name] for one in fit)
+    near = [one for one in fit if scores[one.name] <= _NEARLY * least]
+    return min(near, key=lambda one: (one.noise_gain, scores[one.name])).name

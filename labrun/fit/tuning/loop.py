@@ -1,7 +1,10 @@
-"""The loop as it runs on a bench, exactly: a held drive, the plant, the mean over a cycle, samples, computation."""
+"""The loop as it runs on a bench, exactly: gains, plant, samples; and how far it is from instability."""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +23,78 @@ _TURN_RAD = 0.05
 _TURNING = 100.0
 """Up to this frequency times the delay; beyond it a loop's gain is small or the same all the way round."""
 _PER_DECADE = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """Gains of a controller, in the drive's unit per unit of the feedback.
+
+    Attributes
+    ----------
+    p, i_per_s, d_s, filter_s
+        Parallel form: ``p + i/s + d s / (filter_s s + 1)``.
+    feedforward
+        What the drive is given per unit of reference: the inverse of the plant's static gain, or None.
+    lead_s
+        How far ahead on the reference the feed-forward looks.
+    """
+
+    p: float
+    i_per_s: float = 0.0
+    d_s: float = 0.0
+    filter_s: float = 0.0
+    feedforward: float | None = None
+    lead_s: float = 0.0
+
+    def scaled(self, factor: float) -> "Gains":
+        """Return them with the feedback's gains times a factor."""
+        return replace(self, p=self.p * factor, i_per_s=self.i_per_s * factor, d_s=self.d_s * factor)
+
+    def i_per_sample(self, rate_hz: float) -> float:
+        """Return the integral gain that is summed once a sample."""
+        return self.i_per_s / rate_hz
+
+    def steady_error(self, gain: float) -> float:
+        """Return what is left of a constant reference, relative to it: ``(1 - K F) / (1 + K p)``, 0 with an integral.
+
+        `gain`: K, the plant's static gain; F is the feed-forward's, 0 without one.
+        """
+        if self.i_per_s:
+            return 0.0
+        return (1.0 - gain * (self.feedforward or 0.0)) / (1.0 + gain * self.p)
+
+    def frequency_response(self, omega_rad_s: FloatArray, step_s: float) -> ComplexArray:
+        """Return drive over error, shape of `omega_rad_s`; of samples `step_s` apart, or continuous if that is 0.
+
+        The sum of errors includes the present one; the derivative is a filtered backward difference.
+        """
+        s = 1j * omega_rad_s
+        if step_s == 0:
+            return np.asarray(self.p + self.i_per_s / s + self.d_s * s / (self.filter_s * s + 1.0))
+        change = -np.expm1(-s * step_s)  # 1 - 1/z
+        share = step_s / (self.filter_s + step_s)
+        rate = share * change / step_s / (1.0 - (1.0 - share) * (1.0 - change))
+        return np.asarray(self.p + self.i_per_s * step_s / change + self.d_s * rate)
+
+    @property
+    def plugin(self) -> str:
+        """Name of the controller plugin that takes `settings`."""
+        return "pid" if self.feedforward is None else "feedforward+pid"
+
+    def settings(self, period_s: float, i_per: str, model: dict[str, Any] | None) -> dict[str, Any]:
+        """Return the keys of the controller plugin.
+
+        `period_s`: from step to step, for an integral per "sample"; `i_per` may be "second". `model`: keys of that
+        whose static gain a feed-forward inverts; it needs one.
+        """
+        keys: dict[str, Any] = {"p": self.p}
+        if self.i_per_s:
+            keys |= {"i": self.i_per_s * (period_s if i_per == "sample" else 1.0), "i_per": i_per}
+        if self.d_s:
+            keys |= {"d": self.d_s, "filter_s": self.filter_s}
+        if self.feedforward is not None:
+            keys |= {"model": dict(model or {})} | ({"lead_s": self.lead_s} if self.lead_s else {})
+        return keys
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,3 +277,157 @@ class OpenLoop:
     def grid_response(self) -> ComplexArray:
         """Feedback over drive on `grid_rad_s`."""
         return self.frequency_response(self.grid_rad_s)
+
+
+def horizon_s(loop: OpenLoop, gains: Gains | None = None) -> float:
+    """Return how long a step is followed: many times what delays and lags it."""
+    slow = 2.0 * loop.delay_s + float(np.sum(loop.lags_s))
+    if gains is not None and gains.i_per_s:
+        # the slow tail of a weak integral
+        slow = max(slow, abs((1.0 + gains.p * loop.gain) / (gains.i_per_s * loop.gain)))
+    return 12.0 * slow
+
+
+@dataclass(frozen=True, slots=True)
+class Margins:
+    """Margins of a loop; inf where the curve never comes there.
+
+    Attributes
+    ----------
+    stable
+        Whether the closed loop is; the others tell nothing if it is not.
+    gain
+        The loop gain may be so many times larger.
+    phase_deg
+        Least angle between -1 and a point of the curve at distance 1.
+    delay_s
+        Dead time that may be added.
+    sensitivity
+        Ms, the largest ``1 / |1 + L|``: its inverse is the curve's least distance from -1.
+    crossover_rad_s
+        Highest frequency with loop gain 1; 0 if there is none.
+    phase_crossover_rad_s
+        Frequency at which the loop would oscillate; inf if it would not.
+    """
+
+    stable: bool
+    gain: float
+    phase_deg: float
+    delay_s: float
+    sensitivity: float
+    crossover_rad_s: float
+    phase_crossover_rad_s: float
+
+
+def margins(gains: Gains, loop: OpenLoop, *, refine: bool = True) -> Margins:
+    """Return the margins of a loop with its controller.
+
+    The plant must be stable: then a loop of small gain, driving the right way, is stable, and it stays so up to the
+    gain at which its curve first passes through -1. That holds for dead times of any length. `refine`: find crossings
+    exactly; without, they are interpolated on the grid, to some 1e-4: for many plants.
+    """
+    omega, response = loop.grid_rad_s, loop.grid_response
+    curve = gains.frequency_response(omega, loop.step_s) * response
+
+    def at(frequency: float) -> complex:
+        if not refine:
+            return complex(np.interp(frequency, omega, curve))
+        point = np.array([frequency])
+        return complex((gains.frequency_response(point, loop.step_s) * loop.frequency_response(point))[0])
+
+    gain, oscillates = _gain_margin(omega, curve, at, refine=refine, sampled=loop.rate_hz is not None)
+    # a gain that drives the wrong way is not stable at any size where the loop settles by it
+    wrong_way = gains.i_per_s * loop.gain < 0 or (gains.i_per_s == 0 and 1.0 + gains.p * loop.gain <= 0)
+    phase_deg, delay_s, crossover = math.inf, math.inf, 0.0
+    for frequency in _crossings(omega, np.abs(curve) - 1.0, (lambda w: abs(at(w)) - 1.0) if refine else None):
+        angle = math.degrees(np.angle(at(frequency))) % 360.0  # 180 is -1
+        phase_deg = min(phase_deg, abs(angle - 180.0))
+        delay_s = min(delay_s, math.radians((angle - 180.0) % 360.0) / frequency)
+        crossover = max(crossover, frequency)
+    stable, least = gain > 1.0 and not wrong_way, _sensitivity(omega, curve, at)
+    return Margins(stable, gain, phase_deg, delay_s, least, crossover, oscillates)
+
+
+def ultimate(loop: OpenLoop) -> tuple[float, float]:
+    """Return the gain of a proportional controller at which the loop oscillates, and the frequency, rad/s.
+
+    The gain has the sign that the plant's static gain asks for; both are inf if no gain does it.
+    """
+    found = margins(Gains(math.copysign(1.0, loop.gain)), loop)
+    return math.copysign(found.gain, loop.gain), found.phase_crossover_rad_s
+
+
+def allowed_gain(
+    curve: ComplexArray, gain_margin: float, phase_margin_deg: float, max_sensitivity: float | None
+) -> float:
+    """Return the largest factor of a loop's gain that keeps margins, on the points of its curve.
+
+    At no smaller factor are they lost either, so that a conditionally stable loop is never taken. `curve`, (n,): the
+    open loop on a dense grid. `gain_margin`, `phase_margin_deg`, `max_sensitivity`: what is to be kept; None asks for
+    no sensitivity.
+    """
+    size, angle = np.abs(curve), np.abs(np.angle(-curve))
+    limit = np.inf
+    inside = angle <= math.radians(phase_margin_deg)
+    if inside.any():
+        limit = 1.0 / float(np.max(size[inside]))
+    below = curve.imag[:-1] * curve.imag[1:] <= 0
+    negative = below & (np.minimum(curve.real[:-1], curve.real[1:]) < 0)
+    if negative.any():
+        reach = np.maximum(size[:-1], size[1:])[negative]
+        limit = min(limit, 1.0 / (gain_margin * float(np.max(reach))))
+    limit = min(limit, 1.0 / (gain_margin * float(size[-1])) if curve.real[-1] < 0 else limit)
+    if max_sensitivity is None:
+        return limit
+    # |1 + k L| = 1/Ms: k^2 |L|^2 + 2 k Re L + 1 - 1/Ms^2 = 0
+    least = 1.0 - 1.0 / max_sensitivity**2
+    root = curve.real**2 - size**2 * least
+    touching = (root >= 0) & (curve.real < 0)
+    if touching.any():
+        factors = (-curve.real[touching] - np.sqrt(root[touching])) / size[touching] ** 2
+        limit = min(limit, float(np.min(factors)))
+    return limit
+
+
+def _gain_margin(
+    omega: FloatArray, curve: ComplexArray, at: Callable[[float], complex], *, refine: bool, sampled: bool
+) -> tuple[float, float]:
+    """Return gain margin and its frequency: where the curve crosses the negative axis farthest out."""
+    reach, where = 0.0, math.inf
+    for frequency in _crossings(omega, curve.imag, (lambda w: at(w).imag) if refine else None):
+        value = at(frequency)
+        if value.real < 0 and -value.real > reach:
+            reach, where = -value.real, frequency
+    # at the Nyquist frequency the curve of samples ends on the real axis
+    if sampled and -curve[-1].real > reach:
+        reach, where = -float(curve[-1].real), float(omega[-1])
+    return (1.0 / reach if reach > 0 else math.inf), where
+
+
+def _crossings(
+    omega: FloatArray, values: FloatArray, function: Callable[[float], float] | None
+) -> list[float]:
+    """Return where a function that has been sampled changes its sign; without it, where a straight line would."""
+    from scipy.optimize import brentq
+
+    changes = np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0)
+    if function is None:
+        share = values[changes] / (values[changes] - values[changes + 1])
+        return [float(w) for w in omega[changes] + share * (omega[changes + 1] - omega[changes])]
+    found = []
+    for index in changes:
+        low, high = float(omega[index]), float(omega[index + 1])
+        if function(low) * function(high) < 0:
+            found.append(float(brentq(function, low, high, xtol=1e-12 * high)))
+    return found
+
+
+def _sensitivity(omega: FloatArray, curve: ComplexArray, at: Callable[[float], complex]) -> float:
+    from scipy.optimize import minimize_scalar
+
+    distance = np.abs(1.0 + curve)
+    worst = int(np.argmin(distance))
+    low, high = float(omega[max(worst - 1, 0)]), float(omega[min(worst + 1, len(omega) - 1)])
+    found = minimize_scalar(lambda w: abs(1.0 + at(w)), bounds=(low, high), method="bounded")
+    least = min(float(found.fun), float(distance[worst]))
+    return 1.0 / least if least > 0 else math.inf

@@ -1,6 +1,6 @@
 """The fit ``pid``: controllers for a response that is fitted first, or given."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -10,13 +10,12 @@ from pydantic import BaseModel
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
 from labrun.fit.method import FitJob, WithSettings, make_method
-from labrun.fit.result import FigureData, FitSummary, FittedData
+from labrun.fit.result import FitSummary, FittedData
 from labrun.fit.transfer import TransferFunction, TransferSummary
 from labrun.fit.tuning import summary as words
-from labrun.fit.tuning.designs import as_json, controllers_toml
-from labrun.fit.tuning.figure import design_figure
+from labrun.fit.tuning.designs import Study, as_json, controllers_toml, study
 from labrun.fit.tuning.settings import PidFitSettings
-from labrun.fit.tuning.study import Study, study
+from labrun.json_numbers import finite
 from labrun.store import is_recording, open_run
 from labrun.toml import suggest
 
@@ -47,12 +46,10 @@ class PidDesign(WithSettings[PidFitSettings]):
 
 @dataclass(frozen=True, slots=True)
 class FittedPlant:
-    """A plant, and how well it is known.
+    """A response to design controllers on, and how well it is known.
 
     Attributes
     ----------
-    transfer
-        What the controller is designed on.
     data
         What it was fitted to.
     plants
@@ -60,7 +57,7 @@ class FittedPlant:
     parameters
         Its numbers with their intervals, as the fit names them.
     rmse
-        Of the response, in the output's unit; None if it was given.
+        In the output's unit; None if it was given.
     """
 
     response: str
@@ -83,65 +80,43 @@ def find_plant(job: FitJob, settings: PidFitSettings) -> FittedPlant:
         The response cannot be fitted.
     """
     if settings.given_plant is not None:
-        transfer = TransferFunction.of(settings.given_plant)
-        return FittedPlant(
-            settings.response or "given", transfer, FittedData(Path(job.target).stem, "run", 0)
-        )
+        data = FittedData(Path(job.target).stem, "run", 0)
+        return FittedPlant(settings.response or "given", TransferFunction.of(settings.given_plant), data)
     keys = {**job.settings_of(settings.plant), **settings.plant_settings}
-    fitted = make_method(settings.plant, keys)(job)
-    return plant_of(fitted, settings.response, settings.resamples)
+    return plant_of(make_method(settings.plant, keys)(job), settings.response, settings.resamples)
 
 
 def plant_of(fitted: FitSummary, response: str | None, resamples: int) -> FittedPlant:
-    """Return a response of a fit as a plant, with others that its data do not rule out.
-
-    Parameters
-    ----------
-    fitted
-        Of fit ``fopdt`` or ``transfer-function``.
-    response
-        Which; the first, if None.
-    resamples
-        How many other plants, at most.
+    """Return a response of a fit (the first, if None) as a plant, with some others that its data do not rule out.
 
     Raises
     ------
     RequestError
         There is no such response.
     FitError
-        The fit gave none at all.
+        The fit, not ``fopdt`` or ``transfer-function``, gave none at all.
     """
     if not isinstance(fitted, TransferSummary) or not fitted.transfers:
         raise FitError(f"the fit {fitted.method} gave no transfer function to design a controller on")
-    name = chosen(list(fitted.transfers), response)
+    names = list(fitted.transfers)
+    name = names[0] if response is None else response
+    if name not in names:
+        hint = suggest(name, names, kind="fitted responses")
+        raise RequestError(f"no response {name!r} was fitted", hint=hint)
     # warnings that begin with another response say nothing about this one
-    others = tuple(f"{one}:" for one in fitted.transfers if one != name)
+    others = tuple(f"{one}:" for one in names if one != name)
     told = [one for one in fitted.warnings if not one.startswith(others)]
-    plants = _settling(fitted.resampled.get(name, ()))[:resamples]
+    # those that can be controlled: their numbers belong together
+    resampled = fitted.resampled.get(name, ())
+    plants = [one for one in resampled if one.is_stable and one.gain and one.dead_s >= 0]
     if not plants:
         told.append(
             "the fit gives no resampled plants that settle: margins are those of the fitted plant only"
         )
     return FittedPlant(
-        name,
-        fitted.transfers[name],
-        fitted.data,
-        plants,
-        fitted.estimates.get(name, {}),
-        tuple(told),
-        fitted.rmse.get(name),
-    )
-
-
-def chosen(names: Sequence[str], wanted: str | None) -> str:
-    """Return which response is meant. Raises RequestError: there is none of that name."""
-    if wanted is None:
-        return names[0]
-    if wanted in names:
-        return wanted
-    raise RequestError(
-        f"no response {wanted!r} was fitted", hint=suggest(wanted, names, kind="fitted responses")
-    )
+        name, fitted.transfers[name], fitted.data, tuple(plants[:resamples]), fitted.estimates.get(name, {}),
+        tuple(told), fitted.rmse.get(name),
+    )  # fmt: skip
 
 
 def cycle_of(job: FitJob) -> float | None:
@@ -150,11 +125,6 @@ def cycle_of(job: FitJob) -> float | None:
         return None
     values = sorted({one.period_s for one in open_run(job.target).outcomes if one.period_s})
     return values[0] if values and values[-1] <= values[0] * (1 + 1e-6) else None
-
-
-def _settling(resampled: Sequence[TransferFunction]) -> tuple[TransferFunction, ...]:
-    """Return those of a fit's resamples that can be controlled: their numbers belong together."""
-    return tuple(one for one in resampled if one.is_stable and one.gain and one.dead_s >= 0)
 
 
 def averaged_over(job: FitJob, settings: PidFitSettings) -> float:
@@ -174,24 +144,28 @@ def averaged_over(job: FitJob, settings: PidFitSettings) -> float:
 
 def summary(plant: FittedPlant, found: Study) -> FitSummary:
     """Return what is printed and stored."""
-    settings = found.settings
+    settings, loop, transfer = found.settings, found.loop, plant.transfer
     rate_hz = settings.rate_hz
     details: dict[str, Any] = {
         "response": plant.response,
-        "plant": _plant_json(plant.transfer),
+        "plant": {
+            "numerator": list(transfer.numerator),
+            "denominator": list(transfer.denominator),
+            **{key: getattr(transfer, key) for key in ("dead_s", "input_unit", "output_unit")},
+        },
         "loop": {
             "rate_hz": rate_hz,
             "compute_s": settings.compute_s,
             "feedback": settings.feedback,
-            "average_s": found.loop.average_s,
-            "effective_dead_s": found.loop.delay_s,
+            "average_s": loop.average_s,
+            "effective_dead_s": loop.delay_s,
         },
         "recommended": found.best,
         "designs": {one.name: as_json(one, rate_hz) for one in found.designs},
         "spreads": {
             name: {
-                "gain_margin_ci95": _finite(spread.gain),
-                "phase_margin_deg_ci95": _finite(spread.phase_deg),
+                "gain_margin_ci95": finite(spread.gain),
+                "phase_margin_deg_ci95": finite(spread.phase_deg),
                 "unstable_share": spread.unstable_share,
             }
             for name, spread in found.spreads.items()
@@ -201,48 +175,27 @@ def summary(plant: FittedPlant, found: Study) -> FitSummary:
             for name, errors in found.errors.items()
         },
     }
-    loop_name = _LOOP_NAMES.get(plant.response, plant.response)
+    over = f" over {loop.average_s:.4g} s" if loop.average_s else ""
     heading = (
-        f"Controllers for {plant.response}, designed on {plant.transfer}, fitted to {plant.data.name}.\n"
-        f"For a loop at {rate_hz:g} Hz with feedback {settings.feedback}"
-        + (f" over {found.loop.average_s:.4g} s" if found.loop.average_s else "")
-        + f"; gains in {words.drive_per_output(found)}."
+        f"Controllers for {plant.response}, designed on {transfer}, fitted to {plant.data.name}.\n"
+        f"For a loop at {rate_hz:g} Hz with feedback {settings.feedback}{over}; "
+        f"gains in {words.drive_per_output(found)}."
     )
-    file = controllers_toml(found.designs, found.best, settings.i_per, loop_name, heading)
+    feedback = f"mean over {loop.average_s:.3g} s" if loop.average_s else "latest sample"
+    title = f"Controllers for {plant.response} of {plant.data.name}\nat {rate_hz:g} Hz, feedback: {feedback}"
+    title += f"; * recommended: {found.best}" if found.best else ""
+    loop_name = _LOOP_NAMES.get(plant.response, plant.response)
     return FitSummary(
         method="pid",
         model_name=f"controllers for {plant.response}",
         data=plant.data,
         parameters=plant.parameters,
         rmse={} if plant.rmse is None else {plant.response: plant.rmse},
-        rmse_units={plant.response: plant.transfer.output_unit},
+        rmse_units={plant.response: transfer.output_unit},
         tables=words.tables(found),
         findings=tuple(words.findings(found)),
         warnings=(*plant.warnings, *words.warnings(found)),
         details=details,
-        files={"pid.toml": file},
-        figure_data=lambda: _figure(plant, found),
+        files={"pid.toml": controllers_toml(found.designs, found.best, settings.i_per, loop_name, heading)},
+        figure_data=lambda: words.design_figure(found, title),
     )
-
-
-def _figure(plant: FittedPlant, found: Study) -> FigureData:
-    loop = found.loop
-    feedback = f"mean over {loop.average_s:.3g} s" if loop.average_s else "latest sample"
-    title = (
-        f"Controllers for {plant.response} of {plant.data.name}\nat {loop.rate_hz:g} Hz, feedback: {feedback}"
-    )
-    return design_figure(found, title + (f"; * recommended: {found.best}" if found.best else ""))
-
-
-def _plant_json(transfer: TransferFunction) -> dict[str, Any]:
-    return {
-        "numerator": list(transfer.numerator),
-        "denominator": list(transfer.denominator),
-        "dead_s": transfer.dead_s,
-        "input_unit": transfer.input_unit,
-        "output_unit": transfer.output_unit,
-    }
-
-
-def _finite(pair: tuple[float, float]) -> list[float | None]:
-    return [value if abs(value) < float("inf") else None for value in pair]

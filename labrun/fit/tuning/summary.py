@@ -1,13 +1,16 @@
-"""The designs in tables, and what they say in sentences."""
+"""The designs in tables, in sentences and as a picture."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Literal
 
-from labrun.fit.result import TextTable
-from labrun.fit.tuning.designs import ControllerDesign
-from labrun.fit.tuning.loop import OpenLoop
-from labrun.fit.tuning.margins import ultimate
-from labrun.fit.tuning.study import MOST_OVERSHOOT, Errors, Study, lost
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.fit.result import Curve, FigureData, Panel, Stack, TextTable
+from labrun.fit.tuning.designs import MOST_OVERSHOOT, UNBOUNDED, ControllerDesign, Errors, Study, lost
+from labrun.fit.tuning.loop import OpenLoop, ultimate
 
 _CATCHES_UP = 1.6
 """First arch over second, above which a controller only follows after the first."""
@@ -19,87 +22,50 @@ _NEAR_END = 0.02
 
 def tables(study: Study) -> tuple[TextTable, ...]:
     """Return gains, margins, predicted step, and, where there is a reference, errors."""
-    found = [_gains(study), _margins(study), _step(study)]
-    if study.errors:
-        found.append(_tracking(study))
-    return tuple(found)
-
-
-def _gains(study: Study) -> TextTable:
     unit, rate = drive_per_output(study), study.settings.rate_hz
-    rows = []
+    gains, kept, steps = [], [], []
     for one in study.designs:
-        gains = one.gains
-        rows.append(
-            (
-                _name(one, study),
-                one.structure,
-                _number(gains.p),
-                _number(gains.i_per_s),
-                _number(gains.i_per_sample(rate)),
-                _number(gains.d_s),
-                _number(gains.filter_s) if gains.d_s else "-",
-                "-" if gains.feedforward is None else _number(gains.feedforward),
-            )
+        name, own, found, spread = _name(one, study), one.gains, one.margins, study.spreads.get(one.name)
+        numbers = (own.p, own.i_per_s, own.i_per_sample(rate), own.d_s)
+        filtered = _number(own.filter_s) if own.d_s else "-"
+        ahead = "-" if own.feedforward is None else _number(own.feedforward)
+        gains.append((name, one.structure, *map(_number, numbers), filtered, ahead))
+        between = (
+            ("-", "-") if spread is None else (_interval(spread.gain, 2), _interval(spread.phase_deg, 0))
         )
-    header = ("", "structure", "P", "I per s", f"I per sample ({rate:g} Hz)", "D s", "filter s", "FF")
-    return TextTable(with_unit("gains", unit, ", "), header, tuple(rows))
-
-
-def _margins(study: Study) -> TextTable:
-    rows = []
-    for one in study.designs:
-        found = one.margins
-        spread = study.spreads.get(one.name)
-        rows.append(
-            (
-                _name(one, study),
-                _margin(found.gain),
-                "-" if spread is None else _interval(spread.gain, 2),
-                _margin(found.phase_deg),
-                "-" if spread is None else _interval(spread.phase_deg, 0),
-                _margin(found.delay_s),
-                _number(found.sensitivity),
-                _number(found.crossover_rad_s) if found.crossover_rad_s else "none",
-                "yes" if found.stable else "NO",
-            )
-        )
-    return TextTable(
-        "margins of the loop as it runs (95 %: over the fit's own uncertainty; none: nothing to lose, no crossing)",
-        ("", "gain", "95 %", "phase, deg", "95 %", "delay, s", "Ms", "crossover, rad/s", "stable"),
-        tuple(rows),
-    )
-
-
-def _step(study: Study) -> TextTable:
-    unit = drive_per_output(study)
-    rows = []
-    for one in study.designs:
-        if not one.margins.stable:
-            continue
-        figures = one.figures
-        rows.append(
-            (
-                _name(one, study),
-                f"{100 * figures.overshoot:.1f} %",
-                _number(figures.settling_s),
-                f"{100 * figures.steady_error:.1f} %",
-                _number(figures.peak_drive),
-                _number(one.noise_gain),
-            )
-        )
-    return TextTable(
-        "predicted step of the reference, drive without bounds",
-        (
-            "",
-            "overshoot",
-            "settles (2 %), s",
-            "stays off by",
-            with_unit("peak drive", unit, ", "),
-            with_unit("drive noise", unit, ", "),
+        crossover = _number(found.crossover_rad_s) if found.crossover_rad_s else "none"
+        kept.append((
+            name, _margin(found.gain), between[0], _margin(found.phase_deg), between[1], _margin(found.delay_s),
+            _number(found.sensitivity), crossover, "yes" if found.stable else "NO",
+        ))  # fmt: skip
+        if found.stable:
+            figures = one.figures
+            off = f"{100 * figures.steady_error:.1f} %"
+            steps.append((
+                name, f"{100 * figures.overshoot:.1f} %", _number(figures.settling_s), off,
+                _number(figures.peak_drive), _number(one.noise_gain),
+            ))  # fmt: skip
+    found_tables = [
+        TextTable(
+            with_unit("gains", unit, ", "),
+            ("", "structure", "P", "I per s", f"I per sample ({rate:g} Hz)", "D s", "filter s", "FF"),
+            tuple(gains),
         ),
-        tuple(rows),
-    )
+        TextTable(
+            "margins of the loop as it runs (95 %: over the fit's own uncertainty; none: nothing to lose, no crossing)",
+            ("", "gain", "95 %", "phase, deg", "95 %", "delay, s", "Ms", "crossover, rad/s", "stable"),
+            tuple(kept),
+        ),
+        TextTable(
+            "predicted step of the reference, drive without bounds",
+            (
+                "", "overshoot", "settles (2 %), s", "stays off by", with_unit("peak drive", unit, ", "),
+                with_unit("drive noise", unit, ", "),
+            ),
+            tuple(steps),
+        ),
+    ]  # fmt: skip
+    return (*found_tables, _tracking(study)) if study.errors else tuple(found_tables)
 
 
 def _tracking(study: Study) -> TextTable:
@@ -147,11 +113,10 @@ def findings(study: Study) -> list[str]:
 
 def warnings(study: Study) -> list[str]:
     """Return what to know before a design is trusted."""
-    told = list(study.warnings)
-    settings = study.settings
+    told, settings = list(study.warnings), study.settings
     for design in study.designs:
-        found = design.margins
-        spread = study.spreads.get(design.name)
+        found, spread = design.margins, study.spreads.get(design.name)
+        short = found.gain < settings.gain_margin or found.phase_deg < settings.phase_margin_deg
         if not found.stable:
             told.append(
                 f"{design.name} is unstable on this plant: its gain would have to be below {found.gain:.2g} of "
@@ -163,11 +128,7 @@ def warnings(study: Study) -> list[str]:
                 f"{spread.gain[0]:.2f} ... {spread.gain[1]:.2f}, unstable on {spread.unstable_share:.0%} of "
                 f"{spread.plants} resampled plants; measure more steps, or ask for a larger gain_margin"
             )
-        if (
-            found.stable
-            and design.source == "simc"
-            and (found.gain < settings.gain_margin or found.phase_deg < settings.phase_margin_deg)
-        ):
+        if found.stable and design.source == "simc" and short:
             told.append(
                 f"{design.name} has a gain margin of {found.gain:.2f} and a phase margin of {found.phase_deg:.0f} deg: "
                 "SIMC keeps no margin that is asked for; a larger tau_c_s gives more"
@@ -175,14 +136,12 @@ def warnings(study: Study) -> list[str]:
     told += _out_of_range(study)
     if study.best is None:
         calm = (
-            ""
-            if settings.reference
-            else f" without overshooting a step by more than {MOST_OVERSHOOT:.0%} (where the reference is slower than "
+            f" without overshooting a step by more than {MOST_OVERSHOOT:.0%} (where the reference is slower than "
             "a step, say which it is: reference)"
         )
         told.append(
             "no design keeps the margins that were asked for on all plants within the fit's 95 % interval"
-            f"{calm}: none is recommended"
+            f"{'' if settings.reference else calm}: none is recommended"
         )
     return told
 
@@ -192,22 +151,17 @@ def _recommended(study: Study) -> Iterator[str]:
         return
     design, unit = study.named(study.best), study.loop.plant.output_unit
     found = design.margins
+    among = "its error after steps of reference and load is the least, or near it"
     if study.errors:
-        off = study.settings.gain_error
         among = (
             f"on the reference its mean error is at most {study.scores[study.best]:.2g} {unit} with the plant's gain "
-            f"off by {off:.0%} either way"
+            f"off by {study.settings.gain_error:.0%} either way"
         )
-    else:
-        among = "its error after steps of reference and load is the least, or near it"
+    finite = math.isfinite(found.delay_s)
+    late = f", delay margin {found.delay_s:.2f} s" if finite else ", and no dead time unsettles it"
     yield (
         f"take {design.name} ({design.structure}): {among}; of the designs within 20 % of the least error it passes "
-        f"least noise to the drive; gain margin {found.gain:.2f}"
-        + (
-            f", delay margin {found.delay_s:.2f} s"
-            if math.isfinite(found.delay_s)
-            else ", and no dead time unsettles it"
-        )
+        f"least noise to the drive; gain margin {found.gain:.2f}{late}"
     )
     if design.gains.feedforward is not None:
         yield (
@@ -236,10 +190,8 @@ def _calmest(study: Study) -> str:
     if not settled:
         return ""
     one = min(settled, key=lambda item: item.figures.settling_s)
-    return (
-        f"; for references that jump there is {one.name}, {one.figures.overshoot:.0%} and settled after "
-        + (f"{one.figures.settling_s:.1f} s")
-    )
+    overshoot, settling_s = one.figures.overshoot, one.figures.settling_s
+    return f"; for references that jump there is {one.name}, {overshoot:.0%} and settled after {settling_s:.1f} s"
 
 
 def _limits(loop: OpenLoop, study: Study) -> Iterator[str]:
@@ -262,18 +214,16 @@ def _limits(loop: OpenLoop, study: Study) -> Iterator[str]:
 
 def _proportional(study: Study) -> Iterator[str]:
     gain, unit = study.loop.gain, drive_per_output(study)
-    only = [
-        one for one in study.designs if one.structure == "P" and one.source != "given" and one.margins.stable
-    ]
-    if not only:
-        return
     kept = ", ".join(
-        f"{one.name} {one.steady_error:.0%} (P = {with_unit(f'{one.gains.p:.4g}', unit)})" for one in only
+        f"{one.name} {one.steady_error:.0%} (P = {with_unit(f'{one.gains.p:.4g}', unit)})"
+        for one in study.designs
+        if one.structure == "P" and one.source != "given" and one.margins.stable
     )
-    yield (
-        f"P alone leaves 1/(1 + K P) of the reference for ever: {kept}; "
-        f"P = {with_unit(f'{1 / gain:.4g}', unit)} = 1/K would leave half"
-    )
+    if kept:
+        yield (
+            f"P alone leaves 1/(1 + K P) of the reference for ever: {kept}; "
+            f"P = {with_unit(f'{1 / gain:.4g}', unit)} = 1/K would leave half"
+        )
 
 
 def _verdict(design: ControllerDesign, study: Study) -> Iterator[str]:
@@ -345,3 +295,121 @@ def per(above: str, below: str) -> str:
 def with_unit(text: str, unit: str, between: str = " ") -> str:
     """Return a text with its unit, if it has one."""
     return text if unit in ("", "1") else f"{text}{between}{unit}"
+
+
+_MOST = 5
+
+
+def design_figure(study: Study, title: str) -> FigureData:
+    """Return step and drive of the designs, Nyquist curves with margins, and tracking if there is any."""
+    shown = shown_designs(study)
+    rows: list[tuple[Stack, ...]] = [
+        (Stack(_step_panels(study, shown), width=1.5), Stack((_nyquist(study, shown),), width=1.5))
+    ]
+    if study.errors:
+        rows.append(tuple(Stack((panel,), width=1.5) for panel in _following(study, shown)))
+    return FigureData(title, tuple(rows), legend="top", row_height_in=4.2)
+
+
+def shown_designs(study: Study) -> list[ControllerDesign]:
+    """Return the stable designs, at most 5: the best, up to 4 that were given, and those that come next to the best."""
+    stable = [one for one in study.designs if one.margins.stable]
+    written = [one for one in stable if one.source == "given"][: _MOST - 1]
+    made = [one for one in stable if one.source != "given"]
+    made.sort(key=lambda one: (one.name != study.best, study.scores[one.name]))
+    best, others = (made[:1], made[1:]) if study.best else ([], made)
+    return [*best, *written, *others][:_MOST]
+
+
+def _curve(
+    study: Study,
+    place: int,
+    design: ControllerDesign,
+    x: FloatArray,
+    y: FloatArray,
+    kind: Literal["line", "steps"] = "line",
+) -> Curve:
+    """Return a curve in the look of its design: the recommended one bold, those that were given dashed."""
+    best = design.name == study.best
+    label = f"{design.name} *" if best else design.name
+    return Curve(x, y, place, label, kind, bold=best, dashed=design.source == "given")
+
+
+def _step_panels(study: Study, shown: Sequence[ControllerDesign]) -> tuple[Panel, Panel]:
+    plant = study.loop.plant
+    settled = [one.figures.settling_s for one in shown if np.isfinite(one.figures.settling_s)]
+    # most of the designs to their end; one slow integral must not squeeze the others
+    until = 1.6 * float(np.median(settled)) if settled else float(shown[0].step.time_s[-1]) if shown else 1.0
+    until = max(until, 6.0 * study.loop.delay_s)
+    outputs, drives = [], []
+    for place, one in enumerate(shown):
+        inside = one.step.time_s <= until
+        time_s = one.step.time_s[inside]
+        outputs.append(_curve(study, place, one, time_s, one.step.output[inside]))
+        drives.append(_curve(study, place, one, time_s, one.step.drive[inside], "steps"))
+    highest = max([1.0, *(float(np.max(curve.y)) for curve in outputs)])
+    # the first value of a derivative is a kick that would hide the rest
+    values = np.concatenate([one.step.drive[1:] for one in shown]) if shown else np.zeros(1)
+    room = 0.12 * float(np.ptp(values) or 1.0)
+    level = Curve(np.array([0.0, until]), np.ones(2), "limit", dashed=True)
+    upper = Panel(
+        (*outputs, level), title="predicted step of the reference", x_range=(0.0, until), height=1.5,
+        y_label=f"output, {plant.output_unit}\nper {plant.output_unit}", y_range=(-0.05, 1.08 * highest),
+    )  # fmt: skip
+    lower = Panel(
+        tuple(drives), x_label="time, s", y_label=f"drive, {plant.input_unit}\nper {plant.output_unit}",
+        x_range=(0.0, until),
+        y_range=(min(0.0, float(np.min(values))) - 0.3 * room, float(np.max(values)) + room),
+    )  # fmt: skip
+    return upper, lower
+
+
+def _nyquist(study: Study, shown: Sequence[ControllerDesign]) -> Panel:
+    settings, loop = study.settings, study.loop
+    angle = np.linspace(0, 2 * np.pi, 361)
+    # what the margins that were asked for forbid
+    spare = np.radians(settings.phase_margin_deg)
+    wedge = np.linspace(np.pi - spare, np.pi + spare, 61)
+    curves = [
+        Curve(np.cos(angle), np.sin(angle), "limit", dashed=True),
+        Curve(np.cos(wedge), np.sin(wedge), "limit", bold=True),
+        Curve(np.array([-1.6, -1.0 / settings.gain_margin]), np.zeros(2), "limit", bold=True),
+        Curve(np.array([-1.0]), np.zeros(1), "limit", kind="points"),
+    ]
+    for place, one in enumerate(shown):
+        curve = one.gains.frequency_response(loop.grid_rad_s, loop.step_s) * loop.grid_response
+        curves.append(_curve(study, place, one, curve.real, curve.imag))
+        if one.margins.gain < 1e3:
+            curves.append(Curve(np.array([-1.0 / one.margins.gain]), np.zeros(1), place, kind="points"))
+    title = (
+        f"open loop at {settings.rate_hz:g} Hz; black: margins {settings.gain_margin:g}, "
+        f"{settings.phase_margin_deg:g}\N{DEGREE SIGN}"
+    )
+    return Panel(
+        tuple(curves), title=title, x_label="real part of the open loop", y_label="imaginary part",
+        x_range=(-1.6, 1.6), y_range=(-1.9, 1.1), equal=True,
+    )  # fmt: skip
+
+
+def _following(study: Study, shown: Sequence[ControllerDesign]) -> tuple[Panel, ...]:
+    """Return the reference followed, and its error, on a plant whose gain is below the model's."""
+    reference, plant, settings = study.settings.reference, study.loop.plant, study.settings
+    if reference is None or not shown:
+        return ()
+    outputs, errors = [], []
+    for place, one in enumerate(shown):
+        track = one.follow(reference, settings.range or UNBOUNDED, 1.0 - settings.gain_error)
+        outputs.append(_curve(study, place, one, track.time_s, track.output))
+        errors.append(_curve(study, place, one, track.time_s, track.reference - track.output))
+    wanted = Curve(track.time_s, track.reference, "limit", dashed=True)
+    less = f", gain {settings.gain_error:.0%} below the model's" if settings.gain_error else ""
+    ends = settings.range
+    within = f", drive within {ends[0]:g} ... {ends[1]:g} {plant.input_unit}" if ends else ""
+    above = Panel(
+        (*outputs, wanted), title=f"reference followed{less}", y_label=f"output, {plant.output_unit}",
+    )  # fmt: skip
+    below = Panel(
+        tuple(errors), title=f"its error{within}", y_label=f"reference less output, {plant.output_unit}", zero=True,
+    )  # fmt: skip
+    span = (0.0, float(track.time_s[-1]))
+    return tuple(replace(panel, x_label="time, s", x_range=span) for panel in (above, below))

@@ -1,12 +1,14 @@
-"""Least squares in the block structure of trials: Levenberg-Marquardt with every trial's own states eliminated."""
+"""The search for the best parameters: several starts, each a descent in the block structure of trials."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.fit.method import Note
 from labrun.fit.problem import Jacobian, Problem
+from labrun.fit.variables import Priors
 
 _FIRST_DAMPING = 1e-4
 _LEAST_DAMPING, _MOST_DAMPING = 1e-13, 1e12
@@ -157,13 +159,13 @@ def minimise(
         equations = NormalEquations.of(problem, z, jacobian)
         scale = np.maximum(scale, equations.diagonal)
         scale = np.maximum(scale, 1e-20 * float(np.max(scale, initial=1e-280)))
-        before, known = squares, fresh or partly
+        before, final = squares, fresh or partly or not confirmed
         while count < evaluations:
             step = equations.step(damping * scale, (low[:size] - z[:size], high[:size] - z[:size]))
             moved = np.clip(z + step, low, high)
             predicted = equations.gain(moved - z)
             if predicted <= _ROUNDING * squares or damping > _MOST_DAMPING:
-                if known or not confirmed:
+                if final:
                     return z
                 jacobian = None
                 break
@@ -183,7 +185,7 @@ def minimise(
                 break
             damping, growth = damping * growth, 2.0 * growth
         if before - squares < tolerance * before and predicted < tolerance * before:
-            if known or not confirmed:
+            if final:
                 break
             jacobian = None
     return z
@@ -217,3 +219,117 @@ def _within(left: FloatArray, right: FloatArray, low: FloatArray, high: FloatArr
     target = np.linalg.solve(factor, right * scale)
     found = lsq_linear(factor.T, target, bounds=(low / scale, high / scale), method="bvls")
     return np.asarray(np.clip(found.x * scale, low, high))
+
+
+_GROWTH = (0.1, 0.35)
+"""Shares of every trial that a distant start is fitted to first: over a short time there are few false minima."""
+_SAME = 0.01
+"""Descents whose parameters differ by less than this share are in one valley."""
+_ABOUT_AS_GOOD = 1.05
+_DECADES = 0.5
+"""Starts of a free parameter lie within this many decades of its stated value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Minimum:
+    """Where one start ended."""
+
+    label: str
+    z: FloatArray
+    misfit: float
+
+
+def search(problem: Problem, rng: np.random.Generator, *, starts: int, note: Note) -> list[Minimum]:
+    """Return the minima that several starts lead to, best first, roughly: the best is there to be refined.
+
+    The stated values are one start, used directly and once more through growing pieces of the trials. The others
+    are drawn log-uniformly around the stated values (uniformly between finite bounds for a stated zero), screened by
+    their misfit on short pieces, and the best of them followed. A descent that comes close to a minimum another one has
+    found is taken to end there.
+
+    On their way down, parameters keep the sign of their stated value: beyond zero there may be minima that fit as well
+    and that nobody can build, such as a negative resistance. A descent that ends at zero is let go on through it:
+    there the data demand the other sign.
+    """
+    priors, stated = problem.priors, problem.priors.stated
+    lower = np.where(stated > 0, np.maximum(priors.lower, 0.0), priors.lower)
+    upper = np.where(stated < 0, np.minimum(priors.upper, 0.0), priors.upper)
+    minima: list[Minimum] = []
+
+    def descend(
+        part: Problem, z: FloatArray, tolerance: float, most: int, known: list[Minimum], signed: bool = True
+    ) -> FloatArray:
+        return minimise(
+            part,
+            z,
+            lower=lower if signed else None,
+            upper=upper if signed else None,
+            tolerance=tolerance,
+            evaluations=most,
+            central=False,
+            stop=lambda at: _joined(at[: part.size], known) is not None,
+        )
+
+    def ended(label: str, z: FloatArray, known: list[Minimum]) -> Minimum:
+        same = _joined(z[: problem.size], known)
+        return Minimum(label, z, problem.misfit(z)) if same is None else replace(same, label=label)
+
+    def follow(label: str, start: FloatArray, *, growing: bool) -> None:
+        note(f"fitting from {label}")
+        z = np.concatenate([start, problem.guess(problem.parameters(start))])
+        for share in _GROWTH if growing else ():
+            z = descend(problem.beginning(share), z, 1e-3, 12, [])
+        z = descend(problem, z, 1e-5, 30, minima)
+        shared = z[: problem.size]
+        at_zero = (shared <= lower) & (lower > priors.lower) | (shared >= upper) & (upper < priors.upper)
+        if np.any(at_zero):
+            z = descend(problem, z, 1e-5, 30, minima, signed=False)
+        minima.append(ended(label, z, minima))
+
+    follow("the stated values", stated, growing=False)
+    if problem.size and starts > 1:
+        follow("the stated values, piece by piece", stated, growing=True)
+        for number, start in enumerate(_screened(problem, rng, starts - 2), start=1):
+            follow(f"start {number} of {starts - 2}", start, growing=True)
+    # those about as good as the best are followed to their ends, where most of them turn out to be one
+    minima.sort(key=lambda minimum: minimum.misfit)
+    best, ends = minima[0].misfit, list[Minimum]()
+    for minimum in minima:
+        if minimum.misfit <= _ABOUT_AS_GOOD * best:
+            z = descend(problem, minimum.z, 1e-7, 40, ends, signed=False)
+            minimum = ended(minimum.label, z, ends)  # noqa: PLW2901
+        ends.append(minimum)
+    return sorted(ends, key=lambda minimum: minimum.misfit)
+
+
+def _joined(shared: FloatArray, known: Sequence[Minimum]) -> Minimum | None:
+    """Return the known minimum whose valley this point lies in."""
+    for one in known:
+        there = one.z[: len(shared)]
+        if np.all(np.abs(shared - there) <= _SAME * np.maximum(np.abs(shared), np.abs(there))):
+            return one
+    return None
+
+
+def _screened(problem: Problem, rng: np.random.Generator, wanted: int) -> list[FloatArray]:
+    if wanted <= 0:
+        return []
+    short, rated = problem.beginning(_GROWTH[0]), list[tuple[float, int, FloatArray]]()
+    for number in range(8 * wanted):
+        start = _draw(problem.priors, rng)
+        z = np.concatenate([start, problem.guess(problem.parameters(start))])
+        rated.append((short.misfit(z), number, start))
+    return [start for _, _, start in sorted(rated, key=lambda one: one[:2])[:wanted]]
+
+
+def _draw(priors: Priors, rng: np.random.Generator) -> FloatArray:
+    stated, start = priors.stated, priors.stated
+    for index, (sigma, low, high) in enumerate(zip(priors.sigma, priors.lower, priors.upper, strict=True)):
+        if np.isfinite(sigma):
+            start[index] = stated[index] + sigma / priors.scale[index] * rng.standard_normal()
+        elif stated[index] != 0:
+            start[index] = stated[index] * 10.0 ** rng.uniform(-_DECADES, _DECADES)
+        elif np.isfinite(low) and np.isfinite(high):
+            start[index] = rng.uniform(low, high)
+        start[index] = min(max(start[index], low), high)
+    return start
