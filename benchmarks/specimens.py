@@ -35,7 +35,7 @@ from labrun_plugins.rigs.tensile.model import GRIPS_M, THICKNESS_M, WIDTH_M, YIE
 from labrun_plugins.rigs.tensile.scene import TensileBench
 
 import labrun
-from labrun.app.reveal import reveal
+from labrun.app.diagnose import reveal
 from labrun.devices import Trajectory
 from labrun.fit import student
 from labrun.fit.life import fit_weibull, intervals

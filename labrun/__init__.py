@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from labrun.app.export import export as export
     from labrun.app.fit import fit as fit
     from labrun.app.fresh import predict_fresh as predict_fresh
+    from labrun.app.next import plan_trials as plan_trials
     from labrun.app.next import propose_next as propose_next
     from labrun.app.open import open as open  # noqa: A004 - labrun.open is what people call
-    from labrun.app.plan_trials import plan_trials as plan_trials
     from labrun.app.rank import rank as rank
     from labrun.app.report import report as report
     from labrun.app.resume import resume as resume
@@ -36,7 +36,7 @@ _USE_CASES = {
     "export": "export",
     "fit": "fit",
     "open": "open",
-    "plan_trials": "plan_trials",
+    "plan_trials": "next",
     "predict_fresh": "fresh",
     "propose_next": "next",
     "rank": "rank",

@@ -4,13 +4,13 @@ import json
 import signal
 import threading
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from labrun.app.answer import Answer, measure_all, search_folder
+from labrun.devices import Excess
 from labrun.errors import ExperimentError, LabrunError, PlanError
 from labrun.objectives import make_objective
 from labrun.report import RunView, experiment_of
@@ -19,21 +19,58 @@ from labrun.runner import (
     LimitReached,
     MotionMaker,
     Person,
+    Planner,
     Progress,
     Recorder,
     Rig,
     Session,
     UntilRecorder,
+    guard_excesses,
     record_planned,
     unsettled,
     within_bounds,
     worn_specimens,
 )
-from labrun.search import RESULT_FILE, Best, RunResult, read_generations, reason_lines, resume_line
-from labrun.spec import LOOP_DEVICE, Experiment, condition_key
+from labrun.search import (
+    RESULT_FILE,
+    Best,
+    BestSoFar,
+    Feasibility,
+    Measured,
+    Measures,
+    NoCandidateError,
+    OverSettings,
+    RunResult,
+    Searched,
+    Verdict,
+    at_settings,
+    conditions,
+    excess_at_settings,
+    honest_best,
+    levels_of,
+    most_trials,
+    read_generations,
+    reason_lines,
+    resume_line,
+    search_by_cmaes,
+    settings_of,
+)
+from labrun.spec import LOOP_DEVICE, Condition, Experiment, condition_text
 from labrun.store import RunFolder, TrialOutcome, open_run, remarks_of, replace_durably, saving
 
 FIGURE = "figure.png"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The honest best, how each search ended, the winner of each level, and which search found the best."""
+
+    best: Best | None = None
+    verdicts: tuple[Verdict, ...] = ()
+    winners: tuple[Best, ...] = ()
+    search: int = 0
+    more: tuple[str, ...] = ()
+    """Lines that tell more of it."""
 
 
 def carry_out(
@@ -62,9 +99,12 @@ def carry_out(
     """
     goal = experiment.goal
     unit = objective_unit(experiment, rig, goal[0]) if goal is not None else ""
-    taken = None
-    if goal is not None and not experiment.over:  # of a part of the settings nothing can be said
-        taken = _BestSoFar(progress, *goal, unit, experiment.trial.repeats.min)
+    so_far = None if goal is None else BestSoFar(*goal, experiment.trial.repeats.min)
+
+    def tell_best(outcome: TrialOutcome) -> None:
+        if so_far is not None and so_far.take(outcome) and so_far.best is not None:
+            progress.best(so_far.best.condition, so_far.best.value, unit)
+
     with folder.lock(), resumable(folder), terminate_like_interrupt():
         session = Session(
             experiment,
@@ -78,7 +118,7 @@ def carry_out(
             person,
             motions,
             worn_specimens(experiment, rig, folder),
-            taken,
+            None if experiment.over else tell_best,  # of a part of the settings nothing can be said
         )
         try:
             answer = measure_all(experiment, rig, session, folder, seed, unit, progress)
@@ -88,6 +128,105 @@ def carry_out(
             return _result(folder, best=None, figure=None, finished=False)
         result = finish(folder, answer, progress, draw)
     return require_answer(result, experiment)
+
+
+def measure_all(
+    experiment: Experiment,
+    rig: Rig,
+    session: Session,
+    folder: RunFolder,
+    seed: int,
+    unit: str,
+    progress: Progress,
+) -> Answer:
+    """Measure what the experiment asks for, name the honest best, and say how a search ended."""
+    measures: Measures = session
+    settings, goal = settings_of(experiment), experiment.goal
+    if experiment.over and goal is not None:
+        measures = OverSettings(session, settings, experiment.combine, goal[1])
+
+    def best_of(found: Sequence[Measured], level: Condition) -> Best | None:
+        if goal is None:
+            return None
+        progress.phase("fresh repeats of the leaders")
+        guests = [{**guest, **level} for guest in experiment.leaders.guests]
+        return honest_best(
+            measures,
+            found,
+            objective=goal[0],
+            goal=goal[1],
+            unit=unit,
+            leaders=experiment.leaders,
+            guests=guests,
+        )
+
+    def expect(trials: int | None) -> None:
+        """Say how many trials there will be, here and to whoever watches the run from elsewhere."""
+        folder.journal.append("expected", sync=False, trials=trials)
+        session.expect(trials)
+
+    if experiment.cmaes is not None and experiment.kind == "cmaes":
+        expect(most_trials(experiment, ()))
+        planner = Planner(experiment, rig, session.motions)
+
+        def guarded(condition: Condition) -> list[Excess]:
+            return [*planner.excess_of(condition), *guard_excesses(experiment, session.motions, condition)]
+
+        feasibility = Feasibility(experiment.cmaes, excess_at_settings(guarded, settings))
+
+        def search(level: Condition, number: int) -> Searched:
+            return search_by_cmaes(
+                experiment, measures, search_folder(folder.path, number),
+                feasibility=feasibility, seed=seed, progress=progress, level=level, number=number,
+            )  # fmt: skip
+
+        return _best_level(experiment, search, best_of, progress)
+    planned = conditions(experiment, seed)
+    table = {"run": experiment.run, "track": experiment.track}.get(experiment.kind, experiment.sweep)
+    expect(most_trials(experiment, planned))
+    order: Literal["shuffled", "as-listed"] = "shuffled" if table is None else table.order
+    if goal is None:
+        session.measure(at_settings(planned, settings), order=order)
+        return Answer()
+    return Answer(best_of(measures.measure(planned, order=order), {}))
+
+
+def _best_level(
+    experiment: Experiment,
+    search: Callable[[Condition, int], Searched],
+    best_of: Callable[[Sequence[Measured], Condition], Best | None],
+    progress: Progress,
+) -> Answer:
+    """Search, once for each level of a factor if there is one; the winners of the levels are compared."""
+    levels = levels_of(experiment)
+    verdicts, winners = [], []
+    barren: list[NoCandidateError] = []  # another level may still have candidates that may run
+    for number, level in enumerate(levels):
+        if level:
+            progress.note(f"search {number + 1} of {len(levels)}: {condition_text(level, experiment.units)}")
+        try:
+            searched = search(level, number)
+        except NoCandidateError as error:
+            barren.append(error)
+            progress.note(str(error))
+            continue
+        verdicts.append(searched.verdict)
+        best = best_of(searched.found, level)
+        if best is not None:
+            winners.append((number, best))
+    if barren and not verdicts:
+        raise barren[0]
+    if not winners:
+        return Answer(None, tuple(verdicts))
+    sign = -1.0 if experiment.goal is not None and experiment.goal[1] == "maximise" else 1.0
+    winners.sort(key=lambda item: sign * item[1].value)
+    several = tuple(best for _, best in winners) if experiment.each else ()
+    return Answer(winners[0][1], tuple(verdicts), several, winners[0][0])
+
+
+def search_folder(run: Path, number: int) -> Path:
+    """Return where the generations of a search stand: of the first one, or the only one, in ``search`` itself."""
+    return run / "search" if number == 0 else run / "search" / f"level-{number}"
 
 
 def source_of(experiment_file: Path) -> dict[str, Any]:
@@ -284,45 +423,3 @@ def terminate_like_interrupt() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-class _BestSoFar:
-    """Tells a progress display of each new best condition.
-
-    The best so far is the best mean among the conditions with the full number of repeats (any, before there is one).
-    It is what the search has in hand, and optimistic: the honest best comes at the end of the run.
-    """
-
-    def __init__(
-        self,
-        progress: Progress,
-        objective: str,
-        goal: Literal["maximise", "minimise"],
-        unit: str,
-        repeats: int,
-    ) -> None:
-        self._progress = progress
-        self._objective = objective
-        self._sign = 1.0 if goal == "maximise" else -1.0
-        self._unit = unit
-        self._repeats = repeats
-        self._sums: dict[object, tuple[int, float]] = {}
-        self._best: tuple[bool, float] | None = None
-
-    def __call__(self, outcome: TrialOutcome) -> None:
-        """Take in a trial."""
-        if (
-            outcome.status != "done"
-            or outcome.role == "reference"
-            or self._objective not in outcome.objectives
-        ):
-            return
-        key = condition_key(outcome.condition)
-        count, total = self._sums.get(key, (0, 0.0))
-        count, total = count + 1, total + outcome.objectives[self._objective]
-        self._sums[key] = (count, total)
-        mean = total / count
-        rank = (count >= self._repeats, self._sign * mean)
-        if self._best is None or rank > self._best:
-            self._best = rank
-            self._progress.best(outcome.condition, mean, self._unit)

@@ -2,15 +2,14 @@
 
 import json
 import math
-import secrets
 import shutil
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from labrun.app.kept import kept_folder, stem_of
 from labrun.app.question import find_data, held_against, load_held
 from labrun.errors import RequestError
 from labrun.fit import (
@@ -112,7 +111,7 @@ def compare(
     against = None if other is None else find_data(other, results)
     if against is not None and against.resolve() == folder.resolve():
         against = _run_before(folder, target, other)
-    kept = _output_folder(folder, results)
+    kept = kept_folder(folder, results, "compare")
     require_writable(kept, "the comparison")
     note(f"reading {folder}")
     if against is None:
@@ -126,7 +125,7 @@ def compare(
     comparison = replace(comparison, tolerance=accepted)
     note("drawing")
     kept.mkdir(parents=True, exist_ok=True)
-    stem = "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in comparison.prediction)
+    stem = stem_of(comparison.prediction)
     figure = save(drawn(comparison_figure(comparison)), kept / f"{stem}.png")
     numbers = kept / f"{stem}.json"
     sources = {"source": str(folder), "against": str(model or against or found.source)}
@@ -238,10 +237,3 @@ def _share(tolerance: str | float | None) -> float | None:
             hint=f"write {text}% if you mean per cent, {100 * share:g}% if you mean that",
         )
     return share
-
-
-def _output_folder(target: Path, results: Path) -> Path:
-    if not is_recording(target):
-        return (target.parent if target.is_file() else target) / "compare"
-    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    return results / target.resolve().name / f"compare-{stamp}-{secrets.token_hex(2)}"

@@ -8,8 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from labrun.app.answer import Answer
-from labrun.app.carry_out import finish, require_answer, resumable, source_of, terminate_like_interrupt
+from labrun.app.carry_out import (
+    Answer,
+    finish,
+    require_answer,
+    resumable,
+    source_of,
+    terminate_like_interrupt,
+)
 from labrun.design import (
     MADE,
     Candidates,
@@ -45,7 +51,7 @@ _NEAR = 0.01
 
 
 def design(
-    experiment: str | Path,
+    experiment: str | Path | LoadedExperiment,
     *,
     dry_run: bool = False,
     overrides: Sequence[str] = (),
@@ -65,7 +71,7 @@ def design(
     Parameters
     ----------
     experiment
-        Its name, or the path of its TOML file, of kind "design".
+        Its name, the path of its TOML file, or one that is loaded already, of kind "design".
     dry_run
         Must be said: a design is simulated, always.
     overrides
@@ -92,11 +98,13 @@ def design(
     ExperimentError, Interrupted
         It failed, or was interrupted; the hint says how to go on.
     """
-    loaded = load_named(str(experiment), Path(workspace), overrides, kind="design")
+    loaded = experiment
+    if not isinstance(loaded, LoadedExperiment):
+        loaded = load_named(str(experiment), Path(workspace), overrides, kind="design")
     if not dry_run:
         raise RequestError(
             f"{loaded.name} is a design: its trials are simulations, and nothing of it runs on a bench",
-            hint=f"labrun design {experiment} --dry-run",
+            hint=f"labrun design {loaded.name} --dry-run",
         )
     if seed is None:
         seed = int(np.random.default_rng().integers(2**32))

@@ -6,11 +6,11 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
-from labrun.app.kept_diagnosis import FIGURE, NUMBERS, PAGE, diagnosis_folder, put_aside, read_stored
+from labrun.app.kept import FIGURE, FOLDER, NUMBERS, PAGE, kept_folder, put_aside, read_stored
 from labrun.app.question import ask, find_data
 from labrun.errors import RequestError, StoreError
 from labrun.fit import Note, silent
@@ -21,6 +21,9 @@ from labrun.notebook import as_html
 from labrun.report.gap_text import gap_lines
 from labrun.store import find_run, replace_durably, require_writable
 from labrun.workers import cores
+
+if TYPE_CHECKING:
+    from labrun.blind import Compared
 
 LAW, LAW_MODEL = "rest-law.toml", "rest-model.toml"
 
@@ -131,7 +134,7 @@ def diagnose(
     further = [find_data(one, results) for one in more]
     if save_model is not None:
         require_new(save_model)
-    require_writable(diagnosis_folder(folder, results), "the diagnosis")
+    require_writable(kept_folder(folder, results, FOLDER), "the diagnosis")
     began = time.perf_counter()
     note(f"reading {folder}")
     question = ask(folder, model, further, signals, workspace)
@@ -215,7 +218,7 @@ def store(
     StoreError
         A file cannot be written.
     """
-    folder = diagnosis_folder(target, results)
+    folder = kept_folder(target, results, FOLDER)
     numbers = folder / NUMBERS
     try:
         put_aside(folder)
@@ -238,6 +241,24 @@ def store(
     except OSError as error:
         raise StoreError(f"{folder} cannot be written to: {error.strerror}") from error
     return StoredDiagnosis(diagnosis, numbers, folder / PAGE, figure)
+
+
+def reveal(target: str | Path, *, results: str | Path = "results") -> "Compared":
+    """Open the seal of a run that was made with ``--hide`` and diagnosed; return what it hid beside what was said.
+
+    Raises
+    ------
+    RequestError
+        There is no such run, or no diagnosis: the seal stays closed.
+    RecordingError
+        Nothing is sealed, or the seal is broken.
+    """
+    from labrun.blind import Compared
+    from labrun.blind import reveal as open_seal
+
+    run = find_run(str(target), Path(results))
+    stored = read_stored(run)  # without a diagnosis the seal stays closed
+    return Compared(open_seal(run), stored)
 
 
 def _warning(model: Path, diagnosis: Mapping[str, Any]) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from labrun.app.kept_diagnosis import FIGURE, NUMBERS, PAGE, diagnosis_folder
+from labrun.app.kept import FIGURE, FOLDER, NUMBERS, PAGE, kept_folder
 from labrun.app.question import ask, find_data
 from labrun.errors import StoreError
 from labrun.fit import Note, silent
@@ -97,7 +97,7 @@ def diagnose_joints(
     folder = find_data(target, results)
     if save_model is not None:
         require_new(save_model)
-    kept = diagnosis_folder(folder, results)
+    kept = kept_folder(folder, results, FOLDER)
     require_writable(kept, "the diagnosis")
     question = ask(folder, None)
     options = Options(seed=seed or 0, withhold=tuple(withhold), workers=workers or cores())

@@ -1,16 +1,15 @@
 """A fit: which data, by which method, with which model; its figure and its numbers are kept."""
 
 import json
-import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from labrun import registry
+from labrun.app.kept import kept_folder, stem_of
 from labrun.app.question import declared_plan, find_data, fit_plan
 from labrun.errors import RequestError
 from labrun.fit import GROUP, FitJob, FitPlan, FitSummary, Note, is_method, make_method, silent
@@ -92,7 +91,7 @@ def fit(
     chosen: dict[str, Any] = dict(settings or {})
     apply_overrides(chosen, overrides)
     way = make_method(method, {**plan.settings_of(method), **chosen})
-    kept = _output_folder(folder, results)
+    kept = kept_folder(folder, results, "fit")
     require_writable(kept, "the fit")
     note(f"reading {folder}")
     wired = {**plan.signals, **(signals or {})}
@@ -100,7 +99,7 @@ def fit(
     result = way(FitJob(folder, rng, further, given or plan.model, wired, starts, note, plan.settings_of))
     note("drawing")
     kept.mkdir(parents=True, exist_ok=True)
-    stem = _stem(result)
+    stem = stem_of(result.model_name if result.method == "model" else result.method)
     for name, content in result.files.items():
         replace_durably(kept / name, content.encode() if isinstance(content, str) else content)
     drawn = fit_figure(result)
@@ -152,16 +151,3 @@ def _require_known(name: str) -> None:
     raise RequestError(
         f"there is no fit or model {name!r}", hint=f"did you mean {near!r}?" if near else known
     )
-
-
-def _stem(result: FitSummary) -> str:
-    """Return what the files of a fit are called: several fits of a run stand side by side."""
-    name = result.model_name if result.method == "model" else result.method
-    return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name) or "model"
-
-
-def _output_folder(target: Path, results: Path) -> Path:
-    if not is_recording(target):
-        return (target.parent if target.is_file() else target) / "fit"
-    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    return results / target.resolve().name / f"fit-{stamp}-{secrets.token_hex(2)}"

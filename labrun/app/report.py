@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from labrun.app.kept_diagnosis import FOLDER as GAP_FOLDER
-from labrun.app.kept_diagnosis import PAGE, read_stored
+from labrun.app.kept import FOLDER as GAP_FOLDER
+from labrun.app.kept import PAGE, read_stored
 from labrun.errors import RequestError, StoreError
 from labrun.report import Findings, RunView, StoredFit, StoredGap, experiment_of
 from labrun.search import Best, read_generations, stored_result

@@ -32,7 +32,7 @@ from labrun.store import RunFolder, collect, lock_ports
 
 
 def run(
-    experiment: str | Path,
+    experiment: str | Path | LoadedExperiment,
     *,
     dry_run: bool = False,
     emulate: bool = False,
@@ -45,6 +45,7 @@ def run(
     results: str | Path = "results",
     workspace: str | Path = ".",
     progress: Progress | None = None,
+    draw: bool = True,
     person: Callable[[str], str] | None = None,
 ) -> RunResult:
     """Run an experiment of any kind to its end: trials, honest best, ``run.h5``, picture.
@@ -52,7 +53,7 @@ def run(
     Parameters
     ----------
     experiment
-        Its name, as ``labrun list`` shows it, or the path of its TOML file.
+        Its name, as ``labrun list`` shows it, the path of its TOML file, or one that is loaded already.
     dry_run
         Simulated devices in simulated time.
     emulate
@@ -61,14 +62,23 @@ def run(
         Keys of the file to replace, such as ``trial.repeats=5``.
     kind
         What the experiment must be, such as ``"sweep"``; of any kind if None.
-    seed, limit, hide, hide_seed
-        See `execute`.
+    seed
+        Of all randomness; drawn if None, and stored with the run.
+    limit
+        Stop after this many trials; the run can be resumed.
+    hide
+        Of a dry or emulated run: what its scene hides, see `labrun.blind.hidden_bench`; sealed with the
+        run, and told nowhere else. Empty hides nothing and seals nothing.
+    hide_seed
+        Of what is drawn; drawn itself if None, and stored nowhere.
     results
-        Folder of the runs.
+        Folder of the runs; the run's own is made once all devices have answered.
     workspace
         Where the experiment is looked for.
     progress
         Who is told how it goes; nobody if None.
+    draw
+        Whether the finished run gets its picture.
     person
         Answers what the person at the bench is asked to set by hand, see `who_mounts`.
 
@@ -84,114 +94,42 @@ def run(
             "--dry-run and --emulate exclude each other",
             hint="--dry-run: simulated devices in simulated time; --emulate: real drivers in real time",
         )
-    loaded = load_named(str(experiment), Path(workspace), overrides, kind=kind)
+    results = Path(results)
+    loaded = experiment
+    if not isinstance(loaded, LoadedExperiment):
+        loaded = load_named(str(experiment), Path(workspace), overrides, kind=kind)
     if loaded.experiment.kind == "design":
         from labrun.app.design import design
 
         return design(
-            experiment, dry_run=dry_run and not hide, overrides=overrides, seed=seed, limit=limit,
-            results=results, workspace=workspace, progress=progress,
+            loaded, dry_run=dry_run and not hide, seed=seed, limit=limit, results=results, workspace=workspace,
+            progress=progress, draw=draw,
         )  # fmt: skip
-    loaded = with_leaders(loaded, Path(results))
     with SilentProgress() if progress is None else progress as told:
-        for name in missing_beside(loaded.experiment, Path(results)):
+        for name in missing_beside(loaded.experiment, results):
             told.note(
                 f"no run of {name} in {results} yet: its leaders are not measured beside those of this run"
             )
-        return execute(
-            loaded,
-            results=Path(results),
-            dry_run=dry_run,
-            emulate=emulate,
-            seed=seed,
-            limit=limit,
-            progress=told,
-            draw=True,
-            hide=hide,
-            hide_seed=hide_seed,
-            person=person,
-        )
+        return _on_bench(
+            with_leaders(loaded, results), results, dry_run=dry_run, emulate=emulate, seed=seed, limit=limit,
+            hide=hide, hide_seed=hide_seed, progress=told, draw=draw, person=person,
+        )  # fmt: skip
 
 
-def who_mounts(experiment: Experiment, *, simulated: bool, person: Callable[[str], str] | None) -> Person:
-    """Return who sets what is set by hand.
-
-    Parameters
-    ----------
-    simulated
-        Whether there is nothing to set: a simulated bench has always done it.
-    person
-        A function that gets each question and returns the answer, "" for yes; the person at the terminal if None.
-
-    Raises
-    ------
-    RequestError
-        Somebody has to be asked, and there is no terminal.
-    """
-    if person is not None:
-        return Scripted(person)
-    asked = [name for name, one in experiment.objectives.items() if one.plugin == ASKED]
-    if (experiment.by_hand is None and not asked) or simulated:
-        return Willing()
-    terminal = Terminal()
-    try:
-        terminal.require()
-    except NoTerminalError as error:
-        set_by_hand = () if experiment.by_hand is None else experiment.by_hand.names
-        parts = ["set " + ", ".join(set_by_hand) + " by hand"] if set_by_hand else []
-        parts += ["type " + ", ".join(asked)] if asked else []
-        raise RequestError(
-            f"somebody has to {' and '.join(parts)}, and {error}: nobody could be asked",
-            hint="run labrun in a terminal, without redirecting its input, or from Python: labrun.run(..., person=...)",
-        ) from error
-    return terminal
-
-
-def execute(
+def _on_bench(
     loaded: LoadedExperiment,
-    *,
     results: Path,
+    *,
     dry_run: bool,
-    emulate: bool = False,
-    seed: int | None = None,
-    limit: int | None = None,
+    emulate: bool,
+    seed: int | None,
+    limit: int | None,
+    hide: Sequence[str],
+    hide_seed: int | None,
     progress: Progress,
-    draw: bool = False,
-    hide: Sequence[str] = (),
-    hide_seed: int | None = None,
-    person: Callable[[str], str] | None = None,
+    draw: bool,
+    person: Callable[[str], str] | None,
 ) -> RunResult:
-    """Run an experiment to its end: trials, honest best, run.h5, figure.
-
-    Parameters
-    ----------
-    results
-        The run's folder is made below it, once all devices have answered.
-    dry_run
-        Simulated devices in simulated time.
-    emulate
-        The real drivers in real time, against emulators of their devices.
-    seed
-        Of all randomness; drawn if None, and stored with the run.
-    limit
-        Stop after this many trials; the run can be resumed.
-    draw
-        Whether the finished run gets its picture.
-    hide
-        Of a dry or emulated run: what its scene hides, see `labrun.blind.hidden_bench`; sealed with the
-        run, and told nowhere else. Empty hides nothing and seals nothing.
-    hide_seed
-        Of what is drawn; drawn itself if None, and stored nowhere.
-    person
-        See `who_mounts`.
-
-    Raises
-    ------
-    RequestError
-        The plan does not hold; nothing moved and nothing was written.
-    ExperimentError, Interrupted
-        The experiment failed, or was interrupted; the hint says what was saved and how to go on.
-    """
     on_bench, seal = loaded.experiment, None
     if hide:
         from labrun.blind import (  # brings effects, fits, the diagnosis
@@ -234,16 +172,43 @@ def execute(
                 write_seal(folder.path, seal)
                 progress.note(f"sealed what this run hides: sha256 {seal.sha256[:16]}")
             return carry_out(
-                loaded.experiment,
-                rig,
-                folder,
-                seed=seed,
-                limit=limit,
-                progress=progress,
-                draw=draw,
-                person=mounts,
+                loaded.experiment, rig, folder, seed=seed, limit=limit, progress=progress, draw=draw, person=mounts,
                 motions=motions,
-            )
+            )  # fmt: skip
+
+
+def who_mounts(experiment: Experiment, *, simulated: bool, person: Callable[[str], str] | None) -> Person:
+    """Return who sets what is set by hand.
+
+    Parameters
+    ----------
+    simulated
+        Whether there is nothing to set: a simulated bench has always done it.
+    person
+        A function that gets each question and returns the answer, "" for yes; the person at the terminal if None.
+
+    Raises
+    ------
+    RequestError
+        Somebody has to be asked, and there is no terminal.
+    """
+    if person is not None:
+        return Scripted(person)
+    asked = [name for name, one in experiment.objectives.items() if one.plugin == ASKED]
+    if (experiment.by_hand is None and not asked) or simulated:
+        return Willing()
+    terminal = Terminal()
+    try:
+        terminal.require()
+    except NoTerminalError as error:
+        set_by_hand = () if experiment.by_hand is None else experiment.by_hand.names
+        parts = ["set " + ", ".join(set_by_hand) + " by hand"] if set_by_hand else []
+        parts += ["type " + ", ".join(asked)] if asked else []
+        raise RequestError(
+            f"somebody has to {' and '.join(parts)}, and {error}: nobody could be asked",
+            hint="run labrun in a terminal, without redirecting its input, or from Python: labrun.run(..., person=...)",
+        ) from error
+    return terminal
 
 
 @contextmanager

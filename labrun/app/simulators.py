@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from labrun.app.fit import fit
-from labrun.app.kept_diagnosis import NUMBERS, read_stored
+from labrun.app.kept import NUMBERS, read_stored
 from labrun.errors import RequestError
 from labrun.fit import Note, silent
 from labrun.gap import require_new

@@ -2,16 +2,13 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Literal
-
-import numpy as np
 
 from labrun.devices import Clock
 from labrun.errors import LabrunError, RequestError
-from labrun.report import BestYet, Snapshot, State, duration_text, event_text
-from labrun.search import Best, resume_line, stored_result
-from labrun.spec import Experiment, condition_key, loads_experiment
-from labrun.store import JOURNAL, SPEC, RunWatch, Trace, TrialOutcome, known_units, read_trace
+from labrun.report import Snapshot, State, duration_text, event_text
+from labrun.search import Best, BestSoFar, BestYet, resume_line, stored_result
+from labrun.spec import Experiment, loads_experiment
+from labrun.store import JOURNAL, SPEC, RunWatch, Trace, known_units, read_trace
 
 _CLOCKS_AGREE_S = 60.0
 _LAST_TRIALS = 6
@@ -147,9 +144,10 @@ class Watcher:
     def _best(self) -> BestYet | None:
         if self._experiment is None or self._experiment.goal is None:
             return None
-        objective, direction = self._experiment.goal
-        repeats = self._experiment.trial.repeats.min
-        return best_yet(self._watch.trials.values(), objective, direction, repeats)
+        so_far = BestSoFar(*self._experiment.goal, self._experiment.trial.repeats.min)
+        for trial in self._watch.trials.values():
+            so_far.take(trial)
+        return so_far.best
 
     def _result(self) -> Best | None:
         try:
@@ -169,27 +167,6 @@ class Watcher:
             yield f"the best is not known here: {self._spec_fault}"
         if self._watch.tail.unreadable:
             yield f"{self._watch.tail.unreadable} lines of the journal cannot be read"
-
-
-def best_yet(
-    trials: Iterable[TrialOutcome], objective: str, goal: Literal["maximise", "minimise"], repeats: int
-) -> BestYet | None:
-    """Return the best mean among the conditions with the full number of repeats (any, before there is one).
-
-    Reference trials do not count, nor do trials that were rejected or failed.
-    """
-    groups: dict[object, list[TrialOutcome]] = {}
-    for trial in trials:
-        if trial.status == "done" and trial.role != "reference" and objective in trial.objectives:
-            groups.setdefault(condition_key(trial.condition), []).append(trial)
-    sign = 1.0 if goal == "maximise" else -1.0
-    found: tuple[tuple[bool, float], BestYet] | None = None
-    for group in groups.values():
-        mean = float(np.mean([trial.objectives[objective] for trial in group]))
-        rank = (len(group) >= repeats, sign * mean)
-        if found is None or rank > found[0]:
-            found = rank, BestYet(dict(group[0].condition), objective, mean, len(group))
-    return None if found is None else found[1]
 
 
 def _channels_of(experiment: Experiment) -> Iterable[str]:

@@ -101,7 +101,7 @@ def reveal(
     Example:  labrun gap reveal hinge
     """
     with reported(as_json):
-        from labrun.app.reveal import reveal as open_seal
+        from labrun.app.diagnose import reveal as open_seal
         from labrun.report.gap_text import compared_text
 
         compared = open_seal(target, results=results)

@@ -321,7 +321,7 @@ def plan(
     Example:  labrun gap plan hinge-pendulum --rig hinge --noise angle=0.002
     """
     with reported(as_json, "interrupted; no experiment was written"):
-        from labrun.app.plan_trials import plan_trials
+        from labrun.app.next import plan_trials
         from labrun.report.gap_text import plan_text
 
         with status() as note:

@@ -10,7 +10,6 @@ from labrun import UseCasePackage
 from labrun.report.data import RunView, experiment_of
 from labrun.report.findings import Findings, StoredGap
 from labrun.report.live import (
-    BestYet,
     LiveProgress,
     PlainProgress,
     Snapshot,
@@ -25,7 +24,7 @@ from labrun.report.terminal import keys_text, plan_text, print_findings, remark_
 from labrun.report.text import duration_text, interval_text
 
 __all__ = [
-    "BestYet", "Drift", "Findings", "LiveProgress", "PlainProgress",
+    "Drift", "Findings", "LiveProgress", "PlainProgress",
     "RunView", "Snapshot", "State", "StoredFit", "StoredGap", "drift_of", "duration_text", "event_text",
     "experiment_of", "interval_text", "keys_text", "plan_text", "print_findings",
     "remark_text", "render", "watch", "without_drift",

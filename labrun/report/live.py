@@ -28,8 +28,8 @@ from labrun.report.text import (
     with_unit,
 )
 from labrun.runner import SilentProgress
-from labrun.search import Best
-from labrun.spec import Condition, Value
+from labrun.search import Best, BestYet
+from labrun.spec import Condition
 from labrun.store import Trace, TrialOutcome
 
 _REFRESHES_PER_S = 8
@@ -145,16 +145,6 @@ class PlainProgress(SilentProgress):
 State = Literal["starting", "running", "silent", "dead", "stopped", "finished"]
 _OF_TRIAL = ("index", "condition", "repeat", "role", "status", "reason", "objectives")
 """What a script is told of each of the last trials."""
-
-
-@dataclass(frozen=True, slots=True)
-class BestYet:
-    """The best mean so far: what the search has in hand, and optimistic."""
-
-    condition: dict[str, Value]
-    objective: str
-    value: float
-    trials: int
 
 
 @dataclass(frozen=True, slots=True)

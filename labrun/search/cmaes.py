@@ -1,7 +1,8 @@
 """A CMA-ES search on the rig: generations of candidates, none of them outside a limit, until a stop rule."""
 
+import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -9,101 +10,15 @@ from typing import Any, Protocol
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.errors import PlanError
+from labrun.errors import PlanError, StoreError
 from labrun.runner import Progress
 from labrun.search.constraints import Violations, penalised
-from labrun.search.generation import keep_generation
+from labrun.search.ending import StopWatch, Verdict, judge
 from labrun.search.leaders import Measured, Measures, pooled_variance
-from labrun.search.over import settings_of
-from labrun.search.planned import start_of_search
+from labrun.search.planned import settings_of, start_of_search
 from labrun.search.strategy import Strategy
-from labrun.search.verdict import Verdict, judge
-from labrun.spec import CmaEs, Condition, Experiment, StopRules, condition_key, condition_text
-
-_BEYOND_NOISE = 2.0
-
-
-class StopWatch:
-    """Counts generations and trials of a whole search, and watches each descent for progress.
-
-    Iterations and trials end the search; stagnation and step size end a descent, after which a restart may follow.
-
-    Attributes
-    ----------
-    generation
-        Number of finished generations, over all restarts.
-    trials
-        Number of trials of candidates; the search adds to it.
-    over
-        Whether a rule has ended the whole search.
-    range_of_costs
-        Smallest and largest cost measured so far; None before the first.
-    """
-
-    def __init__(self, rules: StopRules) -> None:
-        self._rules = rules
-        self._reference = math.inf
-        self._since = 0
-        self.generation = 0
-        self.trials = 0
-        self.over = False
-        self.range_of_costs: tuple[float, float] | None = None
-
-    def restart(self) -> None:
-        """Forget the progress of the descent before."""
-        self._reference = math.inf
-        self._since = 0
-
-    def before_generation(self, planned_trials: int) -> str | None:
-        """Return why no further generation may begin; None if one may. The first one always may."""
-        rules = self._rules
-        if self.generation >= rules.iterations:
-            self.over = True
-            return f"{self.generation} generations, as many as the file allows"
-        if rules.trials is not None and self.generation and self.trials + planned_trials > rules.trials:
-            self.over = True
-            return f"{self.trials} trials; another generation of {planned_trials} would exceed {rules.trials}"
-        return None
-
-    def after_generation(self, costs: Sequence[float], standard_error: float, spread: float) -> str | None:
-        """Count a generation; return why the descent is to end, None if it goes on.
-
-        Parameters
-        ----------
-        costs
-            Measured costs (lower is better) of the generation.
-        standard_error
-            Of one candidate's cost.
-        spread
-            Largest standard deviation of the search distribution, as a share of the variable's range.
-
-        Notes
-        -----
-        Progress is a mean of the better half of the costs that falls below the best such mean so far by more
-        than twice its standard error: a slow gain adds up against the reference, a lucky generation is none.
-        """
-        self.generation += 1
-        rules = self._rules
-        if costs:
-            self._note_progress(costs, standard_error)
-        else:
-            self._since += 1
-        if rules.stagnation is not None and self._since >= rules.stagnation:
-            return f"no progress beyond the noise in {self._since} generations"
-        if rules.step_size_below is not None and spread < rules.step_size_below:
-            return f"step size {spread:.2g} of the ranges is below {rules.step_size_below:g}"
-        return None
-
-    def _note_progress(self, costs: Sequence[float], standard_error: float) -> None:
-        low, high = self.range_of_costs or (math.inf, -math.inf)
-        self.range_of_costs = (min(low, *costs), max(high, *costs))
-        better = sorted(costs)[: max(1, len(costs) // 2)]
-        centre = sum(better) / len(better)
-        if centre < self._reference - _BEYOND_NOISE * standard_error / math.sqrt(len(better)):
-            self._reference = centre
-            self._since = 0
-        else:
-            self._since += 1
+from labrun.spec import CmaEs, Condition, Experiment, condition_key, condition_text
+from labrun.store import replace_durably, saving
 
 
 class Judge(Protocol):
@@ -114,6 +29,7 @@ class Judge(Protocol):
         ...
 
 
+_EXPLAINED = ("restart", "population", "mean", "sigma", "covariance", "path_sigma", "path_c", "candidates")
 _LEVEL_STREAM = 1
 _SEARCH_STREAM = 2
 """Tells the search's random numbers from those of other parts of a run with the same seed."""
@@ -398,3 +314,57 @@ class _Search:
                 f"generation {self._watch.generation}: no candidate may run; the nearest breaks: "
                 + "; ".join(nearest.violations.texts)
             )
+
+
+def generation_file(folder: Path, generation: int) -> Path:
+    """Return where a generation's state stands; generations count from 1."""
+    return folder / f"generation-{generation:06d}.json"
+
+
+def keep_generation(folder: Path, generation: int, state: Mapping[str, Any]) -> None:
+    """Store a generation's state, or check that it equals the one stored already.
+
+    Parameters
+    ----------
+    folder
+        The run's ``search`` folder; made if absent.
+    state
+        JSON-ready values.
+
+    Raises
+    ------
+    StoreError
+        A state of this generation is stored and differs in any bit: the search that is being replayed is not
+        the one that was interrupted.
+    """
+    path = generation_file(folder, generation)
+    text = json.dumps(state, allow_nan=False)
+    if path.is_file():
+        _compare(path, json.loads(text))
+        return
+    with saving(f"the state of generation {generation}", folder.parent):
+        folder.mkdir(parents=True, exist_ok=True)
+        replace_durably(path, text.encode())
+
+
+def read_generations(folder: Path) -> list[dict[str, Any]]:
+    """Return the states of all generations of a run, in order; empty for a run without a search."""
+    return [json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("generation-*.json"))]
+
+
+def _compare(path: Path, state: Mapping[str, Any]) -> None:
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise StoreError(
+            f"{path} cannot be read: {error}", hint="delete that one file and resume: it is computed again"
+        ) from error
+    if stored == state:
+        return
+    differing = [key for key in state if stored.get(key) != state[key]]
+    key = next((key for key in _EXPLAINED if key in differing), differing[0] if differing else "keys")
+    raise StoreError(
+        f"the resumed search does not repeat the stored one: {key} of generation {state.get('generation')} differs "
+        f"from {path}",
+        hint="same labrun, numpy and cma as in provenance.json? The trials are safe; a new run starts a new search",
+    )

@@ -12,17 +12,15 @@ from labrun.arrays import FloatArray
 from labrun.devices import Excess
 from labrun.errors import RequestError, SpecError
 from labrun.spec import CmaEs, Condition, Penalty
-from labrun.toml import ExpressionError, KeyPath, dotted, evaluate
+from labrun.toml import Expression, ExpressionError, KeyPath, dotted, evaluate
 
 _TOLERANCE = 1e-9
 """Relative: 60 * 1.4 <= 84 holds whatever the last bit of the product is."""
 
-_COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq)
-
 
 @dataclass(frozen=True)
 class Constraint:
-    """One `where` expression: comparisons, joined by `and` and `or` (chains such as ``0 < a < b`` included).
+    """One `where` expression: comparisons, joined by `and`, `or` and `not` (chains such as ``0 < a < b`` included).
 
     Attributes
     ----------
@@ -34,14 +32,18 @@ class Constraint:
     Raises
     ------
     SpecError
-        The text is no comparison.
+        The text is no comparison, or not of the language.
     """
 
     text: str
     key: KeyPath = ()
 
     def __post_init__(self) -> None:
-        _check(self._tree(), self.text)
+        if not Expression.of(self.text).is_comparison:
+            raise SpecError(
+                f"constraint {self.text!r} is not a comparison",
+                hint='a constraint compares two expressions: "a + abs(b) <= 60", also with and, or, not',
+            )
 
     def holds(self, names: Mapping[str, object]) -> NDArray[np.bool_]:
         """Tell where the constraint holds; arrays of names give an array, numbers an array of no dimension."""
@@ -51,7 +53,7 @@ class Constraint:
         """Return by how much the two sides miss the comparison: 0 where it holds, positive elsewhere.
 
         In the unit of the expression's sides. Under `and` the misses add up, under `or` the least one counts.
-        Words that are not equal (or must not be) miss by 1.
+        Words that are not equal (or must not be) miss by 1, and so does what `not` denies.
 
         Raises
         ------
@@ -59,15 +61,9 @@ class Constraint:
             It cannot be computed there, for example because a root of something negative is not a number.
         """
         try:
-            return np.asarray(_violation(self._tree(), names), dtype=float)
+            return np.asarray(_violation(Expression.of(self.text).tree, names), dtype=float)
         except ExpressionError as error:
             raise ConstraintError(self, str(error)) from error
-
-    def _tree(self) -> ast.expr:
-        try:
-            return ast.parse(self.text.strip(), mode="eval").body
-        except SyntaxError as error:
-            raise SpecError(f"constraint {self.text!r} cannot be read: {error.msg}") from error
 
 
 class ConstraintError(SpecError):
@@ -93,23 +89,14 @@ def constraints(texts: Sequence[str], table: str = "") -> list[Constraint]:
     return [Constraint(text, (table, "where", n) if table else ()) for n, text in enumerate(texts)]
 
 
-def _check(tree: ast.expr, text: str) -> None:
-    if isinstance(tree, ast.BoolOp):
-        for part in tree.values:
-            _check(part, text)
-    elif not isinstance(tree, ast.Compare) or not all(isinstance(op, _COMPARISONS) for op in tree.ops):
-        raise SpecError(
-            f"constraint {text!r} is not a comparison",
-            hint='a constraint compares two expressions: "a + abs(b) <= 60", also with and / or',
-        )
-
-
 def _violation(tree: ast.expr, names: Mapping[str, object]) -> FloatArray:
     if isinstance(tree, ast.BoolOp):
         parts = np.broadcast_arrays(*(_violation(part, names) for part in tree.values))
         combine = np.sum if isinstance(tree.op, ast.And) else np.min
         return np.asarray(combine(np.stack(parts), axis=0), dtype=float)
-    assert isinstance(tree, ast.Compare)  # noqa: S101  (what _check let through)
+    if isinstance(tree, ast.UnaryOp):
+        return np.where(_violation(tree.operand, names) == 0.0, 1.0, 0.0)
+    assert isinstance(tree, ast.Compare)  # noqa: S101  (a comparison is nothing else)
     sides = [tree.left, *tree.comparators]
     misses = [
         _miss(op, left, right, names) for op, left, right in zip(tree.ops, sides, sides[1:], strict=False)

@@ -7,17 +7,19 @@ of the leaders name the winner, and as many again of the winner alone give its v
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.search.mountings import Numbers, t_interval
 from labrun.search.result import Best
 from labrun.spec import Condition, Leaders, RepeatRule, condition_key
-from labrun.store import Role
+from labrun.store import Role, TrialOutcome
 
 Goal = Literal["maximise", "minimise"]
+Numbers = Sequence[int | None]
+"""The mounting of each value; None where nothing was set by hand."""
 
 
 class Measured(Protocol):
@@ -177,3 +179,128 @@ def _signed_mean(values: FloatArray, goal: Goal) -> float:
     if len(values) == 0:
         return -math.inf
     return float(values.mean()) if goal == "maximise" else -float(values.mean())
+
+
+@dataclass(frozen=True, slots=True)
+class BestYet:
+    """The best mean so far, of so many trials."""
+
+    condition: Condition
+    objective: str
+    value: float
+    trials: int
+
+
+class BestSoFar:
+    """Follows the best mean among the conditions with the full number of repeats (any, before there is one).
+
+    It is what a run has in hand, and optimistic: the honest best comes at its end. Reference trials do not count, nor
+    do trials that were rejected or failed.
+    """
+
+    def __init__(self, objective: str, goal: Goal, repeats: int) -> None:
+        self._objective, self._repeats = objective, repeats
+        self._sign = 1.0 if goal == "maximise" else -1.0
+        self._known: dict[object, BestYet] = {}
+        self.best: BestYet | None = None
+
+    def take(self, trial: TrialOutcome) -> bool:
+        """Take in a trial; tell whether it makes another best."""
+        value = trial.objectives.get(self._objective)
+        if trial.status != "done" or trial.role == "reference" or value is None:
+            return False
+        key, before = condition_key(trial.condition), self.best
+        known = self._known.get(key, BestYet(trial.condition, self._objective, 0.0, 0))
+        mean = (known.value * known.trials + value) / (known.trials + 1)
+        self._known[key] = replace(known, value=mean, trials=known.trials + 1)
+        self.best = max(
+            self._known.values(), key=lambda one: (one.trials >= self._repeats, self._sign * one.value)
+        )
+        return self.best != before
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """Standard deviations of one objective, pooled over conditions.
+
+    Attributes
+    ----------
+    within, within_freedom
+        Of single values in one mounting, with the degrees of freedom behind it; None without a repeat in a mounting.
+    between, between_freedom
+        Of what a mounting adds of its own, with those of the mountings; None where no condition was mounted twice. Zero
+        where mountings differ no more than the scatter within them accounts for.
+    """
+
+    within: float | None
+    within_freedom: int
+    between: float | None
+    between_freedom: int
+
+
+def mean_error(values: FloatArray, mountings: Numbers = ()) -> tuple[float, int] | None:
+    """Return the standard error of the mean of repeated values, and its degrees of freedom; None for fewer than two.
+
+    Values of one mounting share what is peculiar to it. Where there are several mountings, these are what is
+    independent: the error follows from how their sums deviate, as for clusters (Liang and Zeger 1986, with the factor
+    M / (M - 1) for M clusters; for equal numbers of repeats, the standard error of the mountings' means).
+    """
+    count, numbers = len(values), list(dict.fromkeys(mountings))
+    if count < 2:
+        return None
+    if len(numbers) < 2:
+        return float(values.std(ddof=1)) / math.sqrt(count), count - 1
+    owner = np.array([numbers.index(number) for number in mountings])
+    sums = np.bincount(owner, weights=values - values.mean())
+    several = len(numbers)
+    return math.sqrt(several / (several - 1) * float(sums @ sums)) / count, several - 1
+
+
+def t_interval(
+    values: FloatArray, mountings: Numbers = (), truncation: float = 0.0
+) -> tuple[float, float] | None:
+    """Return the 95 % Student interval of the mean of repeated values, see `mean_error`; None for fewer than two.
+
+    `truncation` bounds what cut cycles do to every repeat alike: no number of repeats averages it out, so that it is
+    added to either side.
+    """
+    error = mean_error(values, mountings)
+    if error is None:
+        return None
+    from scipy.special import stdtrit  # a tenth of a second
+
+    half, mean = float(stdtrit(error[1], 0.975)) * error[0] + truncation, float(values.mean())
+    return mean - half, mean + half
+
+
+def scatter(samples: Iterable[tuple[FloatArray, Numbers]]) -> Scatter:
+    """Return the scatter within and between mountings of conditions that were measured repeatedly.
+
+    One-way analysis of variance, each condition about its own mean, by moments for unequal numbers (Searle, Casella and
+    McCulloch 1992, section 3.6): the mean squares of mountings exceed those within by n0 times the variance between.
+
+    Parameters
+    ----------
+    samples
+        Of each condition its values, and the mounting of each.
+    """
+    within = between = weight = 0.0
+    within_freedom = between_freedom = 0
+    for values, mountings in samples:
+        groups = [
+            values[np.array([one == number for one in mountings])] for number in dict.fromkeys(mountings)
+        ]
+        sizes = np.array([len(group) for group in groups])
+        if not len(values):
+            continue
+        within += sum(float(((group - group.mean()) ** 2).sum()) for group in groups)
+        within_freedom += len(values) - len(groups)
+        between += float(sizes @ np.array([(group.mean() - values.mean()) ** 2 for group in groups]))
+        between_freedom += len(groups) - 1
+        weight += len(values) - float(sizes @ sizes) / len(values)
+    variance = within / within_freedom if within_freedom else None
+    if not between_freedom:
+        return Scatter(None if variance is None else math.sqrt(variance), within_freedom, None, 0)
+    excess = between - between_freedom * (variance or 0.0)
+    found = math.sqrt(max(0.0, excess / weight))
+    return Scatter(None if variance is None else math.sqrt(variance), within_freedom, found, between_freedom)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.search.mountings import t_interval
+from labrun.search.leaders import t_interval
 from labrun.spec import Condition
 
 NUMBER = "gait"

@@ -8,7 +8,7 @@ from typing import Any
 
 from labrun.errors import RecordingError
 from labrun.notebook import as_html
-from labrun.search.verdict import Verdict
+from labrun.search.ending import Verdict
 from labrun.spec import Value, condition_text
 
 RESULT_FILE = "result.json"

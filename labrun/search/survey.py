@@ -10,8 +10,7 @@ from labrun.devices import Excess
 from labrun.errors import PlanError
 from labrun.runner import ConditionExcess, Plan, SearchSpace, SpaceBreak, percent
 from labrun.search.constraints import Feasibility, LimitExcesses, constraints, probes
-from labrun.search.over import levels_of, settings_of
-from labrun.search.planned import start_of_search
+from labrun.search.planned import levels_of, settings_of, start_of_search
 from labrun.spec import CmaEs, Condition, Experiment, condition_key
 
 _POINTS = 8192

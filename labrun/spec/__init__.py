@@ -1,14 +1,6 @@
 """The experiment file: what it may say, how it is read, and what is wrong with it."""
 
 from labrun.spec.condition import Condition, Number, Value, condition_key, condition_text, value_text
-from labrun.spec.design_tables import (
-    SIMULATION,
-    SUMMARIES,
-    Design,
-    DesignVariable,
-    DrawnPart,
-    WrittenExperiment,
-)
 from labrun.spec.experiment import (
     Experiment,
     FitTable,
@@ -40,8 +32,13 @@ from labrun.spec.loop_tables import (
 from labrun.spec.plugins import resolved_settings, scene_of
 from labrun.spec.raw import named_channels
 from labrun.spec.search_tables import (
+    SIMULATION,
+    SUMMARIES,
     CmaEs,
     Combine,
+    Design,
+    DesignVariable,
+    DrawnPart,
     Guard,
     Interval,
     Leaders,
@@ -52,12 +49,15 @@ from labrun.spec.search_tables import (
     SearchVariable,
     StopRules,
     Sweep,
+    WrittenExperiment,
 )
 from labrun.spec.specimens import BROKEN, PAST, ByHand, DamageTable
 from labrun.spec.template import Kind, new_experiment
 from labrun.spec.trial_tables import (
+    CYCLES,
     Averaging,
     CarriageMove,
+    Criterion,
     CyclesOf,
     Outliers,
     ReferenceTable,
@@ -65,8 +65,8 @@ from labrun.spec.trial_tables import (
     Settle,
     Tare,
     TrialTable,
+    Until,
 )
-from labrun.spec.until import CYCLES, Criterion, Until
 from labrun.spec.workspace import (
     create_workspace,
     find_experiment,

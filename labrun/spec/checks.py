@@ -10,23 +10,24 @@ from typing import Any
 
 from labrun import registry
 from labrun.errors import SpecError
-from labrun.spec.design_tables import check_design, is_summary
 from labrun.spec.plugins import check_plugins, check_settings, examine, load_plugin
 from labrun.spec.raw import (
+    GAIT_EXPRESSIONS,
     DeviceInfo,
     check_channel,
     check_expression,
     check_name,
     condition_names,
     driven_names,
-    gait_expressions,
     listed_conditions,
+    places,
     table,
     tables,
 )
+from labrun.spec.search_tables import check_design, is_summary
 from labrun.spec.specimens import check_by_hand, check_damage
 from labrun.spec.track_checks import check_track
-from labrun.spec.until import check_until
+from labrun.spec.trial_tables import check_until
 from labrun.spec.workspace import find_model_file, shipped_experiments
 from labrun.toml import (
     CONSTANTS,
@@ -44,6 +45,28 @@ from labrun.toml import (
     unit_of,
 )
 
+_NAMES = {
+    "condition": ("no condition has this name", "names", ("by_hand.names.*", "damage.of.*", "gap.repeats.*")),
+    "objective": (
+        "no objective of this name", "objectives", ("trial.repeats.standard_error.~", "trial.outliers.objective"),
+    ),
+    "device": ("no device of this name", "devices", ("trial.tare.devices.*",)),
+    "driven joint": ("no device drives this joint", "joints", ("gait.joints.~", "trial.safe_pose_deg.~")),
+    "joint of the gait": (
+        "no joint of the gait has this name", "joints", ("trial.average.cycles_of", "cmaes.guard.limits.~"),
+    ),
+}  # fmt: skip
+"""What names something else of the file: what is said of one that is not there, what there is, and its places."""
+_CHANNELS = (
+    "trial.settle.channel", "trial.within.~", "cmaes.guard.limits.~", "fit.signals.*", "gap.signals.*",
+)  # fmt: skip
+"""Places of channels; a guard's without a dot is a joint, a signal may be the command of one."""
+_EXPRESSIONS = (
+    "design.parameters.*", "design.initial.*", "design.parts.*.length_mm", "design.parts.*.width_mm",
+    "design.parts.*.angle_deg", "design.writes.*.values.*",
+)  # fmt: skip
+"""Places of expressions in the variables of a design."""
+
 
 def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Fault]:
     """Return everything that does not fit together.
@@ -59,12 +82,10 @@ def cross_check(data: Mapping[str, Any], path: Path | None = None) -> list[Fault
     conditions = condition_names(data)
     faults += check_plugins(data, devices)
     faults += _check_fit(data, path)
-    if data.get("kind") != "design":
-        faults += _check_joints(data, devices)
-    faults += _check_references(data, devices)
+    faults += _check_names(data, devices, conditions)
+    faults += _check_carriage(data, devices)
     faults += _check_conditions(data, conditions)
-    faults += check_by_hand(data, conditions)
-    faults += _check_repeats(data, conditions)
+    faults += check_by_hand(data)
     faults += check_damage(data, conditions)
     faults += check_until(data)
     faults += check_track(data, devices, conditions)
@@ -94,15 +115,6 @@ def _check_fit(data: Mapping[str, Any], experiment: Path | None) -> Iterator[Fau
         yield from _check_model(table(data, owner).get("model"), (owner, "model"), experiment)
 
 
-def _check_repeats(data: Mapping[str, Any], conditions: list[str]) -> Iterator[Fault]:
-    """Yield what [gap] repeats names that no condition is called."""
-    given = table(data, "gap").get("repeats")
-    for number, name in enumerate(given if isinstance(given, list) else []):
-        if isinstance(name, str):
-            path: KeyPath = ("gap", "repeats", number)
-            yield from check_name(name, path, conditions, "no condition has this name", kind="names")
-
-
 def _check_model(model: object, path: KeyPath, experiment: Path | None) -> Iterator[Fault]:
     if experiment is None or not isinstance(model, str):
         return
@@ -121,7 +133,10 @@ def _check_model(model: object, path: KeyPath, experiment: Path | None) -> Itera
             yield from check_name(model, path, known, "there is no such model", kind="models")
 
 
-def _check_joints(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
+def _check_names(
+    data: Mapping[str, Any], devices: Mapping[str, DeviceInfo], conditions: list[str]
+) -> Iterator[Fault]:
+    """Yield every name that stands for something which the file does not have."""
     drivers: dict[str, str] = {}
     for name, device in devices.items():
         for joint in device.joints:
@@ -130,59 +145,33 @@ def _check_joints(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) ->
                     ("rig", "devices", name), f'joint "{joint}" is driven by {drivers[joint]} already'
                 )
             drivers.setdefault(joint, name)
-    for where in (("gait", "joints"), ("trial", "safe_pose_deg")):
-        for joint in table(data, *where):
-            yield from check_name(
-                joint, (*where, joint), drivers, "no device drives this joint", kind="joints"
-            )
-
-
-def _check_references(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
-    objectives, trial = table(data, "objectives"), table(data, "trial")
-    yield from check_channel(table(trial, "settle").get("channel"), ("trial", "settle", "channel"), devices)
-    bounds: KeyPath = ("trial", "repeats", "standard_error")
-    named: list[tuple[object, KeyPath]] = [
-        (name, (*bounds, name)) for name in table(trial, "repeats", "standard_error")
-    ]
-    named.append((table(trial, "outliers").get("objective"), ("trial", "outliers", "objective")))
-    for name, path in named:
-        yield from check_name(name, path, objectives, "no objective of this name", kind="objectives")
-    yield from _check_device_names(trial, devices)
     joints = table(data, "gait", "joints")
-    averaged = table(trial, "average").get("cycles_of")
-    of = ("trial", "average", "cycles_of")
-    yield from check_name(averaged, of, joints, "no joint of the gait has this name", kind="joints")
-    for name in table(trial, "within"):
-        yield from check_channel(name, ("trial", "within", name), devices)
-    for name in table(data, "cmaes", "guard", "limits"):
-        path = ("cmaes", "guard", "limits", name)
-        if "." in name:
-            yield from check_channel(name, path, devices)
-        else:
-            yield from check_name(name, path, joints, "no joint of the gait has this name", kind="joints")
-    for owner in ("fit", "gap"):
-        for name, signal in table(data, owner, "signals").items():
-            path = (owner, "signals", name)
-            if isinstance(signal, str) and signal.startswith("command."):
-                joint = signal.removeprefix("command.")
-                yield from check_name(joint, path, joints, f'the gait has no joint "{joint}"', kind="joints")
-            else:
-                yield from check_channel(signal, path, devices)
+    known: dict[str, Mapping[str, Any] | list[str]] = {
+        "condition": conditions, "objective": table(data, "objectives"), "device": devices, "driven joint": drivers,
+        "joint of the gait": joints,
+    }  # fmt: skip
+    if data.get("kind") == "design":  # it has no devices, and its joints are the model's
+        known["driven joint"] = [str(name) for _, name in places(data, "gait.joints.~")]
+    for what, (message, kind, patterns) in _NAMES.items():
+        for path, named in (found for pattern in patterns for found in places(data, pattern)):
+            if not (what == "joint of the gait" and "." in str(named)):
+                yield from check_name(named, path, known[what], message, kind=kind)
+    for path, channel in (found for pattern in _CHANNELS for found in places(data, pattern)):
+        if path[1] == "signals" and str(channel).startswith("command."):
+            joint = str(channel).removeprefix("command.")
+            yield from check_name(joint, path, joints, f'the gait has no joint "{joint}"', kind="joints")
+        elif path[1] != "guard" or "." in str(channel):
+            yield from check_channel(channel, path, devices)
 
 
-def _check_device_names(trial: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
-    carriage = table(trial, "carriage").get("device")
+def _check_carriage(data: Mapping[str, Any], devices: Mapping[str, DeviceInfo]) -> Iterator[Fault]:
+    carriage = table(data, "trial", "carriage").get("device")
     path: KeyPath = ("trial", "carriage", "device")
     able = [name for name, device in devices.items() if device.carriage is not False]
     if carriage in devices:
         yield from check_name(carriage, path, able, "this device cannot travel", kind="carriages")
-    elif isinstance(carriage, str):
+    else:
         yield from check_name(carriage, path, able or list(devices), "no device of this name", kind="devices")
-    tared = table(trial, "tare").get("devices")
-    for number, name in enumerate(tared if isinstance(tared, list) else []):
-        yield from check_name(
-            name, ("trial", "tare", "devices", number), devices, "no device of this name", kind="devices"
-        )
 
 
 def _check_conditions(data: Mapping[str, Any], names: list[str]) -> Iterator[Fault]:
@@ -245,7 +234,7 @@ def _check_units(data: Mapping[str, Any], names: list[str]) -> Iterator[Fault]:
     """Yield what is wrong with the units of conditions: names, units, and contradictions with keys of the gait."""
     given = {
         (expression.strip(), unit): path
-        for path, expression in gait_expressions(data)
+        for path, expression in places(data, GAIT_EXPRESSIONS)
         if isinstance(expression, str) and (unit := unit_of(str(path[-1]))) is not None
     }
     for name, unit in table(data, "units").items():
@@ -265,17 +254,18 @@ def _check_expressions(data: Mapping[str, Any], conditions: list[str]) -> Iterat
     let = table(data, "gait", "let")
     gait, _ = load_plugin("labrun.gaits", table(data, "gait").get("plugin"), ())
     in_gait = [*conditions, *let, *getattr(gait, "names", ()), *driven_names(data)]
-    for name, expression in let.items():
-        yield from check_expression(expression, ("gait", "let", name), in_gait)
+    for path, expression in (*places(data, "gait.let.*"), *places(data, GAIT_EXPRESSIONS)):
+        yield from check_expression(expression, path, in_gait)
     try:
         in_order({name: item for name, item in let.items() if isinstance(item, str | float | int)})
     except SpecError as error:
         if "circle" in str(error):
             yield Fault(("gait", "let"), str(error))
-    for path, expression in gait_expressions(data):
-        yield from check_expression(expression, path, in_gait)
-    speed = table(data, "trial", "carriage").get("speed_m_s")
-    yield from check_expression(speed, ("trial", "carriage", "speed_m_s"), conditions)
+    for path, speed in places(data, "trial.carriage.speed_m_s"):
+        yield from check_expression(speed, path, conditions)
+    if data.get("kind") == "design":
+        for path, expression in (found for pattern in _EXPRESSIONS for found in places(data, pattern)):
+            yield from check_expression(expression, path, list(table(data, "design", "variables")))
     for kind, known in (("sweep", "axes"), ("cmaes", "variables"), ("design", "variables")):
         where = table(data, kind).get("where")
         for number, expression in enumerate(where if isinstance(where, list) else []):

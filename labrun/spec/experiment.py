@@ -6,12 +6,10 @@ from typing import Any, Literal
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, model_validator
 
 from labrun.spec.condition import Value
-from labrun.spec.design_tables import Design
 from labrun.spec.loop_tables import Track
-from labrun.spec.search_tables import CmaEs, Combine, Leaders, RunTable, Sweep
+from labrun.spec.search_tables import CmaEs, Combine, Design, Leaders, RunTable, Sweep
 from labrun.spec.specimens import ByHand, DamageTable
-from labrun.spec.trial_tables import TrialTable
-from labrun.spec.until import CYCLES
+from labrun.spec.trial_tables import CYCLES, TrialTable
 from labrun.toml import Expression, PluginTable, Table, TableFaults
 
 ROBOT_FILES = (".xml", ".mjcf", ".urdf")

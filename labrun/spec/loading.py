@@ -16,7 +16,7 @@ from labrun.errors import RequestError, SpecError
 from labrun.spec.checks import cross_check
 from labrun.spec.experiment import ROBOT_FILES, ROBOT_SCENE, Experiment, written_out
 from labrun.spec.plugins import load_plugin
-from labrun.spec.raw import condition_names, gait_expressions, one_or_several, table, tables
+from labrun.spec.raw import GAIT_EXPRESSIONS, condition_names, one_or_several, places, table, tables
 from labrun.spec.workspace import find_experiment, find_model_file
 from labrun.toml import (
     ExpressionError,
@@ -340,7 +340,7 @@ def _names_of_leaders(data: dict[str, Any], experiment: Path | None) -> list[Fau
 def _used_by_gait(data: Mapping[str, Any]) -> set[str]:
     """Return the names in the expressions of the gait's joints that can be read."""
     used: set[str] = set()
-    for _, expression in gait_expressions(data):
+    for _, expression in places(data, GAIT_EXPRESSIONS):
         with contextlib.suppress(ExpressionError):
             used |= names_in(expression) if isinstance(expression, str) else set()
     return used

@@ -97,11 +97,23 @@ def listed_conditions(data: Mapping[str, Any], kind: str) -> list[dict[str, Any]
     return [item for item in conditions if isinstance(item, dict)] if isinstance(conditions, list) else []
 
 
-def gait_expressions(data: Mapping[str, Any]) -> Iterator[tuple[KeyPath, object]]:
-    """Yield the keys of the gait's joints, and what stands there."""
-    for joint, keys in tables(data, "gait", "joints").items():
-        for key, expression in keys.items():
-            yield ("gait", "joints", joint, key), expression
+def places(data: object, pattern: str, path: KeyPath = ()) -> Iterator[tuple[KeyPath, object]]:
+    """Yield what stands at the places of a pattern, ``gait.joints.*.*``: a star is every key or entry.
+
+    A ``~`` at its end is every key itself.
+    """
+    part, _, rest = pattern.partition(".")
+    if part == "~":
+        yield from (((*path, key), key) for key in (data if isinstance(data, dict) else ()))
+    elif part == "*":
+        items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+        for key, value in items:
+            yield from places(value, rest, (*path, key)) if rest else [((*path, key), value)]
+    elif isinstance(data, dict) and part in data:
+        yield from places(data[part], rest, (*path, part)) if rest else [((*path, part), data[part])]
+
+
+GAIT_EXPRESSIONS = "gait.joints.*.*"
 
 
 def check_name(

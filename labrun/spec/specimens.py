@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import Field, PositiveInt, model_validator
 
 from labrun.spec.condition import Condition, value_text
-from labrun.spec.raw import check_expression, check_name, listed_conditions, table
+from labrun.spec.raw import check_expression, listed_conditions, table
 from labrun.toml import Expression, ExpressionError, Fault, KeyPath, Table, TableFaults, suggest
 
 _PLACE = re.compile(r"\{([^{}]*)\}")
@@ -36,7 +36,7 @@ class ByHand(Table):
         return _PLACE.sub(lambda place: texts.get(place[1], place[0]), self.ask)
 
 
-def check_by_hand(data: Mapping[str, Any], conditions: list[str]) -> Iterator[Fault]:
+def check_by_hand(data: Mapping[str, Any]) -> Iterator[Fault]:
     """Yield what does not fit between the table [by_hand] and the rest of the file."""
     written = table(data, "by_hand")
     given = written.get("names")
@@ -45,7 +45,6 @@ def check_by_hand(data: Mapping[str, Any], conditions: list[str]) -> Iterator[Fa
         return
     for number, name in enumerate(names):
         path: KeyPath = ("by_hand", "names", number)
-        yield from check_name(name, path, conditions, "no condition has this name", kind="names")
         if name in names[:number]:
             yield Fault(path, f'"{name}" stands there twice', at_value=True)
     ask = written.get("ask")
@@ -121,11 +120,6 @@ def check_damage(data: Mapping[str, Any], conditions: list[str]) -> Iterator[Fau
     written = table(data, "damage")
     if not written:
         return
-    apart = written.get("of")
-    for number, name in enumerate(apart if isinstance(apart, list) else []):
-        yield from check_name(
-            name, ("damage", "of", number), conditions, "no condition has this name", kind="names"
-        )
     known = {"when": conditions, "broken": [*conditions, *table(data, "objectives")]}
     for key, names in known.items():
         path: KeyPath = ("damage", key)

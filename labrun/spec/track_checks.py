@@ -10,14 +10,15 @@ from labrun.errors import PluginError
 from labrun.spec.loop_tables import LOOP_DEVICE
 from labrun.spec.plugins import is_expression, load_plugin
 from labrun.spec.raw import (
+    GAIT_EXPRESSIONS,
     DeviceInfo,
     check_channel,
     check_expression,
     drives_of,
-    gait_expressions,
     listed_conditions,
     named_channels,
     one_or_several,
+    places,
     table,
     tables,
 )
@@ -107,7 +108,7 @@ def _check_drive(
             path, "this is a part of let, which the gait computes; drive a name it uses", at_value=True
         )
     used: dict[KeyPath, frozenset[str]] = {}
-    for key_path, expression in gait_expressions(data):
+    for key_path, expression in places(data, GAIT_EXPRESSIONS):
         used[key_path] = _needs(expression, let)
     if drives not in frozenset().union(*used.values()):
         free = sorted(frozenset().union(*used.values()) - set(conditions) - set(let) - {"t"})

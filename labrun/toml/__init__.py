@@ -1,10 +1,21 @@
 """One reader for all TOML of ours: positions, validation with all faults at once, nearest names, expressions."""
 
 from labrun.toml.expressions import Expression, Operand, evaluate, fault_of, in_order, names_in, resolve
-from labrun.toml.faults import Fault, LocatedFault, TableFaults, dotted, refusal, shown
+from labrun.toml.faults import (
+    Fault,
+    KeyPath,
+    LocatedFault,
+    Position,
+    Positions,
+    TableFaults,
+    dotted,
+    locate,
+    refusal,
+    replaced,
+    shown,
+)
 from labrun.toml.grammar import CONSTANTS, FUNCTIONS, RESERVED, ExpressionError
 from labrun.toml.names import KNOWN_UNITS, UNITS, nearest, split_unit, suggest, unit_of
-from labrun.toml.positions import KeyPath, Position, Positions, locate, replaced
 from labrun.toml.reading import Places, parsed, read, text_of
 from labrun.toml.validation import PluginTable, Table, checked, mend, validate
 

@@ -1,10 +1,17 @@
-"""Expressions of our TOML files: read once, computed many times, or written as source for numba."""
+"""Expressions of our TOML files: read once, computed many times, or written as source for numba.
+
+They are computed on numbers, and element by element on arrays.
+"""
+
+# ruff: noqa: E731 - one small function for each node of a tree
 
 import ast
 import functools
 import math
-from collections.abc import Mapping
+import operator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import reduce
 from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
@@ -14,95 +21,15 @@ from pydantic import GetCoreSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, PydanticKnownError, core_schema
 
 from labrun.errors import SpecError
-from labrun.toml.evaluation import Compute, compiled
 from labrun.toml.grammar import CONSTANTS, FUNCTIONS, ExpressionError, is_truth, parse
 from labrun.toml.names import suggest
 
 _LARGEST_INTEGER_POWER = 16
 
 
-def numba_source(tree: ast.expr, variables: Mapping[str, str]) -> str:
-    """Return Python source of a checked tree, all numbers floats, each name replaced by its variable's."""
-    known = {**{name: f"math.{name}" for name in CONSTANTS}, "t": "t", **variables}
-    return ast.unparse(ast.fix_missing_locations(ast.Expression(_number(tree, known))))
-
-
-def _number(node: ast.expr, known: Mapping[str, str]) -> ast.expr:
-    result: ast.expr
-    match node:
-        case ast.Constant(value=int() | float() as value):
-            result = ast.Constant(float(value))
-        case ast.Name(id=name):
-            result = ast.Name(known[name])
-        case ast.Attribute(attr=site):
-            result = ast.Name(known[f"force.{site}"])
-        case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
-            result = ast.UnaryOp(sign, _number(operand, known))
-        case ast.BinOp(left=left, op=ast.Pow(), right=right):
-            result = _power(_number(left, known), right, known)
-        case ast.BinOp(left=left, op=operation, right=right):
-            result = ast.BinOp(_number(left, known), operation, _number(right, known))
-        case ast.IfExp(test=test, body=body, orelse=otherwise):
-            result = _choice(test, _number(body, known), _number(otherwise, known), known)
-        case ast.Call(func=ast.Name(id=name), args=arguments):
-            result = _called(name, arguments, known)
-        case _ if is_truth(node):
-            result = _choice(node, ast.Constant(1.0), ast.Constant(0.0), known)
-        case _:
-            raise TypeError(f"{ast.unparse(node)} is a word, and compiled expressions have none")
-    return result
-
-
-def _choice(test: ast.expr, yes: ast.expr, no: ast.expr, known: Mapping[str, str]) -> ast.expr:
-    return ast.IfExp(_truth(test, known), yes, no)
-
-
-def _power(base: ast.expr, exponent: ast.expr, known: Mapping[str, str]) -> ast.expr:
-    """Keep a small whole exponent an integer: the compiler then multiplies instead of calling pow.
-
-    Any other power is a call, because Python folds ``(-1.0) ** 0.5`` to a complex constant; the call gives NaN.
-    """
-    match exponent:
-        case ast.Constant(value=int() | float() as value):
-            if float(value).is_integer() and value <= _LARGEST_INTEGER_POWER:
-                return ast.BinOp(base, ast.Pow(), ast.Constant(int(value)))
-    return _call("np.power", base, _number(exponent, known))
-
-
-def _called(name: str, arguments: list[ast.expr], known: Mapping[str, str]) -> ast.expr:
-    values = [_number(argument, known) for argument in arguments]
-    match name:
-        case "where":
-            return _choice(arguments[0], values[1], values[2], known)
-        case "clip":
-            return _call("np.minimum", _call("np.maximum", values[0], values[1]), values[2])
-        case "step":
-            begun = ast.Compare(values[0], [ast.GtE()], [values[1]])
-            return ast.IfExp(begun, ast.Constant(1.0), ast.Constant(0.0))
-        case "min" | "max":
-            result = values[0]
-            for value in values[1:]:
-                result = _call(FUNCTIONS[name].source, result, value)
-            return result
-    return _call(FUNCTIONS[name].source, *values)
-
-
-def _truth(node: ast.expr, known: Mapping[str, str]) -> ast.expr:
-    match node:
-        case ast.Compare(left=left, ops=operators, comparators=others):
-            return ast.Compare(_number(left, known), operators, [_number(other, known) for other in others])
-        case ast.BoolOp(op=operator, values=values):
-            return ast.BoolOp(operator, [_truth(value, known) for value in values])
-        case ast.UnaryOp(op=ast.Not(), operand=operand):
-            return ast.UnaryOp(ast.Not(), _truth(operand, known))
-    return ast.Compare(_number(node, known), [ast.NotEq()], [ast.Constant(0.0)])
-
-
-def _call(function: str, *arguments: ast.expr) -> ast.expr:
-    return ast.Call(ast.Name(function), list(arguments), [])
-
-
 Array = NDArray[Any]
+Compute = Callable[[Mapping[str, Any]], Any]
+"""From what the names stand for to the value."""
 Operand = float | str | Array
 """What a name may stand for: a number, a word, or an array, which broadcasts."""
 
@@ -318,3 +245,180 @@ def resolve(
     for name in in_order(let):
         known[name] = evaluate(let[name], known)
     return known
+
+
+def numba_source(tree: ast.expr, variables: Mapping[str, str]) -> str:
+    """Return Python source of a checked tree, all numbers floats, each name replaced by its variable's."""
+    known = {**{name: f"math.{name}" for name in CONSTANTS}, "t": "t", **variables}
+    return ast.unparse(ast.fix_missing_locations(ast.Expression(_written(tree, known))))
+
+
+def _written(node: ast.expr, known: Mapping[str, str]) -> ast.expr:
+    result: ast.expr
+    match node:
+        case ast.Constant(value=int() | float() as value):
+            result = ast.Constant(float(value))
+        case ast.Name(id=name):
+            result = ast.Name(known[name])
+        case ast.Attribute(attr=site):
+            result = ast.Name(known[f"force.{site}"])
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
+            result = ast.UnaryOp(sign, _written(operand, known))
+        case ast.BinOp(left=left, op=ast.Pow(), right=right):
+            result = _power(_written(left, known), right, known)
+        case ast.BinOp(left=left, op=operation, right=right):
+            result = ast.BinOp(_written(left, known), operation, _written(right, known))
+        case ast.IfExp(test=test, body=body, orelse=otherwise):
+            result = _choice(test, _written(body, known), _written(otherwise, known), known)
+        case ast.Call(func=ast.Name(id=name), args=arguments):
+            result = _called(name, arguments, known)
+        case _ if is_truth(node):
+            result = _choice(node, ast.Constant(1.0), ast.Constant(0.0), known)
+        case _:
+            raise TypeError(f"{ast.unparse(node)} is a word, and compiled expressions have none")
+    return result
+
+
+def _choice(test: ast.expr, yes: ast.expr, no: ast.expr, known: Mapping[str, str]) -> ast.expr:
+    return ast.IfExp(_written_truth(test, known), yes, no)
+
+
+def _power(base: ast.expr, exponent: ast.expr, known: Mapping[str, str]) -> ast.expr:
+    """Keep a small whole exponent an integer: the compiler then multiplies instead of calling pow.
+
+    Any other power is a call, because Python folds ``(-1.0) ** 0.5`` to a complex constant; the call gives NaN.
+    """
+    match exponent:
+        case ast.Constant(value=int() | float() as value):
+            if float(value).is_integer() and value <= _LARGEST_INTEGER_POWER:
+                return ast.BinOp(base, ast.Pow(), ast.Constant(int(value)))
+    return _call("np.power", base, _written(exponent, known))
+
+
+def _called(name: str, arguments: list[ast.expr], known: Mapping[str, str]) -> ast.expr:
+    values = [_written(argument, known) for argument in arguments]
+    match name:
+        case "where":
+            return _choice(arguments[0], values[1], values[2], known)
+        case "clip":
+            return _call("np.minimum", _call("np.maximum", values[0], values[1]), values[2])
+        case "step":
+            begun = ast.Compare(values[0], [ast.GtE()], [values[1]])
+            return ast.IfExp(begun, ast.Constant(1.0), ast.Constant(0.0))
+        case "min" | "max":
+            result = values[0]
+            for value in values[1:]:
+                result = _call(FUNCTIONS[name].source, result, value)
+            return result
+    return _call(FUNCTIONS[name].source, *values)
+
+
+def _written_truth(node: ast.expr, known: Mapping[str, str]) -> ast.expr:
+    match node:
+        case ast.Compare(left=left, ops=operators, comparators=others):
+            return ast.Compare(_written(left, known), operators, [_written(other, known) for other in others])
+        case ast.BoolOp(op=operator, values=values):
+            return ast.BoolOp(operator, [_written_truth(value, known) for value in values])
+        case ast.UnaryOp(op=ast.Not(), operand=operand):
+            return ast.UnaryOp(ast.Not(), _written_truth(operand, known))
+    return ast.Compare(_written(node, known), [ast.NotEq()], [ast.Constant(0.0)])
+
+
+def _call(function: str, *arguments: ast.expr) -> ast.expr:
+    return ast.Call(ast.Name(function), list(arguments), [])
+
+
+_OPERATORS: dict[type[ast.AST], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: np.true_divide,
+    ast.Mod: np.mod,
+    # in floating point: a power too large is an infinity, and never a number of a billion digits
+    ast.Pow: np.float_power,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+}
+
+
+def compiled(tree: ast.expr) -> Compute:
+    """Return the function that computes a checked tree: a comparison gives truth, anything else numbers."""
+    return _compute_truth(tree) if is_truth(tree) else _compute(tree)
+
+
+def _compute(node: ast.expr) -> Compute:
+    compute: Compute
+    match node:
+        case ast.Constant(value=value):
+            constant = value if isinstance(value, str) else np.float64(value)  # type: ignore[arg-type]
+            compute = lambda _: constant
+        case ast.Name(id=name) if name in CONSTANTS:
+            known = np.float64(CONSTANTS[name])
+            compute = lambda _: known
+        case ast.Name(id=name):
+            compute = lambda names: _operand(names[name])
+        case ast.Attribute(attr=site):
+            compute = lambda names: _operand(names[f"force.{site}"])
+        case ast.UnaryOp(op=ast.USub(), operand=inner):
+            negated = _compute(inner)
+            compute = lambda names: -negated(names)
+        case ast.UnaryOp(op=ast.UAdd(), operand=inner):
+            compute = _compute(inner)
+        case ast.BinOp(left=left, op=operation, right=right):
+            combine, one, other = _OPERATORS[type(operation)], _compute(left), _compute(right)
+            compute = lambda names: combine(one(names), other(names))
+        case (
+            ast.IfExp(test=test, body=body, orelse=otherwise)
+            | ast.Call(func=ast.Name(id="where"), args=[test, body, otherwise])
+        ):
+            condition, yes, no = _compute_truth(test), _compute(body), _compute(otherwise)
+            compute = lambda names: np.where(condition(names), yes(names), no(names))
+        case ast.Call(func=ast.Name(id=name), args=arguments):
+            function, values = FUNCTIONS[name].compute, [_compute(argument) for argument in arguments]
+            compute = lambda names: function(*[value(names) for value in values])
+        case _:  # what is left of a checked tree says yes or no
+            truth = _compute_truth(node)
+            compute = lambda names: np.multiply(truth(names), 1.0)
+    return compute
+
+
+def _operand(value: Any) -> Any:
+    return np.float64(value) if isinstance(value, int | float) else value
+
+
+def _compute_truth(node: ast.expr) -> Compute:
+    match node:
+        case ast.Compare(left=left, ops=relations, comparators=others):
+            operands = [_compute(operand) for operand in (left, *others)]
+            compare = [_OPERATORS[type(relation)] for relation in relations]
+            return lambda names: _chain(compare, [_comparable(operand(names)) for operand in operands])
+        case ast.BoolOp(op=operation, values=values):
+            parts = [_compute_truth(value) for value in values]
+            combine = np.logical_and if isinstance(operation, ast.And) else np.logical_or
+            return lambda names: reduce(combine, [part(names) for part in parts])
+        case ast.UnaryOp(op=ast.Not(), operand=inner):
+            negated = _compute_truth(inner)
+            return lambda names: np.logical_not(negated(names))
+    number = _compute(node)
+    return lambda names: np.not_equal(number(names), 0.0)
+
+
+def _chain(compare: list[Callable[[Any, Any], Any]], values: list[Any]) -> Any:
+    pairs = zip(compare, values, values[1:], strict=False)
+    return reduce(np.logical_and, [relation(one, other) for relation, one, other in pairs])
+
+
+def _comparable(value: Any) -> Any:
+    """Refuse NaN where it would vanish: every comparison with it is just false."""
+    missing = value != value if isinstance(value, float) else _has_nan(value)  # noqa: PLR0124 - what NaN is
+    if missing:
+        raise ValueError("a comparison with something that is not a number")
+    return value
+
+
+def _has_nan(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.dtype.kind == "f" and bool(np.isnan(value).any())

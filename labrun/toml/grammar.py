@@ -2,7 +2,7 @@
 
 Arithmetic with ``+ - * / % ^`` (``**`` is ``^``), comparisons (as a number 1 or 0), ``and or not``, ``x if c else y``,
 names, words in quotes to compare with, and the functions of `FUNCTIONS`. It is Python's syntax; nothing of it is
-ever run by Python: its tree is checked here, node by node, and only then computed (`labrun.toml.evaluation`) or
+ever run by Python: its tree is checked here, node by node, and only then computed (`labrun.toml.expressions`) or
 written as source for numba (`labrun.toml.expressions`).
 """
 

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from labrun.errors import RequestError
-from labrun.toml.faults import Fault, LocatedFault, dotted, refusal
+from labrun.toml.faults import Fault, KeyPath, LocatedFault, dotted, locate, refusal
 from labrun.toml.names import nearest
-from labrun.toml.positions import KeyPath, locate
 from labrun.toml.validation import Model, validate
 
 

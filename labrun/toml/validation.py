@@ -10,9 +10,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from labrun.errors import SpecError
-from labrun.toml.faults import Fault, dotted, shown
+from labrun.toml.faults import Fault, KeyPath, dotted, shown
 from labrun.toml.names import UNITS, convert, nearest, same_quantity, split_unit, suggest, unit_of
-from labrun.toml.positions import KeyPath
 
 
 class Table(BaseModel):

@@ -8,7 +8,7 @@ import gap_examples as examples
 import pytest
 
 from labrun.app.diagnose import store
-from labrun.app.kept_diagnosis import read_stored
+from labrun.app.kept import read_stored
 from labrun.app.question import find_data
 from labrun.errors import RequestError
 from labrun.gap import Sizes

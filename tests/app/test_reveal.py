@@ -6,8 +6,7 @@ from dataclasses import replace
 import gap_examples as examples
 import pytest
 
-from labrun.app.diagnose import store
-from labrun.app.reveal import reveal
+from labrun.app.diagnose import reveal, store
 from labrun.blind import Seal, write_seal
 from labrun.errors import RecordingError, RequestError
 from labrun.gap.diagnosis import Name, RatedCandidate

@@ -15,11 +15,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rich.console import Console
 
-from labrun.app.watch import Watcher, best_yet
+from labrun.app.watch import Watcher
 from labrun.devices import Channel, Samples
 from labrun.errors import RequestError
 from labrun.report.live import braille_curve, render
 from labrun.runner import SimulatedClock
+from labrun.search import BestSoFar
 from labrun.store.folder import RunFolder
 from labrun.store.trial import TrialOutcome
 
@@ -307,6 +308,13 @@ def test_text_without_unicode_has_no_dots(folder):
 def _seen(index, a, value, **changes):
     fields = {"role": "measure", "status": "done"} | changes
     return TrialOutcome(index, {"a": a}, 0, reason="", objectives={"thrust": value}, **fields)
+
+
+def best_yet(trials, *rule):
+    so_far = BestSoFar(*rule)
+    for trial in trials:
+        so_far.take(trial)
+    return so_far.best
 
 
 def test_the_best_has_all_its_repeats_as_soon_as_any_condition_has():

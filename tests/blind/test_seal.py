@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labrun.app.resume import resume
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.blind import Seal, named_model, redacted, reveal, write_seal
 from labrun.blind.hiding import choose_hidden
 from labrun.effects import effects
@@ -47,6 +47,7 @@ def dry_run(folder, hide, *, overrides=SMALL, progress=None, name="hinge", **mor
         dry_run=True,
         seed=1,
         progress=progress or SilentProgress(),
+        draw=False,
         hide=hide,
         **more,
     ).run
@@ -320,7 +321,7 @@ def test_a_real_bench_hides_nothing_on_request(tmp_path):
             load_named("hinge", tmp_path, []),
             results=tmp_path,
             dry_run=False,
-            progress=SilentProgress(),
+            draw=False,
             hide=["random"],
         )
 

@@ -5,11 +5,10 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.blind import named_model
 from labrun.fit.dataset import load_dataset
 from labrun.fit.output_error import fit_model
-from labrun.runner import SilentProgress
 from labrun.spec import load_named
 
 SMALLER = {
@@ -50,7 +49,7 @@ def systematic(name, hide, folder):
     """Return what the fitted model leaves in all repeats alike, each output in units of one trial's noise."""
     loaded = load_named(name, folder, SMALLER[name])
     model = named_model(loaded)
-    run = execute(loaded, results=folder, dry_run=True, seed=3, progress=SilentProgress(), hide=[hide]).run
+    run = execute(loaded, results=folder, dry_run=True, seed=3, draw=False, hide=[hide]).run
     data = load_dataset(run, model, loaded.experiment.gap.signals)
     fitted = fit_model(model, data, rng=np.random.default_rng(0), starts=1)
     residuals = defaultdict(list)

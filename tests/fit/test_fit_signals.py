@@ -8,10 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.errors import FitError, RequestError
 from labrun.fit.signals import SignalTable, load_signals, trailing_mean
-from labrun.runner import SilentProgress
 from labrun.spec import load_named
 from labrun.store import open_run
 
@@ -20,7 +19,7 @@ from labrun.store import open_run
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     results = tmp_path_factory.mktemp("results")
     loaded = load_named("fin-step", results, ("trial.duration_s=13", "trial.repeats=1"))
-    return execute(loaded, results=results, dry_run=True, seed=3, progress=SilentProgress()).run
+    return execute(loaded, results=results, dry_run=True, seed=3, draw=False).run
 
 
 def table(channel: str, **keys: object) -> SignalTable:

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from labrun.app.question import fit_plan
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.fit.method import FitJob, make_method
-from labrun.runner import SilentProgress
 from labrun.spec import load_named
 
 PUBLISHED = {
@@ -30,7 +29,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory):
     for seed in (1, 3):
         results = tmp_path_factory.mktemp("results")
         loaded = load_named("fin-step", results)
-        run = execute(loaded, results=results, dry_run=True, seed=seed, progress=SilentProgress()).run
+        run = execute(loaded, results=results, dry_run=True, seed=seed, draw=False).run
         keys = fit_plan(run, results).settings_of("fopdt")
         found.append(make_method("fopdt", keys)(FitJob(run, np.random.default_rng(0))))
     return found

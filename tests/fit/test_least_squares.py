@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labrun.app.fit import fit
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.errors import RequestError
 from labrun.fit.regression.method import (
     BASKETS,
@@ -14,7 +14,6 @@ from labrun.fit.regression.method import (
     solve,
     term_values,
 )
-from labrun.runner import SilentProgress
 from labrun.spec import load_named
 
 STEP_S = 0.05
@@ -74,7 +73,7 @@ def test_a_term_that_cannot_be_made_is_refused(term):
 
 def test_a_dry_run_has_the_order_of_merit_of_table_5_3(tmp_path):
     loaded = load_named("fin-modulation", tmp_path)
-    run = execute(loaded, results=tmp_path, dry_run=True, seed=1, progress=SilentProgress()).run
+    run = execute(loaded, results=tmp_path, dry_run=True, seed=1, draw=False).run
     result = fit(run, results=tmp_path)
     record = result.record()
     mae = record["mae"]["FF"]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from labrun.app.fit import fit
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.control import HalfSineSettings
 from labrun.control.pid import FeedforwardPid, PidController
 from labrun.control.protocol import LoopContext, Step
@@ -28,7 +28,6 @@ from labrun.fit.tuning.method import FittedPlant, plant_of, summary
 from labrun.fit.tuning.optimum import Reduced, loop_error, optimum, reduce_order, rules, simc
 from labrun.fit.tuning.settings import PidFitSettings
 from labrun.fit.tuning.summary import shown_designs
-from labrun.runner import SilentProgress
 from labrun.spec import load_named
 
 CYCLE_S = 1 / 1.4
@@ -549,7 +548,7 @@ def test_a_response_that_was_not_fitted_is_named_with_the_nearest():
 def run(tmp_path_factory):
     results = tmp_path_factory.mktemp("results")
     loaded = load_named("fin-step", results, ("trial.repeats=2",))
-    return execute(loaded, results=results, dry_run=True, seed=3, progress=SilentProgress()).run
+    return execute(loaded, results=results, dry_run=True, seed=3, draw=False).run
 
 
 def test_a_known_plant_takes_the_gaits_cycle_of_the_run(run):

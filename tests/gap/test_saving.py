@@ -6,12 +6,11 @@ import pytest
 from diagnosing import diagnose
 
 from labrun.app.diagnose import StoredDiagnosis, save, store
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.errors import RequestError
 from labrun.gap.diagnose import Options
 from labrun.gap.saving import save_model
 from labrun.models import load_model
-from labrun.runner import SilentProgress
 from labrun.spec import load_named
 
 SMALL = (
@@ -24,8 +23,7 @@ QUICK = Options(places=False, workers=2)
 
 def dry_run(folder, hide, *more):
     loaded = load_named("hinge", folder, [*SMALL, *more])
-    progress = SilentProgress()
-    return execute(loaded, results=folder / "results", dry_run=True, seed=3, progress=progress, hide=hide).run
+    return execute(loaded, results=folder / "results", dry_run=True, seed=3, draw=False, hide=hide).run
 
 
 @pytest.fixture(scope="module")

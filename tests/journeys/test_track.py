@@ -20,13 +20,12 @@ ALL_P = ("P-100", "P-109", "P-120")
 )
 def found(request, tmp_path_factory):
     """Return every accepted value of each objective by controller, of one whole dry run."""
-    from labrun.app.run import execute
-    from labrun.runner import SilentProgress
+    from labrun.app.run import run as execute
     from labrun.spec import load_experiment, shipped_experiments
 
     loaded = load_experiment(shipped_experiments() / "force-control.toml")
     results = tmp_path_factory.mktemp("results")
-    result = execute(loaded, results=results, dry_run=True, seed=request.param, progress=SilentProgress())
+    result = execute(loaded, results=results, dry_run=True, seed=request.param, draw=False)
     values: dict[str, dict[str, list[float]]] = {}
     with open_run(result.run) as run:
         for outcome in run.outcomes:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.runner import SilentProgress
 from labrun.spec import load_named
 
@@ -17,4 +17,6 @@ def measure(results: Path, name: str = "fin-params", overrides=SMALL, limit: int
     """Return the folder of a dry run."""
     loaded = load_named(name, results, overrides)
     progress = SilentProgress()
-    return execute(loaded, results=results, dry_run=True, seed=3, limit=limit, progress=progress).run
+    return execute(
+        loaded, results=results, dry_run=True, seed=3, limit=limit, progress=progress, draw=False
+    ).run

@@ -3,7 +3,7 @@
 import pytest
 
 import labrun
-from labrun.app.reveal import reveal
+from labrun.app.diagnose import reveal
 
 BEAMS = ",".join(
     f'{{beam="{beam}",specimen={specimen},reach={reach}}}'

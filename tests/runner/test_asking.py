@@ -3,10 +3,9 @@
 import pytest
 
 from labrun.app.resume import resume
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.errors import ExperimentError, LabrunError, RequestError, SpecError
 from labrun.objectives import Asked
-from labrun.runner import SilentProgress
 from labrun.runner.asking import Asking
 from labrun.spec import load_experiment
 from labrun.store import Journal, open_run
@@ -145,7 +144,7 @@ def run(tmp_path, person, **changes):
         results=tmp_path / "results",
         dry_run=True,
         seed=1,
-        progress=SilentProgress(),
+        draw=False,
         person=person,
         **changes,
     )
@@ -192,7 +191,7 @@ def test_without_a_terminal_the_bench_does_not_begin(tmp_path, monkeypatch):
             load_experiment(path),
             results=tmp_path / "results",
             dry_run=False,
-            progress=SilentProgress(),
+            draw=False,
         )
 
 
@@ -215,7 +214,7 @@ def test_a_value_that_a_decision_rests_on_is_not_changed_any_more(tmp_path):
     path.write_text(FILE.replace("repeats = 2", rule))
     typist = Typist(*["20", "yes", ""] * 2, "back", *["20", "yes", ""] * 2)
     ended = execute(
-        load_experiment(path), results=tmp_path / "results", dry_run=True, seed=1, progress=SilentProgress(),
+        load_experiment(path), results=tmp_path / "results", dry_run=True, seed=1, draw=False,
         person=typist,
     )  # fmt: skip
     assert values_of(ended) == [(20, 18.0, 1.0), (40, 18.0, 1.0)] * 2

@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 from paddle_lab import EXPERIMENT, experiment_with
 
-from labrun.app.run import connected, execute
+from labrun.app.run import connected
+from labrun.app.run import run as execute
 from labrun.devices import DeviceSettings, Port
 from labrun.errors import PluginError, RigBusyError
-from labrun.runner import RealClock, Rig, SilentProgress, ports_of
+from labrun.runner import RealClock, Rig, ports_of
 from labrun.spec import loads_experiment
 from labrun.store import lock_ports
 from labrun.store import locks as rig_lock
@@ -40,7 +41,7 @@ def test_a_second_run_on_a_rig_is_refused_and_connects_and_writes_nothing(tmp_pa
     with connected(first):
         assert log.read_text().splitlines() == ["open tail"]
         with pytest.raises(RigBusyError, match=f"port /dev/null is in use by process {os.getpid()}"):
-            execute(loaded, results=tmp_path / "results", dry_run=False, seed=1, progress=SilentProgress())
+            execute(loaded, results=tmp_path / "results", dry_run=False, seed=1, draw=False)
         assert log.read_text().splitlines() == ["open tail"]
         assert not (tmp_path / "results").exists()
     with connected(Rig.build(loaded.experiment, clock=RealClock(), seed=1, dry_run=False)):

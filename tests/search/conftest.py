@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.runner import SilentProgress
 from labrun.spec import load_experiment
 
@@ -103,7 +103,7 @@ def dry_run(tmp_path: Path):
             dry_run=True,
             seed=seed,
             limit=limit,
-            progress=progress or SilentProgress(),
+            progress=progress,
             draw=draw,
         )
 

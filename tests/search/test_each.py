@@ -8,9 +8,10 @@ from rich.console import Console
 import labrun
 from labrun.app.report import opened
 from labrun.app.resume import resume
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.report.terminal import print_findings
-from labrun.search import Best, stored_result, winner_lines
+from labrun.search import Best, stored_result
+from labrun.search.result import winner_lines
 from labrun.spec import load_experiment
 from labrun.store import open_run
 
@@ -72,6 +73,7 @@ def test_a_person_mounts_each_level_once(each, tmp_path, recorder):
         dry_run=True,
         seed=5,
         progress=recorder,
+        draw=False,
         person=lambda text: asked.append(text) or "",
     )
     assert len(asked) == 2

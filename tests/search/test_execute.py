@@ -9,7 +9,7 @@ from analytic_bench import search_experiment
 
 from labrun.app.check import check, require_room
 from labrun.app.resume import resume
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.errors import LabrunError, PlanError, RequestError, SpecError
 from labrun.report.terminal import plan_text
 from labrun.runner import Interrupted, SilentProgress
@@ -175,7 +175,7 @@ def test_a_seed_that_is_not_given_is_drawn_and_stored(write, tmp_path):
     loaded = load_experiment(write("sweep"))
     seeds = set()
     for name in ("one", "two"):
-        result = execute(loaded, results=tmp_path / name, dry_run=True, limit=1, progress=SilentProgress())
+        result = execute(loaded, results=tmp_path / name, dry_run=True, limit=1, draw=False)
         seeds.add(RunFolder.open(result.run).provenance["seed"])
     assert len(seeds) == 2
 
@@ -262,7 +262,7 @@ def test_a_search_of_which_nothing_may_run_is_refused_before_a_folder_is_made(
     loaded = load_experiment(write("cmaes"), [override])
     for attempt in (
         lambda: check(loaded),
-        lambda: execute(loaded, results=tmp_path / "r", dry_run=True, progress=SilentProgress()),
+        lambda: execute(loaded, results=tmp_path / "r", dry_run=True, draw=False),
     ):
         with pytest.raises(PlanError, match="nothing of the search space may run") as caught:
             attempt()
@@ -283,7 +283,7 @@ def test_a_constraint_that_is_not_a_number_somewhere_is_told_with_its_place_and_
     line = text[: text.index("sqrt")].count("\n") + 1
     loaded = load_experiment(path)
     with pytest.raises(SpecError) as caught:
-        execute(loaded, results=tmp_path / "r", dry_run=True, progress=SilentProgress())
+        execute(loaded, results=tmp_path / "r", dry_run=True, draw=False)
     assert f"{path}:{line}:" in str(caught.value)
     assert f"{kind}.where[1]" in str(caught.value)
     assert values in str(caught.value)

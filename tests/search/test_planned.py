@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labrun.errors import PlanError
-from labrun.search import Constraint, axis_values, sweep_conditions
+from labrun.errors import PlanError, SpecError
+from labrun.search import Constraint, sweep_conditions
+from labrun.search.planned import axis_values
 from labrun.spec import Range, Sweep
 
 
@@ -122,8 +123,13 @@ def test_and_adds_misses_while_or_takes_the_least(a, b):
 
 @pytest.mark.parametrize("text", ["a + 1", "__import__('os')", "a <=", "a in b"])
 def test_what_is_no_comparison_is_refused_when_it_is_read(text):
-    with pytest.raises(Exception, match="constraint"):
+    with pytest.raises(SpecError, match=r"constraint|expression"):
         Constraint(text)
+
+
+def test_what_must_not_hold_misses_where_it_does():
+    assert not Constraint("not a < 1").holds({"a": 0.5})
+    assert Constraint("not a < 1").holds({"a": 1.0})
 
 
 def test_a_step_that_is_too_small_is_refused_before_its_points_are_made():

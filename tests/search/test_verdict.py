@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labrun.search import Verdict
-from labrun.search.verdict import judge
+from labrun.search.ending import judge
 
 SHRINKING = [0.3 * 0.9**n for n in range(12)]
 

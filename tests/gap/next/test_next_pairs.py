@@ -6,9 +6,9 @@ import pytest
 from diagnosing import diagnose
 
 from labrun.app.next import propose_next as propose
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.gap.diagnose import Options
-from labrun.runner import Planner, SilentProgress
+from labrun.runner import Planner
 from labrun.spec import load_experiment, load_named
 
 SEED = 1
@@ -58,9 +58,7 @@ SETTLED = {
 
 def dry_run(folder, name, hide, seed=None):
     loaded = load_named(name, folder, [])
-    return execute(
-        loaded, results=folder / "results", dry_run=True, seed=seed, progress=SilentProgress(), hide=[hide]
-    ).run
+    return execute(loaded, results=folder / "results", dry_run=True, seed=seed, draw=False, hide=[hide]).run
 
 
 @pytest.mark.slow

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.blind import named_model
 from labrun.fit.dataset import load_dataset
 from labrun.gap.next.run_bench import RunBench
-from labrun.runner import Planner, SilentProgress
+from labrun.runner import Planner
 from labrun.spec import load_named
 from labrun.store import open_run
 
@@ -16,7 +16,7 @@ from labrun.store import open_run
 def bench(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench")
     loaded = load_named("driven-joint", folder, ["trial.repeats=1", "trial.duration_s=2"])
-    run = execute(loaded, results=folder, dry_run=True, seed=1, progress=SilentProgress(), hide=["none"]).run
+    run = execute(loaded, results=folder, dry_run=True, seed=1, draw=False, hide=["none"]).run
     model, signals = named_model(loaded), loaded.experiment.gap.signals
     return RunBench.of(open_run(run), load_dataset(run, model, signals), model, signals, 3)
 

@@ -4,10 +4,10 @@ import pytest
 from diagnosing import diagnose
 
 from labrun.app.next import propose_next as propose
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.gap.diagnose import Options
 from labrun.gap.next.trials import beyond, by_hand, rounded
-from labrun.runner import Planner, SilentProgress
+from labrun.runner import Planner
 from labrun.spec import load_experiment, load_named
 
 HIDDEN = ["quadratic-drag@hinge"]
@@ -17,9 +17,7 @@ SEED = 1
 
 def dry_run(folder, name, overrides=()):
     loaded = load_named(name, folder, list(overrides))
-    return execute(
-        loaded, results=folder / "results", dry_run=True, seed=SEED, progress=SilentProgress(), hide=HIDDEN
-    ).run
+    return execute(loaded, results=folder / "results", dry_run=True, seed=SEED, draw=False, hide=HIDDEN).run
 
 
 @pytest.mark.slow

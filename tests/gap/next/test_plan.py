@@ -3,7 +3,7 @@
 import pytest
 
 from labrun.app.check import check
-from labrun.app.plan_trials import plan_trials
+from labrun.app.next import plan_trials
 from labrun.errors import RequestError
 from labrun.report.gap_text import plan_text
 

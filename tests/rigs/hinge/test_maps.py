@@ -14,10 +14,9 @@ from labrun_plugins.rigs.hinge.published import CONSTANT, PUBLISHED, Form, desig
 from swings import swing
 
 from labrun.app.fit import fit
-from labrun.app.run import execute
+from labrun.app.run import run as execute
 from labrun.errors import FitError, RequestError
 from labrun.models import load_model
-from labrun.runner import SilentProgress
 from labrun.spec import load_named, shipped_experiments
 
 PLATE = shipped_experiments() / "models" / "hinge-specimens.toml"
@@ -180,7 +179,7 @@ def runs(tmp_path_factory):
     found = {}
     for name in ("hinge-width", "hinge-length", "hinge-area"):
         loaded = load_named(name, results, quiet)
-        found[name] = execute(loaded, results=results, dry_run=True, seed=3, progress=SilentProgress()).run
+        found[name] = execute(loaded, results=results, dry_run=True, seed=3, draw=False).run
     return found
 
 

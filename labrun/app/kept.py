@@ -1,4 +1,4 @@
-"""Where the answer of a diagnosis is kept, and how it is read again."""
+"""Where answers about data are kept: beside the run they are of, or below the results; never in a recording."""
 
 import json
 import secrets
@@ -38,12 +38,17 @@ def read_stored(run: Path) -> Mapping[str, Any]:
     return stored
 
 
-def diagnosis_folder(target: Path, results: Path) -> Path:
-    """Return where the diagnosis of a run or a recording is kept."""
+def kept_folder(target: Path, results: Path, what: str) -> Path:
+    """Return where an answer about a run is kept, its folder `what`; of a recording, a new one below `results`."""
     if is_recording(target):
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-        return results / target.resolve().name / f"gap-{stamp}-{secrets.token_hex(2)}"
-    return (target.parent if target.is_file() else target) / FOLDER
+        return results / target.resolve().name / f"{what}-{stamp}-{secrets.token_hex(2)}"
+    return (target.parent if target.is_file() else target) / what
+
+
+def stem_of(name: str) -> str:
+    """Return what files of this name are called: several answers about one run stand side by side."""
+    return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name) or "model"
 
 
 def put_aside(folder: Path) -> None:
