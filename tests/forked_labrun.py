@@ -24,7 +24,7 @@ from pathlib import Path
 from select import select
 
 import labrun.cli
-from labrun.runner import emulated_bench
+from labrun.runner import resolve
 
 _TYPED = """#!{python} -IS
 import json, os, socket, sys
@@ -79,11 +79,11 @@ def run_labrun(
 @contextmanager
 def forked_emulators() -> Iterator[None]:
     """Fork what an `EmulatedBench` starts meanwhile."""
-    usual, emulated_bench._PYTHON = emulated_bench._PYTHON, str(forked_programs() / "forked-python")
+    usual, resolve._PYTHON = resolve._PYTHON, str(forked_programs() / "forked-python")
     try:
         yield
     finally:
-        emulated_bench._PYTHON = usual
+        resolve._PYTHON = usual
 
 
 def _serve(address: str) -> None:
@@ -95,7 +95,7 @@ def _serve(address: str) -> None:
     for name in ("labrun.devices.processes.scene", "labrun.devices.processes.emulator"):
         importlib.import_module(name)
     importlib.import_module("labrun_plugins.simulated.bench")
-    emulated_bench._PYTHON = str(Path(address).with_name("forked-python"))
+    resolve._PYTHON = str(Path(address).with_name("forked-python"))
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(address)
         listener.listen()

@@ -5,20 +5,24 @@ from labrun.runner.bench import Bench, Handle
 from labrun.runner.by_hand import Person, Scripted, Willing
 from labrun.runner.damage import worn_before, worn_specimens
 from labrun.runner.doctor import examine_machine, examine_rig, find_devices
-from labrun.runner.emulated_bench import EmulatedBench, has_emulator
-from labrun.runner.evaluation import ObjectiveError, ObjectiveEvaluation
-from labrun.runner.faults import Interrupted, LimitReached
-from labrun.runner.measurement import Measurement
+from labrun.runner.measurement import Measurement, ObjectiveError, ObjectiveEvaluation
 from labrun.runner.motion import MotionMaker, TrialMotion, smooth_move
 from labrun.runner.plan import ConditionExcess, JointPeak, Plan, Planner, SearchSpace, SpaceBreak, percent
-from labrun.runner.progress import Progress, SilentProgress
-from labrun.runner.recording import LEAD_S, TAIL_S, Recorder, TrialRecording, record_planned
-from labrun.runner.resolve import ports_of, resolve_device
+from labrun.runner.recording import (
+    LEAD_S,
+    TAIL_S,
+    Recorder,
+    TrialRecording,
+    guard_excesses,
+    record_planned,
+    within_bounds,
+)
+from labrun.runner.resolve import EmulatedBench, has_emulator, ports_of, resolve_device
 from labrun.runner.rig import Rig
-from labrun.runner.session import Session
+from labrun.runner.safety import Interrupted, LimitReached
+from labrun.runner.session import Progress, Session, SilentProgress
 from labrun.runner.settle import unsettled
 from labrun.runner.until import UntilRecorder
-from labrun.runner.within import guard_excesses, within_bounds
 
 __all__ = [
     "LEAD_S", "TAIL_S", "Bench", "ConditionExcess", "EmulatedBench", "Handle", "Interrupted", "JointPeak",

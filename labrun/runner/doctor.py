@@ -14,9 +14,9 @@ import numpy as np
 from labrun.devices import Clock, Device, Identity, Remark, Samples, Sensor, SerialPort
 from labrun.errors import DeviceError, LabrunError, PluginError
 from labrun.registry import inspect_all, installed, load
-from labrun.runner.faults import blaming
 from labrun.runner.resolve import STAND_IN, existing_ports, port_of
 from labrun.runner.rig import Rig
+from labrun.runner.safety import blaming
 
 _SLEEP_S = 0.002
 _SLEEP_TRIES = 100

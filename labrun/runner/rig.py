@@ -21,10 +21,8 @@ from labrun.devices import (
 )
 from labrun.errors import DeviceError, LabrunError, RequestError, SpecError
 from labrun.registry import load
-from labrun.runner.emulated_bench import EmulatedBench
-from labrun.runner.faults import blaming
-from labrun.runner.resolve import STAND_IN, ResolvedDevice, missing_ports, resolve_device
-from labrun.runner.safety import PATIENCE_S, Watchdog, start_watchdog, stop_all
+from labrun.runner.resolve import STAND_IN, EmulatedBench, ResolvedDevice, missing_ports, resolve_device
+from labrun.runner.safety import PATIENCE_S, Watchdog, blaming, start_watchdog, stop_all
 from labrun.spec import Experiment, scene_of
 
 _SCENE_STREAM = 0x5CE

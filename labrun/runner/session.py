@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from types import TracebackType
+from typing import Protocol, Self
 
 from labrun.devices import Clock
 from labrun.devices.clock import RealClock
@@ -9,18 +11,74 @@ from labrun.errors import DeviceError, ExperimentError, LimitExceededError, Reco
 from labrun.runner.bench import Bench
 from labrun.runner.by_hand import SET_ASIDE, Mounting, Mountings, Person, Willing
 from labrun.runner.damage import Damage, Worn
-from labrun.runner.faults import LimitReached
 from labrun.runner.measurement import OUTLIER, Measurement, Order, block_order, find_outliers, needs_another
 from labrun.runner.motion import MotionMaker
-from labrun.runner.progress import Progress, SilentProgress
+from labrun.runner.plan import check_wiring
 from labrun.runner.recording import Recorder, TrialRequest, record_planned
 from labrun.runner.rig import Rig
-from labrun.runner.safety import StopRequest, interruptible
+from labrun.runner.safety import LimitReached, StopRequest, interruptible
 from labrun.runner.settle import needs_baseline, unsettled
 from labrun.runner.trial import TrialRunner
-from labrun.runner.wiring import check_wiring
 from labrun.spec import Condition, Experiment, RepeatRule, condition_text
 from labrun.store import Role, RunFolder, TrialOutcome
+
+
+class Progress(Protocol):
+    """Told by the runner and the searches what goes on; draws it, or not."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    def total(self, trials: int | None) -> None:
+        """Set the greatest number of trials there can be; None if nobody can know."""
+        ...
+
+    def phase(self, text: str) -> None:
+        """Say what is happening now: "settle", "record"."""
+        ...
+
+    def trial(self, outcome: TrialOutcome, done: int, total: int | None, remaining_s: float | None) -> None:
+        """Report a trial that has just been stored."""
+        ...
+
+    def best(self, condition: Mapping[str, float | str], value: float, unit: str) -> None:
+        """Report the best condition so far."""
+        ...
+
+    def note(self, text: str) -> None:
+        """Report something worth a line."""
+        ...
+
+
+class SilentProgress:
+    """Says nothing."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass
+
+    def total(self, trials: int | None) -> None:
+        """Ignore it."""
+
+    def phase(self, text: str) -> None:
+        """Ignore it."""
+
+    def trial(self, outcome: TrialOutcome, done: int, total: int | None, remaining_s: float | None) -> None:
+        """Ignore it."""
+
+    def best(self, condition: Mapping[str, float | str], value: float, unit: str) -> None:
+        """Ignore it."""
+
+    def note(self, text: str) -> None:
+        """Ignore it."""
+
 
 _COME_BACK_S = 10.0
 """How long a device that failed may stay away before the run ends: a plug put back takes some seconds to be found."""

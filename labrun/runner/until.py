@@ -12,7 +12,7 @@ import numpy as np
 from labrun.devices import Channel, Samples, Trajectory
 from labrun.errors import ExperimentError
 from labrun.objectives import make_objective
-from labrun.runner.evaluation import ObjectiveEvaluation
+from labrun.runner.measurement import ObjectiveEvaluation
 from labrun.runner.recording import LEAD_S, TAIL_S, TrialRecording
 from labrun.runner.rig import Rig
 from labrun.signals import Signals

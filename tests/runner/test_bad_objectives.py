@@ -3,7 +3,7 @@
 import pytest
 
 from labrun.errors import ExperimentError
-from labrun.runner.evaluation import ObjectiveEvaluation
+from labrun.runner.measurement import ObjectiveEvaluation
 from labrun.store.reading import open_run
 
 ONE = [{"a": 10, "f": 1.0}]

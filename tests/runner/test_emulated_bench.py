@@ -12,7 +12,7 @@ import pytest
 from labrun.devices import Trajectory
 from labrun.errors import ExperimentError, PluginError, SpecError
 from labrun.runner import EmulatedBench, RealClock
-from labrun.runner import emulated_bench as bench_module
+from labrun.runner import resolve as bench_module
 from labrun.toml import PluginTable
 
 CLOCK = RealClock()

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from labrun.devices import Limits
 from labrun.errors import SpecError
 from labrun.gaits import make_gait, steering_of
-from labrun.runner.envelope import envelope
+from labrun.runner.motion import envelope
 from labrun.spec import GaitTable, Track
 
 

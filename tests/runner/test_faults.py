@@ -3,7 +3,7 @@
 import pytest
 
 from labrun.errors import DeviceError, RequestError, SettleError
-from labrun.runner.faults import NonsenseError, SilentDeviceError
+from labrun.runner.safety import NonsenseError, SilentDeviceError
 
 ONE = [{"a": 10, "f": 1.0}]
 TWO = [{"a": 10, "f": 1.0}, {"a": 20, "f": 1.0}]

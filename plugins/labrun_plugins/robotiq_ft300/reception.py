@@ -4,7 +4,7 @@ import math
 
 from labrun.devices import Clock, DeviceError, SampleBuffer, SerialPort
 from labrun_plugins.robotiq_ft300 import codec
-from labrun_plugins.robotiq_ft300.registers import Registers
+from labrun_plugins.robotiq_ft300.link import Registers
 
 
 class GapCounter:

@@ -8,7 +8,7 @@ from cal_files import AXES, MAXIMA, ROWS, SCALES, cal_text
 from hypothesis import given
 from hypothesis import strategies as st
 from labrun_plugins.ati_daq import calibration
-from labrun_plugins.ati_daq.socket_reader import BlockParser
+from labrun_plugins.ati_daq.reader import BlockParser
 
 
 def test_a_load_is_the_sum_over_gauges_of_value_over_scale_times_voltage():

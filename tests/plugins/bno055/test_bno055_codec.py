@@ -7,10 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from labrun_plugins.bno055 import codec
-from labrun_plugins.bno055.emulated_chip import EmulatedChip, Motion, Status
-from labrun_plugins.bno055.emulator import Bno055Emulator
-from labrun_plugins.bno055.orientation import angles, tilt, turn_between, up_in_body
-from labrun_plugins.bno055.sampling import CHANNELS, Plausibility, values_of
+from labrun_plugins.bno055.emulator import Bno055Emulator, EmulatedChip, Motion, Status
+from labrun_plugins.bno055.sampling import (
+    CHANNELS,
+    Plausibility,
+    angles,
+    tilt,
+    turn_between,
+    up_in_body,
+    values_of,
+)
 from labrun_plugins.bno055.settings import Bno055Settings
 from labrun_plugins.simulated.bno055 import SimulatedBno055, SimulatedBno055Settings
 from scipy.spatial.transform import Rotation

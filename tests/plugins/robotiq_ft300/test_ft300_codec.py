@@ -6,10 +6,10 @@ from ft300_vectors import ALIASING, READS, START, START_BY_06, STARTED, STREAM, 
 from hypothesis import example, given
 from hypothesis import strategies as st
 from labrun_plugins.robotiq_ft300 import codec
-from labrun_plugins.robotiq_ft300.emulated_modbus import ModbusSlave, Refusal, checksum
+from labrun_plugins.robotiq_ft300.emulator import ModbusSlave, Refusal, checksum
 from labrun_plugins.robotiq_ft300.emulator import stream_frame as emulated_frame
+from labrun_plugins.robotiq_ft300.link import Registers
 from labrun_plugins.robotiq_ft300.reception import GapCounter
-from labrun_plugins.robotiq_ft300.registers import Registers
 
 from labrun.errors import DeviceError
 
