@@ -27,12 +27,10 @@ from pathlib import Path
 
 import numpy as np
 from labrun_plugins.rigs.beam.limits import buckling_limit
-from labrun_plugins.rigs.beam.model import LIMITS_N_M
-from labrun_plugins.rigs.beam.scene import BeamBench
+from labrun_plugins.rigs.beam.scene import LIMITS_N_M, BeamBench
 from labrun_plugins.rigs.hinge_life.scene import LifeBench
-from labrun_plugins.rigs.tensile.curve import TensileCurve, tensile_curve
-from labrun_plugins.rigs.tensile.model import GRIPS_M, THICKNESS_M, WIDTH_M, YIELD_PA, YOUNG_PA
-from labrun_plugins.rigs.tensile.scene import TensileBench
+from labrun_plugins.rigs.tensile.fit import TensileCurve, tensile_curve
+from labrun_plugins.rigs.tensile.scene import GRIPS_M, THICKNESS_M, WIDTH_M, YIELD_PA, YOUNG_PA, TensileBench
 
 import labrun
 from labrun.app.diagnose import reveal

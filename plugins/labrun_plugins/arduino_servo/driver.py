@@ -11,10 +11,8 @@ from labrun.devices import (
     Pacing,
     Trajectory,
 )
-from labrun_plugins.arduino_servo.board_device import BoardDevice
-from labrun_plugins.arduino_servo.pulses import Pulses
-from labrun_plugins.arduino_servo.servo_board import ServoBoard
-from labrun_plugins.arduino_servo.settings import KIND, ArduinoServoSettings, Joint, channels_of
+from labrun_plugins.arduino_servo.servo_board import BoardDevice, ServoBoard
+from labrun_plugins.arduino_servo.settings import KIND, ArduinoServoSettings, Joint, Pulses, channels_of
 
 
 class ArduinoServo(BoardDevice):

@@ -1,17 +1,27 @@
-"""The driver's end of a board with `labservo`: set-points at a steady rate, the watchdog armed while anything moves."""
+"""The driver's end of a board with `labservo`: set-points at a steady rate, watchdog, stop; what labrun doctor asks."""
 
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from labrun.devices import Clock, CommandStream, DeviceError, FloatArray, Health, Pacing, Trajectory
+from labrun.devices import (
+    Clock,
+    CommandStream,
+    DeviceError,
+    FloatArray,
+    Health,
+    Identity,
+    Pacing,
+    Remark,
+    Trajectory,
+)
 from labrun_plugins.arduino_servo.settings import BoardSettings
-from labrun_plugins.labline.refusal import StoppedError
-from labrun_plugins.labline.session import Hello, LineSession
+from labrun_plugins.labline.handshake import probe, stop_from_scratch
+from labrun_plugins.labline.session import Hello, LineSession, StoppedError
 
 RESTING, MOVING, WATCHDOG, FAULT = range(4)
 """States: at its set-points, on its way to them, stopped by the watchdog, outputs off because of the hardware."""
@@ -310,3 +320,124 @@ class ServoBoard:
                 self.session.arm(0)
         except DeviceError:
             return  # it is being closed because it does not answer
+
+
+_MAJOR = "1"
+_FLASH = "flash firmware/labservo/labservo.ino of the plugin's folder"
+
+
+def examine(name: str, board: ServoBoard, settings: BoardSettings) -> list[Remark]:
+    """Return remarks on firmware, channels, rate and watchdog.
+
+    Parameters
+    ----------
+    name
+        The device's name.
+    board
+        Open.
+    settings
+        Of the board.
+    """
+    hello, session = board.hello, board.session
+    remarks = [
+        _firmware(name, hello),
+        _channels(name, hello, board.channels_needed),
+        _rate(name, hello, settings.rate_hz),
+    ]
+    if session.watchdog_ms == 0:  # nothing has moved yet: it can be tried
+        remarks.append(_watchdog(name, session, settings.watchdog_ms))
+    if session.counts.rejected:
+        found = (
+            f"{session.counts.rejected} of {session.counts.rejected + session.counts.accepted} lines damaged"
+        )
+        advice = "use a shorter or shielded USB cable, away from the servos' supply; connect the grounds"
+        remarks.append(Remark("warning", name, found, advice))
+    return remarks
+
+
+def _firmware(name: str, hello: Hello) -> Remark:
+    found = f"firmware {hello.kind} {hello.firmware}"
+    if hello.firmware.split(".")[0] != _MAJOR:
+        return Remark("problem", name, f"{found}; this driver knows {_MAJOR}.x", _FLASH)
+    return Remark("ok", name, found)
+
+
+def _channels(name: str, hello: Hello, needed: int) -> Remark:
+    found = f"{hello.channels} channels, {needed} needed"
+    if hello.channels < needed:
+        return Remark("problem", name, found, f"add the pins to PINS and {_FLASH}")
+    return Remark("ok", name, found)
+
+
+def _rate(name: str, hello: Hello, rate_hz: float) -> Remark:
+    found = f"takes {hello.max_rate_hz:g} set-points/s, {rate_hz:g} are sent"
+    if hello.max_rate_hz < rate_hz:
+        return Remark("problem", name, found, f"set rate_hz = {hello.max_rate_hz:g}")
+    return Remark("ok", name, found)
+
+
+def _watchdog(name: str, session: LineSession, watchdog_ms: int) -> Remark:
+    try:
+        session.arm(watchdog_ms)
+        session.arm(0)
+    except DeviceError as error:
+        return Remark("problem", name, f"its watchdog cannot be armed: {str(error).splitlines()[0]}", _FLASH)
+    return Remark("ok", name, f"watchdog takes {watchdog_ms} ms")
+
+
+class BoardDevice:
+    """Servos behind a board; what they move is for the subclass to say.
+
+    Parameters
+    ----------
+    name
+        The device's name.
+    settings
+        Of the board.
+    board
+        The driver's end of it.
+    """
+
+    kind: ClassVar[str]
+    """What its firmware says it is."""
+
+    def __init__(self, name: str, settings: BoardSettings, board: ServoBoard) -> None:
+        self.name = name
+        self._board = board
+        self._board_settings = settings
+
+    def open(self) -> None:
+        """Connect; no servo gets a pulse yet.
+
+        Raises
+        ------
+        DeviceError
+            No port, no answer, other firmware, or fewer channels than are needed.
+        """
+        self._board.open()
+
+    def health(self) -> Health:
+        """Ask the board for its state; notes lines that were damaged or stayed unanswered."""
+        return self._board.health()
+
+    def safe_stop(self) -> None:
+        """Have the board stop where it is, asking once more if it does not answer; no set-point follows."""
+        self._board.safe_stop()
+
+    def close(self) -> None:
+        """Stop, turn the watchdog off so that it has nothing to tell, and disconnect. Servos go on holding."""
+        self._board.close()
+
+    def examine(self) -> list[Remark]:
+        """Look at firmware, channels, rate and watchdog, for `labrun doctor --hardware`."""
+        return examine(self.name, self._board, self._board_settings)
+
+    @classmethod
+    def emergency_stop(cls, name: str, settings: Any) -> None:
+        """Connect from scratch and stop; raises DeviceError if the board does not answer."""
+        stop_from_scratch(name, settings.port)
+
+    @classmethod
+    def probe(cls, port: str) -> Identity | None:
+        """Tell whether a board with this firmware is at a port; takes up to 3.5 s, as boards restart when opened."""
+        return probe(port, cls.kind)

@@ -1,8 +1,8 @@
 """What gives six voltages: the only part of the driver that knows which card it is.
 
 Over TCP, for cards that NI-DAQmx does not drive: the client sends lines, ``start <rate>`` and ``stop``. The server
-answers the first with one line, ``voltages <rate> <model> <serial>``, and then sends blocks until ``stop`` or the end of
-the connection. A block is ``LRV1 | count u32 | first u64 | count x 6 x f64``, all big-endian: how many samples, the
+answers the first with one line, ``voltages <rate> <model> <serial>``, and then sends blocks until ``stop`` or the end
+of the connection. A block is ``LRV1 | count u32 | first u64 | count x 6 x f64``, all big-endian: how many samples, the
 number of the first one since the start, and the voltages of gauge 1 to 6 of each.
 """
 

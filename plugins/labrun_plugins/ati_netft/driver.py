@@ -7,10 +7,12 @@ has begun its numbering anew, cannot be bound to an interface, takes no buffered
 every sample, which costs the interpreter several times as much as a block of them in one array.
 """
 
+from collections.abc import Iterator
 from contextlib import suppress
 from typing import ClassVar
 
 from labrun.devices import (
+    Clock,
     DeviceContext,
     DeviceError,
     DeviceSettings,
@@ -22,12 +24,108 @@ from labrun.devices import (
     Samples,
     listened,
 )  # fmt: skip
-from labrun_plugins.ati_netft import examination, network, status
-from labrun_plugins.ati_netft.box_info import BoxInfo, box_rate
-from labrun_plugins.ati_netft.network import ask_status
+from labrun_plugins.ati_netft import codec, network, units
+from labrun_plugins.ati_netft.network import BoxInfo, ask_status, box_rate
 from labrun_plugins.ati_netft.reception import CHANNELS, Reception
 from labrun_plugins.ati_netft.settings import AtiNetFtSettings
-from labrun_plugins.ati_netft.source import BoxSource, Source
+from labrun_plugins.ati_netft.source import BoxSource, DatagramSocket, Source
+
+_RATE_TOLERANCE = 0.02
+_ENOUGH_S = 0.3
+
+
+def stream(
+    reception: Reception, counted: str, info: BoxInfo, settings: AtiNetFtSettings, rate_hz: float
+) -> Iterator[Remark]:
+    """Judge what has been heard for a while.
+
+    Parameters
+    ----------
+    counted
+        What is said about the records.
+    rate_hz
+        Of the samples that are handed over.
+    """
+    counts, measured, told = reception.sequencer.counts, reception.rate_hz(), info.rate_hz
+    if abs(measured / told - 1.0) > _RATE_TOLERANCE:
+        advice = f"look at the RDT output rate on http://{settings.host}/comm.htm, and for another program"
+        yield Remark("warning", "rate", f"says {told:g} samples/s, sends {measured:.5g}", advice)
+    else:
+        yield Remark("ok", "rate", f"{measured:.5g} records/s; {rate_hz:g} samples/s are handed over")
+    if counts.lost or counts.restarts:
+        advice = (
+            'a network port of its own for the box, without a switch shared with others; or mode = "buffered"'
+        )
+        yield Remark("warning", "losses", counted, advice)
+    else:
+        yield Remark("ok", "losses", counted)
+    word = reception.last_status
+    if word & codec.CONDITION:
+        advice = f"clear it on http://{settings.host}/moncon.htm, or switch monitor conditions off"
+        yield Remark("warning", "status", codec.words(word), advice)
+    elif word:
+        yield Remark("problem", "status", codec.words(word), "unload the sensor; check its cable to the box")
+    else:
+        yield Remark("ok", "status", codec.words(word))
+
+
+def box(name: str, clock: Clock, info: BoxInfo, settings: AtiNetFtSettings, own: str) -> Iterator[Remark]:
+    """Look at the buffer here, and hold what the box says by HTTP against TCP; `own` is this computer's address."""
+    yield _buffer(name, clock, info, settings, own)
+    yield _units(info, settings)
+    yield from _tcp(info, settings, own)
+
+
+def _buffer(name: str, clock: Clock, info: BoxInfo, settings: AtiNetFtSettings, own: str) -> Remark:
+    socket = DatagramSocket(name, clock, own, (settings.host, settings.rdt_port))
+    holds_s = socket.capacity() / info.rate_hz
+    socket.close()
+    message = f"the system holds {holds_s:.2g} s of records while this program is busy"
+    if holds_s < _ENOUGH_S:
+        return Remark("warning", "buffer", message, "sudo sysctl -w net.core.rmem_max=4194304")
+    return Remark("ok", "buffer", message)
+
+
+def _units(info: BoxInfo, settings: AtiNetFtSettings) -> Remark:
+    said = (
+        f"{info.counts_per_force:g} counts per {info.force_unit}, "
+        f"{info.counts_per_torque:g} per {info.torque_unit}; range as of {settings.calibration}"
+    )
+    return Remark("ok", "units", said, "compare with the calibration certificate")
+
+
+def _tcp(info: BoxInfo, settings: AtiNetFtSettings, own: str) -> Iterator[Remark]:
+    where = f"TCP port {settings.tcp_port}"
+    try:
+        answer = network.ask_tcp(settings, own, codec.calibration_request(), codec.CALINFO_BYTES)
+        reading = network.ask_tcp(settings, own, codec.read_ft_request(), codec.READFT_BYTES)
+    except OSError as error:
+        yield Remark(
+            "warning", where, f"no answer: {error}", "older boxes have none; labrun does not need it"
+        )
+        return
+    calibration, decoded = codec.decode_calibration(answer), codec.decode_reading(reading)
+    if calibration is None or decoded is None:
+        yield Remark("warning", where, "its answer makes no sense", "update the box's firmware")
+        return
+    force = units.unit_of_code(units.FORCE_CODES, calibration.force_unit)
+    torque = units.unit_of_code(units.TORQUE_CODES, calibration.torque_unit)
+    agrees = (
+        units.newtons_per(force) == units.newtons_per(info.force_unit)
+        and units.newton_metres_per(torque) == units.newton_metres_per(info.torque_unit)
+        and calibration.counts_per_force == info.counts_per_force
+        and calibration.counts_per_torque == info.counts_per_torque
+    )
+    said = f"{calibration.counts_per_force} counts per {force or 'unknown unit'}, "
+    said += f"{calibration.counts_per_torque} per {torque or 'unknown unit'}; {codec.words(decoded.status)}"
+    if agrees:
+        yield Remark("ok", where, said)
+    else:
+        advice = (
+            "its web page and its TCP port disagree about units: choose the calibration again and restart it"
+        )
+        yield Remark("problem", where, said, advice)
+
 
 _NEAR_END = 0.9
 _LISTEN_S = 1.0
@@ -132,14 +230,14 @@ class AtiNetFt:
         if reception is None or source is None:
             word = ask_status(self.name, self.settings, self.clock, self.own)
             self._require_well(word)
-            return Health(notes=(status.words(word),))
+            return Health(notes=(codec.words(word),))
         self._check()
         counts = reception.sequencer.counts
         notes = [
             f"{counts.received} records at {reception.rate_hz():.5g} Hz, {counts.lost} lost "
             f"({source.dropped()} of them in this computer), {counts.repeated} repeated, {counts.overtaken} overtaken, "
             f"{source.malformed} malformed, {counts.restarts} restarts of the stream",
-            status.words(reception.last_status),
+            codec.words(reception.last_status),
         ]
         if reception.saturated:
             notes.append(f"{reception.saturated} records saturated")
@@ -219,8 +317,8 @@ class AtiNetFt:
             reception, counted = self._reception, self.health().notes[0]
         assert reception is not None  # noqa: S101  it ran
         return [
-            *examination.stream(reception, counted, self.info, self.settings, self.rate_hz),
-            *examination.box(self.name, self.clock, self.info, self.settings, self.own),
+            *stream(reception, counted, self.info, self.settings, self.rate_hz),
+            *box(self.name, self.clock, self.info, self.settings, self.own),
         ]
 
     def _check(self) -> None:
@@ -229,15 +327,15 @@ class AtiNetFt:
 
     def _new_source(self) -> Source:
         if self.settings.client == "pynetft":
-            from labrun_plugins.ati_netft.pynetft_source import PynetftSource
+            from labrun_plugins.ati_netft.source import PynetftSource
 
             return PynetftSource(self.name, self.clock, self.settings, self.info)
         return BoxSource(self.name, self.clock, self.settings, self.own)
 
     def _require_well(self, word: int) -> None:
-        if status.is_serious_word(word):
+        if codec.is_serious_word(word):
             raise DeviceError(
                 self.name,
-                f"reports an error: {status.words(word)}",
+                f"reports an error: {codec.words(word)}",
                 hint="see the status on its web page; switch it off and on if it stays, and check the sensor's cable",
             )

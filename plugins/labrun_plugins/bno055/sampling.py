@@ -1,4 +1,4 @@
-"""Readings of a BNO055 one after the other, whether they can be true (its line has no checksum), and what they are in angles."""
+"""Readings of a BNO055 one after the other, whether they can be true (no checksum), and what they are in angles."""
 
 import math
 from collections.abc import Callable

@@ -3,7 +3,7 @@
 import math
 
 from labrun.devices.emulation import EmulatorContext
-from labrun_plugins.arduino_servo.emulated_board import ServoBoardEmulator
+from labrun_plugins.arduino_servo.emulator import ServoBoardEmulator
 from labrun_plugins.carriage_reset.settings import KIND, CarriageResetSettings
 from labrun_plugins.simulated.carriage_reset import hold, pull
 

@@ -28,8 +28,7 @@ from labrun.devices.compiled_wire import (
 from labrun.devices.system_calls import write_bytes
 from labrun_plugins.dynamixel.codec import CRC_TABLE, SYNC_WRITE
 from labrun_plugins.dynamixel.commands import SPEED_SLACK
-from labrun_plugins.dynamixel.control_table import CENTRE, COUNT_RAD, GOAL_POSITION, MOTION
-from labrun_plugins.dynamixel.scale import Scale
+from labrun_plugins.dynamixel.control_table import CENTRE, COUNT_RAD, GOAL_POSITION, MOTION, Scale
 from labrun_plugins.dynamixel.settings import DynamixelSettings
 
 CALLS, _SENT_S, ANGLES = 3, 4, 5

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from labrun.devices.emulation import EmulatorLog
 from labrun_plugins.dynamixel import emulated_packets as wire
 from labrun_plugins.dynamixel.emulated_packets import Instruction
-from labrun_plugins.dynamixel.emulated_servo import EmulatedServo
-from labrun_plugins.dynamixel.emulated_table import Refusal
+from labrun_plugins.dynamixel.emulated_servo import EmulatedServo, Refusal
 
 _UNKNOWN_INSTRUCTION, _BAD_CHECKSUM, _BAD_LENGTH = 2, 3, 5
 _CLEAR_TURNS = b"\x01DXL\x22"

@@ -16,11 +16,9 @@ from labrun.devices.emulated_ports import PtyEndpoint
 from labrun.devices.emulation import EmulatorContext
 from labrun_plugins.dynamixel import emulated_packets as wire
 from labrun_plugins.dynamixel.emulated_bus import Answer, EmulatedBus
-from labrun_plugins.dynamixel.emulated_servo import OVERLOADED, EmulatedServo
-from labrun_plugins.dynamixel.emulated_shaft import EmulatedShaft
-from labrun_plugins.dynamixel.emulated_table import Table
+from labrun_plugins.dynamixel.emulated_servo import OVERLOADED, EmulatedServo, EmulatedShaft, Table
 from labrun_plugins.simulated.dynamixel import TEMPERATURE_C, SimulatedDynamixelSettings
-from labrun_plugins.simulated.joints import require_joints
+from labrun_plugins.simulated.servo import require_joints
 
 _MODEL, _FIRMWARE = 1030, 46
 _OVERHEATED_C = 85.0

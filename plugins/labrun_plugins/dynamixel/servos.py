@@ -17,27 +17,27 @@ from labrun.devices import (
 )
 from labrun.devices.pacing import CommandStream, Pacing
 from labrun.devices.protocols import Remark
-from labrun_plugins.dynamixel import report
+from labrun_plugins.dynamixel import setting_up
 from labrun_plugins.dynamixel.bus import Bus
-from labrun_plugins.dynamixel.commands import CommandCheck
-from labrun_plugins.dynamixel.control_table import (
-    BUS_WATCHDOG,
-    GOAL_POSITION,
-    TORQUE_ENABLE,
-    WATCHDOG_FIRMWARE,
-)
-from labrun_plugins.dynamixel.measuring import Measurement
-from labrun_plugins.dynamixel.scale import Scale
-from labrun_plugins.dynamixel.setting_up import Servo, find_servos, set_up
-from labrun_plugins.dynamixel.settings import WATCHDOG_STEP_MS, DynamixelSettings
-from labrun_plugins.dynamixel.torque import (
+from labrun_plugins.dynamixel.commands import (
     STOP_WAIT_S,
+    CommandCheck,
     check_watchdogs,
     goals_here,
     hold,
     switch_off,
     switch_on,
 )
+from labrun_plugins.dynamixel.control_table import (
+    BUS_WATCHDOG,
+    GOAL_POSITION,
+    TORQUE_ENABLE,
+    WATCHDOG_FIRMWARE,
+    Scale,
+)
+from labrun_plugins.dynamixel.driver import Measurement
+from labrun_plugins.dynamixel.setting_up import Servo, find_servos, set_up
+from labrun_plugins.dynamixel.settings import WATCHDOG_STEP_MS, DynamixelSettings
 
 _NEVER = -1
 _IDLE_S = 0.03
@@ -100,11 +100,11 @@ class DynamixelServos:
     def identify(self) -> Identity:
         """Say which servos these are, and what analysis needs of their set-up."""
         self._require_open()
-        return report.identity(self._servos, self._settings)
+        return setting_up.identity(self._servos, self._settings)
 
     def examine(self) -> list[Remark]:
         """Look at what a bench relies on: set-up, firmware, supply, time a measurement takes."""
-        from labrun_plugins.dynamixel.examination import remarks
+        from labrun_plugins.dynamixel.setting_up import remarks
 
         self._require_open()
         return remarks(self._bus, self._servos, self._settings, self._clock)
@@ -119,7 +119,7 @@ class DynamixelServos:
         """
         self._require_open()
         self._check_threads()
-        return report.health(self._bus, self._servos, energised=self._energised)
+        return setting_up.health(self._bus, self._servos, energised=self._energised)
 
     def pose(self) -> Mapping[str, float]:
         """Return the measured angles, rad.
@@ -207,7 +207,7 @@ class DynamixelServos:
     def emergency_stop(cls, name: str, settings: Any) -> None:
         """Connect from scratch and stop: the runner is dead or hangs."""
         from labrun.devices.clock import RealClock
-        from labrun_plugins.dynamixel.torque import emergency_stop
+        from labrun_plugins.dynamixel.commands import emergency_stop
 
         emergency_stop(name, settings, RealClock())
 
@@ -215,7 +215,7 @@ class DynamixelServos:
     def probe(cls, port: str) -> Identity | None:
         """Tell whether Dynamixels answer at a port, at 1 Mbit/s or at the factory's 57 600 bits/s."""
         from labrun.devices.clock import RealClock
-        from labrun_plugins.dynamixel.examination import probe
+        from labrun_plugins.dynamixel.setting_up import probe
 
         return probe(port, RealClock())
 

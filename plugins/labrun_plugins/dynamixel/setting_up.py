@@ -1,18 +1,27 @@
-"""Bringing a servo into the state the experiment file asks for, and reading back that it is."""
+"""Bringing servos into the state the file asks for; what they say of themselves; what labrun doctor looks at."""
 
+import statistics
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from labrun.devices import Clock, DeviceError
+from labrun.devices import Clock, DeviceError, Health, Identity
+from labrun.devices.protocols import Remark
 from labrun_plugins.dynamixel.bus import Bus
+from labrun_plugins.dynamixel.codec import Status
 from labrun_plugins.dynamixel.control_table import (
     BUS_WATCHDOG,
+    CLIMATE,
+    COUNT_RAD,
     DRIVE_MODE,
+    FAST_FIRMWARE,
     HARDWARE_ERROR,
     HOMING_OFFSET,
+    INPUT_VOLTAGE,
     MAX_POSITION,
     MIN_POSITION,
     MODELS,
     MODES,
+    MOTION,
     OPERATING_MODE,
     POSITION_D,
     POSITION_I,
@@ -21,16 +30,21 @@ from labrun_plugins.dynamixel.control_table import (
     PROFILE_VELOCITY,
     RETURN_DELAY,
     SHUTDOWN,
+    SPEED_UNIT_RAD_S,
     STATUS_LEVEL,
+    TEMPERATURE,
     TEMPERATURE_LIMIT,
     TORQUE_ENABLE,
+    TRIPPED,
     VELOCITY_LIMIT,
+    VOLTAGE_UNIT_V,
     WATCHDOG_FIRMWARE,
     Model,
     Register,
+    Scale,
     hardware_errors,
+    whole,
 )
-from labrun_plugins.dynamixel.scale import Scale
 from labrun_plugins.dynamixel.settings import BAUD_CODES, DynamixelSettings
 
 _RESTART_S = 2.0
@@ -201,3 +215,229 @@ def _missing(bus: Bus, settings: DynamixelSettings, joints: list[str]) -> Device
         f"{who} does not answer; what answers at {bus.baud} bits/s: {others}",
         hint="compare joints.<joint>.id with the servos, and check the plug of the silent one",
     )
+
+
+def identity(servos: Sequence[Servo], settings: DynamixelSettings) -> Identity:
+    """Return who they are; a Dynamixel has no serial number, its id on the bus is all that tells it from others."""
+    details = {
+        "baud": str(settings.baud),
+        "count_rad": repr(COUNT_RAD),
+        "speed_unit_rad_s": repr(SPEED_UNIT_RAD_S),
+        "command_hz": f"{settings.command_hz:g}",
+        "feedback_hz": f"{settings.feedback_hz:g}",
+        "operating_mode": settings.operating_mode,
+        "on_stop": settings.on_stop,
+        "watchdog_ms": str(settings.watchdog_ms),
+    }
+    for servo in servos:
+        table = settings.joints[servo.joint]
+        own = {
+            "id": servo.id,
+            "model": servo.model.name,
+            "firmware": servo.firmware,
+            "sign": table.sign,
+            "neutral_deg": table.neutral_deg,
+            "current_unit_a": servo.model.current_a
+            if servo.model.current_a is not None
+            else "none, it measures load",
+            "return_delay_us": 2 * servo.now[RETURN_DELAY.name],
+            "drive_mode": servo.now[DRIVE_MODE.name],
+            "homing_offset": servo.now[HOMING_OFFSET.name],
+            "set_up": "; ".join(servo.notes),
+        }
+        details |= {f"{servo.joint}.{key}": str(value) for key, value in own.items()}
+    models = sorted({servo.model.name for servo in servos})
+    firmware = sorted({str(servo.firmware) for servo in servos})
+    return Identity(f"Dynamixel {', '.join(models)}", "", ", ".join(firmware), details)
+
+
+def health(bus: Bus, servos: Sequence[Servo], *, energised: bool) -> Health:
+    """Ask all servos how they are.
+
+    Parameters
+    ----------
+    bus, servos
+        Whom to ask.
+    energised
+        Whether their torque should be on.
+
+    Raises
+    ------
+    DeviceError
+        One does not answer.
+    """
+    ids = [servo.id for servo in servos]
+    guarded = [servo.id for servo in servos if servo.firmware >= WATCHDOG_FIRMWARE]
+    climate = bus.require(ids, CLIMATE)
+    errors = bus.require(ids, whole(HARDWARE_ERROR))
+    torque = bus.require(ids, whole(TORQUE_ENABLE))
+    watchdog = bus.require(guarded, whole(BUS_WATCHDOG)) if guarded else {}
+    notes, bad = [], []
+    for servo in servos:
+        error = HARDWARE_ERROR.decode(errors[servo.id].data)
+        if error or errors[servo.id].alert:
+            bad.append(f"{servo.joint}: {', '.join(hardware_errors(error)) or 'alert'}")
+        elif energised and servo.id in watchdog and BUS_WATCHDOG.decode(watchdog[servo.id].data) == TRIPPED:
+            bad.append(f"{servo.joint}: stopped by its watchdog, because no command came")
+        elif energised and not TORQUE_ENABLE.decode(torque[servo.id].data):
+            bad.append(f"{servo.joint}: its torque is off, though nobody here switched it off")
+        notes.append(
+            f"{servo.joint} {_temperature(climate[servo.id])} degC, {_voltage(climate[servo.id]):.1f} V"
+        )
+    hottest = max(_temperature(status) for status in climate.values())
+    return Health(ok=not bad, temperature_c=float(hottest), notes=(*bad, *notes))
+
+
+def shut_down(bus: Bus, identity_: int) -> DeviceError:
+    """Return the error for a servo whose answers carry Alert."""
+    error = bus.read(identity_, HARDWARE_ERROR)
+    torque = bus.read(identity_, TORQUE_ENABLE)
+    reasons = ", ".join(hardware_errors(error)) or "it does not say why"
+    return DeviceError(
+        bus.device,
+        f"{bus.who([identity_])} reports a hardware error ({reasons}){'' if torque else ' and has shut down'}",
+        hint="free it, let it cool down, check its supply; labrun restarts it when the bench is opened again",
+    )
+
+
+def _temperature(status: Status) -> int:
+    return TEMPERATURE.within(CLIMATE, status.data)
+
+
+def _voltage(status: Status) -> float:
+    return VOLTAGE_UNIT_V * INPUT_VOLTAGE.within(CLIMATE, status.data)
+
+
+_PROBED_BAUDS = (1_000_000, 57_600)
+_PROBE_S = 0.15
+_MEASUREMENTS = 20
+_SLOW_S = 0.008
+_WARM_C = 10
+_REVERSE = 1
+
+
+def probe(port: str, clock: Clock) -> Identity | None:
+    """Ask everybody at a port who is there; None if nobody answers as a Dynamixel does."""
+    for baud in _PROBED_BAUDS:
+        bus = Bus("probe", port, baud, clock, {})
+        try:
+            bus.open()
+            found = bus.scan(_PROBE_S)
+        except DeviceError:
+            return None
+        finally:
+            bus.close()
+        if found:
+            servos = {f"id {i}": _named(number, firmware) for i, (number, firmware) in sorted(found.items())}
+            models = sorted(
+                {MODELS[number].name if number in MODELS else "?" for number, _ in found.values()}
+            )
+            return Identity(f"Dynamixel {', '.join(models)}", details={"baud": str(baud), **servos})
+    return None
+
+
+def remarks(bus: Bus, servos: Sequence[Servo], settings: DynamixelSettings, clock: Clock) -> list[Remark]:
+    """Look at an opened bus.
+
+    Raises
+    ------
+    DeviceError
+        A servo does not answer.
+    """
+    found = [remark for servo in servos for remark in _of_servo(bus, servo)]
+    return [*found, *_of_bus(bus, servos, settings, clock)]
+
+
+def _of_servo(bus: Bus, servo: Servo) -> Iterator[Remark]:
+    who = f"{servo.joint} (id {servo.id})"
+    yield Remark("ok", who, f"{servo.model.name}, firmware {servo.firmware}")
+    delay_us = 2 * servo.found[RETURN_DELAY.name]
+    now_us = 2 * servo.now[RETURN_DELAY.name]
+    if delay_us != now_us:
+        yield Remark("ok", who, f"return delay was {delay_us} us; labrun has set it to {now_us} us")
+    elif now_us > 100:
+        yield Remark(
+            "warning", who, f"return delay {now_us} us: each answer waits for it", "return_delay_us = 0"
+        )
+    else:
+        yield Remark("ok", who, f"return delay {now_us} us")
+    if servo.firmware < WATCHDOG_FIRMWARE:
+        yield Remark(
+            "problem",
+            who,
+            f"firmware {servo.firmware} has no bus watchdog: it goes on if this computer dies",
+            f"update it to {WATCHDOG_FIRMWARE} or later with Dynamixel Wizard",
+        )
+    elif servo.firmware < FAST_FIRMWARE:
+        yield Remark(
+            "ok",
+            who,
+            f"firmware {servo.firmware} knows no fast reads, {FAST_FIRMWARE} does",
+        )
+    if servo.now[DRIVE_MODE.name] & _REVERSE:
+        yield Remark(
+            "warning",
+            who,
+            "its drive mode is reversed, on top of sign in the file",
+            "clear bit 0 of Drive Mode, use sign",
+        )
+    if servo.now[HOMING_OFFSET.name]:
+        yield Remark(
+            "warning",
+            who,
+            f"its homing offset is {servo.now[HOMING_OFFSET.name]} counts, on top of neutral_deg in the file",
+            "set Homing Offset to 0, use neutral_deg",
+        )
+    error = bus.read(servo.id, HARDWARE_ERROR)
+    if error:
+        yield Remark(
+            "problem",
+            who,
+            f"hardware error: {', '.join(hardware_errors(error))}",
+            "free it, let it cool down",
+        )
+    climate = bus.require([servo.id], CLIMATE)[servo.id].data
+    temperature, limit = TEMPERATURE.within(CLIMATE, climate), servo.now[TEMPERATURE_LIMIT.name]
+    voltage = VOLTAGE_UNIT_V * INPUT_VOLTAGE.within(CLIMATE, climate)
+    state = f"{temperature} degC (shuts down at {limit}), {voltage:.1f} V"
+    if temperature > limit - _WARM_C:
+        yield Remark("warning", who, state, "let it cool down before a long run")
+    else:
+        yield Remark("ok", who, state)
+    low, high = servo.now[MIN_POSITION.name], servo.now[MAX_POSITION.name]
+    yield Remark("ok", who, f"position limits in the servo: counts {low} to {high}")
+
+
+def _of_bus(bus: Bus, servos: Sequence[Servo], settings: DynamixelSettings, clock: Clock) -> Iterator[Remark]:
+    ids = [servo.id for servo in servos]
+    passed, failed = [], 0
+    for _ in range(_MEASUREMENTS):
+        start_s = clock.now()
+        failed += len(bus.group_read(ids, MOTION)) < len(ids)
+        passed.append(clock.now() - start_s)
+    median_s = statistics.median(passed)
+    kind = "fast sync read" if bus.fast and len(ids) > 1 else "sync read"
+    text = f"{kind} of {len(ids)} servos at {settings.baud} bits/s takes {1e3 * median_s:.1f} ms (median)"
+    if failed:
+        yield Remark(
+            "problem",
+            "bus",
+            f"{failed} of {_MEASUREMENTS} reads were not answered",
+            "check cable, plugs and ids",
+        )
+    if median_s > _SLOW_S:
+        yield Remark(
+            "warning", "bus", text, "set the adapter's latency timer to 1 ms, and raise baud to 1000000"
+        )
+    else:
+        yield Remark("ok", "bus", text)
+    rate_hz = settings.feedback_hz
+    if rate_hz and rate_hz * median_s > 0.7:
+        yield Remark(
+            "warning", "bus", f"feedback_hz = {rate_hz:g} is more than this bus can do", "ask for less"
+        )
+
+
+def _named(number: int, firmware: int) -> str:
+    name = MODELS[number].name if number in MODELS else f"model number {number}"
+    return f"{name}, firmware {firmware}"

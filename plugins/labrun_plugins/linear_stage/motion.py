@@ -7,7 +7,7 @@ import numpy as np
 from labrun.devices import Clock, CommandStream, DeviceError, FloatArray, Pacing, Trajectory
 from labrun.errors import LimitExceededError
 from labrun_plugins.labline.session import LineSession
-from labrun_plugins.linear_stage.codec import Flags, StageState, move_arguments
+from labrun_plugins.linear_stage.reception import Flags, StageState, move_arguments
 from labrun_plugins.linear_stage.settings import FASTEST_MM_S, LinearStageSettings
 
 HOMING_MM_S = 5.0

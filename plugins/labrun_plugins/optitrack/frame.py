@@ -9,8 +9,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from labrun_plugins.optitrack.cursor import F32, F64, I16, I32, Cursor, Malformed
-from labrun_plugins.optitrack.messages import Version
+from labrun_plugins.optitrack.messages import F32, F64, I16, I32, Cursor, Malformed, Version
 
 _SIZED: Version = (4, 1)
 _NEWEST: Version = (4, 2)

@@ -4,8 +4,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from labrun_plugins.optitrack.cursor import I32, Cursor, Malformed
-from labrun_plugins.optitrack.messages import Version
+from labrun_plugins.optitrack.messages import I32, Cursor, Malformed, Version
 
 _SIZED: Version = (4, 1)
 _BODY = struct.Struct("<ii3f")

@@ -191,9 +191,7 @@ class RobotiqFt300:
         plate = self._nameplate
         assert plate is not None  # noqa: S101  set by open
         mode = "stream" if self._settings.stream else "registers"
-        return identity(
-            plate, f"{mode}, {self.rate_hz:g} Hz", was_streaming=self._jams_at_open > 0
-        )
+        return identity(plate, f"{mode}, {self.rate_hz:g} Hz", was_streaming=self._jams_at_open > 0)
 
     def health(self) -> Health:
         """Report on the stream; ask for the firmware if there is none, to see that it answers.

@@ -1,7 +1,8 @@
 """An FT300 as seen from the wire: registers over Modbus RTU, the stream, and the jam that ends it.
 
 Written from the manuals' description of the line, independently of the driver: it shares no code with it but the names
-of the settings, so that each checks the other."""
+of the settings, so that each checks the other.
+"""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -7,9 +7,8 @@ import numpy as np
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, Trajectory
 from labrun_plugins.arduino_servo.settings import ArduinoServoSettings, Joint
-from labrun_plugins.simulated.joints import SimulatedJoints, joints_or_own_name
-from labrun_plugins.simulated.settings import SimulatedSettings
-from labrun_plugins.simulated.shaft import Shaft
+from labrun_plugins.simulated.device import SimulatedSettings
+from labrun_plugins.simulated.servo import Shaft, SimulatedJoints, joints_or_own_name
 
 _US_PER_DEG = 10.0
 _SHAFT = Shaft(

@@ -5,9 +5,9 @@ from typing import ClassVar
 from labrun.devices import DeviceContext, DeviceSettings
 from labrun_plugins.ati_daq.settings import AtiDaqSettings
 from labrun_plugins.ati_netft.settings import full_scale
+from labrun_plugins.simulated.device import SimulatedSettings
 from labrun_plugins.simulated.force_torque import SimulatedForceTorque, SixAxes
-from labrun_plugins.simulated.settings import SimulatedSettings
-from labrun_plugins.simulated.stream import Timing
+from labrun_plugins.simulated.sensor import Timing
 
 _FULL_SCALE = full_scale("SI-20-1")
 _STEPS = 15_000.0

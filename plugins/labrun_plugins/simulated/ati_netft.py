@@ -4,9 +4,9 @@ from typing import ClassVar
 
 from labrun.devices import DeviceContext, DeviceSettings
 from labrun_plugins.ati_netft.settings import BOX_RATE_HZ, RANGES, AtiNetFtSettings
+from labrun_plugins.simulated.device import SimulatedSettings
 from labrun_plugins.simulated.force_torque import SimulatedForceTorque, SixAxes
-from labrun_plugins.simulated.settings import SimulatedSettings
-from labrun_plugins.simulated.stream import Timing
+from labrun_plugins.simulated.sensor import Timing
 
 _FORCE_STEPS = 4000.0
 _TORQUE_STEPS = 8000.0

@@ -14,9 +14,8 @@ from labrun.devices import (
     Health,
 )
 from labrun_plugins.bno055.settings import Bno055Settings
-from labrun_plugins.simulated.sensor import SimulatedSensor
-from labrun_plugins.simulated.settings import SimulatedSettings
-from labrun_plugins.simulated.stream import Timing
+from labrun_plugins.simulated.device import SimulatedSettings
+from labrun_plugins.simulated.sensor import SimulatedSensor, Timing
 
 _QUATERNION_STEP = 2.0**-14
 _ANGLE_STEP_RAD = math.radians(1.0 / 16.0)

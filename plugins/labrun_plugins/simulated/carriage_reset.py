@@ -6,10 +6,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from labrun.devices import DeviceContext, DeviceSettings, Scene, Trajectory
-from labrun_plugins.carriage_reset.line_motion import LINE, check_move, line_motion
+from labrun_plugins.carriage_reset.driver import LINE, check_move, line_motion
 from labrun_plugins.carriage_reset.settings import CarriageResetSettings
-from labrun_plugins.simulated.device import SimulatedDevice
-from labrun_plugins.simulated.settings import SimulatedSettings
+from labrun_plugins.simulated.device import SimulatedDevice, SimulatedSettings
 
 _TAUT_M = 1e-6
 

@@ -10,10 +10,9 @@ from labrun.devices import DeviceContext, DeviceError, DeviceSettings, FloatArra
 from labrun.devices.compiled_bench import Ahead, CompiledSensor
 from labrun.models import native
 from labrun_plugins.dynamixel.settings import DynamixelSettings
-from labrun_plugins.simulated.joints import SimulatedJoints
-from labrun_plugins.simulated.settings import SimulatedSettings
-from labrun_plugins.simulated.shaft import Shaft
-from labrun_plugins.simulated.stream import Delivered, SampleStream, Timing
+from labrun_plugins.simulated.device import SimulatedSettings
+from labrun_plugins.simulated.sensor import Delivered, SampleStream, Timing
+from labrun_plugins.simulated.servo import Shaft, SimulatedJoints
 
 COUNT_RAD = 2 * np.pi / 4096
 SPEED_STEP_RAD_S = 0.229 * 2 * np.pi / 60

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from labrun.devices import Channel, DeviceContext, FloatArray
 from labrun.devices.compiled_bench import CompiledSensor
 from labrun.models import kernel, native
-from labrun_plugins.simulated.sensor import SimulatedSensor
-from labrun_plugins.simulated.settings import SimulatedSettings
-from labrun_plugins.simulated.stream import Timing
+from labrun_plugins.simulated.device import SimulatedSettings
+from labrun_plugins.simulated.sensor import SimulatedSensor, Timing
 
 CHANNELS = (
     Channel("force_x", "N"), Channel("force_y", "N"), Channel("force_z", "N"),

@@ -8,11 +8,9 @@ from numpy.typing import NDArray
 
 from labrun.devices import Channel, DeviceContext, DeviceError, DeviceSettings, FloatArray, Trajectory
 from labrun.errors import LimitExceededError
-from labrun_plugins.linear_stage.calibration import FULL_SCALE_COUNTS, LEAST_COUNTS, Line
-from labrun_plugins.linear_stage.settings import LinearStageSettings
-from labrun_plugins.simulated.sensor import SimulatedSensor
-from labrun_plugins.simulated.settings import SimulatedSettings
-from labrun_plugins.simulated.stream import Timing
+from labrun_plugins.linear_stage.settings import FULL_SCALE_COUNTS, LEAST_COUNTS, Line, LinearStageSettings
+from labrun_plugins.simulated.device import SimulatedSettings
+from labrun_plugins.simulated.sensor import SimulatedSensor, Timing
 
 _PLACES_M = 1e-8
 """Last digit of a position on the line: the board tells where between two steps it is."""

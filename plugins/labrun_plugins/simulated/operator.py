@@ -7,9 +7,8 @@ import numpy as np
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, Trajectory
 from labrun.errors import LimitExceededError
-from labrun_plugins.operator.settings import OperatorSettings
-from labrun_plugins.simulated.device import SimulatedDevice
-from labrun_plugins.simulated.settings import SimulatedSettings
+from labrun_plugins.operator.driver import OperatorSettings
+from labrun_plugins.simulated.device import SimulatedDevice, SimulatedSettings
 
 _PLACING_SD_RAD = float(np.radians(0.25))
 _HELD_S = 1e9

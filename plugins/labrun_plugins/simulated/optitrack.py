@@ -8,11 +8,10 @@ import numpy as np
 from labrun.devices import DeviceContext, DeviceSettings, FloatArray
 from labrun.devices.compiled_bench import CompiledSensor
 from labrun.models import native
-from labrun_plugins.optitrack.poses import BodyAngles, channels_of
 from labrun_plugins.optitrack.settings import OptiTrackSettings
-from labrun_plugins.simulated.sensor import SimulatedSensor
-from labrun_plugins.simulated.settings import SimulatedSettings
-from labrun_plugins.simulated.stream import Timing
+from labrun_plugins.optitrack.stream import BodyAngles, channels_of
+from labrun_plugins.simulated.device import SimulatedSettings
+from labrun_plugins.simulated.sensor import SimulatedSensor, Timing
 
 _POSITION_SD_M = 1.0e-4
 _ORIENTATION_SD_RAD = 1.5e-3

@@ -4,9 +4,9 @@ from typing import ClassVar
 
 from labrun.devices import DeviceContext, DeviceSettings
 from labrun_plugins.robotiq_ft300.settings import RobotiqFt300Settings
+from labrun_plugins.simulated.device import SimulatedSettings
 from labrun_plugins.simulated.force_torque import SimulatedForceTorque, SixAxes
-from labrun_plugins.simulated.settings import SimulatedSettings
-from labrun_plugins.simulated.stream import Timing
+from labrun_plugins.simulated.sensor import Timing
 
 _AXES = SixAxes(
     full_scale=(300.0, 300.0, 300.0, 30.0, 30.0, 30.0),

@@ -6,8 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from labrun.devices import DeviceContext, DeviceSettings, Health, Trajectory
-from labrun_plugins.simulated.device import SimulatedDevice
-from labrun_plugins.simulated.settings import SimulatedSettings
+from labrun_plugins.simulated.device import SimulatedDevice, SimulatedSettings
 from labrun_plugins.tendon_slider.changeover import SLIDER, Changeover
 from labrun_plugins.tendon_slider.settings import TendonSliderSettings
 

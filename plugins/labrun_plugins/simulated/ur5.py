@@ -6,10 +6,9 @@ import numpy as np
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, FloatArray
 from labrun.errors import LimitExceededError
-from labrun_plugins.simulated.sensor import SimulatedSensor
-from labrun_plugins.simulated.settings import SimulatedSettings
-from labrun_plugins.simulated.stream import Timing
-from labrun_plugins.ur5.line import Line
+from labrun_plugins.simulated.device import SimulatedSettings
+from labrun_plugins.simulated.sensor import SimulatedSensor, Timing
+from labrun_plugins.ur5.motion import Line
 from labrun_plugins.ur5.settings import ACCELERATION_M_S2, REACH_M, SPEED_SHARE, Ur5Settings, channels_of
 
 POSITION_SD_M = 2e-5

@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, FloatArray, Health, Identity, Remark
-from labrun_plugins.arduino_servo.board_device import BoardDevice
-from labrun_plugins.arduino_servo.servo_board import ServoBoard
+from labrun_plugins.arduino_servo.servo_board import BoardDevice, ServoBoard
 from labrun_plugins.tendon_slider.changeover import Changeover
 from labrun_plugins.tendon_slider.settings import KIND, SWITCHES, TendonSliderSettings
 

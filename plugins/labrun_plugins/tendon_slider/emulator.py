@@ -7,7 +7,7 @@ import numpy as np
 
 from labrun.devices import Scene, Trajectory
 from labrun.devices.emulation import EmulatorContext
-from labrun_plugins.arduino_servo.emulated_board import ServoBoardEmulator
+from labrun_plugins.arduino_servo.emulator import ServoBoardEmulator
 from labrun_plugins.tendon_slider.changeover import SLIDER
 from labrun_plugins.tendon_slider.settings import KIND, TendonSliderSettings
 

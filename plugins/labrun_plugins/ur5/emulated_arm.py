@@ -1,15 +1,236 @@
-"""The emulated arm: its program, its modes, and the tool that the scene's carriage hangs on."""
+"""The emulated arm: how its tool moves, its program, its modes, and what the scene's carriage hangs on."""
 
-from typing import Any
+import math
+import re
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from labrun.devices import FloatArray, Scene
 from labrun.devices.emulation import EmulatorContext
 from labrun_plugins.simulated.ur5 import HOME, POSITION_SD_M
-from labrun_plugins.ur5.emulated_motion import StraightMove, braking, half_way_s
-from labrun_plugins.ur5.emulated_script import MoveL, Program, SetWatchdog, StopL
 from labrun_plugins.ur5.settings import ACCELERATION_M_S2
+
+ROUNDING_S = 0.05
+"""An arm's acceleration does not jump: it takes this long to rise and to fall (chosen, as the simulated benches do)."""
+
+
+@dataclass(frozen=True)
+class StraightMove:
+    """From one pose to another: up to speed at `acceleration`, cruise, down again; lower where the way is short.
+
+    Where it is, is the mean over the last `rounding_s` of where it would be with sharp ramps; 0 leaves them sharp.
+    """
+
+    from_pose: FloatArray
+    to_pose: FloatArray
+    speed_m_s: float
+    acceleration_m_s2: float
+    rounding_s: float = ROUNDING_S
+
+    @property
+    def way_m(self) -> float:
+        """Length of the way."""
+        return float(np.linalg.norm(self.to_pose[:3] - self.from_pose[:3]))
+
+    @property
+    def duration_s(self) -> float:
+        """Time from rest to rest."""
+        top = self._top_m_s()
+        return 0.0 if top == 0.0 else self.way_m / top + top / self.acceleration_m_s2 + self.rounding_s
+
+    def at(self, time_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return pose and velocity (6 each) this long after the start."""
+        way = self.way_m
+        if way == 0.0 or time_s >= self.duration_s:
+            return self.to_pose.copy(), np.zeros(6)
+        summed, gone, speed = self._sharp(time_s)
+        if self.rounding_s > 0.0:
+            summed_before, gone_before, _ = self._sharp(time_s - self.rounding_s)
+            gone, speed = (summed - summed_before) / self.rounding_s, (gone - gone_before) / self.rounding_s
+        along = self.to_pose - self.from_pose
+        return self.from_pose + along * (gone / way), along * (speed / way)
+
+    def _sharp(self, time_s: float) -> tuple[float, float, float]:
+        """Return the integral of the way over time, the way, and the speed, without rounding."""
+        a, top, way = self.acceleration_m_s2, self._top_m_s(), self.way_m
+        ramp = top / a
+        end = way / top + ramp
+        left = end - time_s
+        if time_s <= 0.0:
+            return 0.0, 0.0, 0.0
+        if time_s < ramp:
+            return a * time_s**3 / 6.0, 0.5 * a * time_s**2, a * time_s
+        if left > ramp:
+            cruise = time_s - ramp
+            return top * (ramp**2 / 6.0 + 0.5 * cruise * time_s), top * (time_s - 0.5 * ramp), top
+        # turned round in time it is the beginning again; half of way times time lies before the middle
+        left = max(left, 0.0)
+        summed = way * (time_s - 0.5 * end) + a * left**3 / 6.0
+        return summed, way - 0.5 * a * left**2, a * left
+
+    def _top_m_s(self) -> float:
+        return min(self.speed_m_s, math.sqrt(self.acceleration_m_s2 * self.way_m))
+
+
+def braking(pose: FloatArray, velocity: FloatArray, deceleration_m_s2: float) -> StraightMove | None:
+    """Return the move along which a tool comes to rest; None if it rests already."""
+    speed = float(np.linalg.norm(velocity[:3]))
+    if speed < 1e-9:
+        return None
+    way = speed**2 / (2.0 * deceleration_m_s2)
+    end = pose + velocity / speed * way
+    # The second half of a triangle of speed over twice the way: it begins at full speed, half-way.
+    return StraightMove(2.0 * pose - end, end, 2.0 * speed, deceleration_m_s2, rounding_s=0.0)
+
+
+def half_way_s(move: StraightMove) -> float:
+    """Return the time at which a braking move begins."""
+    return 0.5 * move.duration_s
+
+
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
+_HEAD = re.compile(r"(def|sec)\s+([A-Za-z_]\w*)\s*\(\s*\)\s*:")
+_MOVEL = re.compile(
+    rf"movel\(\s*p\[\s*({_NUMBER}(?:\s*,\s*{_NUMBER}){{5}})\s*\]\s*,\s*a\s*=\s*({_NUMBER})\s*,\s*v\s*=\s*({_NUMBER})\s*\)"
+)
+_STOPL = re.compile(rf"stopl\(\s*({_NUMBER})\s*\)")
+_WATCHDOG = re.compile(
+    rf"rtde_set_watchdog\(\s*\"([a-z0-9_]+)\"\s*,\s*({_NUMBER})\s*,\s*\"(ignore|pause|stop)\"\s*\)"
+)
+_LONGEST_LINE = 4096
+_MOST_LINES = 200
+
+
+class MoveL(NamedTuple):
+    """A straight move of the tool."""
+
+    pose: tuple[float, ...]
+    acceleration_m_s2: float
+    speed_m_s: float
+
+
+class StopL(NamedTuple):
+    """Brake the tool."""
+
+    deceleration_m_s2: float
+
+
+class SetWatchdog(NamedTuple):
+    """Act unless a register is refreshed."""
+
+    register: str
+    rate_hz: float
+    action: str
+
+
+Statement = MoveL | StopL | SetWatchdog
+
+
+class Program(NamedTuple):
+    """What is to be executed, one after the other."""
+
+    name: str
+    statements: tuple[Statement, ...]
+
+
+class ScriptError(NamedTuple):
+    """Why a program is none."""
+
+    line: int
+    column: int
+    text: str
+
+
+class StopProgram(NamedTuple):
+    """The plain line ``stop program``."""
+
+
+Heard = Program | ScriptError | StopProgram
+
+
+@dataclass
+class ScriptReader:
+    """Puts programs together from the pieces a client sends."""
+
+    _rest: bytes = b""
+    _lines: list[str] | None = field(default=None)
+
+    def feed(self, data: bytes) -> list[Heard]:
+        """Return what is complete now."""
+        heard: list[Heard] = []
+        self._rest += data
+        while b"\n" in self._rest:
+            line, self._rest = self._rest.split(b"\n", 1)
+            found = self._take(line[:_LONGEST_LINE].decode("utf-8", errors="replace").strip())
+            if found is not None:
+                heard.append(found)
+        if len(self._rest) > _LONGEST_LINE:
+            self._rest, self._lines = b"", None
+            heard.append(ScriptError(1, _LONGEST_LINE, "line too long"))
+        return heard
+
+    def _take(self, line: str) -> Heard | None:
+        if self._lines is not None:
+            return self._take_inside(self._lines, line)
+        if not line or line.startswith("#"):
+            return None
+        if line == "stop program":
+            return StopProgram()
+        if _HEAD.fullmatch(line):
+            self._lines = [line]
+            return None
+        statement = _statement(line)
+        return Program("line", (statement,)) if statement is not None else ScriptError(1, 1, "syntax error")
+
+    def _take_inside(self, lines: list[str], line: str) -> Heard | None:
+        lines.append(line)
+        if line == "end":
+            self._lines = None
+            return parsed(lines)
+        if len(lines) > _MOST_LINES:
+            self._lines = None
+            return ScriptError(_MOST_LINES, 1, "program too long")
+        return None
+
+
+def parsed(lines: list[str]) -> Heard:
+    """Return the program of lines from ``def`` to ``end``."""
+    head = _HEAD.fullmatch(lines[0])
+    if head is None:
+        return ScriptError(1, 1, "syntax error")
+    statements: list[Statement] = []
+    for number, line in enumerate(lines[1:-1], start=2):
+        if not line or line.startswith("#"):
+            continue
+        statement = _statement(line)
+        if statement is None:
+            return ScriptError(number, 1, "syntax error")
+        if head[1] == "sec" and not isinstance(statement, SetWatchdog):
+            return ScriptError(number, 1, "a secondary program cannot move the robot")
+        statements.append(statement)
+    return Program(head[2], tuple(statements))
+
+
+def _statement(line: str) -> Statement | None:
+    statement: Statement
+    if match := _MOVEL.fullmatch(line):
+        pose = tuple(float(one) for one in match[1].split(","))
+        statement = MoveL(pose, float(match[2]), float(match[3]))
+        numbers = (*pose, statement.acceleration_m_s2, statement.speed_m_s)
+        positive = numbers[6:]
+    elif match := _STOPL.fullmatch(line):
+        statement = StopL(float(match[1]))
+        numbers = positive = (statement.deceleration_m_s2,)
+    elif match := _WATCHDOG.fullmatch(line):
+        statement = SetWatchdog(match[1], float(match[2]), match[3])
+        numbers = positive = (statement.rate_hz,)
+    else:
+        return None
+    sound = all(math.isfinite(one) for one in numbers) and all(one > 0 for one in positive)
+    return statement if sound else None
+
 
 _REACH_M = 1.0
 _SPEED_SD_M_S = 2e-4

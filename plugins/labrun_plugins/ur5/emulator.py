@@ -1,20 +1,275 @@
 """A UR5 seen from its network ports."""
 
 import math
+import re
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from labrun.devices import DeviceError
 from labrun.devices.emulated_ports import TcpEndpoint
-from labrun.devices.emulation import EmulatorContext
+from labrun.devices.emulation import EmulatorContext, EmulatorLog, Faults
 from labrun_plugins.simulated.ur5 import LOST_SHARE, SimulatedUr5Settings
-from labrun_plugins.ur5.emulated_arm import EmulatedArm
-from labrun_plugins.ur5.emulated_dashboard import BANNER, reply
-from labrun_plugins.ur5.emulated_rtde import Session, text_message
-from labrun_plugins.ur5.emulated_script import Program, ScriptError, ScriptReader, StopL, StopProgram
+from labrun_plugins.ur5.emulated_arm import (
+    PAUSED,
+    PLAYING,
+    EmulatedArm,
+    Program,
+    ScriptError,
+    ScriptReader,
+    StopL,
+    StopProgram,
+)
+
+BANNER = "Connected: Universal Robots Dashboard Server"
+_ROBOT_MODES = {3: "POWER_OFF", 7: "RUNNING"}
+_SAFETY_MODES = {1: "NORMAL", 3: "PROTECTIVE_STOP", 5: "SAFEGUARD_STOP", 7: "ROBOT_EMERGENCY_STOP"}
+_SERIAL = "20155300001"
+_BRAKE_M_S2 = 2.0
+_ACTIONS = ("stop", "pause", "play", "unlock protective stop")
+_TOO_EARLY = (
+    "Cannot unlock protective stop until 5s after occurrence. Always inspect its cause before unlocking"
+)
+
+
+def reply(
+    command: str, arm: EmulatedArm, faults: Faults, log: EmulatorLog, version: str, now_s: float
+) -> str:
+    """Return the answer to one line, and do what it asks for."""
+    told = _told(command, arm, faults, version)
+    if told is not None:
+        return told
+    if command in _ACTIONS and faults.active("local-mode"):
+        log.note("ignored", what=f"dashboard {command}", why="local control")
+        return f"Failed to execute: {command}"
+    if command == "stop":
+        log.note("stop", how="dashboard", position_m=arm.position_m())
+    return _done(command, arm, now_s)
+
+
+def _done(command: str, arm: EmulatedArm, now_s: float) -> str:
+    """Do what a command asks for, and return the answer."""
+    answer = f"could not understand: '{command[:80]}'"
+    if command == "stop":
+        if arm.runtime in (PLAYING, PAUSED):
+            arm.stop_program(_BRAKE_M_S2, now_s)
+        answer = "Stopped"
+    elif command == "pause" and arm.runtime == PLAYING:
+        arm.stop_program(_BRAKE_M_S2, now_s, paused=True)
+        answer = "Pausing program"
+    elif command == "unlock protective stop":
+        answer = "Protective stop releasing" if arm.unlock(now_s) else _TOO_EARLY
+    elif command in _ACTIONS:
+        answer = f"Failed to execute: {command}"
+    return answer
+
+
+def _told(command: str, arm: EmulatedArm, faults: Faults, version: str) -> str | None:
+    """Return the answer to a question; None if it is none."""
+    remote = not faults.active("local-mode")
+    state = {PLAYING: "PLAYING", PAUSED: "PAUSED"}.get(arm.runtime, "STOPPED")
+    questions = {
+        "robotmode": f"Robotmode: {_ROBOT_MODES[arm.robot_mode]}",
+        "safetymode": f"Safetymode: {_SAFETY_MODES[arm.safety_mode]}",
+        "safetystatus": f"Safetystatus: {_SAFETY_MODES[arm.safety_mode]}",
+        "programState": f"{state} labrun_move",
+        "running": f"Program running: {'true' if arm.runtime == PLAYING else 'false'}",
+        "PolyscopeVersion": f"URSoftware {version} (Jan 01 2023)",
+        "get serial number": _SERIAL,
+        "get robot model": "UR5",
+        "close safety popup": "closing safety popup",
+        "quit": "Disconnected",
+    }
+    if version.startswith("5."):
+        questions["is in remote control"] = "true" if remote else "false"
+    return questions.get(command)
+
+
+_WIDTHS = {
+    "BOOL": ("B", 1), "UINT8": ("B", 1), "UINT32": ("I", 1), "UINT64": ("Q", 1), "INT32": ("i", 1),
+    "DOUBLE": ("d", 1), "VECTOR3D": ("d", 3), "VECTOR6D": ("d", 6), "VECTOR6INT32": ("i", 6),
+    "VECTOR6UINT32": ("I", 6),
+}  # fmt: skip
+_INPUTS = (
+    (re.compile(r"input_int_register_([0-9]|[1-3][0-9]|4[0-7])"), "INT32"),
+    (re.compile(r"input_double_register_([0-9]|[1-3][0-9]|4[0-7])"), "DOUBLE"),
+    (re.compile(r"speed_slider_mask"), "UINT32"),
+    (re.compile(r"speed_slider_fraction"), "DOUBLE"),
+    (re.compile(r"standard_digital_output(_mask)?"), "UINT8"),
+)
+Values = Mapping[str, tuple[str, Any]]
+
+
+def framed(kind: str, payload: bytes) -> bytes:
+    """Return a package."""
+    return struct.pack("!Hc", 3 + len(payload), kind.encode()) + payload
+
+
+def text_message(text: str, source: str, level: int) -> bytes:
+    """Return a message of protocol 2."""
+    body, origin = text.encode()[:255], source.encode()[:255]
+    return framed("M", bytes([len(body)]) + body + bytes([len(origin)]) + origin + bytes([level]))
+
+
+def pack_values(types: list[str], values: list[Any]) -> bytes:
+    """Return values one behind the other."""
+    packed = b""
+    for kind, value in zip(types, values, strict=True):
+        code, count = _WIDTHS[kind]
+        packed += struct.pack(f"!{count}{code}", *(value if count > 1 else [value]))
+    return packed
+
+
+def unpack_values(types: list[str], data: bytes) -> list[Any] | None:
+    """Return the values of a payload; None if it has another length."""
+    layout = "!" + "".join(f"{_WIDTHS[kind][1]}{_WIDTHS[kind][0]}" for kind in types)
+    if struct.calcsize(layout) != len(data):
+        return None
+    flat = list(struct.unpack(layout, data))
+    values: list[Any] = []
+    for kind in types:
+        count = _WIDTHS[kind][1]
+        taken, flat = flat[:count], flat[count:]
+        values.append(taken[0] if count == 1 else taken)
+    return values
+
+
+@dataclass
+class Session:
+    """One client of the RTDE port.
+
+    Attributes
+    ----------
+    owned
+        Inputs that any client writes, over all sessions: name -> session.
+    write
+        Told what this client writes to an input.
+    """
+
+    faults: Faults
+    log: EmulatorLog
+    version: tuple[int, int, int, int]
+    known: Callable[[], Values]
+    owned: dict[str, "Session"]
+    write: Callable[[str, Any], None]
+    protocol: int = 1
+    started: bool = False
+    rate_hz: float = 125.0
+    names: list[str] = field(default_factory=list)
+    types: list[str] = field(default_factory=list)
+    inputs: dict[int, tuple[list[str], list[str]]] = field(default_factory=dict)
+    _rest: bytes = b""
+
+    @property
+    def most_hz(self) -> float:
+        """Rate of the control cycle: 125 Hz on a CB3, 500 Hz on an e-Series."""
+        return 500.0 if self.version[0] >= 5 else 125.0
+
+    def feed(self, data: bytes) -> list[bytes] | None:
+        """Take what the client sent and return the replies; None if it talks nonsense and has to be dropped."""
+        self._rest += data
+        replies: list[bytes] = []
+        while len(self._rest) >= 3:
+            size, kind = struct.unpack("!Hc", self._rest[:3])
+            if size < 3:
+                return None
+            if len(self._rest) < size:
+                break
+            payload, self._rest = self._rest[3:size], self._rest[size:]
+            reply = self._reply(kind.decode("latin-1"), payload)
+            if reply is not None:
+                replies.append(reply)
+        return replies
+
+    def data(self, values: Values) -> bytes:
+        """Return the data package of these values."""
+        number = b"\x01" if self.protocol == 2 else b""
+        return framed("U", number + pack_values(self.types, [values[name][1] for name in self.names]))
+
+    def leave(self) -> None:
+        """Give up all inputs."""
+        for name in [name for name, owner in self.owned.items() if owner is self]:
+            del self.owned[name]
+
+    def _reply(self, kind: str, payload: bytes) -> bytes | None:
+        answers = {
+            "V": self._negotiate,
+            "v": lambda _: framed("v", struct.pack("!4I", *self.version)),
+            "O": self._set_outputs,
+            "I": self._set_inputs,
+            "S": self._start,
+            "P": self._pause,
+        }
+        if kind == "U":
+            self._take(payload)
+        return answers[kind](payload) if kind in answers else None
+
+    def _start(self, _: bytes) -> bytes:
+        self.started = bool(self.names)
+        return framed("S", b"\x01" if self.started else b"\x00")
+
+    def _pause(self, _: bytes) -> bytes:
+        self.started = False
+        return framed("P", b"\x01")
+
+    def _negotiate(self, payload: bytes) -> bytes:
+        wanted = struct.unpack("!H", payload)[0] if len(payload) == 2 else 0
+        agreed = wanted == 1 or (wanted == 2 and not self.faults.active("no-v2"))
+        if agreed:
+            self.protocol = wanted
+        return framed("V", b"\x01" if agreed else b"\x00")
+
+    def _set_outputs(self, payload: bytes) -> bytes:
+        rate = self.most_hz
+        if self.protocol == 2:
+            if len(payload) < 8:
+                return framed("O", b"\x00")
+            rate, payload = struct.unpack("!d", payload[:8])[0], payload[8:]
+            rate = min(max(rate, 1.0), self.most_hz) if math.isfinite(rate) else self.most_hz
+        known = self.known()
+        hidden = str(self.faults.value("not-found") or "").split(",")
+        names = _names(payload)
+        types = [known[n][0] if n in known and n not in hidden else "NOT_FOUND" for n in names]
+        good = bool(names) and "NOT_FOUND" not in types
+        if good:
+            self.names, self.types, self.rate_hz = names, types, rate
+        number = b"" if self.protocol == 1 else b"\x01" if good else b"\x00"
+        return framed("O", number + ",".join(types).encode())
+
+    def _set_inputs(self, payload: bytes) -> bytes:
+        names = _names(payload)
+        types = [self._input_type(name) for name in names]
+        good = bool(names) and not {"NOT_FOUND", "IN_USE"} & set(types)
+        number = len(self.inputs) + 1 if good and len(self.inputs) < 254 else 0
+        if number:
+            self.inputs[number] = (names, types)
+            self.owned.update(dict.fromkeys(names, self))
+        return framed("I", bytes([number]) + ",".join(types).encode())
+
+    def _input_type(self, name: str) -> str:
+        for pattern, kind in _INPUTS:
+            if pattern.fullmatch(name):
+                taken = self.faults.active("in-use") or self.owned.get(name, self) is not self
+                return "IN_USE" if taken else kind
+        return "NOT_FOUND"
+
+    def _take(self, payload: bytes) -> None:
+        recipe = self.inputs.get(payload[0]) if payload else None
+        values = unpack_values(recipe[1], payload[1:]) if recipe else None
+        if recipe is None or values is None:
+            self.log.note("rejected", payload=payload[:64])
+            return
+        for name, value in zip(recipe[0], values, strict=True):
+            self.write(name, value)
+
+
+def _names(payload: bytes) -> list[str]:
+    """Return the names of a request; one client in use ends them with a comma."""
+    return [name for name in payload.decode("ascii", errors="replace").split(",") if name]
+
 
 _CB3 = (3, 15, 8, 106339)
 _E_SERIES = (5, 11, 1, 108318)

@@ -1,15 +1,148 @@
-"""RTDE client: agrees with the controller on what to stream, and hears it."""
+"""RTDE: packages of a size, a type and a payload, all big-endian; a client agrees on what to stream, and hears it."""
 
 import struct
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 from labrun.devices import Clock, DeviceError
-from labrun_plugins.ur5 import packages as wire
 from labrun_plugins.ur5.connection import REOPEN_HINT, Connection
-from labrun_plugins.ur5.packages import Package, PackageStream, Text
 from labrun_plugins.ur5.settings import Ur5Settings
 from labrun_plugins.ur5.state import OPTIONAL, REQUIRED
+
+VERSION_REQUEST = ord("V")
+CONTROLLER_VERSION = ord("v")
+OUTPUTS = ord("O")
+INPUTS = ord("I")
+START = ord("S")
+PAUSE = ord("P")
+DATA = ord("U")
+TEXT = ord("M")
+_TYPES = frozenset((VERSION_REQUEST, CONTROLLER_VERSION, OUTPUTS, INPUTS, START, PAUSE, DATA, TEXT))
+
+_HEADER = struct.Struct(">HB")
+_MOST = 4096
+"""Longest package taken for one: names of a recipe are at most 2048 bytes, a text two times 255."""
+MOST_NAMES = 2048
+
+
+class Package(NamedTuple):
+    """A type byte and its payload."""
+
+    kind: int
+    payload: bytes
+
+
+@dataclass
+class PackageStream:
+    """Cuts what arrives into packages, however it was chopped up.
+
+    TCP loses no bytes, so that a header that cannot be one means that the stream has lost its way for good: from then
+    on `broken` says why, and nothing more is returned.
+    """
+
+    broken: str = ""
+    _rest: bytearray = field(default_factory=bytearray)
+
+    def feed(self, data: bytes) -> list[Package]:
+        """Return the packages that are complete now."""
+        packages: list[Package] = []
+        if self.broken:
+            return packages
+        rest = self._rest
+        rest += data
+        begin = 0
+        while len(rest) - begin >= _HEADER.size:
+            size, kind = _HEADER.unpack_from(rest, begin)
+            if not _HEADER.size <= size <= _MOST:
+                self.broken = f"a package of {size} bytes (3 to {_MOST} are possible)"
+                break
+            if kind not in _TYPES:
+                self.broken = f"a package of unknown type {kind:#04x}"
+                break
+            if len(rest) - begin < size:
+                break
+            packages.append(Package(kind, bytes(rest[begin + _HEADER.size : begin + size])))
+            begin += size
+        del rest[:begin]
+        if self.broken:
+            rest.clear()
+        return packages
+
+
+def encode(kind: int, payload: bytes = b"") -> bytes:
+    """Return a package."""
+    return _HEADER.pack(_HEADER.size + len(payload), kind) + payload
+
+
+def protocol_request(version: int) -> bytes:
+    """Return the request to speak this version of the protocol."""
+    return encode(VERSION_REQUEST, struct.pack(">H", version))
+
+
+def outputs_request(names: tuple[str, ...], rate_hz: float | None) -> bytes:
+    """Return the request for a stream of these variables; protocol 1 knows no rate (None)."""
+    frequency = b"" if rate_hz is None else struct.pack(">d", rate_hz)
+    return encode(OUTPUTS, frequency + _joined(names))
+
+
+def inputs_request(names: tuple[str, ...]) -> bytes:
+    """Return the request to write these variables."""
+    return encode(INPUTS, _joined(names))
+
+
+def accepted(payload: bytes) -> bool:
+    """Tell whether the controller agreed, from the payload of its reply to V, S or P."""
+    return payload == b"\x01"
+
+
+def controller_version(payload: bytes) -> tuple[int, int, int, int] | None:
+    """Return major, minor, bugfix and build; None from anything else."""
+    return struct.unpack(">4I", payload) if len(payload) == 16 else None
+
+
+def types_of(payload: bytes, *, with_recipe: bool) -> tuple[int, tuple[str, ...]]:
+    """Return recipe number (0 without one) and types from the payload of a reply to O or I."""
+    number = 0
+    if with_recipe:
+        if not payload:
+            return 0, ()
+        number, payload = payload[0], payload[1:]
+    text = payload.decode("ascii", errors="replace")
+    return number, tuple(part for part in text.split(",") if part)
+
+
+class Text(NamedTuple):
+    """A message of the controller; level 0 exception, 1 error, 2 warning, 3 information."""
+
+    message: str
+    source: str
+    level: int
+
+
+def text_of(payload: bytes) -> Text | None:
+    """Return a text message of protocol 2; None from anything else."""
+    if not payload or len(payload) < payload[0] + 2:
+        return None
+    end = 1 + payload[0]
+    source_end = end + 1 + payload[end]
+    if len(payload) != source_end + 1:
+        return None
+    return Text(readable(payload[1:end]), readable(payload[end + 1 : source_end]), payload[source_end])
+
+
+def readable(text: bytes) -> str:
+    """Return a device's text as one printable line of at most 200 characters."""
+    line = text.decode("utf-8", errors="replace")
+    return "".join(one if one.isprintable() else " " for one in line).strip()[:200]
+
+
+def _joined(names: tuple[str, ...]) -> bytes:
+    joined = ",".join(names).encode("ascii")
+    if len(joined) > MOST_NAMES:
+        raise ValueError(f"{len(joined)} bytes of names; the controller takes {MOST_NAMES}")
+    return joined
+
 
 _FORMATS = {
     "BOOL": "B",
@@ -165,7 +298,7 @@ class RtdeClient:
         host_s = self._clock.now()
         found: list[Mapping[str, Any]] = []
         for package in [*self._take_waiting(), *self._cut(data)]:
-            if package.kind == wire.DATA:
+            if package.kind == DATA:
                 values = self._outputs.decode(package.payload)
                 if values is None:
                     raise self._lost_its_way(
@@ -173,7 +306,7 @@ class RtdeClient:
                         f"{self._outputs.size}"
                     )
                 found.append(values)
-            elif package.kind == wire.TEXT:
+            elif package.kind == TEXT:
                 self._note(package.payload)
         return found, host_s
 
@@ -182,7 +315,7 @@ class RtdeClient:
         if self._inputs is None:
             return
         self._beats = (self._beats + 1) % 1_000_000
-        self._connection.write(wire.encode(wire.DATA, self._inputs.encode({self.register: self._beats})))
+        self._connection.write(encode(DATA, self._inputs.encode({self.register: self._beats})))
 
     def close(self) -> None:
         """Disconnect; harmless when not connected."""
@@ -191,15 +324,13 @@ class RtdeClient:
 
     def _agree(self) -> None:
         self.protocol = 2
-        if not wire.accepted(self._ask(wire.protocol_request(2), wire.VERSION_REQUEST)):
+        if not accepted(self._ask(protocol_request(2), VERSION_REQUEST)):
             self.protocol = 1
-            if not wire.accepted(self._ask(wire.protocol_request(1), wire.VERSION_REQUEST)):
+            if not accepted(self._ask(protocol_request(1), VERSION_REQUEST)):
                 raise DeviceError(
                     self._device, "refuses versions 2 and 1 of RTDE", hint="update the controller's PolyScope"
                 )
-        version = wire.controller_version(
-            self._ask(wire.encode(wire.CONTROLLER_VERSION), wire.CONTROLLER_VERSION)
-        )
+        version = controller_version(self._ask(encode(CONTROLLER_VERSION), CONTROLLER_VERSION))
         if version is None:
             raise self._lost_its_way("an answer without the controller's version")
         self.version = version
@@ -209,7 +340,7 @@ class RtdeClient:
             self.rate_hz = min(most_hz, self._settings.rate_hz)
         self._agree_on_outputs()
         self._agree_on_inputs()
-        if not wire.accepted(self._ask(wire.encode(wire.START), wire.START)):
+        if not accepted(self._ask(encode(START), START)):
             raise DeviceError(self._device, "refuses to start its RTDE stream", hint="restart the controller")
 
     def _agree_on_outputs(self) -> None:
@@ -231,12 +362,12 @@ class RtdeClient:
 
     def _request_outputs(self, names: tuple[str, ...]) -> tuple[int, tuple[str, ...]]:
         rate = self.rate_hz if self.protocol == 2 else None
-        reply = self._ask(wire.outputs_request(names, rate), wire.OUTPUTS)
-        return wire.types_of(reply, with_recipe=self.protocol == 2)
+        reply = self._ask(outputs_request(names, rate), OUTPUTS)
+        return types_of(reply, with_recipe=self.protocol == 2)
 
     def _agree_on_inputs(self) -> None:
         names = (self.register,)
-        number, types = wire.types_of(self._ask(wire.inputs_request(names), wire.INPUTS), with_recipe=True)
+        number, types = types_of(self._ask(inputs_request(names), INPUTS), with_recipe=True)
         if IN_USE in types:
             raise DeviceError(
                 self._device,
@@ -270,7 +401,7 @@ class RtdeClient:
                 if package.kind == kind:
                     self._waiting = arrived[number + 1 :]
                     return package.payload
-                if package.kind == wire.TEXT:
+                if package.kind == TEXT:
                     self._note(package.payload)
         raise DeviceError(
             self._device,
@@ -289,7 +420,7 @@ class RtdeClient:
         return waiting
 
     def _note(self, payload: bytes) -> None:
-        if self.protocol == 2 and (text := wire.text_of(payload)) is not None:
+        if self.protocol == 2 and (text := text_of(payload)) is not None:
             self.texts = [*self.texts[-_TEXTS:], text]
 
     def _lost_its_way(self, what: str) -> DeviceError:

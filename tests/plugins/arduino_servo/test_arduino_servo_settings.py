@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from labrun_plugins.arduino_servo.pulses import Pulses
 from labrun_plugins.arduino_servo.servo_board import Status
-from labrun_plugins.arduino_servo.settings import ArduinoServoSettings, Joint, channels_of
+from labrun_plugins.arduino_servo.settings import ArduinoServoSettings, Joint, Pulses, channels_of
 from labrun_plugins.labline.codec import MAX_LINE_BYTES, encode
 from pydantic import ValidationError
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from labrun_plugins.ati_netft import box_info, codec, strict_xml, units
+from labrun_plugins.ati_netft import codec, network, strict_xml, units
 
 GOOD = {
     "prodname": "Net F/T", "setserial": "FT12345", "cfgcpf": "1000000", "cfgcpt": "1000", "scfgfu": "N",
@@ -23,7 +23,7 @@ def xml(**changes):
 
 
 def test_counts_become_newtons_and_newton_metres_with_torques_in_n_mm():
-    info = box_info.parse(xml())
+    info = network.parse(xml())
     record = codec.decode(
         bytes.fromhex(
             "00000001 00001267 00000000 000F4240 FFE17B80 003567E0 000003E8 FFFFFE0C 000000FA".replace(
@@ -48,7 +48,7 @@ def test_counts_become_newtons_and_newton_metres_with_torques_in_n_mm():
 )  # fmt: skip
 def test_every_spelling_of_a_torque_unit_is_known(text, newton_metres):
     assert units.newton_metres_per(text) == pytest.approx(newton_metres, rel=1e-8)
-    info = box_info.parse(xml(scfgtu=text))
+    info = network.parse(xml(scfgtu=text))
     assert info.si_per_count()[5] == pytest.approx(newton_metres / 1000, rel=1e-8)
 
 
@@ -56,7 +56,7 @@ def test_every_spelling_of_a_torque_unit_is_known(text, newton_metres):
     ("text", "newtons"), [("N", 1.0), ("kN", 1e3), ("lbf", 4.44822162), ("kgf", 9.80665), ("gf", 9.80665e-3)]
 )
 def test_every_unit_of_force_is_known(text, newtons):
-    assert box_info.parse(xml(scfgfu=text)).si_per_count()[0] == pytest.approx(newtons / 1e6, rel=1e-8)
+    assert network.parse(xml(scfgfu=text)).si_per_count()[0] == pytest.approx(newtons / 1e6, rel=1e-8)
 
 
 def test_the_numbered_units_of_the_tcp_port_are_those_of_the_manual():
@@ -79,8 +79,8 @@ def test_the_numbered_units_of_the_tcp_port_are_those_of_the_manual():
     ],
 )
 def test_a_set_up_that_cannot_be_used_is_refused_with_its_name(changes, said):
-    with pytest.raises(box_info.BoxInfoError, match=said):
-        box_info.parse(xml(**changes))
+    with pytest.raises(network.BoxInfoError, match=said):
+        network.parse(xml(**changes))
 
 
 BOMB = (
@@ -118,8 +118,8 @@ def test_a_page_with_changed_bytes_is_a_usable_set_up_or_refused(data):
     for _ in range(data.draw(st.integers(1, 6))):
         page[data.draw(st.integers(0, len(page) - 1))] = data.draw(st.integers(0, 255))
     try:
-        info = box_info.parse(bytes(page))
-    except box_info.BoxInfoError:
+        info = network.parse(bytes(page))
+    except network.BoxInfoError:
         return
     assert np.isfinite(info.si_per_count()).all()
     assert (info.si_per_count() > 0).all()
@@ -129,4 +129,4 @@ def test_a_page_with_changed_bytes_is_a_usable_set_up_or_refused(data):
     ("wanted", "rate"), [(500, 500.0), (501, 500.0), (7000, 7000.0), (6000, 7000.0), (999, 1000.0)]
 )
 def test_the_rate_is_the_nearest_seven_thousandth(wanted, rate):
-    assert box_info.box_rate(wanted) == pytest.approx(rate)
+    assert network.box_rate(wanted) == pytest.approx(rate)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from labrun_plugins.ati_netft import codec, status
+from labrun_plugins.ati_netft import codec
 
 RECORD_ONE = bytes.fromhex(
     "00 00 00 01 00 00 12 67 00 00 00 00 00 0F 42 40 FF E1 7B 80 00 35 67 E0 00 00 03 E8 FF FF FE 0C 00 00 00 FA"
@@ -43,8 +43,8 @@ def test_a_record_with_a_tripped_condition_is_read_and_may_be_used():
     assert record is not None
     assert (int(record["rdt_sequence"][0]), int(record["ft_sequence"][0])) == (2, 4712)
     assert int(record["status"][0]) == 0x8001_0000
-    assert not status.is_serious(status.status_of(record)).any()
-    assert status.words(0x8001_0000) == "a monitor condition tripped (status 80010000)"
+    assert not codec.is_serious(codec.status_of(record)).any()
+    assert codec.words(0x8001_0000) == "a monitor condition tripped (status 80010000)"
 
 
 def test_the_calibration_request_and_its_answer_are_those_of_the_manual():
@@ -74,17 +74,17 @@ def test_a_reading_over_tcp_has_the_upper_half_of_the_status():
 )
 def test_only_saturation_and_conditions_are_no_reason_to_discard_a_sample(word, serious, saturated):
     words = np.array([word], dtype=np.int64)
-    assert bool(status.is_serious(words)[0]) is serious
-    assert status.is_serious_word(word) is serious
-    assert bool(status.is_saturated(words)[0]) is saturated
+    assert bool(codec.is_serious(words)[0]) is serious
+    assert codec.is_serious_word(word) is serious
+    assert bool(codec.is_saturated(words)[0]) is saturated
 
 
 def test_every_bit_of_the_status_has_words_of_its_own():
-    said = {status.words(bit) for bit in status.BITS}
-    assert len(said) == len(status.BITS) == 29
-    assert "analogue board error" in status.words(0x9000_0000)
-    assert "stack error" in status.words(0x8000_2004)
-    assert "temperature" in status.words(0x8000_2004)
+    said = {codec.words(bit) for bit in codec.BITS}
+    assert len(said) == len(codec.BITS) == 29
+    assert "analogue board error" in codec.words(0x9000_0000)
+    assert "stack error" in codec.words(0x8000_2004)
+    assert "temperature" in codec.words(0x8000_2004)
 
 
 @given(st.binary(max_size=1600))

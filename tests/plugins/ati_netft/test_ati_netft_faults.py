@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from labrun_plugins.ati_netft import emulator
-from labrun_plugins.ati_netft.emulated_doors import BoxState, TcpDoor, WebDoor
+from labrun_plugins.ati_netft.emulator import BoxState, TcpDoor, WebDoor
 from labrun_plugins.simulated.ati_netft import SimulatedAtiNetFtSettings
 from netft_bench import beside, failure, heard, is_gapless
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from labrun_plugins.ati_netft.codec import RECORD
-from labrun_plugins.ati_netft.sequence import Sequencer
+from labrun_plugins.ati_netft.reception import Sequencer
 
 WRAP = 1 << 32
 

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from labrun_plugins.carriage_reset.line_motion import line_motion
+from labrun_plugins.carriage_reset.driver import line_motion
 from labrun_plugins.carriage_reset.settings import CarriageResetSettings
 from labrun_plugins.rigs.fish.scene import FireTank
 from pydantic import ValidationError

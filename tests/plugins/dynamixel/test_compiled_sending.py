@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from labrun_plugins.dynamixel.codec import instruction
 from labrun_plugins.dynamixel.compiled_sending import SENDING, asked, wire_of
-from labrun_plugins.dynamixel.control_table import CENTRE, COUNT_RAD
+from labrun_plugins.dynamixel.control_table import CENTRE, COUNT_RAD, Scale
 from labrun_plugins.dynamixel.emulated_packets import SYNC_READ, SYNC_WRITE, InstructionReader
-from labrun_plugins.dynamixel.scale import Scale
 from labrun_plugins.dynamixel.settings import DynamixelSettings
 
 from labrun.devices.compiled_wire import BEYOND, GONE, HALT, HALTED, SENT, TOO_LATE

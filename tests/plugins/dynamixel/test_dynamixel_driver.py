@@ -6,9 +6,9 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from emulated import emulated
+from labrun_plugins.dynamixel.commands import emergency_stop
 from labrun_plugins.dynamixel.control_table import TORQUE_ENABLE
 from labrun_plugins.dynamixel.driver import Dynamixel
-from labrun_plugins.dynamixel.torque import emergency_stop
 
 from labrun.devices import Actuator, DeviceContext, DeviceError, Sensor, Trajectory
 from labrun.errors import LimitExceededError

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from labrun_plugins.dynamixel.emulated_shaft import EmulatedShaft
+from labrun_plugins.dynamixel.emulated_servo import EmulatedShaft
 
 
 class Scene:

@@ -7,7 +7,7 @@ import pytest
 from golden_lines import LINES
 from hypothesis import given
 from hypothesis import strategies as st
-from labrun_plugins.labline import codec, device
+from labrun_plugins.labline import board, codec
 
 WORD = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E, exclude_characters="$*,"), max_size=8)
 
@@ -21,25 +21,25 @@ def test_the_host_reads_and_writes_the_golden_lines(line, seq, fields):
 @pytest.mark.parametrize(("line", "seq", "fields"), LINES)
 def test_the_board_reads_and_writes_the_golden_lines(line, seq, fields):
     body = ",".join((str(seq), *fields))
-    assert device.opened(line) == body.encode()
-    assert device.sealed(body) == line + b"\n"
+    assert board.opened(line) == body.encode()
+    assert board.sealed(body) == line + b"\n"
 
 
 def test_both_checksums_have_the_check_value():
-    assert codec.checksum(b"123456789") == device.register(b"123456789") == 0x29B1
+    assert codec.checksum(b"123456789") == board.register(b"123456789") == 0x29B1
 
 
 @given(st.binary(max_size=120))
 def test_the_two_checksums_agree_on_anything(data):
-    assert codec.checksum(data) == device.register(data)
+    assert codec.checksum(data) == board.register(data)
 
 
 @given(st.integers(0, 65_535), st.lists(WORD, min_size=1, max_size=6))
 def test_what_one_side_writes_the_other_reads(seq, fields):
     line = codec.encode(seq, *fields)
     body = ",".join((str(seq), *fields))
-    assert device.opened(line[:-1]) == body.encode()
-    assert codec.decode(device.sealed(body)[:-1]) == codec.Line(seq, tuple(fields))
+    assert board.opened(line[:-1]) == body.encode()
+    assert codec.decode(board.sealed(body)[:-1]) == codec.Line(seq, tuple(fields))
 
 
 @pytest.mark.parametrize("wrong", [("A$",), ("A*",), ("A,B",), ("Ä",), ("A\n",), ()])
@@ -55,7 +55,7 @@ def test_a_line_of_more_than_96_bytes_is_neither_written_nor_read():
     with pytest.raises(ValueError, match="96 is the most"):
         codec.encode(1, "A" * (97 - len("$1,*1234\n")))
     parser = codec.LineParser()
-    assert parser.feed(device.sealed("1," + "A" * 90)) == []
+    assert parser.feed(board.sealed("1," + "A" * 90)) == []
     assert parser.rejected == 1
 
 
@@ -79,7 +79,7 @@ def test_lines_with_three_flipped_bits_are_never_taken_for_something_else():
         for bit in rng.choice(8 * len(line), size=3, replace=False):
             flipped[bit // 8] ^= 1 << (bit % 8)
         assert codec.decode(bytes(flipped)) in {None, codec.Line(seq, fields)}
-        body = device.opened(bytes(flipped))
+        body = board.opened(bytes(flipped))
         assert body in {None, ",".join((str(seq), *fields)).encode()}
 
 
@@ -110,7 +110,7 @@ def test_what_is_not_written_by_the_rules_is_dropped(line):
 
 @pytest.mark.parametrize("body", ["66000,OK", "-1,OK", "x,OK", "7", "", "123456,OK"])
 def test_a_right_checksum_does_not_make_a_line_of_nonsense(body):
-    assert codec.decode(device.sealed(body)[:-1]) is None
+    assert codec.decode(board.sealed(body)[:-1]) is None
 
 
 PIECES = st.lists(
@@ -143,7 +143,7 @@ def test_only_lines_with_a_right_checksum_come_out(pieces):
     for line in codec.LineParser().feed(data):
         body = ",".join((str(line.seq), *line.fields))
         # The number may have been written with leading zeros; what counts is that these bytes were on the wire.
-        assert any(device.sealed("0" * zeros + body) in data for zeros in range(5))
+        assert any(board.sealed("0" * zeros + body) in data for zeros in range(5))
 
 
 def test_a_flood_without_newlines_takes_no_memory():

@@ -3,8 +3,8 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from labrun_plugins.labline.board import LineMachine, RefusalError, Word, decimal, whole
 from labrun_plugins.labline.codec import LineParser, encode
-from labrun_plugins.labline.device import LineMachine, RefusalError, Word, decimal, whole
 
 
 class Board:

@@ -13,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from labrun_plugins.labline.codec import encode
 from labrun_plugins.labline.handshake import probe, stop_from_scratch
-from labrun_plugins.labline.refusal import LineRefusedError, StoppedError
-from labrun_plugins.labline.session import Hello, LineSession
+from labrun_plugins.labline.session import Hello, LineRefusedError, LineSession, StoppedError
 
 from labrun.devices import SerialPort
 from labrun.devices.clock import RealClock

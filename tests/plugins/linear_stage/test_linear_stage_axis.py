@@ -3,7 +3,7 @@
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from labrun_plugins.linear_stage.emulated_axis import ACCELERATION_MM_S2, BACK_OFF_MM, FASTEST_MM_S, Axis
+from labrun_plugins.linear_stage.emulator import ACCELERATION_MM_S2, BACK_OFF_MM, FASTEST_MM_S, Axis
 
 
 def axis_at(true_mm, *, homed=True):

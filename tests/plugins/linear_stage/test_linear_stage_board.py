@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from labrun_plugins.labline.board import sealed
 from labrun_plugins.labline.codec import LineParser
-from labrun_plugins.labline.device import sealed
 from labrun_plugins.linear_stage.emulator import LinearStageEmulator
 from labrun_plugins.linear_stage.reception import Reception
 from labrun_plugins.simulated.linear_stage import SimulatedLinearStageSettings

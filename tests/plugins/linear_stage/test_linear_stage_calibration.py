@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from labrun_plugins.linear_stage.calibration import Calibration, Line, least_squares
-from labrun_plugins.linear_stage.settings import LinearStageSettings
+from labrun_plugins.linear_stage.settings import Calibration, Line, LinearStageSettings, least_squares
 from pydantic import ValidationError
 
 MASSES = [0.0, 0.1, 0.2, 0.5, 1.0]

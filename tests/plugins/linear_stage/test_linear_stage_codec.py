@@ -5,10 +5,13 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from labrun_plugins.labline.board import opened, sealed
 from labrun_plugins.labline.codec import LineParser, decode, encode
-from labrun_plugins.labline.device import opened, sealed
-from labrun_plugins.linear_stage.codec import (
+from labrun_plugins.linear_stage.reception import (
+    DeviceClock,
     Flags,
+    SampleCounter,
+    ahead,
     counts_of,
     is_saturated,
     limit_arguments,
@@ -17,7 +20,6 @@ from labrun_plugins.linear_stage.codec import (
     parse_state,
     velocity_argument,
 )
-from labrun_plugins.linear_stage.reception import DeviceClock, SampleCounter, ahead
 
 REQUESTS = {
     b"$1,HOME*5E91\n": (1, "HOME"),

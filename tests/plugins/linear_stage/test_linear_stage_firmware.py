@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from labrun_plugins.labline.codec import LineParser, encode
 from labrun_plugins.linear_stage import driver
-from labrun_plugins.linear_stage.codec import Flags, parse_sample, parse_state
+from labrun_plugins.linear_stage.reception import Flags, parse_sample, parse_state
 
 HERE = Path(__file__).parent
 SKETCH = Path(driver.__file__).parent / "firmware" / "labstage" / "labstage.ino"

@@ -9,8 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from labrun_plugins.operator.driver import Operator
-from labrun_plugins.operator.settings import OperatorSettings
+from labrun_plugins.operator.driver import Operator, OperatorSettings
 
 from labrun.devices import Actuator, DeviceContext, Terminal, Trajectory
 from labrun.errors import DeviceError, LimitExceededError

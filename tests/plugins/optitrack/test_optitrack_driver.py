@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from emulated import emulated
 from labrun_plugins.optitrack.driver import OptiTrack
-from labrun_plugins.optitrack.link import local_address, open_command, open_multicast
+from labrun_plugins.optitrack.session import local_address, open_command, open_multicast
 from labrun_plugins.optitrack.settings import OptiTrackSettings
 from optitrack_bench import BENCH, KEYS, at_least, collect, is_one_row_of_frames
 

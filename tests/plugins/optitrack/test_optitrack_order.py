@@ -5,7 +5,7 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from labrun_plugins.optitrack.frame import Frame
-from labrun_plugins.optitrack.order import FrameOrder
+from labrun_plugins.optitrack.stream import FrameOrder
 
 RATE_HZ = 100.0
 HOLD_S = 0.015

@@ -3,13 +3,12 @@ import struct
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from labrun_plugins.ur5 import packages as wire
-from labrun_plugins.ur5.emulated_rtde import Session, framed, pack_values, text_message, unpack_values
-from labrun_plugins.ur5.emulated_script import MoveL, Program, ScriptReader, SetWatchdog, StopL, StopProgram
-from labrun_plugins.ur5.packages import Package, PackageStream, Text
+from labrun_plugins.ur5 import rtde as wire
+from labrun_plugins.ur5.emulated_arm import MoveL, Program, ScriptReader, SetWatchdog, StopL, StopProgram
+from labrun_plugins.ur5.emulator import Session, framed, pack_values, text_message, unpack_values
+from labrun_plugins.ur5.motion import STOP, STOP_PROGRAM, move_program
 from labrun_plugins.ur5.programs import PrimaryStream
-from labrun_plugins.ur5.rtde import Recipe
-from labrun_plugins.ur5.script import STOP, STOP_PROGRAM, move_program
+from labrun_plugins.ur5.rtde import Package, PackageStream, Recipe, Text
 
 from labrun.devices.emulation import EmulatorLog, Faults
 from labrun.runner import RealClock

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from labrun_plugins.simulated.bench import ACCELERATION_M_S2
 from labrun_plugins.simulated.bench import Carriage as Towed
-from labrun_plugins.ur5.emulated_motion import ROUNDING_S, StraightMove, braking, half_way_s
+from labrun_plugins.ur5.emulated_arm import ROUNDING_S, StraightMove, braking, half_way_s
 
 HOME = np.array([-0.35, -0.4, 0.3, 0.0, 3.14, 0.0])
 WAY = st.floats(1e-3, 0.8)

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from labrun_plugins.simulated.bench import Carriage as Towed
-from labrun_plugins.ur5.line import Line
+from labrun_plugins.ur5.motion import Line
 from labrun_plugins.ur5.settings import Ur5Settings, channels_of
 from scipy.spatial.transform import Rotation
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from labrun_plugins.rigs.beam.model import LIMITS_N_M, STIFFNESS_N_M
-from labrun_plugins.rigs.beam.scene import BeamBench
+from labrun_plugins.rigs.beam.scene import LIMITS_N_M, STIFFNESS_N_M, BeamBench
 from scipy.integrate import solve_ivp
 
 from labrun import registry

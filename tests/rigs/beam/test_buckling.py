@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from labrun_plugins.rigs.beam.limits import BucklingLimitObjective, buckling_limit
-from labrun_plugins.rigs.beam.model import LIMITS_N_M
-from labrun_plugins.rigs.beam.scene import BeamBench
+from labrun_plugins.rigs.beam.scene import LIMITS_N_M, BeamBench
 
 import labrun
 from labrun.devices import Trajectory

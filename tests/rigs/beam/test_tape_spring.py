@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from labrun_plugins.rigs.beam.tape_spring import TapeSpring, shape_functions
+from labrun_plugins.rigs.beam.tape_spring_fit import TapeSpring, shape_functions
 
 import labrun
 

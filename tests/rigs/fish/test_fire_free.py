@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from labrun_plugins.rigs.fish.free_model import free_model
-from labrun_plugins.rigs.fish.free_scene import FireFree
+from labrun_plugins.rigs.fish.free_scene import FireFree, free_model
 from scipy.integrate import solve_ivp
 
 from labrun.devices import Trajectory

@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from labrun_plugins.rigs.fish.attachments import ATTACHMENTS
-from labrun_plugins.rigs.fish.fins import WATERS, fin_loads, motion_at
-from labrun_plugins.rigs.fish.plates import WATER_KG_M3, edge_drag, plate_force, strut_drag
+from labrun_plugins.rigs.fish.fins import (
+    ATTACHMENTS,
+    WATER_KG_M3,
+    WATERS,
+    edge_drag,
+    fin_loads,
+    motion_at,
+    plate_force,
+    strut_drag,
+)
 from labrun_plugins.rigs.fish.scene import FireTank
 
 from labrun.errors import SpecError

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from labrun_plugins.rigs.fish.free_scene import FireFree
-from labrun_plugins.rigs.fish.watching import Watch
+from labrun_plugins.rigs.fish.free_scene import FireFree, Watch
 
 from labrun.devices import Trajectory
 from labrun.errors import ExperimentError

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from labrun_plugins.rigs.fish.fins import WATER_KG_M3, plate_force
 from labrun_plugins.rigs.fish.five_bar import ARC_RAD, greatest_difference, hinge_axes, reached
-from labrun_plugins.rigs.fish.plates import WATER_KG_M3, plate_force
 from scipy.spatial.transform import Rotation
 
 ANGLE = st.floats(-1.7, 1.7)

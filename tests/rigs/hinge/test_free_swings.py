@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from labrun_plugins.rigs.hinge.body import hinge_model
-from labrun_plugins.rigs.hinge.fourier import fit_fourier
 from labrun_plugins.rigs.hinge.free_swings import fit_hinge
+from labrun_plugins.rigs.hinge.releases import fit_fourier
 from swings import DAMPING, GRAVITY, INERTIA, STIFFNESS, dataset_of, swing
 
 from labrun.errors import FitError

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from labrun_plugins.rigs.hinge.body import body_of
 from labrun_plugins.rigs.hinge.map_findings import map_warnings
-from labrun_plugins.rigs.hinge.polynomial import fit_polynomial
-from labrun_plugins.rigs.hinge.published import CONSTANT, PUBLISHED, Form, design
+from labrun_plugins.rigs.hinge.polynomial import CONSTANT, PUBLISHED, Form, design, fit_polynomial
 from swings import swing
 
 from labrun.app.fit import fit

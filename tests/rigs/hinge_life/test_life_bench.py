@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from labrun_plugins.rigs.hinge_life.model import STIFFNESS
-from labrun_plugins.rigs.hinge_life.scene import LifeBench
+from labrun_plugins.rigs.hinge_life.scene import STIFFNESS, LifeBench
 from simulated_bench import sine
 
 import labrun

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from labrun_plugins.rigs.beam.tape_spring import TapeSpring
+from labrun_plugins.rigs.beam.tape_spring_fit import TapeSpring
 from labrun_plugins.rigs.peg_robot.scene import PegRobot, beam_torques
 
 from labrun.devices import Trajectory

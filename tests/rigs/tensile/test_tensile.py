@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from labrun_plugins.rigs.tensile.allowable_angle import allowable_deg, printed_deg
-from labrun_plugins.rigs.tensile.curve import tensile_curve
-from labrun_plugins.rigs.tensile.model import LAG_S
-from labrun_plugins.rigs.tensile.scene import TensileBench
+from labrun_plugins.rigs.tensile.fit import allowable_deg, printed_deg, tensile_curve
+from labrun_plugins.rigs.tensile.scene import LAG_S, TensileBench
 
 import labrun
 from labrun.errors import FitError

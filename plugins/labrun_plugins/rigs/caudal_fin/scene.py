@@ -11,14 +11,15 @@ from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import ExperimentError
 from labrun.models import Stepper, kernel
-from labrun_plugins.rigs.caudal_fin.fins import BEST_N, thrust_n
 from labrun_plugins.rigs.caudal_fin.model import (
     AMPLITUDE_DEAD_S,
     ANGLE_DEAD_S,
+    BEST_N,
     ECHO_S,
     QUARTER_S,
     TIP_LAG_S,
     caudal_model,
+    thrust_n,
 )
 from labrun_plugins.simulated.bench import (
     Bench,

@@ -27,17 +27,118 @@ that pectoral fins alone do about as much as to cancel drag at 0.1 m/s.
 
 A speed is taken over a step, from the directions at its two ends; directions are those in its middle, so that
 the forces of a beat are right to second order in the step.
+
+The blades that can be put on the pectoral five-bars: three of one piece, and one of two bodies.
+
+The source compared three attachments and a fin of two bodies (experiment E6.a) and gives no dimensions; those here
+are chosen. Each is blades that span the two outer sectors of the mechanism between two radii, cut into two rings of
+blade elements; in the fin of two bodies the outer ring hangs at the inner one and follows it late.
+
+Force of water on flat plates and thin struts that move through it.
+
+Eq. (7.11) of the source work: ``F = rho u^2 A sin(alpha)``, normal to the plate, with u the speed of the plate
+relative to the water and alpha its angle of attack. Its components along and across the flow are the drag (7.9)
+and the lift (7.10). With the sign written out for motion that goes to and fro, and as a vector, it is
+``F = -rho A |u| (u . n) n``, whichever way the normal n points.
+
+A plate edge-on has a drag, too, which (7.11) leaves out: that of its edges and its two faces,
+``F = -1/2 rho C A |u| (u - (u . n) n)``. And what holds a fin is struts: their drag is that of the flow across
+them, ``F = -1/2 rho C d l |u - (u . s) s| (u - (u . s) s)`` for a strut along s (Hoerner, Fluid-Dynamic Drag
+(1965), chapter 3: circular cylinders, and the principle of cross-flow).
 """
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
 from labrun.devices import FloatArray
 from labrun.models import kernel
-from labrun_plugins.rigs.fish.attachments import ATTACHMENTS, Attachment
 from labrun_plugins.rigs.fish.five_bar import ARC_RAD, link_axes, reached
-from labrun_plugins.rigs.fish.plates import edge_drag, plate_force, strut_drag
+
+RINGS = 2
+AttachmentName = Literal["broad", "slender", "short", "two-body"]
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """One kind of blade.
+
+    Attributes
+    ----------
+    inner_m, outer_m
+        Distance of its edges from the mechanism's centre.
+    outer_lag_s
+        How late the outer ring follows the inner one; 0 for a blade of one piece.
+    """
+
+    inner_m: float
+    outer_m: float
+    outer_lag_s: float = 0.0
+
+    @cached_property
+    def ring_m(self) -> FloatArray:
+        """Distance of the blade elements from the mechanism's centre, shape (RINGS,)."""
+        edges = self._edges()
+        return 2.0 / 3.0 * (edges[1:] ** 3 - edges[:-1] ** 3) / (edges[1:] ** 2 - edges[:-1] ** 2)
+
+    @cached_property
+    def ring_m2(self) -> FloatArray:
+        """Area of a blade element, half a sector of each ring, shape (RINGS,)."""
+        edges = self._edges()
+        return 0.5 * (ARC_RAD / 2.0) * (edges[1:] ** 2 - edges[:-1] ** 2)
+
+    @cached_property
+    def area_m2(self) -> float:
+        """Area of one fin."""
+        return float(4 * self.ring_m2.sum())
+
+    def _edges(self) -> FloatArray:
+        return np.linspace(self.inner_m, self.outer_m, RINGS + 1)
+
+
+ATTACHMENTS: dict[str, Attachment] = {
+    "broad": Attachment(0.08, 0.1048),
+    "slender": Attachment(0.098, 0.1048),
+    "short": Attachment(0.06, 0.085),
+    "two-body": Attachment(0.08, 0.1048, outer_lag_s=0.06),
+}
+
+
+WATER_KG_M3 = 1000.0
+
+
+@kernel
+def plate_force(
+    u_x: float, u_y: float, u_z: float, n_x: float, n_y: float, n_z: float, area_m2: float
+) -> float:
+    """Return the force along the unit normal n, N, on a plate that moves through water at velocity u, m/s."""
+    speed: float = (u_x * u_x + u_y * u_y + u_z * u_z) ** 0.5
+    return -WATER_KG_M3 * area_m2 * speed * (u_x * n_x + u_y * n_y + u_z * n_z)
+
+
+@kernel
+def edge_drag(
+    u_x: float, u_y: float, u_z: float, n_x: float, n_y: float, n_z: float, area_m2: float, coefficient: float
+) -> tuple[float, float, float]:
+    """Return the force in a plate's own plane, N: against the part of its velocity u, m/s, that lies in it."""
+    across = u_x * n_x + u_y * n_y + u_z * n_z
+    share = -0.5 * WATER_KG_M3 * coefficient * area_m2 * (u_x * u_x + u_y * u_y + u_z * u_z) ** 0.5
+    return share * (u_x - across * n_x), share * (u_y - across * n_y), share * (u_z - across * n_z)
+
+
+@kernel
+def strut_drag(
+    u_x: float, u_y: float, u_z: float, s_x: float, s_y: float, s_z: float, area_m2: float, coefficient: float
+) -> tuple[float, float, float]:
+    """Return the force on a thin strut along the unit vector s, N, of frontal area diameter times length."""
+    along = u_x * s_x + u_y * s_y + u_z * s_z
+    a_x, a_y, a_z = u_x - along * s_x, u_y - along * s_y, u_z - along * s_z
+    share = -0.5 * WATER_KG_M3 * coefficient * area_m2 * (a_x * a_x + a_y * a_y + a_z * a_z) ** 0.5
+    return share * a_x, share * a_y, share * a_z
+
 
 JOINTS = ("right_1", "right_2", "left_1", "left_2", "tail")
 TILT_RAD = math.radians(33.4)

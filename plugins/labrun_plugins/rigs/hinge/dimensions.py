@@ -14,7 +14,7 @@ They describe 0.127 mm polyester between about w = 10-60 mm, l = 1-5 mm, a = 2-1
 import warnings
 
 from labrun.errors import ModelError
-from labrun_plugins.rigs.hinge.published import PUBLISHED, Quantity
+from labrun_plugins.rigs.hinge.polynomial import PUBLISHED, Quantity
 
 LEAST_DAMPING = 1.61e-5
 """Minimum of (3.6), N m s/rad: the least total damping any of the single-variable maps gives."""

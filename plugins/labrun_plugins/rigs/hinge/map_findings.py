@@ -1,15 +1,188 @@
-"""What the maps show, and what to know before trusting them."""
+"""What the maps of chapter 3 show, and what to know before trusting them; the tables and the figure of them."""
 
 import itertools
 from collections.abc import Sequence
 
 import numpy as np
 
-from labrun.fit import FEW_TRIALS
+from labrun.devices import FloatArray
+from labrun.fit import FEW_TRIALS, Curve, Estimate, FigureData, Panel, Stack, TextTable, rounded
 from labrun_plugins.rigs.hinge.body import FOUND
-from labrun_plugins.rigs.hinge.polynomial import FittedMap
-from labrun_plugins.rigs.hinge.published import PUBLISHED, UNITS, Quantity
+from labrun_plugins.rigs.hinge.polynomial import PUBLISHED, PUBLISHED_RANGE, UNITS, FittedMap, Quantity
 from labrun_plugins.rigs.hinge.specimens import SIZES, Specimen
+
+NONE = "-"
+
+
+def specimen_table(one: FittedMap, specimens: Sequence[Specimen], way: str) -> TextTable:
+    """Return one row a specimen: measured with interval, the fitted map, the published map."""
+    published = [one.form.published_value(specimen.sizes) for specimen in specimens]
+    rows = []
+    for specimen, measured, fitted, other in zip(specimens, one.measured, one.fitted, published, strict=True):
+        estimate = specimen.by(way)[1][one.form.quantity]
+        value, low, high = rounded(estimate)
+        rows.append(
+            (
+                specimen.label, str(len(specimen.values)), value, f"{low} ... {high}",
+                f"{fitted:.3e}", f"{100 * (measured / fitted - 1):+.1f} %",
+                f"{other:.3e}" if np.isfinite(other) else NONE,
+                f"{100 * (measured / other - 1):+.1f} %" if np.isfinite(other) and other > 0 else NONE,
+            )
+        )  # fmt: skip
+    number = one.form.published.equation if one.form.published is not None else "published"
+    symbol, unit = one.form.symbol, UNITS[one.form.quantity]
+    header = ("specimen", "releases", symbol, "95 % interval", "map", "off it", number, "off it")
+    return TextTable(f"{symbol} of every specimen, {unit}", header, tuple(rows))
+
+
+def quality_table(maps: Sequence[FittedMap]) -> TextTable:
+    """Return one row a map: its errors beside those the source printed for (3.11) and (3.12), and its conditioning."""
+    rows = []
+    for one in maps:
+        own = next(
+            known for (quantity, _), known in PUBLISHED.items() if quantity == one.form.quantity and known.mae
+        )
+        rows.append(
+            (
+                one.form.label, str(len(one.measured)), str(len(one.form.terms)), f"{one.mae:.2e}",
+                _percent(one.percent(one.mae)), _percent(one.percent(one.left_out_mae)),
+                f"{own.mae:.2e}", f"{_percent(own.mae_percent)} {own.equation}",
+                f"{one.condition:.3g}", f"{one.raw_condition:.2g}",
+            )
+        )  # fmt: skip
+    header = (
+        "map", "specimens", "coefficients", "MAE", "MAE", "leave one out", "source", "source", "condition", "in m, m^2",
+    )  # fmt: skip
+    return TextTable(
+        "mean absolute error, % of the mean; condition number, centred and scaled and not",
+        header,
+        tuple(rows),
+    )
+
+
+def coefficient_table(one: FittedMap) -> TextTable:
+    """Return the coefficients with both intervals, beside the published ones."""
+    published = {} if one.form.published is None else one.form.published.coefficients
+    rows = []
+    for place, (name, term) in enumerate(zip(one.form.names, one.form.terms, strict=True)):
+        value = float(one.coefficients[place])
+        rows.append(
+            (
+                name,
+                NONE if one.undetermined[place] else f"{value:.4g}",
+                NONE if one.undetermined[place] else _interval(value, one.by_releases[place]),
+                NONE if one.undetermined[place] else _interval(value, one.by_scatter[place]),
+                f"{published[term]:.5g}" if term in published else NONE,
+            )
+        )
+    number = one.form.published.equation if one.form.published is not None else "published"
+    header = ("coefficient", "value", "95 %, releases alone", "95 %, scatter of specimens", number)
+    return TextTable(f"{one.form.label}: where its intervals come from", header, tuple(rows))
+
+
+def _interval(value: float, ends: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:
+    if not np.isfinite(ends).all():
+        return NONE
+    _, low, high = rounded(Estimate(value, (float(ends[0]), float(ends[1])), ""))
+    return f"{low} ... {high}"
+
+
+def _percent(value: float | None) -> str:
+    return NONE if value is None or not np.isfinite(value) else f"{value:.2f} %"
+
+
+_AXES = {"a": "body's area a, cm\N{SUPERSCRIPT TWO}", "l": "hinge length l, mm", "w": "hinge width w, mm"}
+_ALIKE = 1e-6
+_SCALES: dict[str, tuple[float, str]] = {
+    "damping": (1e6, "\N{GREEK SMALL LETTER MU}N m s/rad"), "stiffness": (1e3, "mN m/rad"),
+}  # fmt: skip
+
+
+def maps_figure(maps: Sequence[FittedMap], specimens: Sequence[Specimen], way: str) -> FigureData:
+    """Return a row for each quantity, a column for each size that differs between specimens.
+
+    A panel shows the specimens on one line: those that differ from the one where the lines cross in that size only.
+    Below it stands how far each specimen lies off the fitted map, with the interval of its releases.
+    """
+    rows = []
+    for one in maps:
+        names = [name for name in ("w", "l", "a") if name in one.form.variables]
+        rows.append(tuple(_stack(one, name, specimens, way) for name in names))
+    told = ", ".join(f"{one.form.label} MAE {one.percent(one.mae):.2g} %" for one in maps)
+    return FigureData(f"Hinges over their sizes\n{told}", tuple(rows), legend="top", row_height_in=3.8)
+
+
+def _stack(one: FittedMap, name: str, specimens: Sequence[Specimen], way: str) -> Stack:
+    scale, unit = _SCALES[one.form.quantity]
+    size = 1.0 / SIZES[name][1]
+    points = one.line(name)
+    low, high = one.band(points)
+    published = _published(one, name, points, specimens)
+    on_line = np.array([_on_line(one, name, place) for place in range(len(specimens))])
+    at = size * one.sizes[name][on_line]
+    measured, fitted = one.measured[on_line], one.fitted[on_line]
+    ends = np.array([specimen.by(way)[1][one.form.quantity].ci95 for specimen in specimens])[on_line]
+    curves = [
+        Curve(
+            size * points[name], scale * one.value(points), "fitted", "fitted map, 95 % band", "band",
+            (scale * low, scale * high),
+        ),
+    ]  # fmt: skip
+    if np.isfinite(published).any():
+        curves.append(Curve(size * points[name], scale * published, "residual", "published map", dashed=True))
+    curves.append(
+        Curve(
+            at, scale * measured, "point", "measured, 95 % (releases)", "points",
+            (scale * ends[:, 0], scale * ends[:, 1]),
+        )
+    )  # fmt: skip
+    values = scale * np.concatenate([ends.ravel(), one.value(points), published[np.isfinite(published)]])
+    room = 0.12 * float(np.ptp(values))
+    off, bars = 100.0 * (measured / fitted - 1.0), [100.0 * (ends[:, side] / fitted - 1.0) for side in (0, 1)]
+    limit = 1.25 * max(float(np.max(np.abs([off, *bars]))), 0.1)
+    others = [
+        f"{other} = {value / SIZES[other][1]:g} {_AXES[other].rpartition(', ')[2]}"
+        for other, value in one.crossing.items()
+        if other != name
+    ]
+    upper = Panel(
+        tuple(curves),
+        title=f"{one.form.symbol} over {name}" + (f" at {', '.join(others)}" if others else ""),
+        y_label=f"{one.form.quantity} {one.form.symbol}, {unit}",
+        y_range=(float(values.min()) - room, float(values.max()) + room),
+        zero=bool(values.min() - room < 0),
+        height=2.4,
+    )
+    lower = Panel(
+        (Curve(at, off, "residual", kind="points", spread=(np.minimum(*bars), np.maximum(*bars))),),
+        x_label=_AXES[name],
+        y_label="off the map, %",
+        y_range=(-limit, limit),
+        zero=True,
+    )
+    return Stack((upper, lower))
+
+
+def _published(
+    one: FittedMap, name: str, points: dict[str, FloatArray], specimens: Sequence[Specimen]
+) -> FloatArray:
+    """Return the published map along a line, nan where it may not be read."""
+    values = np.full(len(points[name]), np.nan)
+    readable = any(np.isfinite(one.form.published_value(specimen.sizes)) for specimen in specimens)
+    if one.form.published is not None and readable:
+        low, high = PUBLISHED_RANGE[name]
+        for place in np.flatnonzero((points[name] >= low) & (points[name] <= high)):
+            values[place] = one.form.published.value({other: at[place] for other, at in points.items()})
+    return values
+
+
+def _on_line(one: FittedMap, name: str, place: int) -> bool:
+    return all(
+        abs(one.sizes[other][place] / value - 1) <= _ALIKE
+        for other, value in one.crossing.items()
+        if other != name
+    )
+
 
 _FEW_FREEDOMS = 3
 _NEARLY_COLLINEAR = 30.0

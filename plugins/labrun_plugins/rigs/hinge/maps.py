@@ -9,11 +9,16 @@ from pydantic import BaseModel, ConfigDict, PositiveFloat
 from labrun.errors import FitError
 from labrun.fit import FitJob, FitSummary, FittedData
 from labrun_plugins.rigs.hinge.body import FOUND
-from labrun_plugins.rigs.hinge.map_findings import findings, map_warnings, warnings
-from labrun_plugins.rigs.hinge.map_tables import coefficient_table, quality_table, specimen_table
-from labrun_plugins.rigs.hinge.maps_figure import maps_figure
-from labrun_plugins.rigs.hinge.polynomial import FittedMap, fit_polynomial
-from labrun_plugins.rigs.hinge.published import SYMBOLS, UNITS, Form, Quantity
+from labrun_plugins.rigs.hinge.map_findings import (
+    coefficient_table,
+    findings,
+    map_warnings,
+    maps_figure,
+    quality_table,
+    specimen_table,
+    warnings,
+)
+from labrun_plugins.rigs.hinge.polynomial import SYMBOLS, UNITS, FittedMap, Form, Quantity, fit_polynomial
 from labrun_plugins.rigs.hinge.specimens import SIZES, Specimen, load_specimens
 
 METHOD = "hinge-maps"

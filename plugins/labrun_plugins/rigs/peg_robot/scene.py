@@ -12,7 +12,7 @@ from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import SpecError
 from labrun.models import kernel
-from labrun_plugins.rigs.beam.tape_spring import TapeSpring, Width
+from labrun_plugins.rigs.beam.tape_spring_fit import TapeSpring, Width
 from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,

@@ -8,8 +8,7 @@ from labrun_plugins.simulated.bench.hidden import (
     joint_stepper,
     through,
 )
-from labrun_plugins.simulated.bench.history import packed, unpacked
-from labrun_plugins.simulated.bench.motion import ACCELERATION_M_S2, Carriage
+from labrun_plugins.simulated.bench.history import ACCELERATION_M_S2, Carriage, packed, unpacked
 from labrun_plugins.simulated.bench.settings import BenchSettings, HiddenEffect
 
 __all__ = [

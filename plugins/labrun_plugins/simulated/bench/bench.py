@@ -15,13 +15,13 @@ from labrun.errors import ExperimentError, SpecError
 from labrun.models import Model, Site
 from labrun_plugins.simulated.bench.history import (
     History,
+    JointDrive,
     generator_state,
     packed,
     restore_generator,
     sealed,
     unsealed,
 )
-from labrun_plugins.simulated.bench.motion import JointDrive
 from labrun_plugins.simulated.bench.settings import BenchSettings, checked
 
 _SNAPSHOT_SPAN_S = 0.2
