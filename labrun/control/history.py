@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from labrun.devices import FloatArray, Samples
-from labrun.devices.newest import SampleClock
+from labrun.devices.listening import SampleClock
 from labrun.signals import Signals
 
 _CAPACITY = 4096

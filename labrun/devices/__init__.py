@@ -6,22 +6,26 @@ from labrun.devices.limits import Excess, Limits
 from labrun.devices.listening import Listener, SampleBuffer, listened
 from labrun.devices.orientation import EulerAngles, HingeAngle, OrientationAngles, turn_about, unknown_bodies
 from labrun.devices.pacing import CommandStream, Pacing
-from labrun.devices.plugin import DeviceContext, DevicePlugin, DeviceSettings, EmergencyStop, Port
 from labrun.devices.protocols import (
     Actuator,
     Arranging,
     Attended,
     Carriage,
     Device,
+    DeviceContext,
+    DevicePlugin,
+    DeviceSettings,
+    EmergencyStop,
     Health,
     Identity,
     Paced,
+    Port,
     Remark,
+    Scene,
     Sensor,
     Tracker,
 )
 from labrun.devices.samples import Channel, Samples
-from labrun.devices.scene import Scene
 from labrun.devices.serial_port import SerialPort
 from labrun.devices.terminal import NoTerminalError, Terminal
 from labrun.devices.trajectory import Trajectory

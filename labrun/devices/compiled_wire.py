@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 
 from labrun.arrays import FloatArray
 from labrun.compiled import Pointer, kernel, native
-from labrun.devices.newest import Newest
+from labrun.devices.listening import Newest
 from labrun.devices.protocols import Actuator, Sensor
 
 __all__ = [

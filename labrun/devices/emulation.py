@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from labrun.devices.clock import Clock
-from labrun.devices.scene import Scene
+from labrun.devices.protocols import Scene
 
 _APPEND = os.O_WRONLY | os.O_APPEND | os.O_CREAT
 

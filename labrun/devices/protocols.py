@@ -1,12 +1,72 @@
-"""What a device is: small structural protocols, one per capability; nothing to inherit."""
+"""What a device is: small structural protocols, one per capability; how its plugin is made; the scene of a dry run."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Literal, Protocol, runtime_checkable
+from typing import Annotated, Any, ClassVar, Literal, Protocol, runtime_checkable
 
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from labrun.arrays import FloatArray
+from labrun.devices.clock import Clock
+from labrun.devices.limits import Limits
 from labrun.devices.pacing import Pacing
 from labrun.devices.samples import Channel, Samples
 from labrun.devices.trajectory import Trajectory
+
+
+class Scene(Protocol):
+    """A simulated bench. Its time is the clock's; it moves on when it is observed.
+
+    A scene on which mountings differ also has ``mount(number)``: called after each `arrange` with the number of the
+    mounting, where something is set by hand. The same number is the same mounting. One on which something happens by
+    itself during a trial has ``begin(start_s)``: called with the clock's time at which the recording begins.
+
+    One in front of which a person would read something off has ``answer(what)``: called after a trial, it returns the
+    number or the word that the person would type.
+    """
+
+    signals: Mapping[str, str]
+    """What can be felt or seen: signal name -> SI unit, for example ``{"force_x": "N"}``."""
+
+    joints: tuple[str, ...]
+    """What can be driven."""
+
+    def arrange(self, condition: Mapping[str, float | str]) -> None:
+        """Put in place what a person would change by hand between trials (a specimen, a mass)."""
+        ...
+
+    def drive(self, joint: str, trajectory: Trajectory, start_s: float) -> None:
+        """Command one joint (a trajectory of that joint alone) from the clock's `start_s` on."""
+        ...
+
+    def tow(
+        self, from_m: float, to_m: float, speed_m_s: float, start_s: float, acceleration_m_s2: float = ...
+    ) -> None:
+        """Move the carriage along its line at constant speed from `start_s` on.
+
+        A scene with ramps takes `acceleration_m_s2`, and has a value of its own for moves that do not say.
+        """
+        ...
+
+    def observe(self, signals: Sequence[str], time_s: FloatArray) -> FloatArray:
+        """Return the true signals at these times, shape (n, signals), advancing the physics as needed.
+
+        Times ascend, and lie at most a few seconds before the latest time observed by anyone.
+        """
+        ...
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the whole memory of the bench as JSON-ready values, so that a resumed run goes on identically."""
+        ...
+
+    def restore(self, snapshot: Mapping[str, Any]) -> None:
+        """Take back what `snapshot` gave."""
+        ...
+
+    def truth(self) -> dict[str, Any]:
+        """Return parameters and hidden effects as JSON-ready values: stored sealed, never shown by a diagnosis."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,3 +225,62 @@ class Remark:
     def to_json(self) -> dict[str, str]:
         """Return the fields by name."""
         return asdict(self)
+
+
+class DeviceSettings(BaseModel):
+    """What every device of an experiment file may say; a plugin's own settings extend it.
+
+    A field of type `Port` is checked to exist before a run on hardware.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    example: ClassVar[str] = ""
+    """Keys to start from, in TOML with comments: what `labrun new` writes for the device."""
+
+    limits: Limits = Limits()
+
+
+Port = Annotated[str, "port"]
+"""A serial port or network address."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceContext:
+    """What a device gets from the run it is part of.
+
+    Attributes
+    ----------
+    clock
+        All waiting and all time stamps go through it.
+    rng
+        The device's own generator, derived from the run's seed; re-seeded per trial by the runner through
+        `reseed` where a device has that method, so that a resumed run repeats itself exactly.
+    scene
+        The simulated bench; None on hardware.
+    """
+
+    clock: Clock
+    rng: np.random.Generator
+    scene: Scene | None = None
+
+
+class DevicePlugin(Protocol):
+    """The class an entry point of group ``labrun.devices`` names.
+
+    `stand_in` is the plugin that takes its place in a dry run; without it, ``simulated-<name>`` is looked for.
+    """
+
+    Settings: ClassVar[type[DeviceSettings]]
+
+    def __call__(self, name: str, settings: Any, context: DeviceContext) -> Device:
+        """Make the device; connects nothing."""
+        ...
+
+
+class EmergencyStop(Protocol):
+    """What an actuator's plugin class offers to the watchdog, which runs in another process."""
+
+    def emergency_stop(self, name: str, settings: Any) -> None:
+        """Connect from scratch and stop all motion (a class method): the runner is dead or hangs."""
+        ...

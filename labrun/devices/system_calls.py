@@ -44,7 +44,7 @@ def wait_until(due_s: float, spin_s: float) -> float:
 
 @kernel
 def sleep_until_rung(bell: int, until_s: float) -> float:
-    """Sleep until a `labrun.devices.newest.Bell` is rung, or was, and to a time at the latest; return the time."""
+    """Sleep until a `labrun.devices.listening.Bell` is rung, or was, and to a time at the latest; return the time."""
     left_s = until_s - clock_s()
     if left_s > 0.0:
         asked, span, rung = (

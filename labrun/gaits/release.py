@@ -3,8 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from labrun.gaits.keys import ExpressionGait, Given, Scope, in_columns
-from labrun.gaits.protocol import Steering
+from labrun.gaits.protocol import ExpressionGait, Given, Scope, Steering, in_columns
 from labrun.spec import Condition
 from labrun.toml import Expression, Table
 

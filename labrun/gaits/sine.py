@@ -8,8 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.gaits.keys import ExpressionGait, Given, Quantity, Scope
-from labrun.gaits.protocol import Steering
+from labrun.gaits.protocol import ExpressionGait, Given, Quantity, Scope, Steering
 from labrun.spec import Condition
 from labrun.toml import Expression, Table
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.errors import SpecError
-from labrun.gaits.keys import ExpressionGait, Given, Scope, in_columns
-from labrun.gaits.protocol import Steering
+from labrun.gaits.protocol import ExpressionGait, Given, Scope, Steering, in_columns
 from labrun.gaits.sine import common_period_s
 from labrun.spec import Condition
 from labrun.toml import Expression, Table

@@ -1,12 +1,9 @@
 """Runs on disk: the run folder, a trial's file, ``run.h5``, recordings made elsewhere, and what follows a run."""
 
-from labrun.store._recording_toml import Between
-from labrun.store.disk import lacking_room, replace_durably, require_writable, saving
-from labrun.store.export import export_run
+from labrun.store.disk import lacking_room, lock_ports, replace_durably, require_writable, saving
+from labrun.store.export import export_run, run_dataset, trial_dataset, trials_frame
 from labrun.store.folder import RunFolder
-from labrun.store.frames import run_dataset, trial_dataset, trials_frame
-from labrun.store.importing import import_recording
-from labrun.store.journal import Journal, remarks_of
+from labrun.store.journal import Journal, collect, remarks_of
 from labrun.store.locate import (
     JOURNAL,
     PACKED,
@@ -18,10 +15,9 @@ from labrun.store.locate import (
     find_unfinished,
     is_finished,
 )
-from labrun.store.locks import lock_ports
-from labrun.store.provenance import collect
-from labrun.store.reading import Run, open_run, open_target
+from labrun.store.reading import Run, import_recording, open_run, open_target
 from labrun.store.recording import (
+    Between,
     RecordedTrial,
     Recording,
     SignalInfo,
@@ -30,7 +26,6 @@ from labrun.store.recording import (
     is_recording,
     read_recording,
 )
-from labrun.store.table import known_units
 from labrun.store.timing import JUMP_S, StreamReport, stream_report
 from labrun.store.trial import (
     Role,
@@ -38,12 +33,12 @@ from labrun.store.trial import (
     Status,
     TrialOutcome,
     json_ready,
+    known_units,
     mean_truncation,
     settle_curve,
 )
-from labrun.store.trial_file import COMMAND, check_columns, check_names
+from labrun.store.trial_file import COMMAND, TrialWriter, check_columns, check_names, dated, tare_of, undated
 from labrun.store.watching import RunWatch, Trace, read_trace
-from labrun.store.writer import TrialWriter, dated, tare_of, undated
 
 __all__ = [
     "COMMAND", "JOURNAL", "JUMP_S", "PACKED", "PROVENANCE", "SPEC", "TRIALS", "Between", "Journal",

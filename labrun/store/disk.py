@@ -1,15 +1,22 @@
-"""Writing that survives a power cut, and what to say when the disk does not take it."""
+"""Writing that survives a power cut, what to say when the disk does not take it, and locks that vanish with their process."""
 
 import errno
+import fcntl
+import hashlib
+import json
 import os
+import platform
 import re
 import shutil
+import stat
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+import weakref
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
-from labrun.errors import StoreError
+from labrun.errors import RequestError, RigBusyError, StoreError
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _METADATA = 1 << 16
@@ -149,3 +156,152 @@ def flush_errors() -> Iterator[None]:
     except RuntimeError as error:
         code = re.search(r"errno = (\d+)", str(error))
         raise OSError(int(code[1]) if code else errno.EIO, str(error)) from error
+
+
+_SHARED = (Path("/run/lock"), Path("/tmp"))  # noqa: S108  shared by all users is what it is for
+_held: "weakref.WeakSet[FileLock]" = weakref.WeakSet()
+
+
+class FileLock:
+    """An advisory lock (flock) on a small file that says who holds it.
+
+    The kernel releases it when the holder dies, however it dies; the file itself stays and means nothing. `path`: the
+    file; made when missing. `subject`: what is locked, for the message to whoever comes second.
+    """
+
+    def __init__(self, path: Path, subject: str) -> None:
+        self.path = path
+        self.subject = subject
+        self._descriptor: int | None = None
+
+    def acquire(self) -> None:
+        """Take the lock or raise at once.
+
+        Raises RigBusyError: someone else holds it: names process id, start and command.
+        """
+        descriptor = _opened(self.path)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            holder = _holder(descriptor)
+            os.close(descriptor)
+            raise RigBusyError(
+                f"{self.subject} is in use by {holder}",
+                hint="wait until it ends, or stop it with Ctrl-C in its terminal",
+            ) from None
+        note = {
+            "pid": os.getpid(),
+            "machine": platform.node(),
+            "since": datetime.now(UTC).isoformat(timespec="seconds"),
+            "subject": self.subject,
+        }
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, json.dumps(note).encode(), 0)
+        self._descriptor = descriptor
+        _held.add(self)
+
+    def release(self) -> None:
+        """Give the lock back; harmless when not held."""
+        if self._descriptor is not None:
+            fcntl.flock(self._descriptor, fcntl.LOCK_UN)
+            self._forget()
+
+    def _forget(self) -> None:
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+        _held.discard(self)
+
+
+def _opened(path: Path) -> int:
+    # Made only if it is missing: in a sticky folder the kernel refuses O_CREAT on a file of another user.
+    try:
+        return os.open(path, os.O_RDWR)
+    except FileNotFoundError:
+        return os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+
+
+def _holder(descriptor: int) -> str:
+    try:
+        note = json.loads(os.pread(descriptor, 4096, 0))
+        return f"process {note['pid']} since {note['since']}"
+    except (ValueError, KeyError, OSError):
+        return "another process"
+
+
+def _forget_in_child() -> None:
+    # A forked child shares the open file: it would keep the lock after its parent died.
+    for lock in list(_held):
+        lock._forget()
+
+
+os.register_at_fork(after_in_child=_forget_in_child)
+
+
+def lock_folder() -> Path:
+    """Return where the locks of this machine's rigs are: the same folder for every user."""
+    for shared in _SHARED:  # about the folder, not about this user: every user gets the same answer
+        if shared.is_dir() and shared.stat().st_mode & stat.S_IWOTH:
+            return shared / "labrun"
+    return Path(tempfile.gettempdir()) / "labrun"
+
+
+@contextmanager
+def lock_ports(ports: Sequence[str], folder: Path | None = None) -> Iterator[None]:
+    """Hold every port of a rig while a run uses it.
+
+    Locks vanish with the process that holds them, so a crash leaves none behind.
+
+    Parameters
+    ----------
+    ports
+        Serial ports and network addresses. Two names of one serial port (a link of ``/dev/serial/by-id`` and
+        ``/dev/ttyUSB0``) count as one.
+    folder
+        Where the locks are, if not in the machine's own folder.
+
+    Raises
+    ------
+    RigBusyError
+        Another run holds one of them, whoever started it; names the port and the process. None is held then.
+    RequestError
+        The locks cannot be written.
+    """
+    where = lock_folder() if folder is None else folder
+    with ExitStack() as held:
+        for port in sorted({_real(port) for port in ports}):
+            path = where / _file_name(port)
+            lock = FileLock(path, f"port {port}")
+            try:
+                _share(path)
+                lock.acquire()
+            except OSError as error:
+                raise RequestError(
+                    f"port {port} cannot be locked against other runs: {path}: {error.strerror or error}",
+                    hint=f"make {where} a folder that everyone may write to (mode 1777), or delete it",
+                ) from error
+            held.callback(lock.release)
+        yield
+
+
+def _share(path: Path) -> None:
+    """Make a lock and its folder where they are missing, open to every user whatever this one's umask."""
+    if not path.parent.is_dir():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.chmod(0o1777)
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+    except FileExistsError:
+        return
+    os.fchmod(descriptor, 0o666)
+    os.close(descriptor)
+
+
+def _real(port: str) -> str:
+    return str(Path(port).resolve()) if port.startswith("/") else port
+
+
+def _file_name(port: str) -> str:
+    # Readable, and different for different ports whatever characters they have.
+    readable = re.sub(r"[^A-Za-z0-9.-]+", "_", port).strip("_")
+    return f"{readable}-{hashlib.blake2b(port.encode(), digest_size=4).hexdigest()}.lock"

@@ -1,17 +1,176 @@
-"""A run for other programs: CSV of its trials, or netCDF of everything."""
+"""A run for other programs: CSV of its trials, netCDF of everything, pandas and xarray (imported only when asked for)."""
 
 import csv
+import importlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from labrun.errors import RequestError
-from labrun.store import packed_file, table
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.errors import RecordingError, RequestError
+from labrun.signals import TIMES, Signals
+from labrun.store import packed_file, trial
 from labrun.store.disk import fsync_file, saving
+from labrun.store.packed_file import SAMPLE, TRIAL_INDEX
 from labrun.store.reading import Run
 from labrun.store.recording import is_recording
-from labrun.store.trial import TrialOutcome
+from labrun.store.trial import TrialOutcome, variables
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+TRIAL = "trial"
+_ABOUT = ("rate_hz", "lost", "saturated", "clock_glitches")
+_MEANING = {
+    "time_s": "time since the start of the trial",
+    "device_time_s": "the device's own time",
+    "host_time_s": "time of arrival, by this machine's clock",
+}
+
+
+def trials_frame(outcomes: Sequence[TrialOutcome], units: Mapping[str, str]) -> "pd.DataFrame":
+    """Return one row a trial, by the trial's index.
+
+    Parameters
+    ----------
+    outcomes
+        In order of execution, whatever their status.
+    units
+        Of conditions and objectives by name.
+
+    Returns
+    -------
+    DataFrame
+        Conditions, repeat, status, objectives, role, reason, started_s, duration_s, settle_reason, settle_duration_s,
+        attempt, period_s; ``attrs["units"]`` has the unit of each column that has one. NaN, or empty text, stands
+        where a trial has no such value.
+
+    Raises
+    ------
+    RequestError
+        pandas is not installed.
+    """
+    pandas = _library("pandas", "a table of trials")
+    index, *columns = variables(outcomes, units)
+    frame: pd.DataFrame = pandas.DataFrame(
+        {column.name: column.values for column in columns}, index=pandas.Index(index.values, name=TRIAL)
+    )
+    frame.attrs["units"] = {column.name: column.unit for column in columns if column.unit}
+    return frame
+
+
+def trial_dataset(run: Run, name: str, index: int, *, tared: bool) -> "xr.Dataset":
+    """Return the signals of one device in one trial, over ``time_s``.
+
+    Raises
+    ------
+    RecordingError
+        There is no such trial, or no such device in it; names those there are.
+    RequestError
+        xarray is not installed.
+    """
+    xarray = _library("xarray", "signals")
+    tables = run.tables(index)
+    if name not in tables:
+        raise _unknown(name, f"trial {index}", list(tables))
+    measured = tables[name]
+    shown = measured.tared() if tared else measured
+    data = {}
+    for column, unit in zip(shown.columns, shown.units, strict=True):
+        attributes: dict[str, Any] = {"units": unit}
+        if column in measured.tare:
+            attributes |= {"tare": measured.tare[column], "tared": int(tared)}
+        data[column] = xarray.Variable("time_s", shown.column(column), attributes)
+    coordinates = {
+        key: xarray.Variable("time_s", values, {"units": "s", "long_name": _MEANING[key]})
+        for key, values in _times(shown).items()
+    }
+    about: dict[str, Any] = {"device": name, "trial": index}
+    if shown.device_time_s is not None:
+        about = {key: getattr(shown, key) for key in _ABOUT} | about
+    return xarray.Dataset(data, coordinates, about)
+
+
+def run_dataset(run: Run, name: str, *, tared: bool) -> "xr.Dataset":
+    """Return the signals of one device in all trials, one after the other, over ``sample``.
+
+    ``trial_index`` and ``time_s`` tell of each sample which trial it belongs to, and when it was. A channel that a
+    trial does not have is NaN there.
+
+    Raises
+    ------
+    RecordingError
+        No trial has such a device; names those there are.
+    RequestError
+        xarray is not installed.
+    """
+    xarray = _library("xarray", "signals")
+    read: list[tuple[int, Signals]] = []
+    others: dict[str, None] = {}
+    for outcome in run.outcomes:
+        tables = run.tables(outcome.index)
+        others |= dict.fromkeys(tables)
+        if name in tables:
+            read.append((outcome.index, tables[name].tared() if tared else tables[name]))
+    if not read:
+        raise _unknown(name, "the run", list(others))
+    counts = [len(signals) for _, signals in read]
+    marks = np.repeat(np.array([index for index, _ in read], dtype=np.int64), counts)
+    coordinates = {TRIAL_INDEX: xarray.Variable(SAMPLE, marks, {"long_name": "index of the trial"})}
+    columns: dict[tuple[str, str], list[tuple[int, FloatArray]]] = {}
+    for place, (_, signals) in enumerate(read):
+        for key, values in _times(signals).items():
+            columns.setdefault((key, "s"), []).append((place, values))
+        for column, unit in zip(signals.columns, signals.units, strict=True):
+            columns.setdefault((column, unit), []).append((place, signals.column(column)))
+    data: dict[str, Any] = {}
+    for (column, unit), parts in columns.items():
+        values = _joined(parts, counts)
+        if column in TIMES:
+            coordinates[column] = xarray.Variable(
+                SAMPLE, values, {"units": unit, "long_name": _MEANING[column]}
+            )
+            continue
+        free = column
+        while free in data or free == TRIAL_INDEX:
+            free += "_"  # the same channel in another unit, after the experiment changed
+        data[free] = xarray.Variable(SAMPLE, values, {"units": unit})
+    return xarray.Dataset(data, coordinates, {"device": name, "tared": int(tared)})
+
+
+def _times(signals: Signals) -> dict[str, FloatArray]:
+    found = {name: getattr(signals, name) for name in TIMES}
+    return {name: values for name, values in found.items() if values is not None}
+
+
+def _joined(parts: Sequence[tuple[int, FloatArray]], counts: Sequence[int]) -> FloatArray:
+    """Return the values of all trials, NaN for those that have none."""
+    ends = np.cumsum(counts)
+    values = np.full(int(ends[-1]), np.nan)
+    for place, part in parts:
+        values[ends[place] - counts[place] : ends[place]] = part
+    return values
+
+
+def _unknown(name: str, where: str, names: Sequence[str]) -> RecordingError:
+    return RecordingError(
+        f"{where} has no signals {name!r}", hint=f"recorded were: {', '.join(names) or 'none'}"
+    )
+
+
+def _library(name: str, purpose: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise RequestError(
+            f"{purpose} needs {name}, which is not installed", hint="pip install 'labrun[data]'"
+        ) from error
+
 
 SUFFIXES = {"csv": ".csv", "netcdf": ".nc"}
 
@@ -75,7 +234,7 @@ def to_csv(run: Run, output: Path, outcomes: Sequence[TrialOutcome] | None = Non
     StoreError
         The file cannot be written.
     """
-    columns = table.variables(run.outcomes if outcomes is None else outcomes, {})
+    columns = trial.variables(run.outcomes if outcomes is None else outcomes, {})
     with saving(output.name, output.parent, "the run itself is untouched"):
         output.parent.mkdir(parents=True, exist_ok=True)
         with output.open("w", newline="", encoding="utf-8") as file:

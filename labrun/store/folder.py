@@ -12,14 +12,12 @@ from typing import Any
 from labrun.errors import RecordingError, RigBusyError, StoreError
 from labrun.signals import LongSignals
 from labrun.store import packed_file
-from labrun.store.disk import fsync_directory, fsync_file, replace_durably, saving
+from labrun.store.disk import FileLock, fsync_directory, fsync_file, replace_durably, saving
 from labrun.store.journal import Journal
 from labrun.store.locate import JOURNAL, PACKED, PROVENANCE, SPEC, TRIALS
-from labrun.store.locks import FileLock
 from labrun.store.packed_file import FORMAT, PackedTrials, RunTexts, older
 from labrun.store.trial import Status, TrialOutcome
-from labrun.store.trial_file import TrialFile, check, trial_files
-from labrun.store.writer import TrialWriter
+from labrun.store.trial_file import TrialFile, TrialWriter, check, trial_files
 
 
 class TrialSource:

@@ -1,6 +1,7 @@
-"""A stored run, read back: the same from a run folder, from ``run.h5`` alone, and from a recording made elsewhere."""
+"""A stored run, read back: from a run folder, from ``run.h5`` alone, from a recording; a recording becomes a run."""
 
 import json
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import replace
@@ -10,15 +11,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from labrun.devices import Channel, Samples
 from labrun.errors import RecordingError
 from labrun.signals import LongSignals, Signals, joined
 from labrun.store.folder import RunFolder, TrialSource, require_current
-from labrun.store.journal import parse_events
+from labrun.store.journal import parse_events, software_and_machine
 from labrun.store.locate import PACKED, SPEC, TRIALS, find_run
 from labrun.store.packed_file import PackedTrials, RunTexts
 from labrun.store.recording import Recording, is_recording, read_recording
-from labrun.store.table import known_units
-from labrun.store.trial import SETTLE, TrialOutcome
+from labrun.store.trial import SETTLE, TrialOutcome, known_units
 from labrun.store.trial_file import BESIDE, COMMAND, trial_files
 
 
@@ -249,3 +250,44 @@ class _Recorded:
 
     def close(self) -> None:
         """Nothing is open."""
+
+
+def import_recording(folder: Path, results: Path) -> Path:
+    """Store a recording as a packed run; each trial has the streams ``input`` and ``output``.
+
+    Parameters
+    ----------
+    folder
+        Holds ``recording.toml`` and CSV files; is left as it is.
+
+    Returns
+    -------
+    Path
+        The run folder.
+
+    Raises
+    ------
+    RecordingError
+        The recording has faults: nothing is imported.
+    StoreError
+        The run cannot be written: nothing is imported.
+    """
+    recording = read_recording(folder)
+    provenance = {"imported_from": str(folder.absolute()), **software_and_machine()}
+    run = RunFolder.create(results, recording.name, (folder / "recording.toml").read_text(), provenance)
+    try:
+        with run.lock():
+            for outcome, trial in zip(outcomes_of(recording), recording.trials, strict=True):
+                writer = run.writer(outcome.index)
+                for signals in trial.signals(recording):
+                    channels = tuple(map(Channel, signals.columns, signals.units))
+                    # its one time stands for the device's and the host's, and comes back unchanged
+                    samples = Samples(signals.time_s, signals.time_s, signals.values)
+                    writer.append(signals.name, channels, signals.rate_hz, samples)
+                writer.finish(outcome, None, None)
+            run.pack()
+            run.journal.append("finished", trials={"done": len(recording.trials), "rejected": 0, "failed": 0})
+    except BaseException:
+        shutil.rmtree(run.path, ignore_errors=True)
+        raise
+    return run.path

@@ -1,18 +1,187 @@
 """A recording: `recording.toml` beside CSV files, measured by anyone. Read whole, or refused with every fault."""
 
+import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from labrun.arrays import FloatArray
 from labrun.errors import RecordingError
 from labrun.signals import Signals
 from labrun.store._recording_csv import read_columns
-from labrun.store._recording_toml import Between, TrialEntry, read_toml
+from labrun.toml import Fault, KeyPath, Places, Table, TableFaults, locate, mend, parsed, text_of
+
+Between = Literal["linear", "hold", "band-limited"]
+_FOLDER_NAME = re.compile(r"(?![.\s])[^/\\\x00-\x1f\x7f]+(?<![.\s])")
+"""Runs are filed under the experiment's name: it is one folder, inside the results."""
+_LONGEST_NAME = 120
+"""Bytes; file systems take 255, and a temporary file's name is longer than what it stands for."""
+
+
+class ChannelTable(Table):
+    """One `[channels.NAME]` table; `unit` is "1" for none.
+
+    `reading_error` is the standard deviation of a value about the truth, in the channel's unit.
+    """
+
+    kind: Literal["input", "output"]
+    unit: Annotated[str, Field(pattern=r"\S")]
+    between: Between = "linear"
+    reading_error: PositiveFloat | None = None
+
+    @model_validator(mode="after")
+    def _says_what_fits_its_kind(self) -> "ChannelTable":
+        with TableFaults() as faults:
+            if self.kind == "output" and "between" in self.model_fields_set:
+                faults.add("between", "says how an input runs between its samples; this is an output")
+            if self.kind == "input" and self.reading_error is not None:
+                faults.add("reading_error", "says how far a measured value may be off; this is an input")
+        return self
+
+
+class _TrialTable(Table):
+    """One `[[trials]]` table."""
+
+    file: Annotated[str, Field(min_length=1)]
+    repeat: PositiveInt | None = None
+    condition: dict[str, float | str] = Field(default_factory=dict)
+
+
+class SourceTable(Table):
+    """Where a recording comes from that no bench made."""
+
+    kind: Literal["bench", "solver", "publication"]
+    program: str | None = None
+    version: str | None = None
+    mesh: str | None = None
+    load: str | None = None
+    note: str | None = None
+
+    @model_validator(mode="after")
+    def _a_solver_is_named(self) -> "SourceTable":
+        with TableFaults() as faults:
+            if self.kind == "solver":
+                for key in ("program", "version", "mesh", "load"):
+                    if getattr(self, key) is None:
+                        faults.add(key, f"is missing: what a solver gave is worth nothing without its {key}")
+        return self
+
+
+class _File(Table):
+    """The whole file; its trials are looked at one by one, so that a fault keeps its number."""
+
+    experiment: str | None = None
+    source: SourceTable | None = None
+    channels: dict[str, ChannelTable] = Field(default_factory=dict)
+    trials: list[Any] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _says_enough(self) -> "_File":
+        with TableFaults() as faults:
+            if not self.channels:
+                said = "no channels; expected a table [channels.NAME] for each column of the CSV files"
+                faults.add("channels", said)
+            elif all(channel.kind == "input" for channel in self.channels.values()):
+                faults.add(
+                    "channels", 'no channel has kind = "output": there is nothing to compare a model with'
+                )
+            outputs = {name: one for name, one in self.channels.items() if one.kind == "output"}
+            silent = [name for name, one in outputs.items() if one.reading_error is None]
+            if 0 < len(silent) < len(outputs):
+                said = "has no reading_error, and other outputs do: state that of every output, or of none"
+                faults.add(("channels", silent[0]), said)
+            if "time_s" in self.channels:
+                faults.add(("channels", "time_s"), "is the first column of every file and no channel")
+            if not self.trials:
+                faults.add(
+                    "trials", "no trials; expected a table [[trials]] with file = ... for each CSV file"
+                )
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class TrialEntry:
+    """One trial, and the line that names its file."""
+
+    file: str
+    condition: Mapping[str, float | str]
+    repeat: int
+    line: int
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What `recording.toml` says; entries that have faults are left out."""
+
+    name: str
+    source: SourceTable | None = None
+    channels: Mapping[str, ChannelTable] = field(default_factory=dict)
+    trials: Sequence[TrialEntry] = ()
+
+
+def read_toml(path: Path) -> tuple[Contents, list[str]]:
+    """Return what the file says and every fault found in it."""
+    folder = path.parent.resolve().name
+    try:
+        text = text_of(path, kind=RecordingError, what="description")
+        data = parsed(text, str(path), kind=RecordingError)
+    except RecordingError as error:
+        return Contents(folder), [str(error)]
+    file, faults = mend(_File, data)
+    trials, found = _trials(data.get("trials"), text)
+    faults += found
+    name = file.experiment if file is not None and file.experiment is not None else folder
+    if not _FOLDER_NAME.fullmatch(name) or len(name.encode()) > _LONGEST_NAME:
+        origin = "" if "experiment" in data else f"{name!r} (the folder's own, as recording.toml gives none) "
+        message = (
+            f'{origin}is not the name of one folder, such as "ring-down": no slash, backslash or control '
+            f"character, no point or space at either end, at most {_LONGEST_NAME} bytes"
+        )
+        faults.append(Fault(("experiment",), message))
+    lines = [str(fault) for fault in Places(str(path), text, data).of_all(faults)]
+    return Contents(
+        name, None if file is None else file.source, {} if file is None else file.channels, trials
+    ), lines
+
+
+def _trials(tables: object, text: str) -> tuple[list[TrialEntry], list[Fault]]:
+    """Return the trials that hold; those without a number are the next free repeat of their condition."""
+    places = locate(text)
+    found: list[TrialEntry] = []
+    faults: list[Fault] = []
+    files: dict[str, int] = {}
+    taken: dict[tuple[object, ...], dict[int, int]] = {}
+    for index, given in enumerate(tables if isinstance(tables, list) else []):
+        path: KeyPath = ("trials", index)
+        if not isinstance(given, dict):
+            faults.append(Fault(path, "expected a table { ... }"))
+            continue
+        table, wrong = mend(_TrialTable, given, path)
+        faults += wrong
+        if table is None:
+            continue
+        line = places.of_key((*path, "file")).line
+        condition = {
+            name: float(value) if isinstance(value, int | float) else value
+            for name, value in table.condition.items()
+        }
+        if files.setdefault(table.file, line) != line:
+            message = f"this is the file of the trial at line {files[table.file]} already"
+            faults.append(Fault((*path, "file"), message, at_value=True))
+        lines = taken.setdefault(tuple(sorted(condition.items(), key=str)), {})
+        repeat = table.repeat or max(lines, default=0) + 1
+        if repeat in lines:
+            message = f"this is repeat {repeat} of its condition, as is the trial at line {lines[repeat]}"
+            faults.append(Fault((*path, "file"), message, at_value=True))
+        lines[repeat] = line
+        found.append(TrialEntry(table.file, condition, repeat, line))
+    return found, faults
+
 
 _SHOWN_FAULTS = 25
 

@@ -16,7 +16,7 @@ from labrun.control.making import OneForEach
 from labrun.control.pid import PidController
 from labrun.control.protocol import LoopContext
 from labrun.devices import Limits, Samples
-from labrun.devices.newest import Bell, Newest
+from labrun.devices.listening import Bell, Newest
 
 PERIOD_S = 0.2
 """So long that a busy machine takes no step for another one."""

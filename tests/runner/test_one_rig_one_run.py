@@ -15,8 +15,8 @@ from labrun.devices import DeviceSettings, Port
 from labrun.errors import PluginError, RigBusyError
 from labrun.runner import RealClock, Rig, ports_of
 from labrun.spec import loads_experiment
+from labrun.store import disk as rig_lock
 from labrun.store import lock_ports
-from labrun.store import locks as rig_lock
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labrun.errors import RecordingError
+from labrun.store.disk import FileLock
 from labrun.store.folder import RunFolder
-from labrun.store.locks import FileLock
 from labrun.store.reading import open_run
 
 

@@ -13,7 +13,7 @@ import pytest
 import stored_runs
 
 from labrun.errors import StoreError
-from labrun.store import writer as writer_module
+from labrun.store import trial_file as writer_module
 from labrun.store.folder import RunFolder
 
 FILL = """

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from labrun.errors import RecordingError
-from labrun.store.importing import import_recording
 from labrun.store.locate import find_run
-from labrun.store.reading import open_run
+from labrun.store.reading import import_recording, open_run
 
 TOML = """\
 experiment = "swing"

@@ -9,7 +9,7 @@ import stored_runs
 
 from labrun.devices import Channel, Samples
 from labrun.errors import StoreError
-from labrun.store import packed_file, ragged, trial_file, writer
+from labrun.store import packed_file, trial_file
 from labrun.store.folder import RunFolder
 from labrun.store.reading import open_run
 
@@ -173,9 +173,9 @@ def test_large_runs_are_written_in_blocks_and_read_the_same(tmp_path, monkeypatc
     writer_without_device = folder.writer(6)
     writer_without_device.finish(stored_runs.outcome(6), None, stored_runs.motion())
     stored_runs.store(folder, 7, count=333)
-    for module in (ragged, trial_file):
+    for module in (packed_file, trial_file):
         monkeypatch.setattr(module, "MEMORY_ROWS", block)
-    monkeypatch.setattr(ragged, "CHUNK", 100)
+    monkeypatch.setattr(packed_file, "CHUNK", 100)
     run = open_run(folder.pack())
     for index, count in [*((index, 200) for index in range(5)), (5, 1), (7, 333)]:
         stored_runs.assert_as_measured(run.signals(index)["wrench"], index, count)
@@ -239,7 +239,7 @@ def test_a_run_without_trials_can_be_packed(tmp_path):
 
 
 def test_a_spilled_trial_packs_like_any_other(tmp_path, monkeypatch):
-    monkeypatch.setattr(writer, "SPILL_BYTES", 1000)
+    monkeypatch.setattr(trial_file, "SPILL_BYTES", 1000)
     folder = stored_runs.new_run(tmp_path)
     stored_runs.store(folder, 0)
     folder.pack()

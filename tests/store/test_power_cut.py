@@ -10,7 +10,7 @@ import stored_runs
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from labrun.store import writer as writer_module
+from labrun.store import trial_file as writer_module
 from labrun.store.folder import RunFolder
 from labrun.store.reading import open_run
 

@@ -4,7 +4,7 @@ import json
 import subprocess
 
 from labrun.devices import Identity
-from labrun.store.provenance import collect, git_state
+from labrun.store.journal import collect, git_state
 
 
 def test_versions_machine_devices_and_seed_are_told_as_json(tmp_path):

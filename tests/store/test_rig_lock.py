@@ -8,13 +8,13 @@ import sys
 import pytest
 
 from labrun.errors import RequestError, RigBusyError
-from labrun.store import locks as rig_lock
-from labrun.store.locks import lock_folder, lock_ports
+from labrun.store import disk as rig_lock
+from labrun.store.disk import lock_folder, lock_ports
 
 HOLD = """
 import sys
 from pathlib import Path
-from labrun.store.locks import lock_ports
+from labrun.store.disk import lock_ports
 with lock_ports(sys.argv[2:], Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from labrun.devices import Channel, Samples
 from labrun.errors import RecordingError, RigBusyError, StoreError
-from labrun.store import writer as writer_module
+from labrun.store import trial_file as writer_module
 from labrun.store.folder import FORMAT, RunFolder
 from labrun.store.reading import open_run
 from labrun.store.trial import TrialOutcome

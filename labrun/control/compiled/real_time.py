@@ -21,7 +21,7 @@ from labrun.compiled import kernel
 from labrun.control.compiled.law import refusal
 from labrun.control.compiled.stepping import FULL, GOOD, STOPPED, UNSENT, UNWATCHED, Law, take_step
 from labrun.devices.compiled_wire import FREE_S, HALT, NOT_TAKEN, SENT, CompiledWire, HandingOver, Showing
-from labrun.devices.newest import SLOTS, Bell, Newest
+from labrun.devices.listening import SLOTS, Bell, Newest
 from labrun.devices.system_calls import clock_s, sleep_until_rung, wait_until
 from labrun.models.engine import call_model
 from labrun.runner import Rig
@@ -60,11 +60,11 @@ class LiveBench(NamedTuple):
     Attributes
     ----------
     number, made_s, heard_s, values : (sensors, ...)
-        See `labrun.devices.newest.NewestView`; of all sensors.
+        See `labrun.devices.listening.NewestView`; of all sensors.
     channels_at : (sensors + 1,)
         Where each one's channels begin among all channels.
     bell
-        Descriptor of the `labrun.devices.newest.Bell` that the sensors of the feedback ring.
+        Descriptor of the `labrun.devices.listening.Bell` that the sensors of the feedback ring.
     send, state, parameters
         See `labrun.devices.compiled_wire.CompiledWire`.
     """

@@ -9,8 +9,7 @@ import numpy as np
 
 from labrun.devices import Clock, DeviceContext, DeviceError, FloatArray, Health, Samples
 from labrun.devices.compiled_wire import BUSY, HALT, CompiledWire
-from labrun.devices.listening import Listener, SampleBuffer
-from labrun.devices.newest import Newest
+from labrun.devices.listening import Listener, Newest, SampleBuffer
 from labrun_plugins.dynamixel.bus import TRIES, Bus
 from labrun_plugins.dynamixel.codec import Status
 from labrun_plugins.dynamixel.control_table import (

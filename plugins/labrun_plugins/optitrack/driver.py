@@ -13,7 +13,7 @@ from labrun.devices import (
     Remark,
     Samples,
 )
-from labrun.devices.newest import Newest
+from labrun.devices.listening import Newest
 from labrun_plugins.optitrack.frame import BITSTREAM_CHANGED, EDIT_MODE, Frame
 from labrun_plugins.optitrack.handshake import Handshake
 from labrun_plugins.optitrack.messages import dotted
