@@ -1,4 +1,4 @@
-"""A run for other programs: CSV of its trials, netCDF of everything, pandas and xarray (imported only when asked for)."""
+"""A run for other programs: CSV of its trials, netCDF of everything, pandas and xarray, imported when asked for."""
 
 import csv
 import importlib

@@ -1,4 +1,4 @@
-"""What a run writes beside its trials: a journal, one JSON line an event, on disk before anything moves; its provenance."""
+"""What a run writes beside its trials: the journal, a line an event, on disk before anything moves; provenance."""
 
 import getpass
 import json
