@@ -1,4 +1,4 @@
-"""Writing that survives a power cut, what to say when the disk does not take it, and locks that vanish with their process."""
+"""Writing that survives a power cut, what to say when the disk takes nothing, and locks that vanish with a process."""
 
 import errno
 import fcntl

@@ -10,7 +10,7 @@ import socket
 import struct
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -41,30 +41,6 @@ class Card:
     model: str
     serial: str = ""
     firmware: str = ""
-
-
-class VoltageReader(Protocol):
-    """Reads six voltages at a steady rate. All of its errors are DeviceErrors that name the device."""
-
-    def open(self) -> Card:
-        """Connect, and say to what."""
-        ...
-
-    def start(self, rate_hz: float) -> float:
-        """Begin to sample; return the true rate, Hz."""
-        ...
-
-    def read(self) -> Voltages:
-        """Return what has been sampled since the last time, waiting a few hundredths of a second for it at most."""
-        ...
-
-    def stop(self) -> None:
-        """End sampling; harmless if it does not."""
-        ...
-
-    def close(self) -> None:
-        """Disconnect; harmless when not connected. Never raises."""
-        ...
 
 
 _BUFFER_S = 4.0
@@ -131,7 +107,7 @@ class NidaqmxReader:
         return answer
 
     def start(self, rate_hz: float) -> float:
-        """Begin to sample."""
+        """Begin to sample; return the true rate, Hz."""
         import nidaqmx
         from nidaqmx.constants import AcquisitionType
 
@@ -258,14 +234,10 @@ class SocketReader:
     def open(self) -> Card:
         """Connect; what it is comes with the start of a stream, so one is started and ended."""
         try:
-            self._start(self._settings.rate_hz)
+            self.start(self._settings.rate_hz)
             return self._card
         finally:
             self.stop()
-
-    def start(self, rate_hz: float) -> float:
-        """Connect anew and begin: nothing of an earlier stream can come in between."""
-        return self._start(rate_hz)
 
     def read(self) -> Voltages:
         """Return the next block, waiting a moment for it."""
@@ -293,7 +265,8 @@ class SocketReader:
         """Hang up."""
         self.stop()
 
-    def _start(self, rate_hz: float) -> float:
+    def start(self, rate_hz: float) -> float:
+        """Connect anew, so that nothing of an earlier stream comes in between, and begin; return the true rate, Hz."""
         self.stop()
         self._parser, self._waiting, self._next = BlockParser(), [], 0
         try:
@@ -353,3 +326,7 @@ class SocketReader:
 
     def _error(self, what: str, hint: str) -> DeviceError:
         return DeviceError(self._device, f"the voltage server at {self._where} {what}", hint=hint)
+
+
+VoltageReader = NidaqmxReader | SocketReader
+"""Reads six voltages at a steady rate. All of its errors are DeviceErrors that name the device."""

@@ -28,7 +28,7 @@ from labrun_plugins.ati_netft import codec, network, units
 from labrun_plugins.ati_netft.network import BoxInfo, ask_status, box_rate
 from labrun_plugins.ati_netft.reception import CHANNELS, Reception
 from labrun_plugins.ati_netft.settings import AtiNetFtSettings
-from labrun_plugins.ati_netft.source import BoxSource, DatagramSocket, Source
+from labrun_plugins.ati_netft.source import BoxSource, DatagramSocket, PynetftSource, Source
 
 _RATE_TOLERANCE = 0.02
 _ENOUGH_S = 0.3
@@ -327,9 +327,7 @@ class AtiNetFt:
 
     def _new_source(self) -> Source:
         if self.settings.client == "pynetft":
-            from labrun_plugins.ati_netft.source import PynetftSource
-
-            return PynetftSource(self.name, self.clock, self.settings, self.info)
+            return PynetftSource(self.name, self.clock, self.settings, self.info.rate_hz)
         return BoxSource(self.name, self.clock, self.settings, self.own)
 
     def _require_well(self, word: int) -> None:

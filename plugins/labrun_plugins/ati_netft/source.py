@@ -20,14 +20,13 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labrun.devices import Clock, DeviceError, FloatArray
 from labrun_plugins.ati_netft import codec
-from labrun_plugins.ati_netft.network import BoxInfo
 from labrun_plugins.ati_netft.settings import AtiNetFtSettings
 
 SLOT_BYTES = 1500
@@ -196,35 +195,6 @@ class DatagramSocket:
 _STOPS = 3
 
 
-class Source(Protocol):
-    """One stream of the box, from its start to its end; a new one is made for every start."""
-
-    @property
-    def malformed(self) -> int:
-        """Datagrams that were none of the box's."""
-        ...
-
-    def start(self) -> None:
-        """Ask for the stream; DeviceError if that cannot be."""
-        ...
-
-    def take(self) -> tuple[codec.Records, FloatArray]:
-        """Return what has come since the last time and when, by the run's clock; does not wait."""
-        ...
-
-    def dropped(self) -> int:
-        """Return how many records reached this computer and were lost in it."""
-        ...
-
-    def halt(self) -> None:
-        """Ask for the stream's end; never raises, any thread."""
-        ...
-
-    def close(self) -> None:
-        """Free what it holds; never raises."""
-        ...
-
-
 class BoxSource:
     """The own client: one socket for one stream, so that nothing of an earlier stream can come in between.
 
@@ -289,8 +259,8 @@ class PynetftSource:
     ----------
     device, clock, settings
         Of the driver.
-    info
-        What the box said: the library is given the same calibration, though counts are what is taken from it.
+    rate_hz
+        At which the box sends.
 
     Raises
     ------
@@ -298,7 +268,7 @@ class PynetftSource:
         It is not installed, or asked for what it cannot do.
     """
 
-    def __init__(self, device: str, clock: Clock, settings: AtiNetFtSettings, info: BoxInfo) -> None:
+    def __init__(self, device: str, clock: Clock, settings: AtiNetFtSettings, rate_hz: float) -> None:
         try:
             import pynetft
         except ImportError:
@@ -320,7 +290,7 @@ class PynetftSource:
             sensor_host=settings.host,
             rdt_port=settings.rdt_port,
             http_port=settings.http_port,
-            receive_timeout=max(1e-3 * settings.silence_ms, 5.0 / info.rate_hz),
+            receive_timeout=max(1e-3 * settings.silence_ms, 5.0 / rate_hz),
             deliver_samples_with_error_status=True,
             recovery_policy=pynetft.RecoveryPolicy.FAIL_STOP,
         )
@@ -371,3 +341,7 @@ class PynetftSource:
     def close(self) -> None:
         """End the stream."""
         self.halt()
+
+
+Source = BoxSource | PynetftSource
+"""One stream of the box, from its start to its end; a new one is made for every start."""

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from labrun_plugins.dynamixel.commands import CommandCheck
 from labrun_plugins.dynamixel.control_table import MODELS, Scale, hardware_errors
-from labrun_plugins.dynamixel.driver import Dynamixel, TickClock
+from labrun_plugins.dynamixel.driver import Dynamixel
+from labrun_plugins.dynamixel.servos import TickClock
 from labrun_plugins.dynamixel.settings import DynamixelSettings, Joint
 from labrun_plugins.simulated.dynamixel import SimulatedDynamixel
 
