@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from labrun.devices import (
+    Clock,
     DeviceContext,
     DeviceError,
     DeviceSettings,
