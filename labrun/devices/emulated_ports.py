@@ -33,8 +33,6 @@ class FaultyWire(Generic[Target]):
 
     Parameters
     ----------
-    clock, rng, faults
-        Of the emulator.
     baud
         Bits a second of the wire, ten to a byte: a message arrives when its last byte has; None for no such delay.
 
@@ -132,8 +130,6 @@ class PtyEndpoint:
 
     Parameters
     ----------
-    context
-        Of the emulator.
     name
         Of the link in the context's folder.
     baud
@@ -220,8 +216,6 @@ class UdpEndpoint:
 
     Parameters
     ----------
-    context
-        Of the emulator.
     host, port
         Where it listens; port 0 takes a free one.
     """
@@ -285,8 +279,6 @@ class TcpEndpoint:
 
     Parameters
     ----------
-    context
-        Of the emulator.
     host, port
         Where it listens; port 0 takes a free one.
     """

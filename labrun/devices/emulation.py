@@ -66,8 +66,6 @@ class EmulatorLog:
     ----------
     path
         File that gets the lines; None keeps them in `lines` alone.
-    clock
-        Whose time is noted.
     """
 
     def __init__(self, path: Path | None, clock: Clock) -> None:

@@ -43,17 +43,11 @@ class CommandStream:
 
     Parameters
     ----------
-    clock
-        The run's clock.
-    rate_hz
-        Set-points a second.
     send
         Puts one set-point, shape (joints,), on the wire. Called from the stream's own thread only; what it raises ends
         the stream, and is raised again by `check`.
     idle
         Called every `idle_every_s` while there is nothing to send, to feed the device's watchdog.
-    idle_every_s
-        How often.
     """
 
     def __init__(

@@ -18,12 +18,8 @@ class SerialPort:
 
     Parameters
     ----------
-    device
-        The device's name in the experiment file, for messages.
     port
         For example ``/dev/ttyUSB0``.
-    baud
-        Bits a second.
     timeout_s
         How long `read` waits for the first byte, s.
 

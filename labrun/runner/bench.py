@@ -34,8 +34,6 @@ class SensorWatch:
 
     Parameters
     ----------
-    name
-        The device's name in the file.
     limits
         Bounds on its samples by unit.
     """

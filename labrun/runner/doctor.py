@@ -133,11 +133,6 @@ def examine_rig(rig: Rig) -> Iterator[Remark]:
     """Open each device of a rig in turn, ask it what it is and how it is, listen to it for a second, and close it.
 
     One that fails does not keep the others from being looked at.
-
-    Parameters
-    ----------
-    rig
-        Built, not open.
     """
     ports = {item.name: port_of(item.settings) for item in rig.resolved}
     for name, device in rig.devices.items():

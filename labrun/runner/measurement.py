@@ -283,8 +283,6 @@ def find_outliers(measurement: Measurement, rule: Outliers, default_objective: s
 
     Parameters
     ----------
-    measurement
-        The trials of one condition so far.
     default_objective
         The objective judged where the rule names none.
     """

@@ -176,8 +176,6 @@ class EmulatedBench:
 
     Parameters
     ----------
-    devices
-        The rig's tables, by device.
     scene
         Plugin and settings of the simulated bench.
     seed

@@ -101,8 +101,6 @@ class Rig:
 
         Parameters
         ----------
-        seed
-            Of the scene's and the devices' generators.
         dry_run
             Stand-ins and the scene take the place of hardware.
         emulated

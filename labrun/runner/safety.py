@@ -72,8 +72,6 @@ def stop_all(devices: Mapping[str, Device], beat: Callable[[], object] = lambda:
 
     Parameters
     ----------
-    devices
-        By name.
     beat
         Called while waiting: a stop that hangs is no reason for the watchdog to kill the runner with its data.
 

@@ -99,12 +99,8 @@ class Session:
     ----------
     experiment
         What a trial is, how often it is repeated, what is an outlier.
-    rig
-        Opened.
     folder
         Where trials go; may hold some already.
-    clock
-        All waiting goes through it.
     seed
         Of order and device noise: the same seed gives the same run.
     limit
@@ -117,8 +113,6 @@ class Session:
         Those made for the plan, of the same experiment.
     worn
         Specimens that earlier runs left damaged.
-    taken
-        Called with each trial that was taken.
 
     Raises
     ------

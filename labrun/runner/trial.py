@@ -63,12 +63,8 @@ class TrialRunner:
     ----------
     experiment, bench, folder
         What to do, on what, and where data goes.
-    motions
-        Makes the motion of a condition.
     seed
         Each trial's device noise derives from it and the trial's index.
-    phase
-        Told what is happening now.
     recorder
         How a trial is recorded: its whole motion sent at once, unless something else is asked for.
     person, wait

@@ -168,12 +168,6 @@ class UntilRecorder:
 
     Parameters
     ----------
-    experiment
-        With ``[trial.until]``.
-    rig
-        Its devices, opened.
-    folder
-        Where the run is stored.
     seed
         Of device noise; each stretch has its own.
     phase

@@ -20,11 +20,6 @@ class ArduinoServo(BoardDevice):
 
     A servo does not say where it is: `pose` is where the pulses sent last ask it to be. A channel gives no pulses
     before the first motion; with its first pulse a servo jumps to the beginning of that motion.
-
-    Parameters
-    ----------
-    name, settings, context
-        As for every device.
     """
 
     Settings: ClassVar[type[DeviceSettings]] = ArduinoServoSettings

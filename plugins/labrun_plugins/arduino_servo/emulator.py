@@ -35,10 +35,6 @@ class ServoBoardEmulator(EmulatedBoard):
 
     Parameters
     ----------
-    name, context
-        As for every emulator.
-    kind
-        Of the firmware's HELLO.
     channels
         How many it drives.
     switches

@@ -79,12 +79,6 @@ class ServoBoard:
 
     Parameters
     ----------
-    device
-        The device's name, for messages.
-    settings
-        Of the board.
-    clock
-        The run's clock.
     kind
         What its firmware must say it is.
     windows_us
@@ -327,17 +321,7 @@ _FLASH = "flash firmware/labservo/labservo.ino of the plugin's folder"
 
 
 def examine(name: str, board: ServoBoard, settings: BoardSettings) -> list[Remark]:
-    """Return remarks on firmware, channels, rate and watchdog.
-
-    Parameters
-    ----------
-    name
-        The device's name.
-    board
-        Open.
-    settings
-        Of the board.
-    """
+    """Return remarks on firmware, channels, rate and watchdog."""
     hello, session = board.hello, board.session
     remarks = [
         _firmware(name, hello),
@@ -386,17 +370,7 @@ def _watchdog(name: str, session: LineSession, watchdog_ms: int) -> Remark:
 
 
 class BoardDevice:
-    """Servos behind a board; what they move is for the subclass to say.
-
-    Parameters
-    ----------
-    name
-        The device's name.
-    settings
-        Of the board.
-    board
-        The driver's end of it.
-    """
+    """Servos behind a board; what they move is for the subclass to say."""
 
     kind: ClassVar[str]
     """What its firmware says it is."""

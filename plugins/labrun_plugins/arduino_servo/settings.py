@@ -163,14 +163,8 @@ class Pulses:
 
     Parameters
     ----------
-    device
-        Its name, for messages.
-    tables
-        Joint -> servo.
     channels
         Joint -> channel of the firmware.
-    limits
-        Of the device.
     """
 
     def __init__(

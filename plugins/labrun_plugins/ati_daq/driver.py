@@ -37,16 +37,8 @@ class Reception:
 
     Parameters
     ----------
-    device, clock, settings
-        Of the driver.
-    reader
-        Gives the voltages.
-    calibration
-        Of the sensor.
     rate_hz
         The card's true rate.
-    buffer
-        Gets the samples.
     """
 
     def __init__(

@@ -51,13 +51,7 @@ _NO_CHANNEL = (-200170, -200220)
 
 
 class NidaqmxReader:
-    """Six analogue inputs with a hardware clock.
-
-    Parameters
-    ----------
-    device, clock, settings
-        Of the driver.
-    """
+    """Six analogue inputs with a hardware clock."""
 
     def __init__(self, device: str, clock: Clock, settings: AtiDaqSettings) -> None:
         self._device = device
@@ -212,13 +206,7 @@ _MOST_BYTES = 262_144
 
 
 class SocketReader:
-    """A client of one server.
-
-    Parameters
-    ----------
-    device, clock, settings
-        Of the driver.
-    """
+    """A client of one server."""
 
     def __init__(self, device: str, clock: Clock, settings: AtiDaqSettings) -> None:
         self._device = device

@@ -225,16 +225,8 @@ class Reception:
 
     Parameters
     ----------
-    device, clock, settings
-        Of the driver.
-    source
-        Gives the records.
-    info
-        Units and rate of the box.
     decimation
         Every how many-th record is handed over. All of them are checked.
-    buffer
-        Gets the samples.
     """
 
     def __init__(

@@ -84,10 +84,6 @@ class DatagramSocket:
 
     Parameters
     ----------
-    device
-        Named in errors.
-    clock
-        The run's clock.
     own, box
         Address of this computer to bind to; address and port of the box.
 
@@ -200,8 +196,6 @@ class BoxSource:
 
     Parameters
     ----------
-    device, clock, settings
-        Of the driver.
     own
         Address of this computer to bind to.
     """
@@ -257,8 +251,6 @@ class PynetftSource:
 
     Parameters
     ----------
-    device, clock, settings
-        Of the driver.
     rate_hz
         At which the box sends.
 

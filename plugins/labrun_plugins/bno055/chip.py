@@ -34,12 +34,8 @@ class Chip:
 
     Parameters
     ----------
-    device
-        Its name in the experiment file.
     port
         Open, and read by nobody else during a request.
-    clock
-        All waiting goes through it.
     answer_s
         How long an answer may take, s.
 

@@ -131,12 +131,6 @@ class Sampling:
 
     Parameters
     ----------
-    device, chip, clock
-        Whose readings.
-    buffer
-        Gets the samples.
-    rate_hz
-        Readings a second.
     jump_rad_s
         As of `Plausibility`.
     told

@@ -19,17 +19,7 @@ from labrun_plugins.dynamixel.control_table import REFUSALS, Block, Register, wh
 
 
 class Complaints:
-    """Makes the errors of one bus.
-
-    Parameters
-    ----------
-    device
-        The device's name.
-    baud
-        Bits a second.
-    names
-        Id -> joint.
-    """
+    """Makes the errors of one bus."""
 
     def __init__(self, device: str, baud: int, names: Mapping[int, str]) -> None:
         self._device = device
@@ -45,8 +35,6 @@ class Complaints:
 
         Parameters
         ----------
-        ids
-            Of the servos.
         damaged
             Whether something came that was no answer.
         strangers
@@ -106,12 +94,6 @@ class Bus:
 
     Parameters
     ----------
-    device
-        The device's name, for messages.
-    port, baud
-        Serial port, and bits a second.
-    clock
-        Of the run.
     names
         Id -> joint, for messages.
 

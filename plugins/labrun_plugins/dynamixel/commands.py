@@ -40,8 +40,6 @@ class CommandCheck:
 
     Parameters
     ----------
-    name
-        The device's name, for messages.
     settings
         Its limits, operating mode and rate.
     scales
@@ -297,8 +295,6 @@ def hold(bus: Bus, scales: Mapping[int, Scale], last_rad: FloatArray | None) -> 
 
     Parameters
     ----------
-    bus, scales
-        All servos.
     last_rad : (servos,)
         The last set-point: for a servo that does not say where it is, but may hear.
 

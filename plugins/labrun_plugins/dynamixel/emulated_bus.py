@@ -29,14 +29,10 @@ class EmulatedBus:
 
     Parameters
     ----------
-    servos
-        Who is there.
     mute
         Tells whether a servo does not answer though it hears.
     refuse
         Tells whether a servo answers with an error, though there is no reason.
-    log
-        The witness.
     """
 
     def __init__(

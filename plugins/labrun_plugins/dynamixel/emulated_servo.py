@@ -187,8 +187,6 @@ class EmulatedShaft:
         Of the scene; turned by the servo's angle less `neutral_rad`.
     neutral_rad
         Servo angle at which the joint stands at zero.
-    scene
-        The simulated bench.
     now_s
         Time at which the shaft stands at its neutral angle.
     """
@@ -313,12 +311,6 @@ class EmulatedServo:
 
     Parameters
     ----------
-    joint
-        What it turns, for the log.
-    identity
-        Its id.
-    table, shaft, log
-        Its parts.
     now_s
         When it was switched on.
     """

@@ -28,13 +28,7 @@ _KEPT = 256
 
 
 class DynamixelEmulator:
-    """A bus of XM430-W210, one servo a joint of the settings.
-
-    Parameters
-    ----------
-    name, settings, context
-        As for every emulator.
-    """
+    """A bus of XM430-W210, one servo a joint of the settings."""
 
     def __init__(self, name: str, settings: SimulatedDynamixelSettings, context: EmulatorContext) -> None:
         self._name = name

@@ -28,12 +28,6 @@ class HardenedPort(PortHandler):  # type: ignore[misc]
 
     Parameters
     ----------
-    serial
-        The port, opened elsewhere.
-    baud
-        Bits a second.
-    clock
-        Monotonic.
     patience_s
         How much longer than its time on the wire an answer may take.
 

@@ -97,15 +97,6 @@ _STALE_S = 0.05
 class Measurement:
     """What the servos of one bus said last; any thread.
 
-    Parameters
-    ----------
-    bus
-        Open.
-    ids
-        Of all servos, in the file's order.
-    clock
-        Of the run.
-
     Attributes
     ----------
     device_s
@@ -200,13 +191,7 @@ _QUIET_S = 0.015
 
 
 class DynamixelServos:
-    """A bus of X-series servos in position or extended position mode.
-
-    Parameters
-    ----------
-    name, settings, context
-        As for every device.
-    """
+    """A bus of X-series servos in position or extended position mode."""
 
     Settings: ClassVar[type[DeviceSettings]] = DynamixelSettings
 

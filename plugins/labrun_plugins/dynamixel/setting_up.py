@@ -256,8 +256,6 @@ def health(bus: Bus, servos: Sequence[Servo], *, energised: bool) -> Health:
 
     Parameters
     ----------
-    bus, servos
-        Whom to ask.
     energised
         Whether their torque should be on.
 

@@ -316,10 +316,6 @@ class EmulatedBoard:
 
     Parameters
     ----------
-    name
-        The device's name.
-    context
-        Of the emulator.
     boot_s
         How long it takes from a reset to its banner.
     """

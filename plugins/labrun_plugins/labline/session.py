@@ -39,8 +39,6 @@ class LineRefusedError(DeviceError):
 
     Parameters
     ----------
-    device
-        Its name in the experiment file.
     word
         What it was asked.
     code, detail
@@ -90,11 +88,6 @@ class Answers:
 
     No lock guards them: a stop must not wait for a thread that a signal interrupted while it held one. Every single
     operation on numbers and table is atomic.
-
-    Parameters
-    ----------
-    clock
-        The run's clock.
 
     Attributes
     ----------
@@ -194,12 +187,6 @@ class LineSession:
 
     Parameters
     ----------
-    device
-        The device's name in the experiment file, for messages.
-    port
-        Serial port.
-    clock
-        The run's clock.
     boot_wait_s
         How long `open` waits for the board to come up; 0 for one that opening its port does not reset.
     on_sample, on_event

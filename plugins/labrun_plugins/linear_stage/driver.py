@@ -170,15 +170,6 @@ class LinearStage:
 
     Position and force come latched together from the board, with its number and its microseconds. Positions are
     displacements from `zero_mm`, m; raw counts are a channel of their own.
-
-    Parameters
-    ----------
-    name
-        Its name in the experiment file.
-    settings
-        Its table of the experiment file.
-    context
-        Clock of the run.
     """
 
     Settings: ClassVar[type[DeviceSettings]] = LinearStageSettings

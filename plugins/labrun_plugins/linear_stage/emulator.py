@@ -223,15 +223,6 @@ class LinearStageEmulator(EmulatedBoard):
     the flag, which the driver has to notice), ``overload`` (so many N more on the cell), ``not-ready`` (the amplifier
     gives nothing), ``end-switch`` ("low" or "high" reads as pressed), ``jam`` (steps without a way), ``wrap`` (the
     microseconds wrap so many seconds from now), ``skip`` (so many samples are left out).
-
-    Parameters
-    ----------
-    name
-        The device's name.
-    settings
-        Of its stand-in.
-    context
-        Of the emulator.
     """
 
     def __init__(self, name: str, settings: SimulatedLinearStageSettings, context: EmulatorContext) -> None:

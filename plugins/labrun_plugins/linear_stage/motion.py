@@ -28,14 +28,6 @@ class StageMotion:
 
     Parameters
     ----------
-    device
-        The device's name, for messages.
-    settings
-        Of the stage.
-    clock
-        The run's clock.
-    session
-        The line to the board.
     state
         Asks the board for its state.
     """

@@ -217,8 +217,6 @@ class Reception:
 
     Parameters
     ----------
-    device
-        The device's name, for messages.
     line
         Calibration; None leaves the column of the force out.
     zero_mm

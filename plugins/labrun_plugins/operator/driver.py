@@ -54,10 +54,6 @@ class Operator:
     ----------
     name
         Its name in the experiment file, which is that of its joint.
-    settings
-        Its table of the experiment file.
-    context
-        Clock of the run.
     terminal
         Where the person sits; this process's own unless given.
     """

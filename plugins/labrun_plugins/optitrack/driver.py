@@ -117,17 +117,7 @@ _QUIET_S = 1.0
 
 
 class OptiTrack:
-    """Rigid bodies, joint angles and markers as Motive streams them.
-
-    Parameters
-    ----------
-    name
-        Its name in the experiment file.
-    settings
-        Its table of the experiment file.
-    context
-        Clock of the run.
-    """
+    """Rigid bodies, joint angles and markers as Motive streams them."""
 
     Settings: ClassVar[type[DeviceSettings]] = OptiTrackSettings
 

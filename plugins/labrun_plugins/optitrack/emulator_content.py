@@ -26,13 +26,7 @@ _POSE = 7
 
 
 class EmulatedCapture:
-    """Bodies as the stand-in measures them, under numbers of their own, among other things.
-
-    Parameters
-    ----------
-    name, settings, context
-        Of the emulator.
-    """
+    """Bodies as the stand-in measures them, under numbers of their own, among other things."""
 
     def __init__(self, name: str, settings: SimulatedOptiTrackSettings, context: EmulatorContext) -> None:
         self._faults = context.faults

@@ -26,15 +26,7 @@ Answer = TypeVar("Answer")
 
 
 class Handshake:
-    """Questions and answers before the first sample.
-
-    Parameters
-    ----------
-    device, settings, clock
-        As of the session.
-    session
-        New.
-    """
+    """Questions and answers before the first sample."""
 
     def __init__(self, device: str, settings: OptiTrackSettings, clock: Clock, session: Session) -> None:
         self._device = device

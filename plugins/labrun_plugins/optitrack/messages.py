@@ -19,11 +19,6 @@ class Malformed(ValueError):  # noqa: N818  what arrived is not what it claims t
 class Cursor:
     """A place in a payload that only moves on.
 
-    Parameters
-    ----------
-    data
-        The payload.
-
     Raises
     ------
     Malformed

@@ -164,10 +164,6 @@ class Link:
 
     Parameters
     ----------
-    device
-        Its name in the experiment file.
-    clock
-        Gives the times of arrival.
     server, port
         IPv4 address of the server, and its command port.
     local
@@ -307,15 +303,6 @@ _DOUBT_S = 1.0
 
 class Session:
     """Talks to one server.
-
-    Parameters
-    ----------
-    device
-        Its name in the experiment file.
-    settings
-        Its table of the experiment file.
-    clock
-        The run's clock.
 
     Attributes
     ----------

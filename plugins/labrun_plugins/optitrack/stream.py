@@ -46,11 +46,6 @@ class FrameOrder:
     then they are lost. A number that fits neither the count nor the clock begins a new count if the next frame goes on
     from it, and is dropped as garbage if not.
 
-    Parameters
-    ----------
-    rate_hz
-        Frames a second.
-
     Attributes
     ----------
     stale
@@ -185,13 +180,7 @@ class Unseen:
 
 
 class PoseReader:
-    """Makes samples of frames.
-
-    Parameters
-    ----------
-    settings
-        What is asked for.
-    """
+    """Makes samples of frames."""
 
     def __init__(self, settings: OptiTrackSettings) -> None:
         self.channels = channels_of(settings)
@@ -255,16 +244,10 @@ class PoseStream:
 
     Parameters
     ----------
-    device
-        Its name in the experiment file.
     session, reader
         Where frames come from, and what makes samples of them.
-    rate_hz
-        Frames a second.
     lost_tracking_s
         How long a body may be lost.
-    clock
-        The run's clock.
 
     Attributes
     ----------

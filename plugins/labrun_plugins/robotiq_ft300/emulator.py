@@ -46,8 +46,6 @@ class ModbusSlave:
 
     Parameters
     ----------
-    slave_id
-        Its address.
     value
         Reads one register, 0 ... 65535; raises Refusal.
     set_value

@@ -31,14 +31,8 @@ class Registers:
 
     Parameters
     ----------
-    device
-        Its name in the experiment file.
     port
         Open, and read by nobody else during a request.
-    clock
-        For time-outs.
-    slave_id
-        Whose registers.
     answer_s
         How long an answer may take, s.
     tries
@@ -200,14 +194,6 @@ class Link:
 
     Parameters
     ----------
-    device
-        Its name in the experiment file.
-    port
-        Its serial port.
-    clock
-        All waiting goes through it.
-    slave_id
-        Its Modbus address.
     answer_s, tries
         As of `Registers`.
     """

@@ -68,10 +68,6 @@ class Reception:
 
     Parameters
     ----------
-    device, port, clock
-        Whose stream, and by what clock it is stamped.
-    buffer
-        Gets the samples.
     baud
         How fast bytes follow one another on the line: frames that are read at once ended that long before.
     silence_s
@@ -185,19 +181,7 @@ class Reception:
 
 
 class Polling:
-    """Reads the wrench register by register request, again and again; the same part as `Reception`.
-
-    Parameters
-    ----------
-    registers
-        Of the sensor.
-    clock
-        For the pace and the time stamps.
-    buffer
-        Gets the samples.
-    rate_hz
-        Readings a second.
-    """
+    """Reads the wrench register by register request, again and again; the same part as `Reception`."""
 
     def __init__(self, registers: Registers, clock: Clock, buffer: SampleBuffer, rate_hz: float) -> None:
         self._registers = registers

@@ -61,17 +61,7 @@ class SimulatedSettings(DeviceSettings):
 
 
 class SimulatedDevice:
-    """A device that exists only in a dry run.
-
-    Parameters
-    ----------
-    name
-        Its name in the experiment file.
-    settings
-        Its table of the experiment file.
-    context
-        Clock, generator and scene of the run.
-    """
+    """A device that exists only in a dry run."""
 
     model: ClassVar[str] = "simulated device"
 

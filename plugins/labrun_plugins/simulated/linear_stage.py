@@ -26,13 +26,7 @@ class SimulatedLinearStageSettings(LinearStageSettings, SimulatedSettings):
 
 
 class LoadCell:
-    """A load cell with its amplifier, as its calibration describes it.
-
-    Parameters
-    ----------
-    settings
-        Of the stage.
-    """
+    """A load cell with its amplifier, as its calibration describes it."""
 
     def __init__(self, settings: LinearStageSettings) -> None:
         self.line = settings.calibration.line if settings.calibration is not None else _USUAL_CELL

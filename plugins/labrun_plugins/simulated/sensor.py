@@ -175,8 +175,6 @@ class SimulatedSensor(SimulatedDevice, ABC):
 
     Parameters
     ----------
-    name, settings, context
-        As for every device.
     channels
         What it measures.
     rate_hz

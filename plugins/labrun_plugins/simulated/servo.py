@@ -129,8 +129,6 @@ class SimulatedJoints(SimulatedDevice):
 
     Parameters
     ----------
-    name, settings, context
-        As for every device.
     signs
         Joint -> +1 or -1: a servo with sign -1 turns its joint of the bench against the commanded sense.
     shaft

@@ -24,8 +24,6 @@ class Connection:
 
     Parameters
     ----------
-    device
-        Name in the experiment file.
     service
         What a person calls it.
     host, port

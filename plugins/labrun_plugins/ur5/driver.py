@@ -170,11 +170,6 @@ class Ur5:
 
     Motion is one ``movel`` per `travel`, sent as a short program to the script port; the state comes by RTDE, in a
     thread that never stops reading. The controller itself ends a move when this process falls silent.
-
-    Parameters
-    ----------
-    name, settings, context
-        As for every device.
     """
 
     Settings: ClassVar[type[DeviceSettings]] = Ur5Settings

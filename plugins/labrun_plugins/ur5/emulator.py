@@ -296,11 +296,6 @@ class Ur5Emulator:
 
     A loopback address other than 127.0.0.1 as the device's `host` is taken as it is, with the ports of the settings;
     otherwise the ports are free ones of 127.0.0.1.
-
-    Parameters
-    ----------
-    name, settings, context
-        As of every emulator.
     """
 
     def __init__(self, name: str, settings: SimulatedUr5Settings, context: EmulatorContext) -> None:

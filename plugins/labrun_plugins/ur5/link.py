@@ -26,10 +26,6 @@ class Tracking:
 
     Parameters
     ----------
-    device
-        Name in the experiment file.
-    rtde
-        The open stream.
     buffer
         Gets the samples while `streaming`.
     tool_channels
@@ -153,12 +149,8 @@ class Link:
 
     Parameters
     ----------
-    device, settings
-        Name and table in the experiment file.
     clock
         Host time.
-    buffer
-        Gets the samples.
 
     Attributes
     ----------

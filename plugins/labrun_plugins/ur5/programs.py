@@ -31,15 +31,7 @@ _HINT = "the arm may have been switched to local control, which closes this serv
 
 
 class Dashboard:
-    """The dashboard server of the controller.
-
-    Parameters
-    ----------
-    device, settings
-        Name and table in the experiment file.
-    clock
-        For the time limits.
-    """
+    """The dashboard server of the controller."""
 
     def __init__(self, device: str, settings: Ur5Settings, clock: Clock) -> None:
         self._device = device
@@ -200,11 +192,6 @@ class Programs:
     """Both text ports of the controller.
 
     The script port is opened anew for each program: a connection from before a switch to remote control stays deaf.
-
-    Parameters
-    ----------
-    device, settings
-        Name and table in the experiment file.
     """
 
     def __init__(self, device: str, settings: Ur5Settings) -> None:
@@ -231,8 +218,6 @@ class Programs:
 
         Parameters
         ----------
-        program
-            Its text.
         wanted
             Asked right before the text leaves: a stop that came in between wins.
 

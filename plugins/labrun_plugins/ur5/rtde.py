@@ -230,8 +230,6 @@ class RtdeClient:
 
     Parameters
     ----------
-    device, settings
-        Name and table in the experiment file.
     clock
         Host time.
 

@@ -72,8 +72,6 @@ def fit_hinge_maps(
     job
         Its model states the body, with the names of conditions in its equations; its runs' conditions name
         ``width_mm``, ``length_mm`` and ``area_cm2``.
-    stated
-        Sizes that conditions do not name.
     way
         Which estimate of each release: "simulation" or "fourier".
 
