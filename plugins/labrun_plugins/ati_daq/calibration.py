@@ -7,6 +7,7 @@ refers to the calibrated origin; ``BasicTransform`` says where that is and is no
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -78,9 +79,9 @@ def parse(data: bytes) -> Calibration:
         root = strict_xml.parse(data, MOST_BYTES)
     except strict_xml.XmlRefusedError as error:
         raise CalibrationError(f"it is no XML of a calibration: {error}") from None
-    if root.name.lower() != "ftsensor":
-        raise CalibrationError(f"it begins with <{root.name[:40]}>, a calibration with <FTSensor>")
-    calibrations = root.find_all("Calibration")
+    if root.tag.lower() != "ftsensor":
+        raise CalibrationError(f"it begins with <{root.tag[:40]}>, a calibration with <FTSensor>")
+    calibrations = strict_xml.find_all(root, "Calibration")
     if len(calibrations) != 1:
         raise CalibrationError(f"it holds {len(calibrations)} calibrations, one is expected")
     told = _told(root, calibrations[0])
@@ -101,14 +102,14 @@ def parse(data: bytes) -> Calibration:
     return Calibration(matrix, maximum, told)
 
 
-def _attribute(element: strict_xml.Element, name: str) -> str | None:
-    found = [value for key, value in element.attributes.items() if key.lower() == name.lower()]
+def _attribute(element: Element, name: str) -> str | None:
+    found = [value for key, value in element.items() if key.lower() == name.lower()]
     if len(found) > 1:
-        raise CalibrationError(f"<{element.name}> gives {name} {len(found)} times")
+        raise CalibrationError(f"<{element.tag}> gives {name} {len(found)} times")
     return found[0] if found else None
 
 
-def _told(root: strict_xml.Element, calibration: strict_xml.Element) -> dict[str, str]:
+def _told(root: Element, calibration: Element) -> dict[str, str]:
     told = {}
     for name in _TOLD:
         for element in (root, calibration):
@@ -117,10 +118,8 @@ def _told(root: strict_xml.Element, calibration: strict_xml.Element) -> dict[str
                 if len(value) > _LONGEST_TEXT or not value.isprintable():
                     raise CalibrationError(f"{name} is no text of up to {_LONGEST_TEXT} letters")
                 told[name] = value
-    for element in calibration.find_all("BasicTransform"):
-        values = (
-            f"{key} {value[:20]}" for key, value in sorted(element.attributes.items()) if value.isprintable()
-        )
+    for element in strict_xml.find_all(calibration, "BasicTransform"):
+        values = (f"{key} {value[:20]}" for key, value in sorted(element.items()) if value.isprintable())
         told["BasicTransform"] = ", ".join(values)[:_LONGEST_TEXT]
     return told
 
@@ -135,9 +134,9 @@ def _unit(told: dict[str, str], name: str) -> float:
     return value
 
 
-def _axes(calibration: strict_xml.Element) -> dict[str, strict_xml.Element]:
-    axes: dict[str, strict_xml.Element] = {}
-    for element in calibration.find_all("Axis"):
+def _axes(calibration: Element) -> dict[str, Element]:
+    axes: dict[str, Element] = {}
+    for element in strict_xml.find_all(calibration, "Axis"):
         name = (_attribute(element, "Name") or "").lower()
         if name not in AXES or name in axes:
             raise CalibrationError(f"axis {name[:20]!r} is given twice, or is none of Fx, Fy, Fz, Tx, Ty, Tz")
@@ -148,7 +147,7 @@ def _axes(calibration: strict_xml.Element) -> dict[str, strict_xml.Element]:
     return axes
 
 
-def _row(axis: strict_xml.Element, name: str) -> list[float]:
+def _row(axis: Element, name: str) -> list[float]:
     values = [_number(text, name, "values") for text in (_attribute(axis, "values") or "").split()]
     if len(values) != GAUGES:
         raise CalibrationError(f"axis {name.capitalize()} has {len(values)} values, {GAUGES} are expected")
@@ -156,7 +155,7 @@ def _row(axis: strict_xml.Element, name: str) -> list[float]:
     return [value / scale for value in values]
 
 
-def _positive(axis: strict_xml.Element, attribute: str, name: str) -> float:
+def _positive(axis: Element, attribute: str, name: str) -> float:
     value = _number(_attribute(axis, attribute) or "", name, attribute)
     if not value > 0.0:
         raise CalibrationError(f"{attribute} of axis {name.capitalize()} is {value:g}; it should be above 0")

@@ -8,6 +8,7 @@ import socket
 import threading
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,17 +102,17 @@ def parse(data: bytes) -> BoxInfo:
     )
 
 
-def _optional(root: strict_xml.Element, name: str) -> str:
-    found = root.find_all(name)
+def _optional(root: Element, name: str) -> str:
+    found = strict_xml.find_all(root, name)
     if len(found) > 1:
         raise BoxInfoError(f"netftapi2.xml gives {name} {len(found)} times")
-    text = found[0].text if found else ""
+    text = (found[0].text or "").strip() if found else ""
     if len(text) > _LONGEST_TEXT or not text.isprintable():
         raise BoxInfoError(f"{name} of netftapi2.xml is no text of up to {_LONGEST_TEXT} letters")
     return text
 
 
-def _required(root: strict_xml.Element, name: str) -> str:
+def _required(root: Element, name: str) -> str:
     text = _optional(root, name)
     if not text:
         raise BoxInfoError(f"netftapi2.xml does not give {name}")
@@ -128,7 +129,7 @@ def _number(name: str, text: str) -> float:
     return value
 
 
-def _counts(root: strict_xml.Element, name: str) -> float:
+def _counts(root: Element, name: str) -> float:
     value = _number(name, _required(root, name))
     if not value > 0.0:
         raise BoxInfoError(f"{name} = {value:g} counts per unit is not above 0")
