@@ -281,7 +281,6 @@ def test_a_port_that_is_not_there_is_told_with_what_to_do():
 
 def test_no_part_of_the_emulator_is_the_drivers():
     folder = Path(LinearStage.probe.__code__.co_filename).parent
-    for module in ("emulator.py", "emulated_axis.py"):
-        text = (folder / module).read_text(encoding="utf-8")
-        for own in ("linear_stage.codec", "linear_stage.reception", "labline.codec"):
-            assert own not in text
+    text = (folder / "emulator.py").read_text(encoding="utf-8")
+    for own in ("linear_stage.reception", "linear_stage.motion", "labline.codec", "labline.session"):
+        assert own not in text
