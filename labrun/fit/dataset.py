@@ -90,9 +90,11 @@ class FitTrial:
 
     def first(self, samples: int) -> "FitTrial":
         """Return its beginning."""
-        return replace(
-            self, time_s=self.time_s[:samples], inputs=self.inputs[:samples], outputs=self.outputs[:samples]
-        )
+        return self.kept(slice(0, samples))
+
+    def kept(self, rows: slice) -> "FitTrial":
+        """Return some of its samples."""
+        return replace(self, **{key: getattr(self, key)[rows] for key in ("time_s", "inputs", "outputs")})
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,14 +138,10 @@ class Dataset:
 
 
 def load_dataset(target: Path, model: Ports, signals: Mapping[str, str] | None = None) -> Dataset:
-    """Load a recording folder or a recorded run for a model.
+    """Load a recording folder, a run folder or a run.h5 for a model, whose ports are looked for by name.
 
     Parameters
     ----------
-    target
-        A recording folder, a run folder or a run.h5.
-    model
-        Its inputs and outputs are looked for by name.
     signals
         Which recorded channel is which input or output of the model, where their names differ: for a run
         ``"device.channel"`` or ``"command.joint"``, for a recording the name of a channel.
@@ -176,13 +174,6 @@ def _from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset
     the end of the trial count, and where something is commanded the last one before the start. A trial that went on
     until something happened is as many trials as cycles whose samples were kept, each from its own beginning, with its
     number (from 0) as the condition ``cycle``.
-
-    Raises
-    ------
-    RequestError
-        A signal that names no device or channel of the run.
-    FitError
-        No trial left to fit.
     """
     run = open_run(target)
     channels = imported_channels(run.experiment_toml)
@@ -197,13 +188,14 @@ def _from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset
             port.name: _find(port, measured, signals, target) for port in (*model.inputs, *model.outputs)
         }
         trials += _run_trials(outcome, model, measured, sources, whole=bool(channels))
-        inputs = tuple(_info(port, measured, sources, channels) for port in model.inputs)
-        outputs = tuple(_info(port, measured, sources, channels) for port in model.outputs)
+        inputs, outputs = (
+            tuple(_info(port, measured, sources, channels) for port in ports)
+            for ports in (model.inputs, model.outputs)
+        )
     if not trials:
         what = f"all {left_out} of its trials were rejected or failed" if left_out else "it has no trials yet"
-        raise FitError(
-            f"nothing to fit in {target}: {what}", hint="labrun show tells why trials were rejected"
-        )
+        hint = "labrun show tells why trials were rejected"
+        raise FitError(f"nothing to fit in {target}: {what}", hint=hint)
     return Dataset(run.name, target, "run", inputs, outputs, tuple(trials), left_out)
 
 
@@ -234,10 +226,7 @@ def thinned(data: Dataset, rate_hz: float | None = None, until_s: float | None =
         since_s = trial.time_s - trial.time_s[0]
         samples = len(since_s) if until_s is None else int(np.searchsorted(since_s, until_s, side="right"))
         every = 1 if rate_hz is None else max(round(1.0 / (rate_hz * float(np.median(np.diff(since_s))))), 1)
-        kept = slice(0, max(samples, 2), every)
-        return replace(
-            trial, time_s=trial.time_s[kept], inputs=trial.inputs[kept], outputs=trial.outputs[kept]
-        )
+        return trial.kept(slice(0, max(samples, 2), every))
 
     said = [
         "" if until_s is None else f"up to {until_s:g} s",
@@ -279,9 +268,8 @@ def _run_trials(
         return np.column_stack(columns) if columns else np.empty((len(at_s), 0))
 
     def made(at_s: FloatArray, begin_s: float, condition: Mapping[str, float | str]) -> FitTrial:
-        label = condition_text(condition)
         return FitTrial(
-            f"trial {outcome.index}: {label}" if label else f"trial {outcome.index}",
+            f"trial {outcome.index}: {condition_text(condition)}".rstrip(": "),
             condition,
             outcome.repeat,
             at_s - begin_s,
@@ -349,8 +337,8 @@ def _info(
 
 def _from_recording(recording: Recording, source: Path, model: Ports, signals: Mapping[str, str]) -> Dataset:
     """Return the trials of a recording for a model."""
-    inputs = _columns(model.inputs, recording.inputs, "input", signals, source)
-    outputs = _columns(model.outputs, recording.outputs, "output", signals, source)
+    inputs, named_inputs = _columns(model.inputs, recording.inputs, "input", signals, source)
+    outputs, named_outputs = _columns(model.outputs, recording.outputs, "output", signals, source)
     trials = []
     for trial in recording.trials:
         label = condition_text(trial.condition) or trial.source_file.stem
@@ -366,32 +354,23 @@ def _from_recording(recording: Recording, source: Path, model: Ports, signals: M
                 trial.source_file,
             )
         )
-    return Dataset(
-        recording.name,
-        source,
-        "recording",
-        _named(model.inputs, [recording.inputs[index] for index in inputs]),
-        _named(model.outputs, [recording.outputs[index] for index in outputs]),
-        tuple(trials),
-    )
+    return Dataset(recording.name, source, "recording", named_inputs, named_outputs, tuple(trials))
 
 
 def _columns(
     ports: Sequence[Port], channels: Sequence[SignalInfo], kind: str, signals: Mapping[str, str], source: Path
-) -> list[int]:
+) -> tuple[list[int], tuple[SignalInfo, ...]]:
+    """Return which channel each port is, and what is known of it under the port's name."""
     names = [channel.name for channel in channels]
     found = []
     for port in ports:
         wanted = signals.get(port.name, port.name)
         if wanted not in names:
             near = get_close_matches(wanted, names, n=1)
-            hint = (
-                f"did you mean {near[0]!r}?"
-                if near
-                else f"its {kind} channels are {', '.join(names) or 'none'}"
-            )
+            listed = f"its {kind} channels are {', '.join(names) or 'none'}"
             raise RequestError(
-                f"the model's {kind} {port.name!r} is no {kind} channel of {source}", hint=hint
+                f"the model's {kind} {port.name!r} is no {kind} channel of {source}",
+                hint=f"did you mean {near[0]!r}?" if near else listed,
             )
         index = names.index(wanted)
         if port.unit not in ("", "1") and port.unit != channels[index].unit:
@@ -401,8 +380,5 @@ def _columns(
                 hint="say the same unit in the model and in recording.toml, converting the numbers of one of them",
             )
         found.append(index)
-    return found
-
-
-def _named(ports: Sequence[Port], channels: Sequence[SignalInfo]) -> tuple[SignalInfo, ...]:
-    return tuple(replace(channel, name=port.name) for port, channel in zip(ports, channels, strict=True))
+    named = zip(ports, found, strict=True)
+    return found, tuple(replace(channels[index], name=port.name) for port, index in named)

@@ -148,14 +148,10 @@ def load_signals(
     where: Mapping[str, float | str] | None = None,
     rate_hz: float | None = None,
 ) -> SignalSet:
-    """Load signals of a run or a recording.
+    """Load signals, by the name the fit gives them, of a recording folder, a run folder or a run.h5.
 
     Parameters
     ----------
-    target
-        A recording folder, a run folder or a run.h5.
-    wanted
-        Signals by the name the fit gives them.
     where
         Only trials whose condition has these values.
     rate_hz
@@ -168,20 +164,17 @@ def load_signals(
     FitError
         No trial is left, or one is too short.
     """
-    run = open_run(target)
-    recorded = is_recording(target)
-    imported = bool(imported_channels(run.experiment_toml))
-    experiment = (
-        None if imported else loads_experiment(run.experiment_toml, run.name, plugins=False).experiment
-    )
-    only = dict(where or {})
+    run, recorded, only = open_run(target), is_recording(target), dict(where or {})
+    experiment = None
+    if not imported_channels(run.experiment_toml):
+        experiment = loads_experiment(run.experiment_toml, run.name, plugins=False).experiment
     here = [one for one in run.outcomes if all(one.condition.get(name) == only[name] for name in only)]
     accepted = [one for one in here if one.status == "done"]
     trials: list[SignalTrial] = []
     units: dict[str, str] = {}
     for outcome in accepted:
-        channels = _Channels(outcome, run.measured(outcome.index), experiment, target, bare=recorded)
-        trial, units = _trial(channels, wanted, rate_hz)
+        channels = _Channels(outcome, run.measured(outcome.index), experiment, target, recorded)
+        trial, units = channels.trial(wanted, rate_hz)
         trials.append(trial)
     if not trials:
         why = "no accepted trial" if here else "no trial"
@@ -202,6 +195,7 @@ def trailing_mean(values: FloatArray, samples: int) -> FloatArray:
     return np.asarray((total[last] - total[first]) / (last - first))
 
 
+@dataclass(frozen=True, slots=True)
 class _Channels:
     """The channels of one trial on an even time base.
 
@@ -209,47 +203,86 @@ class _Channels:
     last.
     """
 
-    def __init__(
-        self,
-        outcome: TrialOutcome,
-        measured: Mapping[str, Signals],
-        experiment: Experiment | None,
-        target: Path,
-        *,
-        bare: bool,
-    ) -> None:
-        self.outcome = outcome
-        self.bare = bare
-        self.label = f"trial {outcome.index}: {condition_text(outcome.condition)}".rstrip(": ")
-        self._experiment = experiment
-        self._target = target
-        self._measured = measured
-        self._known = {
-            column if bare else f"{device}.{column}": (device, column)
-            for device, signals in measured.items()
-            for column in signals.columns
-        }
+    outcome: TrialOutcome
+    measured: Mapping[str, Signals]
+    experiment: Experiment | None
+    target: Path
+    bare: bool
 
-    def time_base(self, wanted: Mapping[str, SignalTable], rate_hz: float | None) -> FloatArray:
+    @property
+    def label(self) -> str:
+        return f"trial {self.outcome.index}: {condition_text(self.outcome.condition)}".rstrip(": ")
+
+    def trial(
+        self, wanted: Mapping[str, SignalTable], rate_hz: float | None
+    ) -> tuple[SignalTrial, dict[str, str]]:
+        """Return the trial with the wanted signals, and their units."""
+        outcome, time_s = self.outcome, self._time_base(wanted, rate_hz)
+        values, units = {}, {}
+        for name, table in wanted.items():
+            values[name], unit = self._signal(table, time_s)
+            units[name] = table.unit(unit)
+        repeat = outcome.repeat + 1 if self.bare else outcome.repeat  # recordings count from 1
+        named = (self.label, outcome.condition, repeat)
+        return SignalTrial(*named, time_s, values, outcome.period_s, outcome.mounting), units
+
+    def _time_base(self, wanted: Mapping[str, SignalTable], rate_hz: float | None) -> FloatArray:
         """Return times at the given rate, or that of the first wanted device that was measured."""
         devices = [one.channel.partition(".")[0] for one in wanted.values()]
-        measured = [self._measured[one] for one in devices if one in self._measured and one != COMMAND]
-        found = [one for one in self._measured.values() if len(one)] if self.bare else self._measured.values()
-        base = measured[0] if measured else next(iter(found))
+        measured = [self.measured[one] for one in devices if one in self.measured and one != COMMAND]
+        found = [one for one in self.measured.values() if len(one) or not self.bare]
+        base = (measured or found)[0]
         start_s = float(base.time_s[0]) if self.bare else 0.0
         end_s = self.outcome.duration_s if self.outcome.duration_s > 0 else float(base.time_s[-1])
-        return _even(start_s, end_s, rate_hz or base.rate_hz, self.label)
+        rate_hz = rate_hz or base.rate_hz
+        count = int((end_s - start_s) * rate_hz * (1 + _EVEN)) + 1
+        if count < 2:
+            lasting = f"{end_s - start_s:.3g} s at {rate_hz:.3g} Hz"
+            raise FitError(f"{self.label} is too short to be fitted: {lasting}")
+        return start_s + np.arange(count) / rate_hz
 
-    def at(self, name: str, time_s: FloatArray) -> Channel:
+    def _signal(self, table: SignalTable, time_s: FloatArray) -> Channel:
+        parts, unit = [], ""
+        for name, scale in zip(table.channels, (table.scale, table.side_scale), strict=False):
+            values, named = self._at(name, time_s)
+            unit = unit or named
+            values = values * scale / (table.divide_by_m or 1.0)
+            if table.average == "cycle":
+                period_s = self.outcome.period_s
+                if period_s is None:
+                    raise RequestError(
+                        f"{name} cannot be averaged over a cycle: the gait of {self.label} has none",
+                        hint='give the gait a frequency_hz, or use average = "none"',
+                    )
+                values = trailing_mean(values, max(1, round(period_s / float(time_s[1] - time_s[0]))))
+            parts.append(values)
+        if table.take == "magnitude":
+            return np.hypot(*parts), unit
+        if table.take == "direction":
+            return np.degrees(np.arctan2(parts[1], parts[0])), unit
+        return parts[0], unit
+
+    def _at(self, name: str, time_s: FloatArray) -> Channel:
         """Return a channel at these times, with its unit."""
         device, _, part = name.partition(".")
-        if device == GAIT and self._experiment is not None:
-            return _gait_value(self._experiment, self.outcome.condition, part, time_s)
-        if name not in self._known:
-            hint = suggest(name, self._known, kind="recorded channels")
-            raise RequestError(f"no channel {name!r} in {self._target}", hint=hint)
-        device, column = self._known[name]
-        signal = self._measured[device].signal(column)
+        if device == GAIT and self.experiment is not None:
+            gait = resolve(self.experiment.gait.let, {**self.outcome.condition, "t": time_s})
+            value = gait.get(part)
+            if value is None or isinstance(value, str) or part == "t":
+                hint = suggest(f"gait.{part}", [f"gait.{one}" for one in gait if one != "t"], kind="parts")
+                raise RequestError(f"the gait and its conditions have no number named {part!r}", hint=hint)
+            along = np.broadcast_to(np.asarray(value, dtype=float), time_s.shape).copy()
+            return along, self.experiment.units.get(part, "1")
+        known = {
+            column if self.bare else f"{own}.{column}": (own, column)
+            for own, signals in self.measured.items()
+            for column in signals.columns
+        }
+        if name not in known:
+            hint = suggest(name, known, kind="recorded channels")
+            raise RequestError(f"no channel {name!r} in {self.target}", hint=hint)
+        own, column = known[name]
+        signal = self.measured[own].signal(column)
         finite = np.isfinite(signal.values)
         if np.count_nonzero(finite) < 2:
             raise FitError(
@@ -257,62 +290,3 @@ class _Channels:
                 hint="mark the trial rejected, or measure again",
             )
         return np.interp(time_s, signal.time_s[finite], signal.values[finite]), signal.unit
-
-
-def _trial(
-    channels: _Channels, wanted: Mapping[str, SignalTable], rate_hz: float | None
-) -> tuple[SignalTrial, dict[str, str]]:
-    outcome = channels.outcome
-    time_s = channels.time_base(wanted, rate_hz)
-    values, units = {}, {}
-    for name, table in wanted.items():
-        values[name], unit = _signal(table, channels, time_s)
-        units[name] = table.unit(unit)
-    repeat = outcome.repeat + 1 if channels.bare else outcome.repeat  # recordings count from 1
-    trial = SignalTrial(
-        channels.label, outcome.condition, repeat, time_s, values, outcome.period_s, outcome.mounting
-    )
-    return trial, units
-
-
-def _signal(table: SignalTable, channels: _Channels, time_s: FloatArray) -> Channel:
-    parts, unit = [], ""
-    for name, scale in zip(table.channels, (table.scale, table.side_scale), strict=False):
-        values, named = channels.at(name, time_s)
-        unit = unit or named
-        values = values * scale / (table.divide_by_m or 1.0)
-        if table.average == "cycle":
-            if channels.outcome.period_s is None:
-                raise RequestError(
-                    f"{name} cannot be averaged over a cycle: the gait of {channels.label} has none",
-                    hint='give the gait a frequency_hz, or use average = "none"',
-                )
-            values = trailing_mean(
-                values, max(1, round(channels.outcome.period_s / float(time_s[1] - time_s[0])))
-            )
-        parts.append(values)
-    if table.take == "magnitude":
-        return np.hypot(*parts), unit
-    if table.take == "direction":
-        return np.degrees(np.arctan2(parts[1], parts[0])), unit
-    return parts[0], unit
-
-
-def _gait_value(
-    experiment: Experiment, condition: Mapping[str, float | str], name: str, time_s: FloatArray
-) -> Channel:
-
-    known = resolve(experiment.gait.let, {**condition, "t": time_s})
-    value = known.get(name)
-    if value is None or isinstance(value, str) or name == "t":
-        hint = suggest(f"gait.{name}", [f"gait.{one}" for one in known if one != "t"], kind="parts")
-        raise RequestError(f"the gait and its conditions have no number named {name!r}", hint=hint)
-    unit = experiment.units.get(name, "1")
-    return np.broadcast_to(np.asarray(value, dtype=float), time_s.shape).copy(), unit
-
-
-def _even(start_s: float, end_s: float, rate_hz: float, label: str) -> FloatArray:
-    count = int((end_s - start_s) * rate_hz * (1 + _EVEN)) + 1
-    if count < 2:
-        raise FitError(f"{label} is too short to be fitted: {end_s - start_s:.3g} s at {rate_hz:.3g} Hz")
-    return start_s + np.arange(count) / rate_hz
