@@ -1,13 +1,23 @@
 """What is hidden from a diagnosis: effects in dry runs, under seal; and sealed cases that score it."""
 
-from labrun.blind.concealment import concealed
 from labrun.blind.diagnosis_check import Checked, check
 from labrun.blind.hiding import HiddenBench, hidden_bench, named_model
 from labrun.blind.judging import GOOD, STRENGTHS, Judged
-from labrun.blind.revealed import Compared, Hidden, Revealed, reveal
+from labrun.blind.rehearsal import concealed
 from labrun.blind.robot_check import CheckedRobots, JudgedJoint, check_robots
 from labrun.blind.scoring import Scores, Share
-from labrun.blind.seal import SEALED, Seal, is_sealed, read_seal, redacted, write_seal
+from labrun.blind.seal import (
+    SEALED,
+    Compared,
+    Hidden,
+    Revealed,
+    Seal,
+    is_sealed,
+    read_seal,
+    redacted,
+    reveal,
+    write_seal,
+)
 
 __all__ = [
     "GOOD", "SEALED", "STRENGTHS", "Checked", "CheckedRobots", "Compared", "Hidden", "HiddenBench", "Judged",

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from labrun.blind.concealment import PARAMETER, HidingScene, concealed, hiding_scene
-from labrun.blind.rehearsal import Rehearsal
-from labrun.blind.seal import Seal, is_sealed, read_seal
+from labrun.blind.rehearsal import HidingScene, Rehearsal, concealed, hiding_scene
+from labrun.blind.seal import PARAMETER, Seal, is_sealed, read_seal
 from labrun.effects import Effect, EffectParameter, Scale, effects, load_effect
 from labrun.errors import ModelError, PluginError, RequestError
 from labrun.models import Model, Site, load_model

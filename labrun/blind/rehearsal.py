@@ -1,19 +1,100 @@
-"""A few trials of a dry run, without sensors and without storing anything, to see what a hidden effect would change."""
+"""A dry run with something hidden, never what is stored; and a few trials of it, to see what that would change."""
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
-from labrun.blind.concealment import concealed, hiding_scene
+from labrun.blind.seal import PARAMETER
 from labrun.devices import Scene, Trajectory
-from labrun.errors import ExperimentError
-from labrun.models import Model
+from labrun.effects import Scale
+from labrun.errors import ExperimentError, RequestError
+from labrun.models import Model, Site
 from labrun.runner import MotionMaker, Rig, SimulatedClock, TrialMotion, smooth_move
-from labrun.spec import Experiment, Value
+from labrun.spec import Experiment, SceneTable, Value
+
+_KEYS = ("effect", "site", "kind", "values")
+
+
+class HidingScene(Scene, Protocol):
+    """A simulated bench that can hide effects."""
+
+    scale: Scale
+    """Typical magnitudes on the bench."""
+
+    @property
+    def places(self) -> Sequence[Site]:
+        """Where it can hide them: the joints that are driven, the bodies, the signals."""
+        ...
+
+
+def concealed(
+    experiment: Experiment,
+    hidden: Sequence[Mapping[str, Any]],
+    *,
+    noise: float | None = None,
+    parameters: Mapping[str, float] | None = None,
+) -> Experiment:
+    """Return an experiment whose scene is what its model says, but for what it hides.
+
+    Parameters
+    ----------
+    hidden
+        Effects and true values of parameters, see `labrun.blind.hiding.choose_hidden`.
+    noise
+        Instead of the scene's own factor.
+    parameters
+        Relative errors of the scene's parameters, in addition to its own.
+
+    Raises
+    ------
+    RequestError
+        The experiment has no scene.
+    """
+    scene = _named_scene(experiment)
+    settings: dict[str, Any] = {
+        **scene.settings,
+        "hide": [{key: one[key] for key in _KEYS} for one in hidden if one["kind"] != PARAMETER],
+        "as_modelled": True,
+    }
+    if noise is not None:
+        settings["noise"] = noise
+    if parameters:
+        own = settings.get("parameters", {})
+        settings["parameters"] = {
+            **own, **{name: (1 + own.get(name, 0.0)) * (1 + error) - 1 for name, error in parameters.items()}
+        }  # fmt: skip
+    true = {
+        name: value for one in hidden if one["kind"] == PARAMETER for name, value in one["values"].items()
+    }
+    if true:
+        settings["true_parameters"] = {**settings.get("true_parameters", {}), **true}
+    table = SceneTable.model_validate({"plugin": scene.plugin, **settings})
+    return experiment.model_copy(update={"rig": experiment.rig.model_copy(update={"scene": table})})
+
+
+def hiding_scene(experiment: Experiment) -> HidingScene:
+    """Return the scene of an experiment. Raises RequestError: it names none, or one that cannot hide anything."""
+    name = _named_scene(experiment).plugin
+    rig = Rig.build(concealed(experiment, []), clock=SimulatedClock(), seed=0, dry_run=True)
+    scene: Any = rig.scene
+    if not (hasattr(scene, "places") and hasattr(scene, "scale")):
+        raise RequestError(f"scene {name!r} cannot hide effects: it names no sites")
+    found: HidingScene = scene
+    return found
+
+
+def _named_scene(experiment: Experiment) -> SceneTable:
+    if experiment.rig.scene is None:
+        raise RequestError(
+            "there is no simulated bench to hide an effect in",
+            hint='name one: [rig] scene = "..."; the plain one has no physics',
+        )
+    return experiment.rig.scene
+
 
 _CONDITIONS = 3
 _RATE_HZ = 100.0

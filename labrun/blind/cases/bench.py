@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .mechanism import Hidden
-from .plant import Between, FloatArray, Plant, Programme
+from .plant import Between, FloatArray, Hidden, Plant, Programme
 
 
 class Drive:

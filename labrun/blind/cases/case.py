@@ -10,13 +10,30 @@ import numpy as np
 
 from .bench import Bench
 from .forms import FORMS, OUTSIDE, OUTSIDE_SIGNALS
-from .mechanism import Hidden, Mechanism
-from .mixture import Chosen, aim_of, choose, kind_of, stream_of, strength_class
-from .noise import ChannelNoise, Colour, draw_noise, rescaled
-from .plant import FloatArray, Plant, Programme
-from .refit import Recalibration, size_of
+from .mixture import (
+    ChannelNoise,
+    Chosen,
+    Colour,
+    aim_of,
+    choose,
+    draw_noise,
+    kind_of,
+    rescaled,
+    stream_of,
+    strength_class,
+)
+from .plant import FloatArray, Hidden, Mechanism, Plant, Programme
 from .simulate import BlewUpError, adaptive, fixed
-from .sizing import OutOfReachError, Projection, alike, find_size, measure, sensor_factor
+from .sizing import (
+    OutOfReachError,
+    Projection,
+    Recalibration,
+    alike,
+    find_size,
+    measure,
+    sensor_factor,
+    size_of,
+)
 from .writing import write_model, write_recording
 
 FRESH_CONDITIONS = 3

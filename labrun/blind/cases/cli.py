@@ -10,8 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from .case import Asked, make_case
-from .mixture import DECK
-from .noise import COLOURS
+from .mixture import COLOURS, DECK
 from .robots.case import make_robot
 from .writing import SEAL, seal, verify
 

@@ -7,14 +7,11 @@ from scipy.special import ellipk
 
 from labrun.blind.cases.bench import Bench, Drive
 from labrun.blind.cases.forms import FORMS
-from labrun.blind.cases.mechanism import Hidden, Measures
-from labrun.blind.cases.mixture import DECK, choose, kind_of, places
-from labrun.blind.cases.noise import ChannelNoise
-from labrun.blind.cases.plant import Programme
+from labrun.blind.cases.mixture import DECK, ChannelNoise, choose, kind_of, places
+from labrun.blind.cases.plant import Hidden, Measures, Programme
 from labrun.blind.cases.plants import PLANTS, FreeDecay, HingeDrive, LinearStage, Swimmer
-from labrun.blind.cases.refit import Recalibration, size_of
 from labrun.blind.cases.simulate import adaptive, fixed
-from labrun.blind.cases.sizing import measure
+from labrun.blind.cases.sizing import Recalibration, measure, size_of
 
 
 def drawn(kind, wanted, start=0):

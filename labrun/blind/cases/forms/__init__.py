@@ -4,12 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..mechanism import Kind, Measures, Mechanism
-from .body import BODY
-from .dry_friction import DRY_FRICTION
-from .joint import JOINT
-from .outside import OUTSIDE, OUTSIDE_SIGNALS
-from .signal import INPUT, OUTPUT
+from ..plant import Kind, Measures, Mechanism
+from .forces import BODY, DRY_FRICTION, JOINT
+from .signals import INPUT, OUTPUT, OUTSIDE, OUTSIDE_SIGNALS
 
 Maker = Callable[[str, Measures, np.random.Generator], Mechanism]
 

@@ -5,9 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ..plant import Plant
-from .driven import HingeDrive, LinearStage, PayloadArm
+from .driven import Chain, FreeDecay, HingeDrive, LinearStage, PayloadArm
 from .swimming import ServoFin, StaticFin, Swimmer
-from .swinging import Chain, FreeDecay
 
 PLANTS: tuple[Callable[[np.random.Generator], Plant], ...] = (
     HingeDrive, PayloadArm, FreeDecay, ServoFin, Chain, Swimmer, StaticFin, LinearStage,
