@@ -74,7 +74,7 @@ def choose_hidden(
     experiment
         Its scene must be able to hide effects.
     model
-        What will be compared with the run; what is drawn is at a site that it knows. Needed for ``"random"``.
+        Which will be compared with the run; what is drawn is at a site that it knows. Needed for ``"random"``.
     conditions
         What the run measures.
     seed
@@ -97,16 +97,28 @@ def choose_hidden(
             hint='give its file a table [gap] with model = "..."',
         )
     scene = hiding_scene(experiment)
-    units = _Units(scene, model)
     if NONE in wanted:
         return []
     if model is not None and RANDOM in wanted:
         rng = np.random.default_rng(secrets.randbits(128) if seed is None else seed)
-        return [units.added(one) for one in _drawn(experiment, scene, model, conditions, rng)]
+        return [_with_units(one, scene, model) for one in _drawn(experiment, scene, model, conditions, rng)]
     return [
-        units.added(_parsed(text, scene)) if "@" in text else _parameter(text, scene, model)
+        _with_units(_parsed(text, scene), scene, model) if "@" in text else _parameter(text, scene, model)
         for text in wanted
     ]
+
+
+def _with_units(hidden: dict[str, Any], scene: HidingScene, model: Model | None) -> dict[str, Any]:
+    """Return a hidden effect with the units of its values."""
+    coordinates = {one.name: one.unit or ("m" if one.kind == "body" else "rad") for one in scene.places}
+    signals = dict(scene.signals)
+    if model is not None:
+        coordinates |= {one.name: model.coordinate_unit(one) for one in model.sites}
+        signals |= {one.name: one.unit for one in model.inputs}
+        signals |= {one.name: one.unit for one in model.outputs}
+    units = coordinates.get(hidden["site"], "rad"), signals.get(hidden["site"], "1")
+    parameters = load_effect(hidden["effect"], hidden["kind"]).parameters
+    return {**hidden, "units": {one.name: one.unit(*units) for one in parameters}}
 
 
 def hidden_bench(
@@ -355,27 +367,6 @@ def _values(text: str, given: str) -> dict[str, float]:
 
 def _entry(effect: Effect, site: str, values: Mapping[str, float]) -> dict[str, Any]:
     return {"effect": effect.id, "site": site, "kind": effect.kind, "values": dict(values)}
-
-
-class _Units:
-    """Units of what effects take at the sites of a bench."""
-
-    def __init__(self, scene: HidingScene, model: Model | None) -> None:
-        self._coordinates = {
-            one.name: one.unit or ("m" if one.kind == "body" else "rad") for one in scene.places
-        }
-        self._signals = dict(scene.signals)
-        if model is not None:
-            self._coordinates |= {one.name: model.coordinate_unit(one) for one in model.sites}
-            self._signals |= {one.name: one.unit for one in model.inputs}
-            self._signals |= {one.name: one.unit for one in model.outputs}
-
-    def added(self, hidden: dict[str, Any]) -> dict[str, Any]:
-        """Return what is hidden with the units of its values."""
-        site = hidden["site"]
-        coordinate, signal = self._coordinates.get(site, "rad"), self._signals.get(site, "1")
-        parameters = load_effect(hidden["effect"], hidden["kind"]).parameters
-        return {**hidden, "units": {one.name: one.unit(coordinate, signal) for one in parameters}}
 
 
 def _outputs(sites: Iterable[Site]) -> list[str]:

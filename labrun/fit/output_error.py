@@ -159,76 +159,73 @@ def _result(
     rng: np.random.Generator,
     method: str,
 ) -> FitResult:
-    dataset, model = problem.data, problem.model
+    dataset, model, priors = problem.data, problem.model, problem.priors
     parameters = problem.parameters(z)
     owns = [problem.own(z, index) for index in range(len(dataset.trials))]
-    simulated = tuple(_simulated(problem, parameters, index, own) for index, own in enumerate(owns))
-    squares = [
-        np.concatenate(
-            [
-                (trial.outputs - outputs)[:, column]
-                for trial, outputs in zip(dataset.trials, simulated, strict=True)
-            ]
-        )
-        for column in range(len(dataset.outputs))
-    ]
-    rmse = {output.name: _rms(column) for output, column in zip(dataset.outputs, squares, strict=True)}
+    simulated = []
+    for index, own in enumerate(owns):
+        outputs = problem.simulate(parameters, index, own)
+        if outputs is None:
+            raise FitError(
+                f"model {model.name} leaves the finite numbers in {dataset.trials[index].label}, even where it fits "
+                "best",
+                hint="look at that trial: labrun fit compares every trial with one set of parameters",
+            )
+        simulated.append(outputs)
+    pairs = zip(dataset.trials, simulated, strict=True)
+    left = np.concatenate([trial.outputs - outputs for trial, outputs in pairs])
     warnings: list[str] = []
     estimates: dict[str, Estimate] = {}
     named: frozenset[str] = frozenset()
     if problem.size:
         information, score, warning = _sums(problem, z, noise)
         warnings += warning
-        sigma = problem.priors.sigma / problem.priors.scale
+        sigma = priors.sigma / priors.scale
         resampled = resample_trials(information, score, rng=rng, prior_sigma=sigma)
         centre = z[: problem.size]
         # directions are told in shares of the estimates; one next to zero has no share
         share = np.maximum(np.abs(centre), _SMALLEST_SHARE)
-        precision = np.diag(1.0 / np.square(sigma))
-        told, named, least = undetermined(
-            (information.sum(axis=0) + precision) * share[:, None] * share, problem.priors.names
-        )
-        low = np.minimum(resampled.low, -least * share)
-        high = np.maximum(resampled.high, least * share)
-        low = np.clip(centre + low, problem.priors.lower, problem.priors.upper) * problem.priors.scale
-        high = np.clip(centre + high, problem.priors.lower, problem.priors.upper) * problem.priors.scale
-        for index, name in enumerate(problem.priors.names):
-            unit = model.parameters[problem.priors.free[index]].unit
-            value = float(parameters[problem.priors.free[index]])
-            estimates[name] = Estimate(value, (float(low[index]), float(high[index])), unit)
+        relative = (information.sum(axis=0) + np.diag(1.0 / np.square(sigma))) * share[:, None] * share
+        told, named, least = undetermined(relative, priors.names)
+        ends = np.minimum(resampled.low, -least * share), np.maximum(resampled.high, least * share)
+        low, high = (np.clip(centre + one, priors.lower, priors.upper) * priors.scale for one in ends)
+        for index, (name, place) in enumerate(zip(priors.names, priors.free, strict=True)):
+            interval = (float(low[index]), float(high[index]))
+            estimates[name] = Estimate(float(parameters[place]), interval, model.parameters[place].unit)
         warnings += told
         warnings += interval_warnings(estimates, problem, named)
         warnings += sign_warnings(estimates, problem)
-    outcomes = _outcomes(problem, minima)
+    outcomes = []
+    for minimum in minima:
+        values = problem.parameters(minimum.z)[priors.free].tolist()
+        found = dict(zip(priors.names, values, strict=True))
+        outcomes.append(StartOutcome(minimum.label, found, minimum.misfit))
     warnings += divergence_warnings(problem, z)
     warnings += start_warnings(outcomes, estimates, direction_named=bool(named))
-    fixed = {parameter.name: parameter.value for parameter in model.parameters if parameter.tolerance == 0}
-    states = tuple(problem.initial_state(index, own) for index, own in enumerate(owns))
+    names = [output.name for output in dataset.outputs]
     return FitResult(
         method=method,
         model_name=model.name,
         data=FittedData.of(dataset),
         dataset=dataset,
         parameters=estimates,
-        fixed=fixed,
-        rmse=rmse,
+        fixed={parameter.name: parameter.value for parameter in model.parameters if parameter.tolerance == 0},
+        rmse={name: _rms(left[:, column]) for column, name in enumerate(names)},
         rmse_units={output.name: output.unit for output in dataset.outputs},
-        simulated=simulated,
-        initial_states=states,
+        simulated=tuple(simulated),
+        initial_states=tuple(problem.initial_state(index, own) for index, own in enumerate(owns)),
         warnings=tuple(warnings),
-        starts=outcomes,
+        starts=tuple(outcomes),
     )
 
 
 def _sums(problem: Problem, z: FloatArray, noise: ResidualSize) -> tuple[FloatArray, FloatArray, list[str]]:
     """Return J'J and J'r of every unit that is resampled, and what has to be said about the units."""
     jacobian = problem.jacobian(z)
-    trials = len(jacobian.residual)
+    parts = list(zip(jacobian.shared, jacobian.own, jacobian.residual, strict=True))
+    warnings, trials = [], len(parts)
     if trials > 1:
-        pairs = [
-            eliminated(*parts) for parts in zip(jacobian.shared, jacobian.own, jacobian.residual, strict=True)
-        ]
-        warnings = []
+        pairs = [eliminated(*part) for part in parts]
         if trials < FEW_TRIALS:
             warnings.append(
                 f"intervals rest on {trials} trials only and are coarse; {FEW_TRIALS} or more would support them"
@@ -236,10 +233,10 @@ def _sums(problem: Problem, z: FloatArray, noise: ResidualSize) -> tuple[FloatAr
     else:
         length = len(problem.data.trials[0].time_s)
         count = int(np.clip(length / (2.0 * float(np.max(noise.correlated))), 3, _BLOCKS))
-        pairs = _cut(jacobian.shared[0], jacobian.own[0], jacobian.residual[0], count)
-        warnings = [
+        pairs = _cut(*parts[0], count)
+        warnings.append(
             f"there is one trial only: intervals come from {count} pieces of it and know nothing of how trials differ"
-        ]
+        )
     # J is the derivative of measured minus simulated, so the pull on a parameter has the other sign
     information = np.array([matrix for matrix, _ in pairs])
     score = np.array([-pull for _, pull in pairs])
@@ -270,29 +267,6 @@ def _cut(
         residual = residual - span @ (span.T @ residual)
     pieces = zip(np.array_split(shared, count), np.array_split(residual, count), strict=True)
     return [(piece.T @ piece, piece.T @ part) for piece, part in pieces]
-
-
-def _simulated(problem: Problem, parameters: FloatArray, trial: int, own: FloatArray) -> FloatArray:
-    outputs = problem.simulate(parameters, trial, own)
-    if outputs is None:
-        label = problem.data.trials[trial].label
-        raise FitError(
-            f"model {problem.model.name} leaves the finite numbers in {label}, even where it fits best",
-            hint="look at that trial: labrun fit compares every trial with one set of parameters",
-        )
-    return outputs
-
-
-def _outcomes(problem: Problem, minima: Sequence[Minimum]) -> tuple[StartOutcome, ...]:
-    found = []
-    for minimum in minima:
-        values = problem.parameters(minimum.z)
-        named = {
-            name: float(values[index])
-            for name, index in zip(problem.priors.names, problem.priors.free, strict=True)
-        }
-        found.append(StartOutcome(minimum.label, named, minimum.misfit))
-    return tuple(found)
 
 
 def _rms(values: FloatArray) -> float:

@@ -76,35 +76,9 @@ class TrainingSamples:
         return replace(self, outputs=np.asarray(self.outputs - found))
 
 
-def origin_of(target: Path) -> tuple[str, dict[str, Any]]:
-    """Return the scene that a run's experiment names, and where its data come from: run, git commit."""
-    run = open_run(target)
-    experiment = loads_experiment(run.experiment_toml, run.name, plugins=False).experiment
-    scene = experiment.rig.scene
-    folder = target if target.is_dir() else target.parent
-    found: dict[str, Any] = {"run": folder.resolve().name}
-    provenance = folder / "provenance.json"
-    if provenance.is_file():
-        git = json.loads(provenance.read_text(encoding="utf-8")).get("git") or {}
-        found |= {"git": str(git.get("commit", "")), "changed_files": int(git.get("changed_files", 0) or 0)}
-    return "" if scene is None else scene.plugin, found
-
-
 def mean_absolute(error: FloatArray) -> float:
     """Return the mean magnitude over samples and outputs."""
     return float(np.mean(np.abs(error)))
-
-
-def _factor(given: str, wanted: str, name: str) -> float:
-    if not wanted or given == wanted:
-        return 1.0
-    sizes = {item.label: item for item in UNITS.values()}
-    one, other = sizes.get(given), sizes.get(wanted)
-    if one is None or other is None or one.dimension != other.dimension:
-        raise RequestError(
-            f"{name} is recorded in {given or 'no unit'}, which is no {wanted}", hint="set unit"
-        )
-    return float(one.si / other.si)
 
 
 _SHOWN = 600
@@ -207,16 +181,15 @@ class MlpSettings(DataTable):
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A trained network beside the exact affine map: mean absolute errors in the outputs' unit."""
+    """A trained network beside the exact affine map; `errors` are mean absolute ones, as they are stored.
+
+    Of the training samples ("trained"), and of the withheld ones by the network ("withheld"), by the affine map
+    ("affine_withheld") and with no network at all ("without"): of the inverse alone, or of the mean.
+    """
 
     network: Network
-    affine: Network
     took_s: float
-    trained: float
-    withheld: float
-    affine_withheld: float
-    untouched: float
-    """Withheld error with no network at all: of the inverse alone, or of the mean."""
+    errors: Mapping[str, float]
 
 
 class MlpFit(WithSettings[MlpSettings]):
@@ -228,29 +201,23 @@ class MlpFit(WithSettings[MlpSettings]):
         """Train every network."""
         settings = self._settings
         samples = settings.load(job)
-        rig, origin = origin_of(job.target)
+        rig, origin = _origin_of(job.target)
         fitted: dict[str, Fitted] = {}
         files: dict[str, str | bytes] = {}
         for name, table in settings.networks.items():
             job.note(f"training {name}")
             one = fitted[name] = fit_network(samples, table, int(job.rng.integers(2**31)))
-            how = {
+            made = {
+                **origin,
                 "solver": table.solver,
                 "samples": int(np.count_nonzero(~samples.withheld)),
-                "mean_absolute_error_withheld": one.withheld,
-                "exact_affine_withheld": one.affine_withheld,
+                "mean_absolute_error_withheld": one.errors["withheld"],
+                "exact_affine_withheld": one.errors["affine_withheld"],
             }
-            files |= files_of(
-                LearnedModel(
-                    one.network,
-                    samples.input_units,
-                    samples.output_units,
-                    rig,
-                    table.inverse,
-                    {**origin, **how},
-                ),
-                name,
+            learned = LearnedModel(
+                one.network, samples.input_units, samples.output_units, rig, table.inverse, made
             )
+            files |= files_of(learned, name)
         return _summary(settings, samples, fitted, files)
 
 
@@ -263,21 +230,41 @@ def fit_network(samples: TrainingSamples, table: NetworkTable, seed: int) -> Fit
     network, took_s = train(table.training, *samples.training, seed=seed)
     if not network.finite:
         raise FitError("the training came to weights that are no finite numbers", hint="try another solver")
-    affine = exact_affine(*samples.training)
+    x, y = samples.testing
+    idle = y - (0.0 if table.inverse else samples.training[1].mean(axis=0))
+    errors = {
+        "trained": mean_absolute(network(samples.training[0]) - samples.training[1]),
+        "withheld": mean_absolute(network(x) - y),
+        "affine_withheld": mean_absolute(exact_affine(*samples.training)(x) - y),
+        "without": mean_absolute(idle),
+    }
+    return Fitted(network, took_s, errors)
 
-    def error(of: Network, part: tuple[FloatArray, FloatArray]) -> float:
-        return mean_absolute(of(part[0]) - part[1])
 
-    idle = samples.testing[1] - (0.0 if table.inverse else samples.training[1].mean(axis=0))
-    return Fitted(
-        network,
-        affine,
-        took_s,
-        error(network, samples.training),
-        error(network, samples.testing),
-        error(affine, samples.testing),
-        mean_absolute(idle),
-    )
+def _origin_of(target: Path) -> tuple[str, dict[str, Any]]:
+    """Return the scene that a run's experiment names, and where its data come from: run, git commit."""
+    run = open_run(target)
+    scene = loads_experiment(run.experiment_toml, run.name, plugins=False).experiment.rig.scene
+    folder = target if target.is_dir() else target.parent
+    found: dict[str, Any] = {"run": folder.resolve().name}
+    provenance = folder / "provenance.json"
+    if provenance.is_file():
+        git = json.loads(provenance.read_text(encoding="utf-8")).get("git") or {}
+        found |= {"git": str(git.get("commit", "")), "changed_files": int(git.get("changed_files", 0) or 0)}
+    return "" if scene is None else scene.plugin, found
+
+
+def _factor(given: str, wanted: str, name: str) -> float:
+    """Return what turns numbers of a unit into those of another. Raises RequestError: of another dimension."""
+    if not wanted or given == wanted:
+        return 1.0
+    sizes = {item.label: item for item in UNITS.values()}
+    one, other = sizes.get(given), sizes.get(wanted)
+    if one is None or other is None or one.dimension != other.dimension:
+        raise RequestError(
+            f"{name} is recorded in {given or 'no unit'}, which is no {wanted}", hint="set unit"
+        )
+    return float(one.si / other.si)
 
 
 def _summary(
@@ -290,23 +277,14 @@ def _summary(
     rows, findings = [], []
     for name, one in fitted.items():
         table = settings.networks[name]
+        trained, withheld, affine, idle = (f"{error:.4g}" for error in one.errors.values())
         what = f"{table.activation}, {'-'.join(map(str, table.hidden))}, {table.solver}"
-        idle = f"{one.untouched:.4g} ({'inverse alone' if table.inverse else 'the mean'})"
-        rows.append(
-            (
-                name,
-                what,
-                f"{one.trained:.4g}",
-                f"{one.withheld:.4g}",
-                f"{one.affine_withheld:.4g}",
-                idle,
-                f"{one.took_s:.3g}",
-            )
-        )
-        ratio = one.withheld / one.affine_withheld
+        idle += f" ({'inverse alone' if table.inverse else 'the mean'})"
+        rows.append((name, what, trained, withheld, affine, idle, f"{one.took_s:.3g}"))
+        ratio = one.errors["withheld"] / one.errors["affine_withheld"]
         findings.append(
-            f"{name}: on withheld data {one.withheld:.3g} {unit} off on average, {ratio:.2f} of what exact affine "
-            f"least squares leaves ({one.affine_withheld:.3g} {unit}), in {one.took_s:.2g} s"
+            f"{name}: on withheld data {one.errors['withheld']:.3g} {unit} off on average, {ratio:.2f} of what exact "
+            f"affine least squares leaves ({one.errors['affine_withheld']:.3g} {unit}), in {one.took_s:.2g} s"
         )
     head = ("network", "layers", "trained", "withheld", "exact affine", "without", "training (s)")
     return FitSummary(
@@ -316,47 +294,29 @@ def _summary(
         parameters={},
         tables=(TextTable(f"mean absolute error, {unit}; {samples.told}", head, tuple(rows)),),
         findings=(*findings, "a controller loads a network by its TOML file; the npz beside it goes with it"),
-        details={"errors": {name: _numbers(one) for name, one in fitted.items()}},
+        details={"errors": {name: {**one.errors, "training_s": one.took_s} for name, one in fitted.items()}},
         files=files,
         figure_data=lambda: _figure(settings, samples, fitted),
     )
 
 
-def _numbers(one: Fitted) -> dict[str, Any]:
-    return {
-        "trained": one.trained,
-        "withheld": one.withheld,
-        "affine_withheld": one.affine_withheld,
-        "without": one.untouched,
-        "training_s": one.took_s,
-    }
-
-
 def _figure(settings: MlpSettings, samples: TrainingSamples, fitted: Mapping[str, Fitted]) -> FigureData:
-    unit = settings.unit or "1"
-    rows, step_s = [], 1.0 / settings.rate_hz
+    unit, rows = settings.unit or "1", []
     for name, one in fitted.items():
         inverse = settings.networks[name].inverse
         inputs, wanted = (part[:_SHOWN] for part in samples.beside(inverse).testing)
-        found = one.network(inputs)
-        time_s: FloatArray = step_s * np.arange(len(wanted), dtype=np.float64)
+        time_s: FloatArray = np.arange(len(wanted), dtype=np.float64) / settings.rate_hz
         stacks = []
-        for column, output in enumerate(settings.outputs):
+        for output, measured, found in zip(settings.outputs, wanted.T, one.network(inputs).T, strict=True):
             above = Panel(
-                (
-                    Curve(time_s, wanted[:, column], "measured", "withheld data"),
-                    Curve(time_s, found[:, column], "fitted", "network"),
-                ),
+                (Curve(time_s, measured, "measured", "withheld data"), Curve(time_s, found, "fitted", "network")),
                 title=f"{name}: {output}" + (f" less {inverse}" if inverse else ""),
-                y_label=f"{output}, {unit}",
-                height=2.0,
-            )
+                y_label=f"{output}, {unit}", height=2.0,
+            )  # fmt: skip
             below = Panel(
-                (Curve(time_s, wanted[:, column] - found[:, column], "residual"),),
-                x_label="time of the withheld data, s",
-                y_label=f"error, {unit}",
-                zero=True,
-            )
+                (Curve(time_s, measured - found, "residual"),), x_label="time of the withheld data, s",
+                y_label=f"error, {unit}", zero=True,
+            )  # fmt: skip
             stacks.append(Stack((above, below)))
         rows.append(tuple(stacks))
     return FigureData("networks on data they were not trained with", tuple(rows), row_height_in=4.2)

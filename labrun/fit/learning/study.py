@@ -10,7 +10,6 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, Field, PositiveFloat, PositiveInt
 
-from labrun.arrays import FloatArray
 from labrun.fit.learning.method import DataTable, TrainingSamples, mean_absolute
 from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, Panel, Stack, TextTable
@@ -218,11 +217,8 @@ def _summary(
 
 
 def _findings(mode: str, rows: Sequence[Row], reference: float) -> Iterator[str]:
-    shallow = [
-        row
-        for row in rows
-        if row.activation == "identity" and row.solver == "lbfgs" and row.layers <= _SHALLOW
-    ]
+    plain = [row for row in rows if row.activation == "identity" and row.solver == "lbfgs"]
+    shallow = [row for row in plain if row.layers <= _SHALLOW]
     if shallow:
         worst = max(shallow, key=lambda row: row.retrained)
         verb = "reaches" if worst.retrained <= _AS_GOOD * reference else "does not reach"
@@ -230,26 +226,23 @@ def _findings(mode: str, rows: Sequence[Row], reference: float) -> Iterator[str]
             f"mode {mode}: identity with L-BFGS {verb} it within 5 % at 1 to {_SHALLOW} layers: at worst "
             f"{worst.retrained / reference:.3f} of it ({worst.layers} layers)"
         )
-    by_solver = {
-        solver: min((row.retrained for row in rows if row.solver == solver), default=float("nan"))
+    lbfgs, adam = (
+        min((row.retrained for row in rows if row.solver == solver), default=float("nan"))
         for solver in ("lbfgs", "adam")
-    }
-    if all(np.isfinite(list(by_solver.values()))):
-        share = by_solver["adam"] / by_solver["lbfgs"]
+    )
+    if np.isfinite(lbfgs) and np.isfinite(adam):
+        share = adam / lbfgs
         word = "better" if share < _BETTER else "not better" if share >= 1.0 else "no better than by chance"
-        yield f"mode {mode}: Adam is {word}: {by_solver['adam']:.4g} at best, L-BFGS {by_solver['lbfgs']:.4g}"
+        yield f"mode {mode}: Adam is {word}: {adam:.4g} at best, L-BFGS {lbfgs:.4g}"
     deep = sorted({row.layers for row in rows})
     if len(deep) > 1:
-        first, last = (
-            float(
-                np.median(
-                    [row.retraining_s for row in rows if row.layers == layers and row.solver == "lbfgs"]
-                )
-            )
+        times = [
+            [row.retraining_s for row in rows if row.layers == layers and row.solver == "lbfgs"]
             for layers in (deep[0], deep[-1])
-        )
+        ]
+        first, last = (1e3 * float(np.median(one)) for one in times)
         yield (
-            f"mode {mode}: a retraining takes {1e3 * first:.3g} ms with {deep[0]} and {1e3 * last:.3g} ms with "
+            f"mode {mode}: a retraining takes {first:.3g} ms with {deep[0]} and {last:.3g} ms with "
             f"{deep[-1]} layers (L-BFGS, medians over activations)"
         )
 
@@ -257,21 +250,19 @@ def _findings(mode: str, rows: Sequence[Row], reference: float) -> Iterator[str]
 def _figure(rows: Sequence[Row], affine: Mapping[str, float], unit: str) -> FigureData:
     panels = []
     for mode, reference in affine.items():
-        mine = [row for row in rows if row.mode == mode]
-        ways = list(dict.fromkeys((row.activation, row.solver) for row in mine))
+        mine = sorted((row for row in rows if row.mode == mode), key=lambda row: row.layers)
+        ways = dict.fromkeys((row.activation, row.solver) for row in rows if row.mode == mode)
         curves, times = [], []
         for number, (activation, solver) in enumerate(ways):
-            chosen = sorted(
-                (row for row in mine if (row.activation, row.solver) == (activation, solver)),
-                key=lambda r: r.layers,
+            chosen = [row for row in mine if (row.activation, row.solver) == (activation, solver)]
+            x, errors, took_s = (
+                np.array([getattr(row, key) for row in chosen], dtype=float)
+                for key in ("layers", "retrained", "retraining_s")
             )
-            x: FloatArray = np.array([row.layers for row in chosen], dtype=float)
             label, dashed = f"{activation}, {solver}", solver == "adam"
-            curves.append(
-                Curve(x, np.array([row.retrained for row in chosen]), number // 2, label, dashed=dashed)
-            )
-            times.append(Curve(x, np.array([row.retraining_s for row in chosen]), number // 2, dashed=dashed))
-        ends = np.array([min(row.layers for row in mine), max(row.layers for row in mine)], dtype=float)
+            curves.append(Curve(x, errors, number // 2, label, dashed=dashed))
+            times.append(Curve(x, took_s, number // 2, dashed=dashed))
+        ends = np.array([mine[0].layers, mine[-1].layers], dtype=float)
         curves.append(Curve(ends, np.full(2, reference), "limit", "exact affine", bold=True))
         above = Panel(
             tuple(curves), title=f"mode {mode}", y_label=f"error on set B, {unit}", log="xy", height=1.6

@@ -1,9 +1,9 @@
 """The fit least-squares: every set of terms regressed on every output, and which one to take."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -368,13 +368,11 @@ def _summary(study: _Study) -> FitSummary:
     terms = [*settings.baskets[taken], *["1"] * settings.intercept]
     parameters, tables = {}, []
     for output, of in solved.items():
-        for place, term in enumerate(terms):
-            one = of[taken]
-            named = (
-                output_units[output] if term == "1" else coefficient_unit(term, output_units[output], units)
-            )
-            ends = (float(one.low[place]), float(one.high[place]))
-            parameters[f"{output}: {term}"] = Estimate(float(one.coefficients[place]), ends, named)
+        one, unit = of[taken], output_units[output]
+        for term, *numbers in zip(terms, one.coefficients, one.low, one.high, strict=True):
+            value, low, high = map(float, numbers)
+            named = unit if term == "1" else coefficient_unit(term, unit, units)
+            parameters[f"{output}: {term}"] = Estimate(value, (low, high), named)
         span = float(np.max(np.abs(study.measured[output])))
         rows = tuple(
             (
@@ -384,27 +382,23 @@ def _summary(study: _Study) -> FitSummary:
             )
             for name, one in of.items()
         )  # fmt: skip
-        header = (
-            "basket",
-            f"MAE {output_units[output]}",
-            "MAE %",
-            "cross-validated",
-            "AICc",
-            "cond X'X",
-            "rank",
-        )
+        header = ("basket", f"MAE {unit}", "MAE %", "cross-validated", "AICc", "cond X'X", "rank")
         tables.append(TextTable(f"{output} (% of its largest magnitude, {span:.3g})", header, rows))
-    findings = [_reason(study)]
     warnings = [f"{name}: collinear: {'; '.join(lost)}" for name, (_, lost) in study.ranks.items() if lost]
     whole = len(data.trials) >= _FEW
-    findings.append(
-        f"cross-validation and intervals leave out and resample whole {'trials' if whole else 'blocks of time'}"
-        + ("" if whole else f" of about {settings.block_s:g} s, as there are fewer than {_FEW} trials")
+    resampled = f"blocks of time of about {settings.block_s:g} s, as there are fewer than {_FEW} trials"
+    findings = (
+        _reason(study),
+        f"cross-validation and intervals leave out and resample whole {'trials' if whole else resampled}",
     )
     if whole and len(data.trials) < 5:
         warnings.append(f"intervals rest on {len(data.trials)} trials only and are coarse")
     if settings.average == "cycle" and any(one.average == "none" for one in settings.outputs.values()):
         warnings.append("regressors are averaged over a cycle, but not every output is")
+
+    def stored(read: Callable[[Regression], Any]) -> dict[str, dict[str, Any]]:
+        return {output: {name: read(one) for name, one in of.items()} for output, of in solved.items()}
+
     return FitSummary(
         "least-squares",
         f"basket {{{taken}}}",
@@ -413,20 +407,14 @@ def _summary(study: _Study) -> FitSummary:
         {output: of[taken].rmse for output, of in solved.items()},
         output_units,
         tables=tuple(tables),
-        findings=tuple(findings),
+        findings=findings,
         warnings=tuple(warnings),
         details={
             "taken": taken,
             "best": study.best,
-            "coefficients": {
-                output: {name: one.coefficients.tolist() for name, one in of.items()}
-                for output, of in solved.items()
-            },
-            "intervals": {
-                output: {name: [one.low.tolist(), one.high.tolist()] for name, one in of.items()}
-                for output, of in solved.items()
-            },
-            "mae": {output: {name: one.mae for name, one in of.items()} for output, of in solved.items()},
+            "coefficients": stored(lambda one: one.coefficients.tolist()),
+            "intervals": stored(lambda one: [one.low.tolist(), one.high.tolist()]),
+            "mae": stored(lambda one: one.mae),
             "condition": dict(study.conditions),
         },
         figure_data=lambda: _figure(study, output_units),
@@ -457,35 +445,28 @@ def _figure(study: _Study, units: Mapping[str, str]) -> FigureData:
     taken, best, first = study.taken, study.best, study.data.trials[0]
     title = f"Terms regressed on {study.data.name}\ntaken: {{{taken}}}"
     title += "" if best == taken else f"; least error: {{{best}}}"
+    shown: list[tuple[str, Role]] = [(taken, "fitted")]
+    if best != taken:
+        shown.insert(0, (best, "alternative"))
     time_s = first.time_s[_skip(first, study.settings) :]
     over_time, merits, count = [], [], len(time_s)
     ticks = tuple(f"{name}\ncond {value:.0e}" for name, value in study.conditions.items())
     for output, of in study.solved.items():
         values, unit = study.measured[output][:count], units[output]
-        shown: list[tuple[str, Role]] = (
-            [(taken, "fitted")] if best == taken else [(best, "alternative"), (taken, "fitted")]
-        )
         fitted = [Curve(time_s, of[name].fitted[:count], role, name) for name, role in shown]
-        upper = Panel(
-            (Curve(time_s, values, "measured", "measured", bold=True), *fitted),
-            title=f"{output}, first trial",
-            y_label=f"{output}, {unit}",
-            height=2.0,
-        )
+        curves = (Curve(time_s, values, "measured", "measured", bold=True), *fitted)
+        upper = Panel(curves, title=f"{output}, first trial", y_label=f"{output}, {unit}", height=2.0)
         rest = tuple(Curve(time_s, values - curve.y, curve.role) for curve in fitted)
         lower = Panel(rest, x_label="time, s", y_label=f"residual, {unit}", zero=True)
         over_time.append(Stack((upper, lower), width=1.4))
         at = np.arange(len(of), dtype=float)
-        cv, error = (np.array([getattr(one, key) for one in of.values()]) for key in ("cv", "cv_error"))
+        mae, cv, error = (
+            np.array([getattr(one, key) for one in of.values()]) for key in ("mae", "cv", "cv_error")
+        )
         bars = (
-            Curve(at - 0.2, np.array([one.mae for one in of.values()]), "measured", "MAE", kind="bars"),
+            Curve(at - 0.2, mae, "measured", "MAE", kind="bars"),
             Curve(at + 0.2, cv, "residual", "cross-validated", kind="bars", spread=(cv - error, cv + error)),
         )
-        top = 1.45 * float(np.max(cv + error))
-        merits.append(
-            Stack(
-                (Panel(bars, y_label=f"mean absolute error, {unit}", y_range=(0.0, top), ticks=ticks),),
-                width=1.4,
-            )
-        )
+        top, label = 1.45 * float(np.max(cv + error)), f"mean absolute error, {unit}"
+        merits.append(Stack((Panel(bars, y_label=label, y_range=(0.0, top), ticks=ticks),), width=1.4))
     return FigureData(title, (tuple(over_time), tuple(merits)), row_height_in=4.0)
