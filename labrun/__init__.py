@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from labrun.app.check import check as check
     from labrun.app.compare import compare as compare
-    from labrun.app.compare_units import compare_units as compare_units
+    from labrun.app.compare import compare_units as compare_units
+    from labrun.app.compare import predict_fresh as predict_fresh
     from labrun.app.design import design as design
     from labrun.app.diagnose import diagnose as diagnose
     from labrun.app.doctor import doctor as doctor
-    from labrun.app.export import export as export
     from labrun.app.fit import fit as fit
-    from labrun.app.fresh import predict_fresh as predict_fresh
     from labrun.app.next import plan_trials as plan_trials
     from labrun.app.next import propose_next as propose_next
     from labrun.app.open import open as open  # noqa: A004 - labrun.open is what people call
     from labrun.app.rank import rank as rank
+    from labrun.app.report import export as export
     from labrun.app.report import report as report
     from labrun.app.resume import resume as resume
     from labrun.app.run import run as run
@@ -29,15 +29,15 @@ if TYPE_CHECKING:
 _USE_CASES = {
     "check": "check",
     "compare": "compare",
-    "compare_units": "compare_units",
+    "compare_units": "compare",
     "design": "design",
     "diagnose": "diagnose",
     "doctor": "doctor",
-    "export": "export",
+    "export": "report",
     "fit": "fit",
     "open": "open",
     "plan_trials": "next",
-    "predict_fresh": "fresh",
+    "predict_fresh": "compare",
     "propose_next": "next",
     "rank": "rank",
     "report": "report",

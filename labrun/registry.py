@@ -11,7 +11,7 @@ import importlib
 import sys
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import Distribution, EntryPoint, entry_points
 from importlib.util import find_spec
@@ -50,13 +50,13 @@ def look_beside(file: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class PluginEntry:
-    """One plugin that is installed, whether it imports or not."""
+    """One installed plugin, the distribution and version that brings it, and why it fails if that is known."""
 
     group: str
     name: str
     target: str
     origin: str
-    """Distribution and version that brings it."""
+    cause: str = ""
 
 
 @lru_cache(maxsize=len(GROUPS))
@@ -178,30 +178,13 @@ def _load_dotted(kind: str, name: str) -> Any:
     return target
 
 
-@dataclass(frozen=True, slots=True)
-class PluginState:
-    """One installed plugin after an attempt to import it; `cause` is empty if it works."""
-
-    group: str
-    name: str
-    target: str
-    origin: str
-    cause: str
-
-    def to_json(self) -> dict[str, str]:
-        """Return the fields by name."""
-        return {field: getattr(self, field) for field in self.__slots__}
-
-
-def inspect_all() -> list[PluginState]:
+def inspect_all() -> list[PluginEntry]:
     """Import every installed plugin of every group, and say which of them fail and why."""
-    states = []
-    for group in GROUPS:
-        for entry in installed(group):
-            cause = ""
-            try:
-                load(group, entry.name)
-            except PluginError as error:
-                cause = str(error.args[0])
-            states.append(PluginState(group, entry.name, entry.target, entry.origin, cause))
-    return states
+    found = []
+    for entry in (entry for group in GROUPS for entry in installed(group)):
+        try:
+            load(entry.group, entry.name)
+        except PluginError as error:
+            entry = replace(entry, cause=str(error.args[0]))  # noqa: PLW2901
+        found.append(entry)
+    return found

@@ -1,4 +1,4 @@
-"""What a run found, in the terminal or as one HTML file: everything it tells of is read once."""
+"""What comes out of a run: what it found, in the terminal or as one HTML file, and its data for other programs."""
 
 import json
 from collections.abc import Iterator
@@ -11,9 +11,18 @@ import numpy as np
 from labrun.app.kept import FOLDER as GAP_FOLDER
 from labrun.app.kept import PAGE, read_stored
 from labrun.errors import RequestError, StoreError
-from labrun.report import Findings, RunView, StoredFit, StoredGap, experiment_of
+from labrun.report import (
+    Drift,
+    Findings,
+    RunView,
+    StoredFit,
+    StoredGap,
+    drift_of,
+    experiment_of,
+    without_drift,
+)
 from labrun.search import Best, read_generations, stored_result
-from labrun.store import SPEC, Run, find_run, is_recording, open_target, replace_durably
+from labrun.store import SPEC, Run, export_run, find_run, is_recording, open_target, replace_durably
 
 REPORT = "report.html"
 
@@ -164,3 +173,48 @@ def _beside(findings: Findings) -> Path:
     if findings.folder is not None:
         return findings.folder / REPORT
     return findings.run.path.with_name(f"{findings.run.path.stem}-{REPORT}")
+
+
+def export(
+    target: str | Path,
+    to: str,
+    output: Path | None = None,
+    *,
+    remove_drift: bool = False,
+    results: str | Path = "results",
+) -> tuple[Path, list[Drift]]:
+    """Write a run as CSV, one row a trial, or as netCDF, the table and the signals.
+
+    Parameters
+    ----------
+    target
+        An experiment's name (its latest run), a run folder, a run.h5, or a recording folder.
+    to
+        ``"csv"`` or ``"netcdf"``.
+    output
+        The file; beside the run if None, of a recording in the current folder.
+    remove_drift
+        CSV: for each objective a column ``<objective>_drift_corrected`` more, less the straight line through the
+        reference trials.
+    results
+        Where runs are.
+
+    Returns
+    -------
+    Path, list of Drift
+        The file, and the drift that was removed.
+
+    Raises
+    ------
+    RequestError
+        No such run or format, or no drift can be removed.
+    """
+    if remove_drift and to != "csv":
+        raise RequestError(
+            "--remove-drift is for the table of trials: netCDF holds what was measured",
+            hint="--to csv --remove-drift",
+        )
+    with open_target(str(target), Path(results)) as run:
+        removed = drift_of(run) if remove_drift else []
+        outcomes = without_drift(run.outcomes, removed) if removed else None
+        return export_run(run, to, output, outcomes=outcomes), removed

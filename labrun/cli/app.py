@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from labrun.cli import bench, compare, data, experiment, fit, gap, workspace
+from labrun.cli import data, experiment, fit, gap, workspace
 
 app = typer.Typer(
     name="labrun",
@@ -38,7 +38,7 @@ def _options(
     pass
 
 
-for commands in (workspace, experiment, fit, compare, data, bench):
+for commands in (workspace, experiment, fit, data):
     for name, command in commands.COMMANDS.items():
         app.command(name)(command)
 app.add_typer(gap.gap)

@@ -1,6 +1,5 @@
 """`labrun report`, `show`, `export`, `import`."""
 
-from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -68,13 +67,11 @@ def export(
     Example:  labrun export fin-params --to csv --output trials.csv
     """
     with reported(as_json):
-        from labrun.app.export import export as write
+        from labrun.app.report import export as write
 
         written, removed = write(target, to.value, output, remove_drift=remove_drift, results=results)
     if as_json:
-        print_json(
-            {"output": written, **({"drift_removed": [asdict(item) for item in removed]} if removed else {})}
-        )
+        print_json({"output": written, **({"drift_removed": removed} if removed else {})})
         return
     for item in removed:
         from labrun.report import interval_text
@@ -122,7 +119,7 @@ def import_(
         print_result(made, as_json)
         return
     with reported(as_json):
-        from labrun.app.export import import_recording
+        from labrun.store import import_recording
 
         run = import_recording(source, results)
     if as_json:

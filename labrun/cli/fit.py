@@ -1,14 +1,12 @@
-"""`labrun fit`."""
+"""Data and what is held against them: `labrun fit`, `compare` and `rank`."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Annotated
 
 import typer
 
 from labrun.cli import options
 from labrun.cli.experiment import progress_display
-from labrun.cli.output import print_result, reported, to_terminal
+from labrun.cli.output import print_result, reported, status
 
 
 def fit(
@@ -55,7 +53,7 @@ def fit(
 
             made = run(target, dry_run=True, seed=seed, results=results, progress=progress_display())
             target = str(made.run)
-        with _status() as note:
+        with status() as note:
             result = fit_data(
                 target,
                 recording,
@@ -69,17 +67,83 @@ def fit(
         print_result(result, as_json)
 
 
-@contextmanager
-def _status() -> Iterator[Callable[[str], None]]:
-    """Say on one line what is being done, where a person is watching."""
-    if not to_terminal():
-        yield lambda _: None
-        return
-    from rich.console import Console
-    from rich.markup import escape
+def compare(
+    target: options.Target,
+    other: Annotated[
+        str | None,
+        typer.Argument(
+            help="What is held against it: another run or recording, named likewise. A model is, if not given.",
+            autocompletion=options.complete_experiment,
+        ),
+    ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="The model (TOML file, plugin, package.module:object); that which the experiment or the recording "
+            "names if not given."
+        ),
+    ] = None,
+    tolerance: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SHARE", help="Greatest relative error, such as 15%; exit code 1 if a point is beyond it."
+        ),
+    ] = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Hold a prediction as stated, or another run, against data. Nothing is fitted.
 
-    with Console(stderr=True).status("reading") as status:
-        yield lambda text: status.update(escape(text))
+    Prints every condition, the worst first, and the error of each channel; draws a figure.
+
+    Example:  labrun compare hinge --model hinge-pendulum --tolerance 15%
+
+    Example:  labrun compare hinge recordings/ring-down
+
+    Example:  labrun compare design:swimmer rig:rowing --tolerance 10%
+    """
+    with reported(as_json, "interrupted; no comparison was written"):
+        from labrun.app.compare import compare as compare_data
+
+        with status() as note:
+            stored = compare_data(target, other, model=model, tolerance=tolerance, results=results, note=note)
+        print_result(stored, as_json)
+    if not stored.within:
+        raise typer.Exit(1)
 
 
-COMMANDS = {"fit": fit}
+def rank(
+    laboratories: Annotated[
+        list[str],
+        typer.Argument(
+            help="Runs in which the gaits were measured: an experiment's name (its latest run) or a run folder.",
+            autocompletion=options.complete_experiment,
+        ),
+    ],
+    field: Annotated[
+        str,
+        typer.Option(
+            help="The run in the field, named likewise.", autocompletion=options.complete_experiment
+        ),
+    ],
+    objective: Annotated[
+        str | None, typer.Option(help="Of the field; the one with a goal, or the first, if not given.")
+    ] = None,
+    results: options.Results = options.RESULTS,
+    as_json: options.Json = False,
+) -> None:
+    """Hold the order of gaits in the laboratory against that in the field, and name the gait to take.
+
+    Prints every gait in each water, the rank correlation with its interval and p, and why that gait.
+
+    Example:  labrun rank turn-torque turn-torque-current --field field-turn
+    """
+    with reported(as_json, "interrupted; no ranking was written"):
+        from labrun.app.rank import rank as rank_gaits
+        from labrun.report.comparison import ranking_text
+
+        found = rank_gaits(laboratories, field, objective=objective, results=results)
+        print_result(found, as_json, ranking_text)
+
+
+COMMANDS = {"fit": fit, "compare": compare, "rank": rank}

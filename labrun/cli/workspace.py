@@ -1,4 +1,4 @@
-"""`labrun init`, `list`, `keys`, `new`."""
+"""What there is to work with: `labrun init`, `list`, `keys`, `new`, `plugins`, `doctor`."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -52,7 +52,7 @@ def list_(results: options.Results = options.RESULTS, as_json: options.Json = Fa
 
         summaries = summarise_workspace(Path.cwd(), results)
     if as_json:
-        print_json({"experiments": [summary.to_json() for summary in summaries]})
+        print_json({"experiments": summaries})
         return
     width = max((len(summary.name) for summary in summaries), default=0)
     for summary in summaries:
@@ -79,7 +79,7 @@ def keys(
 
         found = keys_at(path)
     if as_json:
-        print_json({"keys": [key.to_json() for key in found]})
+        print_json({"keys": found})
         return
     from labrun.report import keys_text
 
@@ -110,4 +110,62 @@ def new(
     typer.echo(f"next:  labrun run {path.stem} --dry-run")
 
 
-COMMANDS = {"init": init, "list": list_, "keys": keys, "new": new}
+def plugins(as_json: options.Json = False) -> None:
+    """List all plugins with their origin and state.
+
+    Example:  labrun plugins
+    """
+    with reported(as_json):
+        from labrun.registry import inspect_all
+
+        found = inspect_all()
+    if as_json:
+        print_json({"plugins": found})
+        return
+    width = max((len(entry.name) for entry in found), default=0)
+    group = ""
+    for entry in found:
+        if entry.group != group:
+            group = entry.group
+            typer.echo(f"\n{group}" if group != found[0].group else group)
+        state = f"  BROKEN: {entry.cause}" if entry.cause else ""
+        typer.echo(f"  {entry.name:<{width}}  {entry.origin}  {entry.target}{state}")
+
+
+def doctor(
+    experiment: Annotated[
+        str | None,
+        typer.Argument(
+            help="With --hardware: look at the devices of this experiment.",
+            autocompletion=options.complete_experiment,
+        ),
+    ] = None,
+    hardware: Annotated[
+        bool,
+        typer.Option("--hardware", help="Ask the devices themselves what and how they are; nothing moves."),
+    ] = False,
+    emulate: options.Emulate = False,
+    overrides: options.Overrides = None,
+    as_json: options.Json = False,
+) -> None:
+    """Check machine and ports: latency, permissions, clock.
+
+    Example:  labrun doctor --hardware fin-params
+    """
+    with reported(as_json):
+        from labrun.app.doctor import doctor as examine
+        from labrun.report import remark_text
+
+        remarks = examine(experiment, Path.cwd(), overrides or (), hardware=hardware, emulate=emulate)
+        found = []
+        for remark in remarks:
+            found.append(remark)
+            if not as_json:
+                typer.echo(remark_text(remark))
+    if as_json:
+        print_json({"findings": [remark.to_json() for remark in found]})
+    if any(remark.verdict == "problem" for remark in found):
+        raise typer.Exit(1)
+
+
+COMMANDS = {"init": init, "list": list_, "keys": keys, "new": new, "plugins": plugins, "doctor": doctor}

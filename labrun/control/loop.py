@@ -13,7 +13,7 @@ from labrun.spec import LoopTable
 
 @dataclass(frozen=True, slots=True)
 class LoopRecord:
-    """One step of a loop, as it is stored: in the order of `labrun.spec.LOOP_CHANNELS`, a number for each part."""
+    """One step of a loop, as it is stored: in the order of `labrun.spec.LoopShape.channels`, a number for each part."""
 
     reference: Numbers
     feedback: Numbers

@@ -8,7 +8,7 @@ import sys
 
 from labrun import UseCasePackage
 from labrun.report.data import RunView, experiment_of
-from labrun.report.findings import Findings, StoredGap
+from labrun.report.findings import Findings, StoredFit, StoredGap
 from labrun.report.live import (
     LiveProgress,
     PlainProgress,
@@ -19,7 +19,6 @@ from labrun.report.live import (
     watch,
 )
 from labrun.report.statistics import Drift, drift_of, without_drift
-from labrun.report.stored_fits import StoredFit
 from labrun.report.terminal import keys_text, plan_text, print_findings, remark_text
 from labrun.report.text import duration_text, interval_text
 

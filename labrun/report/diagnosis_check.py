@@ -1,9 +1,11 @@
 """A check of the diagnosis as people read it: the figures on one screen, and a page with every case."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from labrun.blind import GOOD, STRENGTHS, Checked, Judged, Scores, Share
+from labrun.report.page import render
+from labrun.report.text import counted
 from labrun.store import replace_durably
 
 _TO_REACH = {"0.5 to 1": "75 %", "1 to 3": "90 %", "3 and above": "95 %"}
@@ -21,7 +23,7 @@ def check_text(checked: Checked) -> str:
     scores = checked.scores
     kinds = ", ".join(f"{count} {kind}" for kind, count in scores.kinds.items())
     head = [
-        f"{_count(scores.cases)}: {kinds}",
+        f"{counted(scores.cases, 'case')}: {kinds}",
         checked.use,
         f"seal {checked.seal[:16]}... was printed first; every answer is the one that was sealed",
     ]
@@ -37,19 +39,26 @@ def check_text(checked: Checked) -> str:
 
 def check_page(checked: Checked) -> str:
     """Return the page, in Markdown."""
-    parts = [
-        "# Check of the diagnosis\n",
-        "```text\n" + check_text(checked) + "\n```\n",
-        "## Cases that went wrong\n",
-        _cases([one for one in checked.judged if not one.good]),
-        "## What was said of what\n",
-        _confusion(checked),
-        "## How sure, and how often right\n",
-        _reliability(checked),
-        "## Every case\n",
-        _cases(checked.judged),
-    ]
-    return "\n".join(parts)
+    confusion = []  # a list, most frequent first, where a matrix would be mostly empty
+    for true, said in checked.scores.confusion.items():
+        ordered = sorted(said.items(), key=lambda item: (-item[1], item[0]))
+        confusion.append((true, sum(said.values()), ", ".join(f"{name} {count}" for name, count in ordered)))
+    bins = checked.scores.calibration.bins
+    return render(
+        "check.md.j2",
+        {
+            "told": check_text(checked),
+            "wrong": [_row(one) for one in checked.judged if not one.good],
+            "every": [_row(one) for one in checked.judged],
+            "confusion": confusion,
+            "bins": [
+                (f"{one.low:.1f} to {one.high:.1f}", f"{one.stated:.2f}", _share_text(one.right))
+                for one in bins
+            ],
+            "mixed": checked.mixed,
+            "of_one_kind": _OF_ONE_KIND,
+        },
+    )
 
 
 def write_check_page(checked: Checked) -> Path:
@@ -135,7 +144,9 @@ def _numbers(scores: Scores, mixed: bool) -> Iterator[str]:
         yield _line("sizes in 95 % intervals", _share_text(scores.sizes_covered), "90 to 98 %")
     shrinkage = scores.shrinkage
     if shrinkage.median_difference is not None:
-        points = f"{100 * shrinkage.median_difference:.1f} points ({_count(len(shrinkage.differences))})"
+        points = (
+            f"{100 * shrinkage.median_difference:.1f} points ({counted(len(shrinkage.differences), 'case')})"
+        )
         yield _line("shrinkage off by (median)", points, "5 points")
         yield _line("  within its 90 % interval", _share_text(shrinkage.covered), "85 to 95 %")
     left_out = (
@@ -153,31 +164,9 @@ def _numbers(scores: Scores, mixed: bool) -> Iterator[str]:
     yield _line("not diagnosed (errors)", ", ".join(scores.errors) or "none")
 
 
-def _count(count: int) -> str:
-    return "1 case" if count == 1 else f"{count} cases"
-
-
 def _line(label: str, value: str, reach: str = "") -> str:
     told = f"{label:<{_LABEL}}  {value}"
     return f"{told:<66}to reach: {reach}" if reach else told
-
-
-def _cases(judged: Sequence[Judged]) -> str:
-    if not judged:
-        return "None.\n"
-    header = (
-        "case",
-        "outcome",
-        "hidden",
-        "gap",
-        "repeats",
-        "said",
-        "confidence",
-        "removed: said",
-        "true",
-        "s",
-    )
-    return _table(header, (_row(one) for one in judged))
 
 
 def _row(one: Judged) -> tuple[str, ...]:
@@ -203,30 +192,6 @@ def _row(one: Judged) -> tuple[str, ...]:
         true,
         f"{said.seconds:.0f}",
     )
-
-
-def _confusion(checked: Checked) -> str:
-    """Return what was said of each true effect, most frequent first: a list, where a matrix would be mostly empty."""
-    rows = []
-    for true, said in checked.scores.confusion.items():
-        ordered = sorted(said.items(), key=lambda item: (-item[1], item[0]))
-        rows.append((true, str(sum(said.values())), ", ".join(f"{name} {count}" for name, count in ordered)))
-    return _table(("hidden", "cases", "said"), rows)
-
-
-def _reliability(checked: Checked) -> str:
-    bins = checked.scores.calibration.bins
-    if not bins:
-        return "No cause was announced.\n"
-    alone = "" if checked.mixed else f"{_OF_ONE_KIND[0].upper()}{_OF_ONE_KIND[1:]}.\n\n"
-    rows = ((f"{one.low:.1f} to {one.high:.1f}", f"{one.stated:.2f}", _share_text(one.right)) for one in bins)
-    return alone + _table(("stated confidence", "mean", "right, site included"), rows)
-
-
-def _table(header: Sequence[str], rows: Iterator[tuple[str, ...]] | Sequence[tuple[str, ...]]) -> str:
-    lines = [" | ".join(header), " | ".join("---" for _ in header)]
-    lines += [" | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in row) for row in rows]
-    return "".join(f"| {line} |\n" for line in lines)
 
 
 def _percent(value: float | None) -> str:

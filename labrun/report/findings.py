@@ -1,5 +1,6 @@
 """What a run found, and how far it can be trusted: `labrun show`, its JSON and the page of a run tell of it."""
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -11,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from labrun.estimate import Estimate
 from labrun.report.conditions import ConditionResult, condition_results, most_promising
 from labrun.report.data import RunView, by_condition, trial_tare_s
 from labrun.report.statistics import Drift, Repeatability, Settling, drift, repeatability, settling
-from labrun.report.stored_fits import StoredFit
 from labrun.report.timing import BenchTime, LoopHealth, StreamHealth, bench_time, loop_health, stream_health
 from labrun.runner import unsettled
 from labrun.search import RunResult
@@ -24,6 +25,74 @@ from labrun.store import TrialOutcome, imported_channels, imported_source, remar
 _STREAMS_LOOKED_AT = 40
 _MOST_CONDITIONS = 100
 _MOST_NUMBERS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class StoredFit:
+    """One fit, read leniently: whatever lies there must not cost the rest of a report.
+
+    Attributes
+    ----------
+    path
+        Its numbers.
+    numbers
+        As they were written; empty if they cannot be read.
+    fault
+        Why they cannot be read; empty if they can.
+    picture
+        PNG, if it is still there.
+    """
+
+    path: Path
+    numbers: Mapping[str, Any]
+    fault: str = ""
+    picture: bytes | None = None
+
+    @property
+    def model(self) -> str:
+        """What was fitted."""
+        return str(self.numbers.get("model", self.path.stem))
+
+    @property
+    def method(self) -> str:
+        """The way of fitting."""
+        return str(self.numbers.get("method", ""))
+
+    @property
+    def title(self) -> str:
+        """``Model hinge``, with the way of fitting where that has another name."""
+        return self.model + (f", by {self.method}" if self.method not in ("", self.model) else "")
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """Parameters that have a number and an interval."""
+        found = {}
+        for name, entry in as_table(self.numbers.get("parameters")).items():
+            value: Any = as_table(entry).get("value")
+            interval = as_list(as_table(entry).get("ci95"))
+            if is_number(value) and len(interval) == 2 and all(is_number(end) for end in interval):
+                unit = str(entry.get("unit", ""))
+                found[str(name)] = Estimate(float(value), (float(interval[0]), float(interval[1])), unit)
+        return found
+
+    def sentences(self, name: str) -> list[str]:
+        """Return its ``findings`` or ``warnings``."""
+        return [str(one) for one in as_list(self.numbers.get(name))]
+
+
+def is_number(value: Any) -> bool:
+    """Tell whether a value is a finite number."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def as_list(value: Any) -> list[Any]:
+    """Return a list as it is, and anything else as none."""
+    return value if isinstance(value, list) else []
+
+
+def as_table(value: Any) -> dict[Any, Any]:
+    """Return a table as it is, and anything else as an empty one."""
+    return value if isinstance(value, dict) else {}
 
 
 @dataclass(frozen=True, slots=True)

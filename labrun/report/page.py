@@ -84,7 +84,7 @@ def drawn(draw: Callable[[], Any], name: str, alt: str, *, points: bool = False)
 
 
 def render(template: str, context: Mapping[str, Any]) -> str:
-    """Return a page; the same context gives the same text, byte for byte. Every text in it is escaped."""
+    """Return a page; the same context gives the same text, byte for byte. Every text in a page of HTML is escaped."""
     return str(_environment().get_template(template).render(context))
 
 
@@ -95,11 +95,16 @@ def part(name: str, *values: Any) -> str:
 
 @cache
 def _environment() -> Any:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # whoever asks for no page does without
+    from jinja2 import (
+        Environment,
+        FileSystemLoader,
+        StrictUndefined,
+        select_autoescape,
+    )
 
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATES),
-        autoescape=True,
+        autoescape=select_autoescape(default=True, disabled_extensions=("md.j2",)),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -4,13 +4,13 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+from labrun.estimate import Estimate, rounded
 from labrun.report.conditions import conditions_context
 from labrun.report.figures import run_figure
 from labrun.report.figures.trust import MOST_PANELS, draw_drift, draw_repeatability, draw_settling
-from labrun.report.findings import Findings
+from labrun.report.findings import Findings, StoredFit, as_list, as_table, is_number
 from labrun.report.page import PageFigure, PageTable, drawn, render
 from labrun.report.statistics import repeatability_columns, standard_deviations
-from labrun.report.stored_fits import as_table, fit_context
 from labrun.report.text import (
     counted,
     duration_text,
@@ -38,6 +38,14 @@ from labrun.signals import Signals
 from labrun.spec import condition_text
 from labrun.store import TrialOutcome
 
+_SHOWN_ELSEWHERE = frozenset(
+    {
+        "parameters", "rmse", "figure", "warnings", "model", "method", "source", "fixed", "findings", "tables",
+        "by_trial",
+    }
+)  # fmt: skip
+_DEEPEST = 2
+_MOST_ITEMS = 8
 _TRIALS_SHOWN = 200
 _UNFOLDED = 12
 _INCIDENTS = ("interrupted", "failed", "stopped", "damaged", "resumed", "limit-reached")
@@ -285,6 +293,76 @@ def _channels(signals: Signals | None) -> str:
     if signals is None:
         return ""
     return ", ".join(with_unit(name, unit) for name, unit in zip(signals.columns, signals.units, strict=True))
+
+
+# Fits
+
+
+def fit_context(fit: StoredFit) -> Mapping[str, Any]:
+    """Return what a page tells of a fit."""
+    numbers = fit.numbers
+    if fit.fault:
+        return {"fault": f"{fit.path.name} cannot be read ({fit.fault}): labrun fit writes it anew."}
+    fixed = as_table(numbers.get("fixed")).items()
+    rows = [[spaced(str(name)), *_estimate(entry)] for name, entry in numbers["parameters"].items()]
+    rows += [[spaced(str(name)), _short(value), "as given", ""] for name, value in fixed]
+    rest = [
+        [f"rms of measured - simulated, {spaced(str(name))}", _short(value)]
+        for name, value in as_table(numbers.get("rmse")).items()
+    ]
+    for name, value in numbers.items():
+        if name not in _SHOWN_ELSEWHERE:
+            rest += _entries(spaced(str(name)), value, 1)
+    alt = f"Measured and simulated signals of the fit of {fit.model}, and residuals"
+    return {
+        "fault": "",
+        "title": fit.title,
+        "warnings": fit.sentences("warnings"),
+        "findings": fit.sentences("findings"),
+        "parameters": PageTable(("parameter", "value", "95 % interval", "unit"), rows, words=(0, 3)),
+        "tables": [table for entry in as_list(numbers.get("tables")) if (table := _fit_table(entry))],
+        "rest": PageTable(("", ""), rest),
+        "figure": None if fit.picture is None else PageFigure.of_png(fit.picture, alt),
+    }
+
+
+def _estimate(entry: Any) -> tuple[str, str, str]:
+    if not isinstance(entry, Mapping):
+        return _short(entry), "", ""
+    value: Any = entry.get("value")
+    unit, interval = str(entry.get("unit", "")), as_list(entry.get("ci95"))
+    if not is_number(value) or len(interval) != 2 or not all(is_number(end) for end in interval):
+        return _short(value), "not known", unit
+    middle, low, high = rounded(Estimate(float(value), (float(interval[0]), float(interval[1])), unit))
+    return middle, f"{low} to {high}", unit
+
+
+def _fit_table(entry: Any) -> PageTable | None:
+    """Return a table that a method has stored as it prints it; rows that are not whole are left out."""
+    known = as_table(entry)
+    header = tuple(str(one) for one in as_list(known.get("header")))
+    rows = [[str(cell) for cell in row] for row in as_list(known.get("rows")) if isinstance(row, list)]
+    whole = [row for row in rows if len(row) == len(header)]
+    return PageTable(header, whole, caption=str(known.get("title", ""))) if header and whole else None
+
+
+def _entries(name: str, value: Any, depth: int) -> list[list[str]]:
+    """Return whatever else a method has written down, as rows of a table."""
+    if isinstance(value, Mapping):
+        if depth > _DEEPEST:
+            return []
+        parts = ((f"{name}, {spaced(str(key))}", item) for key, item in value.items())
+        return [row for part, item in parts for row in _entries(part, item, depth + 1)]
+    if isinstance(value, list):
+        plain = len(value) <= _MOST_ITEMS and not any(isinstance(item, dict | list) for item in value)
+        return [[name, ", ".join(_short(item) for item in value)]] if plain else []
+    return [[name, _short(value)]]
+
+
+def _short(value: Any) -> str:
+    if is_number(value):
+        return f"{value:.5g}"
+    return "not known" if value is None else str(value)
 
 
 # Trials that do not count

@@ -138,6 +138,19 @@ def heading(figure: Figure, title: str, subtitle: str) -> None:
     figure.text(0.012, 1 - 0.36 / height, "\n".join(lines), ha="left", va="top", fontsize=9, color="#444444")
 
 
+def beside(
+    axes: Axes, text: str, at: tuple[float, float], offset_pt: tuple[float, float] = (4, 0), **look: Any
+) -> None:
+    """Write a text so far from a point of the data."""
+    axes.annotate(text, at, xytext=offset_pt, textcoords="offset points", **look)
+
+
+def legend_above(axes: Axes, **look: Any) -> None:
+    """Put the legend over the right end of the axes, in one line."""
+    look = {"ncols": 5, "borderaxespad": 0.2, **look}
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), **look)
+
+
 def zero_line(axes: Axes) -> None:
     """Mark zero if it lies within the axes."""
     low, high = axes.get_ylim()

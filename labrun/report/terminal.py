@@ -16,9 +16,8 @@ from rich.text import Text
 from labrun.devices import Remark
 from labrun.estimate import rounded
 from labrun.report.conditions import ConditionResult, standard_error, varying
-from labrun.report.findings import Findings
+from labrun.report.findings import Findings, StoredFit
 from labrun.report.statistics import Drift, Repeatability, repeatability_columns, standard_deviations
-from labrun.report.stored_fits import StoredFit
 from labrun.report.text import (
     bytes_text,
     condition_text,

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -46,26 +46,6 @@ class BenchTime:
         return float(np.median(times)) if times else 0.0
 
 
-@dataclass(slots=True)
-class _Marks:
-    """When the last execution of a trial did what, by the run's clock, s."""
-
-    prepare: float
-    record: float | None = None
-    safe_pose: float | None = None
-    stopped: float | None = None
-    gap_s: float | None = None
-
-
-@dataclass(slots=True)
-class _Reading:
-    """The journal as far as it was read."""
-
-    trials: dict[int, _Marks] = field(default_factory=dict)
-    last: int | None = None
-    """Trial that ended last in this session; the time up to the next one is the storing of it."""
-
-
 def bench_time(
     events: Sequence[Mapping[str, Any]], outcomes: Sequence[TrialOutcome], tare_s: float
 ) -> BenchTime | None:
@@ -86,54 +66,53 @@ def bench_time(
         None where the journal does not tell, as of an imported recording.
     """
     ends = {o.index: float(json.loads(o.checkpoint)["clock_s"]) for o in outcomes if o.checkpoint is not None}
-    reading = _Reading()
-    for event in events:
-        _take(event, reading, ends)
+    marks = _marks(events, ends)
     steps: dict[str, list[float]] = {name: [] for name in STEPS}
     for outcome in outcomes:
-        marks = reading.trials.get(outcome.index)
-        if marks is not None:
-            end = ends.get(outcome.index, marks.stopped)
-            for name, time_s in _parts(outcome, marks, end, tare_s).items():
+        if outcome.index in marks:
+            for name, time_s in _parts(outcome, marks[outcome.index], tare_s).items():
                 steps[name].append(max(time_s, 0.0))
     used = {name: times for name, times in steps.items() if sum(times) > 0}
     return BenchTime(used) if used else None
 
 
-def _take(event: Mapping[str, Any], reading: _Reading, ends: Mapping[int, float]) -> None:
-    kind, index, clock_s = event["event"], event.get("index"), event.get("clock_s")
-    if kind in ("resumed", "interrupted", "limit-reached"):
-        reading.last = None  # whoever comes back finds another clock, or the same one much later
-    if clock_s is None:
-        return
-    if kind == "prepare" and isinstance(index, int):
-        if reading.last is not None and reading.last in ends:
-            reading.trials[reading.last].gap_s = clock_s - ends[reading.last]
-        reading.trials[index] = _Marks(clock_s)
-        reading.last = index
-    elif isinstance(index, int) and (marks := reading.trials.get(index)) is not None:
-        if kind == "record":
-            marks.record = clock_s
-        elif kind == "safe-pose":
-            marks.safe_pose = clock_s
-        elif kind == "stopped":
-            marks.stopped = clock_s
+def _marks(events: Sequence[Mapping[str, Any]], ends: Mapping[int, float]) -> dict[int, dict[str, float]]:
+    """Return when each trial, last executed, did what, by the run's clock, s; its end and the next one's begin, too."""
+    marks: dict[int, dict[str, float]] = {}
+    last: int | None = None
+    for event in events:
+        kind, index, clock_s = event["event"], event.get("index"), event.get("clock_s")
+        if kind in ("resumed", "interrupted", "limit-reached"):
+            last = None  # whoever comes back finds another clock, or the same one much later
+        if clock_s is None or not isinstance(index, int):
+            continue
+        if kind == "prepare":
+            if last is not None:
+                marks[last]["next"] = clock_s
+            marks[index], last = {}, index
+        if index in marks:
+            marks[index][kind] = clock_s
+    for index, found in marks.items():
+        end = ends.get(index, found.get("stopped"))
+        marks[index] = found if end is None else {**found, "end": end}
+    return marks
 
 
-def _parts(outcome: TrialOutcome, marks: _Marks, end: float | None, tare_s: float) -> dict[str, float]:
+def _parts(outcome: TrialOutcome, marks: Mapping[str, float], tare_s: float) -> dict[str, float]:
     settle_s = outcome.settle.duration_s if outcome.settle is not None else 0.0
     tared_s = tare_s if outcome.tare else 0.0
-    if marks.record is None:
-        whole = end - marks.prepare if end is not None else settle_s
-        return {"move": whole - settle_s, "settle": settle_s}
-    parts = {"move": marks.record - marks.prepare - settle_s - tared_s, "settle": settle_s, "tare": tared_s}
-    recorded_until = marks.safe_pose if marks.safe_pose is not None else end
-    if recorded_until is not None:
-        parts["record"] = recorded_until - marks.record
-    if marks.safe_pose is not None and end is not None:
-        parts["safe pose"] = end - marks.safe_pose
-    if marks.gap_s is not None:
-        parts["store"] = marks.gap_s
+    begin, record, safe, end = (marks.get(name) for name in ("prepare", "record", "safe-pose", "end"))
+    if begin is None:
+        return {}
+    if record is None:
+        return {"move": (settle_s if end is None else end - begin) - settle_s, "settle": settle_s}
+    parts = {"move": record - begin - settle_s - tared_s, "settle": settle_s, "tare": tared_s}
+    until = end if safe is None else safe
+    if until is not None:
+        parts["record"] = until - record
+    if end is not None:
+        parts |= {} if safe is None else {"safe pose": end - safe}
+        parts |= {"store": marks["next"] - end} if "next" in marks and outcome.checkpoint is not None else {}
     return parts
 
 

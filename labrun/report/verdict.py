@@ -110,41 +110,33 @@ def checks(findings: Findings) -> list[Check]:
     """Return what decides whether the run can be believed, in the order of the sections."""
     if not findings.run.outcomes:
         return []
-    found = [
-        *_noise(findings),
-        *_steadiness(findings),
-        *_rest(findings),
-        *_sampling(findings),
-        *_losses(findings),
-    ]
-    return [check for check in found if not (findings.imported and check.verdict == "open")]
+    found = [check(findings) for check in (_noise, _steadiness, _rest, _sampling, _losses)]
+    return [one for one in found if one is not None and not (findings.imported and one.verdict == "open")]
 
 
-def _noise(findings: Findings) -> list[Check]:
+def _noise(findings: Findings) -> Check | None:
     name = findings.objective
     if name is None:
-        return []
+        return None
     item = next((item for item in findings.repeatability if item.objective == name), None)
     if item is None:
-        return [
-            Check("repeatability", "open", "No condition was repeated: the noise of a trial is not known.")
-        ]
+        return Check("repeatability", "open", "No condition was repeated: the noise of a trial is not known.")
     text = f"Single trials of one condition scatter by {scatter_text(item.sd, item.unit)} (sd)"
     if item.between_sd is None or item.between_sd == 0:
-        return [Check("repeatability", "good", f"{text}.")]
+        return Check("repeatability", "good", f"{text}.")
     ratio = item.sd / item.between_sd
     text += f", {share_text(ratio, 1.0)} of the sd between conditions."
-    return [Check("repeatability", "good" if ratio < 1 else "look", text)]
+    return Check("repeatability", "good" if ratio < 1 else "look", text)
 
 
-def _steadiness(findings: Findings) -> list[Check]:
+def _steadiness(findings: Findings) -> Check | None:
     if not findings.experiment.objectives:
-        return []
+        return None
     if not findings.drift:
-        return [Check("drift", "open", "Fewer than three reference trials: drift of the bench is not known.")]
+        return Check("drift", "open", "Fewer than three reference trials: drift of the bench is not known.")
     visible = [item.objective for item in findings.drift if item.visible]
     if visible:
-        return [Check("drift", "look", f"The reference trials drift in {', '.join(visible)}.")]
+        return Check("drift", "look", f"The reference trials drift in {', '.join(visible)}.")
     trials = counted(max(item.trials for item in findings.drift), "reference trial")
     item = next((item for item in findings.drift if item.objective == findings.objective), findings.drift[0])
     hidden, sd = most_hidden(findings, item), findings.sd_of(item.objective)
@@ -152,30 +144,28 @@ def _steadiness(findings: Findings) -> list[Check]:
     if sd and hidden > _HIDDEN * sd:
         times = f"{hidden / sd:.0f} times the scatter of a trial"
         text = f"No drift visible, but {trials} can hardly tell: {limit}, {times}."
-        return [Check("drift", "open", text)]
-    return [Check("drift", "good", f"No drift visible in {trials}: {limit}.")]
+        return Check("drift", "open", text)
+    return Check("drift", "good", f"No drift visible in {trials}: {limit}.")
 
 
-def _rest(findings: Findings) -> list[Check]:
+def _rest(findings: Findings) -> Check | None:
     settled = [outcome.settle for outcome in findings.run.outcomes if outcome.settle is not None]
     if not settled:
-        return [Check("settling", "open", "The experiment does not wait for the bench to come to rest.")]
+        return Check("settling", "open", "The experiment does not wait for the bench to come to rest.")
     late = sum(summary.reason == "timeout" for summary in settled)
     if late:
         text = f"Before {counted(late, 'trial')} of {len(settled)} the bench did not come to rest in time."
-        return [Check("settling", "look", text)]
+        return Check("settling", "look", text)
     if all(summary.reason == "time" for summary in settled):
-        return [
-            Check(
-                "settling",
-                "open",
-                "The bench was given a fixed time to settle; nobody looked whether it had.",
-            )
-        ]
-    return [Check("settling", "good", f"The bench was at rest before all {len(settled)} trials.")]
+        return Check(
+            "settling",
+            "open",
+            "The bench was given a fixed time to settle; nobody looked whether it had.",
+        )
+    return Check("settling", "good", f"The bench was at rest before all {len(settled)} trials.")
 
 
-def _sampling(findings: Findings) -> list[Check]:
+def _sampling(findings: Findings) -> Check | None:
     bad = [
         f"{item.device} lost {share_text(item.lost_share, 1.0)} of its samples, {item.saturated} were saturated"
         for item in findings.streams
@@ -187,25 +177,25 @@ def _sampling(findings: Findings) -> list[Check]:
         if item.nominal_hz and abs(item.actual_hz / item.nominal_hz - 1) > _RATE_OFF
     ]
     if bad:
-        return [Check("timing", "look", f"{'; '.join(bad)}.")]
+        return Check("timing", "look", f"{'; '.join(bad)}.")
     if not findings.streams:
-        return []
+        return None
     of = f"in the {counted(len(findings.streams_looked_at), 'trial')} that were looked at"
     lost = max(item.lost_share for item in findings.streams)
     if lost:
         text = f"At most {share_text(lost, 1.0)} of a device's samples lost {of}, none saturated."
-        return [Check("timing", "good", text)]
-    return [Check("timing", "good", f"No sample lost or saturated {of}.")]
+        return Check("timing", "good", text)
+    return Check("timing", "good", f"No sample lost or saturated {of}.")
 
 
-def _losses(findings: Findings) -> list[Check]:
+def _losses(findings: Findings) -> Check:
     spoiled, total = len(findings.spoiled), len(findings.run.outcomes)
     if not spoiled:
-        return [Check("rejected", "good", f"All {counted(total, 'trial')} accepted.")]
+        return Check("rejected", "good", f"All {counted(total, 'trial')} accepted.")
     failed = sum(outcome.status == "failed" for outcome in findings.spoiled)
     of = f"{counted(total, 'trial')} ({share_text(spoiled, total)})"
     text = f"{spoiled - failed} rejected and {failed} failed of {of}."
-    return [Check("rejected", "look" if failed or spoiled > _MOST_SPOILED * total else "good", text)]
+    return Check("rejected", "look" if failed or spoiled > _MOST_SPOILED * total else "good", text)
 
 
 def _range(findings: Findings, objective: str) -> str:

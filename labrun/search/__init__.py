@@ -8,7 +8,6 @@ from labrun.search.leaders import (
     BestYet,
     Measured,
     Measures,
-    Scatter,
     honest_best,
     leading_conditions,
     mean_error,
@@ -40,7 +39,7 @@ from labrun.search.survey import allowed_points, at_points, most_trials, survey_
 __all__ = [
     "NUMBER", "RESULT_FILE", "Agreement", "Best", "BestSoFar", "BestYet", "Cell", "Constraint",
     "ConstraintError", "Feasibility", "FieldColumn", "Measured", "Measures", "NoCandidateError", "OverSettings",
-    "Ranking", "RunResult", "Scatter", "Searched", "Verdict", "Violations", "agreement", "allowed_points",
+    "Ranking", "RunResult", "Searched", "Verdict", "Violations", "agreement", "allowed_points",
     "apart_text", "at_points", "at_settings", "conditions", "excess_at_settings", "honest_best",
     "leading_conditions", "levels_of", "mean_error", "most_trials", "pooled_intervals", "probes",
     "read_generations", "reason_lines", "resume_line", "scatter", "search_by_cmaes", "settings_of",

@@ -113,27 +113,13 @@ class Ranking:
 
     def to_json(self) -> dict[str, Any]:
         """Return everything, JSON-ready."""
-        return {
-            "field": self.field,
-            "laboratories": list(self.laboratories),
-            "objective": self.objective,
-            "unit": self.unit,
-            "gaits": [dict(one) for one in self.gaits],
-            "laboratory_values": {name: list(values) for name, values in self.laboratory_values.items()},
-            "columns": [
-                {
-                    "setting": dict(column.setting),
-                    "cells": [None if cell is None else asdict(cell) for cell in column.cells],
-                    "agreements": {
-                        name: None if one is None else {**asdict(one), "carries_over": one.carries_over}
-                        for name, one in column.agreements.items()
-                    },
-                }
-                for column in self.columns
-            ],
-            "winner": None if self.winner is None else self.name(self.winner),
-            "notes": list(self.notes),
-        }
+        told = {**asdict(self), "winner": None if self.winner is None else self.name(self.winner)}
+        del told["maximise"]
+        for column, own in zip(told["columns"], self.columns, strict=True):
+            for name, one in own.agreements.items():
+                if one is not None:
+                    column["agreements"][name]["carries_over"] = one.carries_over
+        return told
 
     def bound(self, column: FieldColumn, place: int) -> float | None:
         """Return the bound of a gait's interval that is farther from the goal; None without one."""

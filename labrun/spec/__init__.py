@@ -1,6 +1,6 @@
 """The experiment file: what it may say, how it is read, and what is wrong with it."""
 
-from labrun.spec.condition import Condition, Number, Value, condition_key, condition_text, value_text
+from labrun.spec.condition import Condition, Value, condition_key, condition_text, value_text
 from labrun.spec.experiment import (
     Experiment,
     FitTable,
@@ -21,7 +21,6 @@ from labrun.spec.loading import (
     resolved,
 )
 from labrun.spec.loop_tables import (
-    LOOP_CHANNELS,
     LOOP_DEVICE,
     TIMING_CHANNELS,
     LoopShape,
@@ -52,7 +51,7 @@ from labrun.spec.search_tables import (
     WrittenExperiment,
 )
 from labrun.spec.specimens import BROKEN, PAST, ByHand, DamageTable
-from labrun.spec.template import Kind, new_experiment
+from labrun.spec.template import new_experiment
 from labrun.spec.trial_tables import (
     CYCLES,
     Averaging,
@@ -77,11 +76,11 @@ from labrun.spec.workspace import (
 )
 
 __all__ = [
-    "BROKEN", "CYCLES", "LOOP_CHANNELS", "LOOP_DEVICE", "PAST", "SIMULATION", "SUMMARIES", "TIMING_CHANNELS",
+    "BROKEN", "CYCLES", "LOOP_DEVICE", "PAST", "SIMULATION", "SUMMARIES", "TIMING_CHANNELS",
     "Averaging", "ByHand", "CarriageMove", "CmaEs", "Combine", "Condition", "Criterion", "CyclesOf",
     "DamageTable", "Design", "DesignVariable", "DrawnPart", "Experiment", "FitTable", "GaitTable", "GapTable",
-    "Guard", "Interval", "Key", "Kind", "Leaders", "LeadersOf", "LoadedExperiment", "LoopShape", "LoopTable",
-    "Number", "ObjectiveTable", "Outliers", "Penalty", "Range", "ReferenceTable", "RepeatRule", "RigTable",
+    "Guard", "Interval", "Key", "Leaders", "LeadersOf", "LoadedExperiment", "LoopShape", "LoopTable",
+    "ObjectiveTable", "Outliers", "Penalty", "Range", "ReferenceTable", "RepeatRule", "RigTable",
     "RunTable", "SceneTable", "SearchVariable", "Settle", "StopRules", "Sweep", "Tare", "Track", "TrialTable",
     "Until", "Value", "WrittenExperiment", "apply_overrides", "condition_key", "condition_text",
     "create_workspace", "find_beside", "find_experiment", "find_model_file", "keys_at", "list_experiments",

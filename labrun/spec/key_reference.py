@@ -9,7 +9,7 @@ import re
 import tomllib
 import types
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -51,10 +51,6 @@ class Key:
     default: str
     unit: str
     meaning: str
-
-    def to_json(self) -> dict[str, str]:
-        """Return the fields by name."""
-        return asdict(self)
 
 
 def keys_at(path: str = "") -> list[Key]:

@@ -15,7 +15,6 @@ LOOP_DEVICE = "loop"
 """Stands for the loops where a channel is named: ``loop.force_error``."""
 OF_FEEDBACK = ("reference", "feedback", "error")
 OF_DRIVES = ("drive", "requested")
-LOOP_CHANNELS = (*OF_FEEDBACK, *OF_DRIVES)
 """What is recorded of every loop at each of its steps."""
 TIMING_CHANNELS = ("latency_s", "reaction_s", "late_s", "missed")
 """What is recorded of a step's time."""

@@ -151,16 +151,6 @@ class ExperimentSummary:
     path: Path
     runs: int
 
-    def to_json(self) -> dict[str, str | int]:
-        """Return the fields by name."""
-        return {
-            "name": self.name,
-            "kind": self.kind,
-            "title": self.title,
-            "path": str(self.path),
-            "runs": self.runs,
-        }
-
 
 def summarise_workspace(workspace: Path, results: Path) -> list[ExperimentSummary]:
     """Return the experiments of a workspace and those that ship, sorted by name.

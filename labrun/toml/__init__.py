@@ -6,23 +6,29 @@ from labrun.toml.faults import (
     KeyPath,
     LocatedFault,
     Position,
-    Positions,
     TableFaults,
     dotted,
     locate,
     refusal,
     replaced,
-    shown,
 )
 from labrun.toml.grammar import CONSTANTS, FUNCTIONS, RESERVED, ExpressionError
 from labrun.toml.names import KNOWN_UNITS, UNITS, nearest, split_unit, suggest, unit_of
-from labrun.toml.reading import Places, parsed, read, text_of
-from labrun.toml.validation import PluginTable, Table, checked, mend, validate
+from labrun.toml.reading import (
+    Places,
+    PluginTable,
+    Table,
+    checked,
+    mend,
+    parsed,
+    text_of,
+    validate,
+)
 
 __all__ = [
     "CONSTANTS", "FUNCTIONS", "KNOWN_UNITS", "RESERVED", "UNITS", "Expression", "ExpressionError", "Fault",
-    "KeyPath", "LocatedFault", "Operand", "Places", "PluginTable", "Position", "Positions", "Table",
+    "KeyPath", "LocatedFault", "Operand", "Places", "PluginTable", "Position", "Table",
     "TableFaults", "checked", "dotted", "evaluate", "fault_of", "in_order", "locate", "mend", "names_in",
-    "nearest", "parsed", "read", "refusal", "replaced", "resolve", "shown", "split_unit", "suggest", "text_of",
+    "nearest", "parsed", "refusal", "replaced", "resolve", "split_unit", "suggest", "text_of",
     "unit_of", "validate",
 ]  # fmt: skip

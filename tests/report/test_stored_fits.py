@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from labrun.app.report import stored_fits
-from labrun.report.stored_fits import StoredFit
+from labrun.report.findings import StoredFit
 from labrun.report.terminal import print_fit
 
 

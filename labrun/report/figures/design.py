@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from labrun.design import Drawing
-from labrun.report.style import COLOURS, INK, SOFT, new_figure
+from labrun.report.style import COLOURS, INK, SOFT, beside, new_figure
 from labrun.report.text import quantity_text
 
 _MM_PER_IN = 25.4
@@ -57,9 +57,7 @@ def draw_design(drawing: Drawing, units: Mapping[str, str], title: str) -> Figur
             axes.plot(*ends, color=SOFT, linewidth=0.5, linestyle=(0, (6, 3)))
             if plain == part.name:
                 middle = sum(ends[0]) / 2, sum(ends[1]) / 2
-                axes.annotate(
-                    plain, middle, xytext=(8, 0), textcoords="offset points", fontsize=7.5, va="center", color=INK,
-                )  # fmt: skip
+                beside(axes, plain, middle, (8, 0), fontsize=7.5, va="center", color=INK)
         across = 1 - _TABLE_MM / width_mm
         figure.text(
             0.02, 1 - 3.0 / height_mm, "\n".join(told), fontsize=10, fontweight="bold", va="top", color=INK

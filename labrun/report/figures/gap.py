@@ -18,7 +18,7 @@ from labrun.report.gap_words import (
     place_words,
     times_noise,
 )
-from labrun.report.style import COLOURS, INK, heading, new_figure, plain_numbers
+from labrun.report.style import COLOURS, INK, beside, heading, new_figure, plain_numbers
 from labrun.report.text import listed, p_words, percent
 
 _HOW_FAR_IN = 2.2
@@ -112,9 +112,7 @@ def _draw(axes: Axes, panel: PlacesPanel, slots: int) -> None:
     rows = range(len(labels))
     axes.barh(rows, shares, height=0.72, color=colours)
     for row, (share, note) in enumerate(zip(shares, notes, strict=True)):
-        axes.annotate(
-            note, (max(share, 0.0), row), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8
-        )
+        beside(axes, note, (max(share, 0.0), row), va="center", fontsize=8)
     axes.set_yticks(rows, labels, fontsize=7.8, linespacing=1.0)
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(slots - 0.4, -0.6)  # bars of one row of panels are equally thick
@@ -179,11 +177,11 @@ def draw_how_far(axes: Axes, diagnosis: Diagnosis) -> None:
     axes.axvline(floor, color=_FLOOR_EDGE, linewidth=1.2, linestyle=(0, (4, 2)), zorder=3)
     for row, ((_, size, colour), width) in enumerate(zip(rows, sizes, strict=True)):
         axes.barh(row, max(width - low, 0.0), left=low, height=0.62, color=colour, zorder=2)
-        axes.annotate(
+        beside(
+            axes,
             times_noise(size),
             (_clear_of(axes, max(width, low), floor), row),
-            xytext=(5, 0),
-            textcoords="offset points",
+            (5, 0),
             va="center",
             fontsize=9.5,
             fontweight="bold" if row == len(rows) - 1 else "normal",
@@ -225,10 +223,7 @@ def _set_scale(axes: Axes, sizes: list[float], largest: float) -> float:
 
 def _place(axes: Axes, value: float) -> float:
     """Return where along the axis a value stands, from 0 to 1."""
-    low, high = axes.get_xlim()
-    if axes.get_xscale() == "log":
-        return math.log(max(value, low) / low) / math.log(high / low)
-    return (value - low) / (high - low)
+    return float((axes.transScale + axes.transLimits).transform((max(value, 1e-300), 0.0))[0])
 
 
 def _clear_of(axes: Axes, width: float, floor: float) -> float:

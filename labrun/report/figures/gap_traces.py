@@ -2,7 +2,6 @@
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -241,14 +240,6 @@ _KEPT = (0.5, 99.5)
 """Percentiles between which the force is drawn: an estimate runs wild at the ends of a trial."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Against:
-    """What the force is drawn over."""
-
-    label: str
-    values: tuple[FloatArray, ...]
-
-
 def force_figure(missing: MissingForce) -> Figure | None:
     """Return the picture of a missing force; None where there is nothing to draw."""
     shown = _drawable(missing)
@@ -256,23 +247,22 @@ def force_figure(missing: MissingForce) -> Figure | None:
         return None
     with new_figure(9.4, 2.75) as figure:
         grid = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
-        for axes, against in zip(grid, shown, strict=True):
-            _scatter(axes, against, missing)
+        for axes, (label, values) in zip(grid, shown.items(), strict=True):
+            _scatter(axes, label, values, missing)
         grid[0].set_ylabel(with_unit(f"missing at {missing.site}", missing.unit))
     return figure
 
 
-def _drawable(missing: MissingForce) -> list[_Against]:
-    coordinate = missing.coordinate_unit
-    every = [
-        _Against(with_unit(f"position of {missing.site}", coordinate), missing.coordinate),
-        _Against(
-            with_unit(f"speed of {missing.site}", f"{coordinate}/s" if coordinate else ""), missing.rate
-        ),
-        _Against(with_unit(f"load on {missing.site}", missing.load_unit), missing.load),
-        _Against("time (s)", missing.time_s),
-    ]
-    return [one for one in every if _matches(one.values, missing.force)]
+def _drawable(missing: MissingForce) -> dict[str, tuple[FloatArray, ...]]:
+    """Return what the force is drawn over, by its label."""
+    site, unit = missing.site, missing.coordinate_unit
+    every = {
+        with_unit(f"position of {site}", unit): missing.coordinate,
+        with_unit(f"speed of {site}", f"{unit}/s" if unit else ""): missing.rate,
+        with_unit(f"load on {site}", missing.load_unit): missing.load,
+        "time (s)": missing.time_s,
+    }
+    return {label: values for label, values in every.items() if _matches(values, missing.force)}
 
 
 def _matches(values: tuple[FloatArray, ...], force: tuple[FloatArray, ...]) -> bool:
@@ -283,19 +273,19 @@ def _matches(values: tuple[FloatArray, ...], force: tuple[FloatArray, ...]) -> b
     return every.size > 1 and bool(np.ptp(every) > 0)
 
 
-def _scatter(axes: Axes, against: _Against, missing: MissingForce) -> None:
+def _scatter(axes: Axes, label: str, values: tuple[FloatArray, ...], missing: MissingForce) -> None:
     total = sum(len(one) for one in missing.force)
     step = max(1, total // _MOST_POINTS)
-    for x, y in zip(against.values, missing.force, strict=True):
+    for x, y in zip(values, missing.force, strict=True):
         axes.plot(x[::step], y[::step], ".", color=COLOURS[4], markersize=2.5, alpha=0.5, markeredgewidth=0)
-    if not against.label.startswith("time"):
-        middle, mean = _binned(np.concatenate(against.values), np.concatenate(missing.force))
+    if not label.startswith("time"):
+        middle, mean = _binned(np.concatenate(values), np.concatenate(missing.force))
         if len(middle) > 1:
             axes.plot(middle, mean, color=INK, linewidth=1.6)
     axes.set_ylim(*_span(np.concatenate(missing.force)))
     axes.locator_params(axis="x", nbins=4)
     axes.ticklabel_format(scilimits=(-3, 4))
-    axes.set_xlabel(against.label)
+    axes.set_xlabel(label)
     zero_line(axes)
 
 

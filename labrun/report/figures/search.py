@@ -17,7 +17,9 @@ from labrun.report.style import (
     FAINT,
     INK,
     SOFT,
+    beside,
     heading,
+    legend_above,
     new_figure,
     panel_letter,
     plain_numbers,
@@ -103,14 +105,7 @@ def _objective(axes: Axes, view: RunView, generations: Sequence[Generation]) -> 
     axes.set_ylabel(view.objective_label)
     zero_line(axes)
     panel_letter(axes, "a", "objective")
-    axes.legend(
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
-        borderaxespad=0.2,
-        ncols=5,
-        columnspacing=1.2,
-        handletextpad=0.5,
-    )
+    legend_above(axes, columnspacing=1.2, handletextpad=0.5)
 
 
 def _honest(axes: Axes, view: RunView, last: int, width: float) -> None:
@@ -164,16 +159,8 @@ def _end_labels(axes: Axes, ends: Sequence[tuple[float, str, str]], last: int) -
         places.append(max(share, places[-1] + gap) if places else share)
     excess = max(0.0, places[-1] - 1.0)
     for place, (_, name, colour) in zip(places, sorted(ends), strict=True):
-        axes.annotate(
-            name,
-            (last, place - excess),
-            xytext=(4, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=7.5,
-            color=colour,
-            annotation_clip=False,
-        )
+        at = (last, place - excess)
+        beside(axes, name, at, va="center", fontsize=7.5, color=colour, annotation_clip=False)
 
 
 def _feasible(axes: Axes, generations: Sequence[Generation], number: Sequence[int]) -> None:

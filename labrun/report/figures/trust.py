@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from labrun.arrays import FloatArray
 from labrun.report.data import RunView
 from labrun.report.statistics import Drift, Repeatability, chance_band, line_band, reference_values, spreads
-from labrun.report.style import COLOURS, SOFT, new_figure
+from labrun.report.style import COLOURS, SOFT, legend_above, new_figure
 from labrun.report.text import slope_words, with_unit
 from labrun.store import TrialOutcome
 
@@ -67,7 +67,7 @@ def draw_settling(outcomes: Sequence[TrialOutcome]) -> Figure:
         left.set_xlabel("settle time (s)")
         left.set_ylabel("trials")
         left.set_xlim(0, edges[-1])
-        left.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
+        legend_above(left)
         small: Any = {"markersize": 2.6, "alpha": 0.6, "markeredgewidth": 0}
         for reason, colour in zip(reasons, colours, strict=True):
             part = [(index, t) for index, t, r in waited if r == reason]
@@ -102,5 +102,5 @@ def draw_repeatability(view: RunView, item: Repeatability) -> Figure:
         axes.set_ylim(0, 1.08 * max(float(sds.max()), high))
         axes.set_xlabel(with_unit(f"mean of {item.objective}", item.unit))
         axes.set_ylabel(with_unit("sd of single trials", item.unit))
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
+        legend_above(axes)
     return figure
