@@ -22,9 +22,7 @@ from labrun_plugins.simulated.bench import (
     BenchSettings,
     described,
     hidden_effects,
-    joint_model,
-    joint_stepper,
-    through,
+    unpacked,
 )
 
 Beam = Literal["long", "short", "polyester", "steel"]
@@ -177,21 +175,14 @@ class BeamBench(Bench):
     scale = _SCALE
     joints = ("pusher",)
     sensed = ("force",)
+    remembered = ("beam", "factors", "inputs_before", "snapped", "damaged", "pusher", "cell", "stepper")
     signals: Mapping[str, str] = {"force": "N", "position": "m", "bend": "rad"}
 
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
         spread = 0.0 if self._settings.as_modelled else self._settings.scatter * self._settings.noise
         self._spread = spread * np.array(_BETWEEN_MOUNTINGS)
-        at_pusher = [one for one in self._settings.hide if one.site in self.joints]
-        at_cell = [one for one in self._settings.hide if one.site in self.sensed]
-        hidden_pusher = hidden_effects(at_pusher, joint_model(self.joints), _PUSHER_SCALE)
-        hidden_cell = hidden_effects(at_cell, joint_model(self.sensed), _SCALE)
-        self._elsewhere = hidden_pusher + hidden_cell
-        self._pusher = joint_stepper(self.joints, self.step_s, hidden_pusher) if hidden_pusher else None
-        self._cell = joint_stepper(self.sensed, self.step_s, hidden_cell) if hidden_cell else None
-        self._told_before = np.zeros(1)
-        self._force_before = np.zeros(1)
+        self._pusher, self._cell = self._passage(self.joints, _PUSHER_SCALE), self._passage(self.sensed)
         self._snapped, self._damaged = False, False
         self._inputs_before = np.array([[0.0, 1.0, 1.0]])
         self._put(self._settings.beam, self._mounted())
@@ -225,7 +216,9 @@ class BeamBench(Bench):
             "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
             "parameter_errors": dict(self._settings.parameters),
             "built_in": [described(self._loop)],
-            "hidden": [described(effect) for effect in (*self._hidden, *self._elsewhere)],
+            "hidden": [
+                described(effect) for effect in (*self._hidden, *self._pusher.effects, *self._cell.effects)
+            ],
         }
 
     def _mounted(self) -> FloatArray:
@@ -254,13 +247,11 @@ class BeamBench(Bench):
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
         told = self._drives["pusher"].angles(time_s)
-        moved = through(self._pusher, self._told_before, told)
+        moved = self._pusher(told)
         inputs = np.concatenate([self._inputs_before, self._driven(moved)])
         force = self._stepper.advance(inputs)[:, 0]
         self._inputs_before = inputs[-1:].copy()
-        felt = through(self._cell, self._force_before, force)
-        self._told_before = told[-1:].copy()
-        self._force_before = force[-1:].copy()
+        felt = self._cell(force)
         if not self._stepper.finite:
             raise ExperimentError("the simulated beam bench blew up", hint="hide a weaker effect, or none")
         return np.column_stack([felt, moved, moved / (1e-3 * self._settings.lever_mm)])
@@ -282,31 +273,9 @@ class BeamBench(Bench):
         )
         return inputs
 
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "beam": self._beam,
-            "factors": self._factors.tolist(),
-            "told_before": self._told_before.tolist(),
-            "inputs_before": self._inputs_before.tolist(),
-            "snapped": self._snapped,
-            "damaged": self._damaged,
-            "force_before": self._force_before.tolist(),
-            "pusher": None if self._pusher is None else self._pusher.snapshot(),
-            "cell": None if self._cell is None else self._cell.snapshot(),
-            "stepper": self._stepper.snapshot(),
-        }
-
     def _recall(self, memory: Mapping[str, Any]) -> None:
-        self._put(memory["beam"], np.array(memory["factors"]))
-        self._told_before = np.array(memory["told_before"])
-        self._inputs_before = np.array(memory["inputs_before"])
-        self._snapped, self._damaged = bool(memory["snapped"]), bool(memory["damaged"])
-        self._force_before = np.array(memory["force_before"])
-        if self._pusher is not None:
-            self._pusher.restore(memory["pusher"])
-        if self._cell is not None:
-            self._cell.restore(memory["cell"])
-        self._stepper.restore(memory["stepper"])
+        self._put(memory["beam"], unpacked(memory["factors"]))
+        super()._recall(memory)
 
 
 @kernel

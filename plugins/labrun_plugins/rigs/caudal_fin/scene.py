@@ -26,8 +26,6 @@ from labrun_plugins.simulated.bench import (
     BenchSettings,
     described,
     hidden_effects,
-    joint_model,
-    joint_stepper,
     packed,
     unpacked,
 )
@@ -105,6 +103,9 @@ class CaudalTank(Bench):
     scale = _SCALE
     joints = ("tail",)
     sensed = ("torque_y", "torque_x")
+    remembered = (
+        "fin", "tip_rad", "servo_rad", "late", "angle", "momentum", "inputs_before", "servo", "sensor", "stepper",
+    )  # fmt: skip
     signals: Mapping[str, str] = {
         "force_x": "N", "force_y": "N", "force_z": "N", "torque_x": "N m", "torque_y": "N m", "torque_z": "N m",
         "tail": "rad",
@@ -115,25 +116,17 @@ class CaudalTank(Bench):
         self._model = self._with_errors(caudal_model())
         if self._settings.as_modelled:
             self._model = self._model.with_values(dict.fromkeys(_NOT_IN_THE_STEP_MODELS, 0.0))
-        on_joints = [one for one in self._settings.hide if one.site in self.joints]
-        in_sensor = [one for one in self._settings.hide if one.site in self.sensed]
+        self._servo, self._sensor = self._passage(self.joints), self._passage(self.sensed)
         elsewhere = (*self.joints, *self.sensed)
         in_water = [one for one in self._settings.hide if one.site not in elsewhere]
-        hidden_joints = hidden_effects(on_joints, joint_model(self.joints), _SCALE)
-        water = hidden_effects(in_water, self._model, _SCALE)
-        hidden_sensors = hidden_effects(in_sensor, joint_model(self.sensed), _SCALE)
-        self._water = water
-        self._hidden = water + hidden_joints + hidden_sensors
-        self._servo = joint_stepper(self.joints, self.step_s, hidden_joints) if hidden_joints else None
-        self._sensor = joint_stepper(self.sensed, self.step_s, hidden_sensors) if hidden_sensors else None
+        self._water = hidden_effects(in_water, self._model, _SCALE)
+        self._hidden = self._water + self._servo.effects + self._sensor.effects
         self._large = self._model
         self._put((self._settings.material, self._settings.thickness_mm, self._settings.fin))
         self._tip_rad = 0.0
         self._servo_rad = 0.0
         self._late = DelayLine(self._steps(AMPLITUDE_DEAD_S + ECHO_S) + 2)
         self._angle = DelayLine(self._steps(ANGLE_DEAD_S) + 2)
-        self._joint_before = np.zeros(1)
-        self._sensor_before = np.zeros((1, len(self.sensed)))
         self._momentum = np.zeros(2)
         self._inputs_before = np.zeros((1, len(self._model.inputs)))
 
@@ -171,11 +164,7 @@ class CaudalTank(Bench):
         return round(duration_s / self.step_s)
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
-        commanded = self._drives["tail"].angles(time_s)
-        servo = commanded
-        if self._servo is not None:
-            servo = self._servo.advance(np.append(self._joint_before, commanded)[:, None])[:, 0]
-            self._joint_before = commanded[-1:].copy()
+        servo = self._servo(self._drives["tail"].angles(time_s))
         tip = self._tip(servo)
         rate = (servo - tip) / TIP_LAG_S
         late_s = (0.0, ECHO_S, QUARTER_S)
@@ -196,11 +185,8 @@ class CaudalTank(Bench):
         rows[:, :2] = force
         rows[:, 3], rows[:, 4] = bar * force[:, 1], -bar * force[:, 0]
         rows[:, 6] = servo
-        if self._sensor is not None:
-            felt = [self._columns[signal] for signal in self.sensed]
-            true = rows[:, felt]
-            rows[:, felt] = self._sensor.advance(np.concatenate([self._sensor_before, true]))
-            self._sensor_before = true[-1:].copy()
+        felt = [self._columns[signal] for signal in self.sensed]
+        rows[:, felt] = self._sensor(rows[:, felt])
         return rows
 
     def _tip(self, servo: FloatArray) -> FloatArray:
@@ -216,38 +202,10 @@ class CaudalTank(Bench):
         self._momentum = momentum[-1].copy()
         return changed[:, 0], changed[:, 1]
 
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "fin": list(self._fin),
-            "tip_rad": self._tip_rad,
-            "servo_rad": self._servo_rad,
-            "late": self._late.snapshot(),
-            "angle": self._angle.snapshot(),
-            "joint_before": self._joint_before.tolist(),
-            "momentum": self._momentum.tolist(),
-            "inputs_before": self._inputs_before.tolist(),
-            "servo": None if self._servo is None else self._servo.snapshot(),
-            "sensor_before": self._sensor_before.tolist(),
-            "sensor": None if self._sensor is None else self._sensor.snapshot(),
-            "stepper": self._stepper.snapshot(),
-        }
-
     def _recall(self, memory: Mapping[str, Any]) -> None:
         material, thickness_mm, fin = memory["fin"]
-        self._put((material, float(thickness_mm), fin))
-        self._tip_rad = float(memory["tip_rad"])
-        self._servo_rad = float(memory["servo_rad"])
-        self._late.restore(memory["late"])
-        self._angle.restore(memory["angle"])
-        self._joint_before = np.array(memory["joint_before"])
-        self._momentum = np.array(memory["momentum"])
-        self._inputs_before = np.array(memory["inputs_before"])
-        if self._servo is not None:
-            self._servo.restore(memory["servo"])
-        self._sensor_before = np.array(memory["sensor_before"])
-        if self._sensor is not None:
-            self._sensor.restore(memory["sensor"])
-        self._stepper.restore(memory["stepper"])
+        self._put((material, thickness_mm, fin))
+        super()._recall({**memory, "fin": self._fin})
 
 
 @kernel

@@ -23,10 +23,8 @@ from labrun.models import Input, Model, Output, Parameter, Site, Stepper, native
 from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
-    described,
     hidden_effects,
-    joint_model,
-    joint_stepper,
+    unpacked,
 )
 
 
@@ -157,6 +155,7 @@ class DrivenJoint(Bench):
     scale = _SCALE
     joints = ("base",)
     sensed = _PARTS
+    remembered = ("factors", "mounted", "base_before", "set", "servo", "sight", "stepper")
     signals: Mapping[str, str] = {
         **{f"{part}_{axis}": "m" if axis in "xyz" else "1"
            for part in ("arm", "horn") for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")},
@@ -166,17 +165,7 @@ class DrivenJoint(Bench):
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
         spread = self._settings.scatter * self._settings.noise * np.array(_BETWEEN_SETUPS)
-        at = {
-            place: [one for one in self._settings.hide if one.site in sites]
-            for place, sites in (("servo", self.joints), ("sight", self.sensed))
-        }
-        at_servo = hidden_effects(at["servo"], joint_model(self.joints), _SCALE)
-        in_sight = hidden_effects(at["sight"], joint_model(self.sensed), _SCALE)
-        self._elsewhere = at_servo + in_sight
-        self._servo = joint_stepper(self.joints, self.step_s, at_servo) if at_servo else None
-        self._sight = joint_stepper(self.sensed, self.step_s, in_sight) if in_sight else None
-        self._told_before = np.zeros(1)
-        self._seen_before = np.zeros((1, 2))
+        self._servo, self._sight = self._passage(self.joints), self._passage(self.sensed)
         self._base_before = np.zeros(1)
         self._set_up(np.maximum(1.0 + spread * rng.standard_normal(2), 0.0))
         self._put({name: float(getattr(self._settings, name)) for name in ("payload_g", "up", "strip_mm")})
@@ -189,12 +178,9 @@ class DrivenJoint(Bench):
 
     def truth(self) -> dict[str, Any]:
         """Return what is mounted, parameters as they are on the bench, and hidden effects."""
-        return {
-            "mounted": dict(self._mounted),
-            "parameters": dict(self._values),
-            "parameter_errors": dict(self._settings.parameters),
-            "hidden": [described(effect) for effect in (*self._at_hinge, *self._elsewhere)],
-        }
+        return self._truth(
+            (*self._at_hinge, *self._servo.effects, *self._sight.effects), mounted=dict(self._mounted)
+        )
 
     def _set_up(self, factors: FloatArray) -> None:
         """Take a setup, whose factors on stiffness and damping these are."""
@@ -237,48 +223,19 @@ class DrivenJoint(Bench):
         self._set = np.array([up, payload_kg, share])
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
-        base = self._drives["base"].angles(time_s)
-        if self._servo is not None:
-            told = np.append(self._told_before, base)
-            self._told_before = base[-1:].copy()
-            base = self._servo.advance(told[:, None])[:, 0]
+        base = self._servo(self._drives["base"].angles(time_s))
         edges = np.append(self._base_before, base)
         self._base_before = base[-1:].copy()
         steady = np.broadcast_to(self._set, (len(edges), len(self._set)))
         true = self._stepper.advance(np.column_stack([edges, steady]))
         if not self._stepper.finite:
             raise ExperimentError("the simulated driven joint blew up", hint="hide a weaker effect, or none")
-        seen = true
-        if self._sight is not None:
-            seen = self._sight.advance(np.concatenate([self._seen_before, true]))
-            self._seen_before = true[-1:].copy()
+        seen = self._sight(true)
         return np.column_stack([_pose(seen[:, 0], _LEVER_M), _pose(seen[:, 1], _HORN_M), seen, base])
 
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "factors": self._factors.tolist(),
-            "mounted": dict(self._mounted),
-            "told_before": self._told_before.tolist(),
-            "seen_before": self._seen_before.tolist(),
-            "base_before": self._base_before.tolist(),
-            "set": self._set.tolist(),
-            "servo": None if self._servo is None else self._servo.snapshot(),
-            "sight": None if self._sight is None else self._sight.snapshot(),
-            "stepper": self._stepper.snapshot(),
-        }
-
     def _recall(self, memory: Mapping[str, Any]) -> None:
-        self._set_up(np.array(memory["factors"]))
-        self._mounted = {str(name): float(value) for name, value in memory["mounted"].items()}
-        self._told_before = np.array(memory["told_before"])
-        self._seen_before = np.array(memory["seen_before"])
-        self._base_before = np.array(memory["base_before"])
-        self._set = np.array(memory["set"])
-        if self._servo is not None:
-            self._servo.restore(memory["servo"])
-        if self._sight is not None:
-            self._sight.restore(memory["sight"])
-        self._stepper.restore(memory["stepper"])
+        self._set_up(unpacked(memory["factors"]))
+        super()._recall(memory)
 
 
 def _pose(angle: FloatArray, lever_m: float) -> FloatArray:

@@ -28,12 +28,7 @@ from labrun_plugins.rigs.fish.fins import ATTACHMENTS, JOINTS, WATERS, Attachmen
 from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
-    described,
     hidden_effects,
-    joint_model,
-    joint_stepper,
-    packed,
-    unpacked,
 )
 
 REAR_FINS_YAW_DRAG = 0.041
@@ -252,6 +247,7 @@ class FireFree(Bench):
     step_s = 0.01
     scale = Scale(coordinate=0.5, rate=0.2, acceleration=1.0, force=0.3, signal=0.5, time_s=2.0)
     joints = JOINTS
+    remembered = ("put", "motion", "wake", "fins_before", "inputs_before", "servo", "stepper")
     signals: Mapping[str, str] = {
         **{one.name: one.unit for one in OUTPUTS}, **dict.fromkeys(JOINTS, "rad"),
     }  # fmt: skip
@@ -259,18 +255,15 @@ class FireFree(Bench):
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
         self._model = self._with_errors(free_model())
-        on_joints = [one for one in self._settings.hide if one.site in self.joints]
         in_water = [one for one in self._settings.hide if one.site not in self.joints]
-        joint_effects = hidden_effects(on_joints, joint_model(self.joints), self.scale)
         self._water_effects = hidden_effects(in_water, self._model, self.scale)
-        self._hidden = self._water_effects + joint_effects
-        self._servo = joint_stepper(self.joints, self.step_s, joint_effects) if joint_effects else None
+        self._servo = self._passage(self.joints)
+        self._hidden = self._water_effects + self._servo.effects
         self._put = {name: getattr(self._settings, name) for name in ("attachment", "caudal", "water")}
         self._stepper = self._fresh_stepper()
         self._watch = Watch()
         self._motion = motion_at(np.zeros(len(JOINTS)))
         self._wake = np.zeros((WATERS, 3))
-        self._joints_before = np.zeros((1, len(JOINTS)))
         self._fins_before = np.zeros(4)
         self._inputs_before = np.zeros(len(self._model.inputs))
 
@@ -292,12 +285,7 @@ class FireFree(Bench):
 
     def truth(self) -> dict[str, Any]:
         """Return parameters as they are on the bench, and hidden effects."""
-        names = (one.name for one in self._model.parameters)
-        return {
-            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
-            "parameter_errors": dict(self._settings.parameters),
-            "hidden": [described(effect) for effect in self._hidden],
-        }
+        return self._truth(self._hidden)
 
     def _fresh_stepper(self) -> Stepper:
         values = dict(
@@ -311,13 +299,10 @@ class FireFree(Bench):
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
         count = len(time_s)
-        joints = np.empty((count, len(self.joints)))
-        for drive, column in zip(self._drives.values(), joints.T, strict=True):
+        commanded = np.empty((count, len(self.joints)))
+        for drive, column in zip(self._drives.values(), commanded.T, strict=True):
             drive.write(time_s, column)
-        if self._servo is not None:
-            commanded = joints
-            joints = self._servo.advance(np.concatenate([self._joints_before, commanded]))
-            self._joints_before = commanded[-1:].copy()
+        joints = self._servo(commanded)
         before, self._fins_before = self._fins_before, joints[-1, :4].copy()
         noise = self._settings.noise / math.sqrt(self.step_s) * self._rng.standard_normal((count, 3))
         rows = np.empty((count, len(self.signals)))
@@ -348,26 +333,7 @@ class FireFree(Bench):
             raise ExperimentError("the simulated free fish blew up", hint="hide a weaker effect, or none")
         return rows
 
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "put": dict(self._put),
-            "motion": packed(self._motion),
-            "wake": packed(self._wake),
-            "joints_before": packed(self._joints_before),
-            "fins_before": packed(self._fins_before),
-            "inputs_before": packed(self._inputs_before),
-            "servo": None if self._servo is None else self._servo.snapshot(),
-            "stepper": self._stepper.snapshot(),
-        }
-
     def _recall(self, memory: Mapping[str, Any]) -> None:
         self._put = dict(memory["put"])
         self._stepper = self._fresh_stepper()
-        self._motion = unpacked(memory["motion"])
-        self._wake = unpacked(memory["wake"])
-        self._joints_before = unpacked(memory["joints_before"])
-        self._fins_before = unpacked(memory["fins_before"])
-        self._inputs_before = unpacked(memory["inputs_before"])
-        if self._servo is not None:
-            self._servo.restore(memory["servo"])
-        self._stepper.restore(memory["stepper"])
+        super()._recall(memory)

@@ -23,12 +23,7 @@ from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
     Carriage,
-    described,
     hidden_effects,
-    joint_model,
-    joint_stepper,
-    packed,
-    unpacked,
 )
 
 # First sloshing modes of water 0.5 m deep in the 1.22 x 0.61 m tank: omega^2 = g k tanh(k h), k = pi / length.
@@ -164,6 +159,7 @@ class FireTank(Bench):
     fine_step_s = 0.0025
     scale = _SCALE
     joints = JOINTS
+    remembered = ("attachment", "carriage", "motion", "wake", "inputs_before", "servo", "stepper")
     signals: Mapping[str, str] = {
         **{one.name: one.unit for one in OUTPUTS}, "position": "m", **dict.fromkeys(JOINTS, "rad"),
     }  # fmt: skip
@@ -171,18 +167,15 @@ class FireTank(Bench):
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
         self._model = self._with_errors(fire_model(self._settings.mount_height_m))
-        on_joints = [one for one in self._settings.hide if one.site in self.joints]
         in_water = [one for one in self._settings.hide if one.site not in self.joints]
-        joint_effects = hidden_effects(on_joints, joint_model(self.joints), _SCALE)
         water_effects = hidden_effects(in_water, self._model, _SCALE)
-        self._hidden = water_effects + joint_effects
-        self._servo = joint_stepper(self.joints, self.step_s, joint_effects) if joint_effects else None
+        self._servo = self._passage(self.joints)
+        self._hidden = water_effects + self._servo.effects
         self._stepper = Stepper(self._model, effects=water_effects, step_s=self.step_s)
         self._carriage = Carriage()
         self._motion = motion_at(np.zeros(len(JOINTS)))
         self._wake = np.zeros((WATERS, 3))
         self._attachment: str = self._settings.attachment
-        self._joints_before = np.zeros((1, len(JOINTS)))
         self._inputs_before = np.zeros((1, len(self._model.inputs)))
 
     def arrange(self, condition: Mapping[str, float | str]) -> None:
@@ -209,22 +202,14 @@ class FireTank(Bench):
 
     def truth(self) -> dict[str, Any]:
         """Return parameters as they are on the bench, and hidden effects."""
-        names = (one.name for one in self._model.parameters)
-        return {
-            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
-            "parameter_errors": dict(self._settings.parameters),
-            "hidden": [described(effect) for effect in self._hidden],
-        }
+        return self._truth(self._hidden)
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
         count = len(time_s)
         commanded = np.empty((count, len(self.joints)))
         for drive, column in zip(self._drives.values(), commanded.T, strict=True):
             drive.write(time_s, column)
-        joints = commanded
-        if self._servo is not None:
-            joints = self._servo.advance(np.concatenate([self._joints_before, commanded]))
-            self._joints_before = commanded[-1:].copy()
+        joints = self._servo(commanded)
         position, speed, acceleration = self._carriage.motion(time_s)
         going = np.zeros((count, 3))
         going[:, 0] = speed
@@ -241,26 +226,3 @@ class FireTank(Bench):
         rows = np.empty((count, len(self.signals)))
         rows[:, :6], rows[:, 6], rows[:, 7:] = wrench, position, joints
         return rows
-
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "attachment": self._attachment,
-            "carriage": self._carriage.snapshot(),
-            "motion": packed(self._motion),
-            "wake": packed(self._wake),
-            "joints_before": packed(self._joints_before),
-            "inputs_before": packed(self._inputs_before),
-            "servo": None if self._servo is None else self._servo.snapshot(),
-            "stepper": self._stepper.snapshot(),
-        }
-
-    def _recall(self, memory: Mapping[str, Any]) -> None:
-        self._attachment = memory["attachment"]
-        self._carriage.restore(memory["carriage"])
-        self._motion = unpacked(memory["motion"])
-        self._wake = unpacked(memory["wake"])
-        self._joints_before = unpacked(memory["joints_before"])
-        self._inputs_before = unpacked(memory["inputs_before"])
-        if self._servo is not None:
-            self._servo.restore(memory["servo"])
-        self._stepper.restore(memory["stepper"])

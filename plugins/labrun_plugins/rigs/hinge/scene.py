@@ -23,8 +23,6 @@ from labrun_plugins.simulated.bench import (
     BenchSettings,
     described,
     hidden_effects,
-    joint_model,
-    joint_stepper,
 )
 
 
@@ -169,6 +167,7 @@ class HingeBench(Bench):
     sensed = ("angle",)
     shown_by: ClassVar[Mapping[str, str]] = {"angle": "hinge"}
     """By which signal an output of a model shows that is called otherwise."""
+    remembered = ("specimen", "setup_scale", "test", "scales", "held", "releases", "sight", "stepper")
     signals: Mapping[str, str] = {
         "arm_x": "m", "arm_y": "m", "arm_z": "m", "arm_qx": "1", "arm_qy": "1", "arm_qz": "1", "arm_qw": "1",
         "hinge": "rad",
@@ -188,10 +187,7 @@ class HingeBench(Bench):
         self._held = False
         self._specimen: dict[str, float] = {}
         # What is sensed is the angle however it came about: effects there see the body held as well as swinging.
-        in_sight = [one for one in self._settings.hide if one.site in self.sensed]
-        self._in_sight = hidden_effects(in_sight, joint_model(self.sensed), _SCALE)
-        self._sight = joint_stepper(self.sensed, self.step_s, self._in_sight) if self._in_sight else None
-        self._angle_before = np.zeros(1)
+        self._sight = self._passage(self.sensed)
         self._put({name: getattr(self._settings, name) for name in ("width_mm", "length_mm", "area_cm2")})
 
     @property
@@ -232,7 +228,7 @@ class HingeBench(Bench):
             "releases": [{"time_s": time_s, "stiffness": k, "damping": b} for time_s, k, b in self._releases],
             "parameter_errors": dict(self._settings.parameters),
             "built_in": [described(self._drag)],
-            "hidden": [described(effect) for effect in (*self._hidden, *self._in_sight)],
+            "hidden": [described(effect) for effect in (*self._hidden, *self._sight.effects)],
         }
 
     def _mounted(self) -> FloatArray:
@@ -301,15 +297,7 @@ class HingeBench(Bench):
             self._held = bool(held[last - 1])
         if not self._stepper.finite:
             raise ExperimentError("the simulated hinge bench blew up", hint="hide a weaker effect, or none")
-        return self._rows(self._seen(angle))
-
-    def _seen(self, angle: FloatArray) -> FloatArray:
-        """Return the angle as the cameras see it."""
-        if self._sight is None:
-            return angle
-        seen = self._sight.advance(np.append(self._angle_before, angle)[:, None])[:, 0]
-        self._angle_before = angle[-1:].copy()
-        return seen
+        return self._rows(self._sight(angle))
 
     def _rows(self, angle: FloatArray) -> FloatArray:
         zero = np.zeros_like(angle)
@@ -321,27 +309,6 @@ class HingeBench(Bench):
             angle,
         ])  # fmt: skip
 
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "specimen": self._specimen,
-            "setup_scale": self._setup_scale.tolist(),
-            "test": self._test,
-            "scales": self._scales.tolist(),
-            "held": self._held,
-            "releases": [list(one) for one in self._releases],
-            "angle_before": self._angle_before.tolist(),
-            "sight": None if self._sight is None else self._sight.snapshot(),
-            "stepper": self._stepper.snapshot(),
-        }
-
     def _recall(self, memory: Mapping[str, Any]) -> None:
         self._put(dict(memory["specimen"]))
-        self._setup_scale = np.array(memory["setup_scale"])
-        self._test = memory["test"]
-        self._scales = np.array(memory["scales"])
-        self._held = bool(memory["held"])
-        self._releases = [[float(value) for value in one] for one in memory["releases"]]
-        self._angle_before = np.array(memory["angle_before"])
-        if self._sight is not None:
-            self._sight.restore(memory["sight"])
-        self._stepper.restore(memory["stepper"])
+        super()._recall(memory)

@@ -20,11 +20,8 @@ from labrun.models import Input, Model, Output, Parameter, Site, Stepper, native
 from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
-    described,
+    Passage,
     hidden_effects,
-    joint_model,
-    joint_stepper,
-    through,
 )
 
 LAG_S = 0.02
@@ -124,22 +121,19 @@ class LifeBench(Bench):
     scale = _SCALE
     joints = ("hinge",)
     sensed = ("torque_z",)
+    remembered = ("batch", "hinge", "cycles", "side", "inputs_before", "servo", "sensor", "stepper")
     signals: Mapping[str, str] = {"torque_z": "N m", "hinge": "rad"}
 
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
         at_joint = [one for one in self._settings.hide if one.site in self.joints and one.kind == "input"]
-        at_sensor = [one for one in self._settings.hide if one.site in self.sensed]
-        in_hinge = [one for one in self._settings.hide if one not in at_joint and one not in at_sensor]
-        hidden_joint = hidden_effects(at_joint, joint_model(self.joints), _JOINT_SCALE)
-        hidden_sensor = hidden_effects(at_sensor, joint_model(self.sensed), _SCALE)
+        self._servo = Passage(self.joints, at_joint, _JOINT_SCALE, self.step_s)
+        self._sensor = self._passage(self.sensed)
         self._model = self._with_errors(turned_hinge())
+        in_hinge = [one for one in self._settings.hide if one not in at_joint and one.site not in self.sensed]
         in_model = hidden_effects(in_hinge, self._model, _SCALE)
-        self._hidden = [*in_model, *hidden_joint, *hidden_sensor]
-        self._servo = joint_stepper(self.joints, self.step_s, hidden_joint) if hidden_joint else None
-        self._sensor = joint_stepper(self.sensed, self.step_s, hidden_sensor) if hidden_sensor else None
+        self._hidden = [*in_model, *self._servo.effects, *self._sensor.effects]
         self._stepper = Stepper(self._model, effects=in_model, step_s=self.step_s)
-        self._told_before, self._torque_before = np.zeros(1), np.zeros(1)
         self._inputs_before = np.array([[0.0, 1.0]])
         self._batch = int(rng.integers(2**63))
         self._put(self._settings.layup, self._settings.range_deg, "", 1)
@@ -161,16 +155,9 @@ class LifeBench(Bench):
 
     def truth(self) -> dict[str, Any]:
         """Return the hinge, its life, how many cycles it has seen, parameters, and hidden effects."""
-        names = (one.name for one in self._model.parameters)
-        return {
-            "layup": self._hinge[0],
-            "specimen": self._hinge[2],
-            "life": self._life,
-            "cycles": self._cycles,
-            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
-            "parameter_errors": dict(self._settings.parameters),
-            "hidden": [described(effect) for effect in self._hidden],
-        }
+        return self._truth(
+            self._hidden, layup=self._hinge[0], specimen=self._hinge[2], life=self._life, cycles=self._cycles
+        )
 
     def _put(self, layup: str, range_deg: float, specimen: float | str, mounting: int) -> None:
         median = MEDIANS.get((layup, round(range_deg)))
@@ -191,11 +178,10 @@ class LifeBench(Bench):
         told = self._drives["hinge"].angles(time_s)
         sides = _sides(told, self._side)
         cycles = self._cycles + np.cumsum(np.diff(sides) > 0)
-        turned = through(self._servo, self._told_before, told)
+        turned = self._servo(told)
         inputs = np.column_stack([turned, self._left(cycles)])
         torque = self._stepper.advance(np.concatenate([self._inputs_before, inputs]))[:, 0]
-        felt = through(self._sensor, self._torque_before, torque)
-        self._told_before, self._torque_before = told[-1:].copy(), torque[-1:].copy()
+        felt = self._sensor(torque)
         self._inputs_before, self._cycles, self._side = inputs[-1:].copy(), int(cycles[-1]), int(sides[-1])
         if not self._stepper.finite:
             raise ExperimentError("the simulated life bench blew up", hint="hide a weaker effect, or none")
@@ -207,33 +193,11 @@ class LifeBench(Bench):
         torn = (cycles >= self._life) & (not self._settings.as_modelled)
         return np.where(torn, _TORN, tired)
 
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "batch": self._batch,
-            "hinge": list(self._hinge),
-            "cycles": self._cycles,
-            "side": self._side,
-            "told_before": self._told_before.tolist(),
-            "torque_before": self._torque_before.tolist(),
-            "inputs_before": self._inputs_before.tolist(),
-            "servo": None if self._servo is None else self._servo.snapshot(),
-            "sensor": None if self._sensor is None else self._sensor.snapshot(),
-            "stepper": self._stepper.snapshot(),
-        }
-
     def _recall(self, memory: Mapping[str, Any]) -> None:
-        self._batch = int(memory["batch"])
+        self._batch = memory["batch"]
         layup, range_deg, specimen, mounting = memory["hinge"]
-        self._put(layup, float(range_deg), specimen, int(mounting))
-        self._cycles, self._side = int(memory["cycles"]), int(memory["side"])
-        self._told_before = np.array(memory["told_before"])
-        self._torque_before = np.array(memory["torque_before"])
-        self._inputs_before = np.array(memory["inputs_before"])
-        if self._servo is not None:
-            self._servo.restore(memory["servo"])
-        if self._sensor is not None:
-            self._sensor.restore(memory["sensor"])
-        self._stepper.restore(memory["stepper"])
+        self._put(layup, range_deg, specimen, mounting)
+        super()._recall({**memory, "hinge": self._hinge})
 
 
 def _sides(angle: FloatArray, before: int) -> NDArray[np.int64]:

@@ -20,11 +20,7 @@ from labrun.models import Input, Model, Output, Parameter, Site, Stepper, kernel
 from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
-    described,
     hidden_effects,
-    joint_model,
-    joint_stepper,
-    through,
 )
 
 LAG_S = 0.02
@@ -168,20 +164,17 @@ class TensileBench(Bench):
     scale = _SCALE
     joints = ("pusher",)
     sensed = ("force",)
+    remembered = (
+        "batch", "layup", "specimen", "mounting", "farthest", "whole", "clamped",
+        "told_before", "inputs_before", "grip", "cell", "stepper",
+    )  # fmt: skip
     signals: Mapping[str, str] = {"force": "N", "position": "m"}
 
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
-        at_grip = [one for one in self._settings.hide if one.site in self.joints]
-        at_cell = [one for one in self._settings.hide if one.site in self.sensed]
-        hidden_grip = hidden_effects(at_grip, joint_model(self.joints), _GRIP_SCALE)
-        hidden_cell = hidden_effects(at_cell, joint_model(self.sensed), _SCALE)
-        self._elsewhere = hidden_grip + hidden_cell
-        self._grip = joint_stepper(self.joints, self.step_s, hidden_grip) if hidden_grip else None
-        self._cell = joint_stepper(self.sensed, self.step_s, hidden_cell) if hidden_cell else None
-        self._told_before, self._force_before = np.zeros(1), np.zeros(1)
+        self._grip, self._cell = self._passage(self.joints, _GRIP_SCALE), self._passage(self.sensed)
         self._batch = int(rng.integers(2**63))
-        self._inputs_before = np.array([[0.0, 0.0, 0.0, 1.0]])
+        self._told_before, self._inputs_before = np.zeros(1), np.array([[0.0, 0.0, 0.0, 1.0]])
         self._put(self._settings.layup, "", 1)
 
     def arrange(self, condition: Mapping[str, float | str]) -> None:
@@ -201,16 +194,10 @@ class TensileBench(Bench):
 
     def truth(self) -> dict[str, Any]:
         """Return the strip, its parameters and slack as they are on the bench, and hidden effects."""
-        names = (one.name for one in self._model.parameters)
-        return {
-            "layup": self._layup,
-            "specimen": self._specimen,
-            "slack": self._slack,
-            "broken": not self._whole,
-            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
-            "parameter_errors": dict(self._settings.parameters),
-            "hidden": [described(effect) for effect in (*self._hidden, *self._elsewhere)],
-        }
+        return self._truth(
+            (*self._hidden, *self._grip.effects, *self._cell.effects),
+            layup=self._layup, specimen=self._specimen, slack=self._slack, broken=not self._whole,
+        )  # fmt: skip
 
     def _put(self, layup: str, specimen: float | str, mounting: int) -> None:
         if layup not in LAYUPS:
@@ -236,11 +223,11 @@ class TensileBench(Bench):
         self._hidden = hidden_effects(at_strip, self._model, _SCALE)
         self._stepper = Stepper(self._model, effects=self._hidden, step_s=self.step_s)
         self._stepper.state = (float(self._inputs_before[0, 0]),) * 2
-        self._farthest, self._whole, self._clamped = -np.inf, True, False
+        self._farthest, self._whole, self._clamped = np.full(1, -np.inf), True, False
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
         told = self._drives["pusher"].angles(time_s)
-        moved = through(self._grip, self._told_before, told)
+        moved = self._grip(told)
         first = 0 if self._clamped else self._clamps_at(told)
         if not self._clamped and first < len(told):
             self._clamped = True
@@ -251,13 +238,13 @@ class TensileBench(Bench):
         if first < len(moved):
             farthest = np.maximum.accumulate(np.append(self._farthest, moved[first:]))
             force[first:] = self._pulled(moved[first:], farthest[1:])
-            self._farthest = float(farthest[-1])
+            self._farthest = farthest[-1:]
         breaks = np.flatnonzero(force >= self._breaks_n)
         if self._whole and len(breaks):
             self._whole = False
             force[breaks[0] :] = 0.0
-        felt = through(self._cell, self._force_before, force)
-        self._told_before, self._force_before = told[-1:].copy(), force[-1:].copy()
+        felt = self._cell(force)
+        self._told_before = told[-1:].copy()
         if not self._stepper.finite:
             raise ExperimentError("the simulated tensile bench blew up", hint="hide a weaker effect, or none")
         return np.column_stack([felt, moved])
@@ -276,32 +263,7 @@ class TensileBench(Bench):
         self._inputs_before = inputs[-1:].copy()
         return np.array(force)
 
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "strip": [self._layup, self._specimen, self._mounting],
-            "batch": self._batch,
-            "farthest": self._farthest if np.isfinite(self._farthest) else None,
-            "whole": self._whole,
-            "clamped": self._clamped,
-            "told_before": self._told_before.tolist(),
-            "force_before": self._force_before.tolist(),
-            "inputs_before": self._inputs_before.tolist(),
-            "grip": None if self._grip is None else self._grip.snapshot(),
-            "cell": None if self._cell is None else self._cell.snapshot(),
-            "stepper": self._stepper.snapshot(),
-        }
-
     def _recall(self, memory: Mapping[str, Any]) -> None:
-        self._batch = int(memory["batch"])
-        layup, specimen, mounting = memory["strip"]
-        self._put(layup, specimen, int(mounting))
-        self._farthest = -np.inf if memory["farthest"] is None else float(memory["farthest"])
-        self._whole, self._clamped = bool(memory["whole"]), bool(memory["clamped"])
-        self._told_before = np.array(memory["told_before"])
-        self._force_before = np.array(memory["force_before"])
-        self._inputs_before = np.array(memory["inputs_before"])
-        if self._grip is not None:
-            self._grip.restore(memory["grip"])
-        if self._cell is not None:
-            self._cell.restore(memory["cell"])
-        self._stepper.restore(memory["stepper"])
+        self._batch = memory["batch"]
+        self._put(memory["layup"], memory["specimen"], memory["mounting"])
+        super()._recall(memory)

@@ -2,11 +2,11 @@
 
 from labrun_plugins.simulated.bench.bench import Bench
 from labrun_plugins.simulated.bench.hidden import (
+    Passage,
     described,
     hidden_effects,
     joint_model,
     joint_stepper,
-    through,
 )
 from labrun_plugins.simulated.bench.history import ACCELERATION_M_S2, Carriage, packed, unpacked
 from labrun_plugins.simulated.bench.settings import BenchSettings, HiddenEffect
@@ -17,11 +17,11 @@ __all__ = [
     "BenchSettings",
     "Carriage",
     "HiddenEffect",
+    "Passage",
     "described",
     "hidden_effects",
     "joint_model",
     "joint_stepper",
     "packed",
-    "through",
     "unpacked",
 ]

@@ -1,8 +1,9 @@
 """What all simulated benches share: a time grid, commanded joints, hand-made changes, and an exact memory."""
 
+import copy
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,9 +11,10 @@ from numpy.typing import NDArray
 
 from labrun.devices import FloatArray, Trajectory
 from labrun.devices.compiled_bench import CompiledScene
-from labrun.effects import Scale
+from labrun.effects import AttachedEffect, Scale
 from labrun.errors import ExperimentError, SpecError
 from labrun.models import Model, Site
+from labrun_plugins.simulated.bench.hidden import Passage, described
 from labrun_plugins.simulated.bench.history import (
     History,
     JointDrive,
@@ -20,6 +22,7 @@ from labrun_plugins.simulated.bench.history import (
     packed,
     restore_generator,
     sealed,
+    unpacked,
     unsealed,
 )
 from labrun_plugins.simulated.bench.settings import BenchSettings, checked
@@ -51,6 +54,9 @@ class Bench(ABC):
     """Typical magnitudes on the bench, in which effects without values are hidden."""
     sensed: ClassVar[tuple[str, ...]] = ()
     """Signals whose sensors effects can be hidden in; without any, the outputs of the bench's model."""
+    remembered: ClassVar[tuple[str, ...]] = ()
+    """Attributes that make up the memory of the subclass, without their underscore: arrays, what JSON knows, and what
+    has a snapshot of its own."""
     _model: Model
 
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
@@ -161,13 +167,33 @@ class Bench(ABC):
     def _advance(self, time_s: FloatArray) -> FloatArray:
         """Simulate up to the next grid points and return their signals, shape (n, signals)."""
 
-    @abstractmethod
     def _memory(self) -> dict[str, Any]:
         """Return what the subclass remembers, JSON-ready."""
+        return {name: _kept(getattr(self, f"_{name}")) for name in self.remembered}
 
-    @abstractmethod
     def _recall(self, memory: Mapping[str, Any]) -> None:
         """Take back what `_memory` gave."""
+        for name in self.remembered:
+            own, stored = getattr(self, f"_{name}"), memory[name]
+            if hasattr(own, "restore"):
+                own.restore(stored)
+            else:
+                setattr(self, f"_{name}", unpacked(stored) if isinstance(own, np.ndarray) else stored)
+
+    def _passage(self, names: tuple[str, ...], scale: Scale | None = None) -> Passage:
+        """Return what joints or sensed signals pass through: the effects that hide at them."""
+        wanted = [one for one in self._settings.hide if one.site in names]
+        return Passage(names, wanted, scale or self.scale, self.step_s)
+
+    def _truth(self, hidden: Iterable[AttachedEffect], **bench: Any) -> dict[str, Any]:
+        """Return what stands on the bench, its parameters as they are, and hidden effects."""
+        names = (one.name for one in self._model.parameters)
+        return {
+            **bench,
+            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
+            "parameter_errors": dict(self._settings.parameters),
+            "hidden": [described(effect) for effect in hidden],
+        }
 
     def _begin(self, time_s: float) -> None:
         """Start the grid one point before the first look; before that nothing happened."""
@@ -196,3 +222,9 @@ class Bench(ABC):
         for drive in self._drives.values():
             drive.forget_before(self._history.end * self.step_s)
         return self._drives
+
+
+def _kept(value: Any) -> Any:
+    if hasattr(value, "snapshot"):
+        return value.snapshot()
+    return packed(value) if isinstance(value, np.ndarray) else copy.deepcopy(value)

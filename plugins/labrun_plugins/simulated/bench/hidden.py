@@ -10,6 +10,7 @@ from labrun.devices import FloatArray
 from labrun.effects import AttachedEffect, Scale, load_effect
 from labrun.errors import ModelError, PluginError, SpecError
 from labrun.models import Input, Model, Output, Stepper, native
+from labrun_plugins.simulated.bench.history import packed, unpacked
 from labrun_plugins.simulated.bench.settings import HiddenEffect
 
 
@@ -86,9 +87,41 @@ def _attached(wanted: HiddenEffect, model: Model, scale: Scale) -> AttachedEffec
     )
 
 
-def through(stepper: Stepper | None, before: FloatArray, values: FloatArray) -> FloatArray:
-    """Return a signal after the effects that hide in it, `before` its last value; as it is where none does."""
-    if stepper is None:
-        return values
-    passed: FloatArray = stepper.advance(np.append(before, values)[:, None])[:, 0]
-    return passed
+class Passage:
+    """Signals on their way into a bench or out of it, through the effects that hide there; without any they stay.
+
+    Parameters
+    ----------
+    names
+        Of the signals: joints or what is sensed.
+    wanted
+        The effects that hide at these names.
+    """
+
+    def __init__(
+        self, names: tuple[str, ...], wanted: Sequence[HiddenEffect], scale: Scale, step_s: float
+    ) -> None:
+        self.effects = hidden_effects(wanted, joint_model(names), scale)
+        self._stepper = joint_stepper(names, step_s, self.effects) if self.effects else None
+        self._before = np.zeros((1, len(names)))
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Return the next values, (n,) of one signal or (n, signals), after the effects."""
+        if self._stepper is None:
+            return values
+        rows = values.reshape(len(values), -1)
+        passed = self._stepper.advance(np.concatenate([self._before, rows]))
+        self._before = rows[-1:].copy()
+        return np.asarray(passed).reshape(values.shape)
+
+    def snapshot(self) -> dict[str, Any] | None:
+        """Return its memory, JSON-ready."""
+        if self._stepper is None:
+            return None
+        return {"before": packed(self._before), "stepper": self._stepper.snapshot()}
+
+    def restore(self, stored: dict[str, Any] | None) -> None:
+        """Take back what `snapshot` gave."""
+        if self._stepper is not None and stored is not None:
+            self._before = unpacked(stored["before"])
+            self._stepper.restore(stored["stepper"])
