@@ -1,7 +1,7 @@
 """Gains: by Skogestad's rules (SIMC), and those that follow best under margins that must be kept."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -16,7 +16,6 @@ from labrun.fit.tuning.loop import (
     allowed_gain,
     horizon_s,
     margins,
-    sample_plant,
 )
 from labrun.fit.tuning.settings import PidFitSettings
 
@@ -303,40 +302,30 @@ class _Error:
         self._factors = (1.0 - gain_error, 1.0, 1.0 + gain_error) if gain_error else (1.0,)
         self._time_s = loop.delay_s + float(np.sum(loop.lags_s))
         half_s = horizon_s(loop)
-        step_s = loop.step_s or half_s / _CONTINUOUS_STEPS
-        steps = int(min(max(half_s / step_s, 64), _MOST_STEPS))
-        self._step_s, self._steps = step_s, steps
-        harmonics = np.arange(1, steps + 1, 2)  # up to the Nyquist frequency
-        self._omega: FloatArray = np.asarray(np.pi * harmonics / (steps * step_s), dtype=float)
-        self._harmonics = harmonics
+        self._step_s = step_s = loop.step_s or half_s / _CONTINUOUS_STEPS
+        self._steps = steps = int(min(max(half_s / step_s, 64), _MOST_STEPS))
+        self._harmonics = np.arange(1, steps + 1, 2)  # up to the Nyquist frequency
+        self._omega: FloatArray = np.asarray(np.pi * self._harmonics / (steps * step_s), dtype=float)
         self._feedback = loop.frequency_response(self._omega)
-        self._output = self._output_response()
+        # what counts is the output itself, not its average
+        self._output = replace(loop, average_s=0.0).frequency_response(self._omega)
         square = np.ones(2 * steps)
         square[steps:] = -1.0
         # a step of 2 from plateau to plateau: halved, it is a unit step
-        self._reference = np.fft.rfft(0.5 * square)[harmonics]
+        self._reference = np.fft.rfft(0.5 * square)[self._harmonics]
         self._late_s = np.arange(steps) * step_s
 
     def gains(self, point: FloatArray) -> Gains:
         """Return the gains at a point: share of the allowed gain, log of integral and derivative time."""
-        p, i, d, filter_s = 1.0, 0.0, 0.0, 0.0
-        if len(point) > 1:
-            i = 1.0 / (self._time_s * math.exp(point[1]))
-        if len(point) > 2:
-            d = self._time_s * math.exp(point[2])
-            filter_s = d / self._wanted.derivative_filter
-        shape = Gains(p, i, d, filter_s, self._feedforward, self._lead_s)
-        sign = math.copysign(1.0, self._loop.gain)
-        curve = shape.frequency_response(self._loop.grid_rad_s, self._loop.step_s)
-        wanted = self._wanted
-        most = allowed_gain(
-            sign * curve * self._loop.grid_response,
-            wanted.gain_margin,
-            wanted.phase_margin_deg,
-            wanted.max_sensitivity,
-        )
+        loop, wanted = self._loop, self._wanted
+        i = 1.0 / (self._time_s * math.exp(point[1])) if len(point) > 1 else 0.0
+        d = self._time_s * math.exp(point[2]) if len(point) > 2 else 0.0
+        shape = Gains(1.0, i, d, d / wanted.derivative_filter, self._feedforward, self._lead_s)
+        sign = math.copysign(1.0, loop.gain)
+        curve = sign * shape.frequency_response(loop.grid_rad_s, loop.step_s) * loop.grid_response
+        most = allowed_gain(curve, wanted.gain_margin, wanted.phase_margin_deg, wanted.max_sensitivity)
         # a plant without dead time and of low order allows any gain: a thousandfold is enough of it
-        most = min(most / self._factors[-1], 1e3 / abs(self._loop.gain))
+        most = min(most / self._factors[-1], 1e3 / abs(loop.gain))
         return shape.scaled(sign * float(point[0]) * most)
 
     def __call__(self, gains: Gains) -> float:
@@ -369,11 +358,3 @@ class _Error:
         if self._wanted.criterion == "itae":
             return float(error @ self._late_s) * self._step_s / self._time_s**2
         return float(np.sum(error)) * self._step_s / self._time_s
-
-    def _output_response(self) -> ComplexArray:
-        """Return output over drive: what counts is the output itself, not its average."""
-        loop = self._loop
-        if loop.rate_hz is None:
-            return OpenLoop(loop.plant, None, loop.compute_s).frequency_response(self._omega)
-        sampled = sample_plant(loop.plant, loop.step_s, extra_s=loop.compute_s)
-        return sampled.frequency_response(np.exp(1j * self._omega * loop.step_s))
