@@ -15,6 +15,7 @@ from labrun.fit.comparison import (
     told_apart,
 )
 from labrun.fit.dataset import Dataset, FitTrial, OutputsAlone, load_dataset, thinned, until_peak
+from labrun.fit.levenberg_marquardt import NormalEquations, minimise, search
 from labrun.fit.method import (
     GROUP,
     FitJob,
@@ -30,7 +31,6 @@ from labrun.fit.method import (
 from labrun.fit.output_error import FEW_TRIALS, fit_model
 from labrun.fit.problem import FEWEST_SAMPLES, Jacobian, OutputNoise, Problem
 from labrun.fit.result import Curve, FigureData, FitResult, FitSummary, FittedData, Panel, Stack, TextTable
-from labrun.fit.search import NormalEquations, minimise, search
 from labrun.fit.simulations import Each, one_by_one, workers
 from labrun.fit.uncertainty import (
     LEVEL,

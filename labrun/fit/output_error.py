@@ -11,10 +11,10 @@ from labrun.arrays import FloatArray
 from labrun.errors import FitError, RequestError
 from labrun.estimate import Estimate
 from labrun.fit.dataset import Dataset, load_dataset
+from labrun.fit.levenberg_marquardt import Minimum, minimise, search
 from labrun.fit.method import FitJob, NoSettings, Note, WithSettings, silent
 from labrun.fit.problem import OutputNoise, Problem
 from labrun.fit.result import FitResult, FittedData, StartOutcome
-from labrun.fit.search import Minimum, minimise, search
 from labrun.fit.uncertainty import (
     by_mounting,
     correlation_length,

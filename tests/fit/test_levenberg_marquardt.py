@@ -10,8 +10,8 @@ from scipy.optimize import least_squares
 from test_output_error import driven, oscillator
 
 from labrun.fit.dataset import Dataset, FitTrial, SignalInfo
+from labrun.fit.levenberg_marquardt import NormalEquations, minimise
 from labrun.fit.problem import Problem
-from labrun.fit.search import NormalEquations, minimise
 from labrun.models import Model, parse_model, simulate
 
 FloatArray = NDArray[np.float64]
