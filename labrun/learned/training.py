@@ -65,7 +65,12 @@ class SlidingAffine:
         """Samples taken so far."""
 
     def add(self, inputs: FloatArray, outputs: FloatArray) -> None:
-        """Take samples, (n, inputs) and (n, outputs), oldest first; the oldest leave a full window."""
+        """Take samples, (n, inputs) and (n, outputs), oldest first; the oldest leave a full window.
+
+        A sample that is no finite number teaches nothing.
+        """
+        finite = np.isfinite(inputs).all(axis=1) & np.isfinite(outputs).all(axis=1)
+        inputs, outputs = inputs[finite], outputs[finite]
         z = np.column_stack([self._start.inputs.scaled(inputs), np.ones(len(inputs))])
         e = self._start.outputs.scaled(outputs) - z @ self._w0
         self._gram += z.T @ z
@@ -91,7 +96,10 @@ class SlidingAffine:
             return self._start
         held = min(self.count, self._window or math.inf)
         full = self._gram + self._ridge * held * np.eye(len(self._gram))
-        weights = self._w0 + np.linalg.solve(full, self._moment)
+        weights = np.full_like(self._w0, np.nan)  # sums that overflowed give none
+        if np.isfinite(full).all() and np.isfinite(self._moment).all():
+            # least squares: without a ridge the first samples leave directions open, and those stay where they were
+            weights = self._w0 + np.linalg.lstsq(full, self._moment, rcond=None)[0]
         start = self._start
         return Network((weights[:-1],), (weights[-1],), "identity", start.inputs, start.outputs)
 

@@ -91,6 +91,21 @@ def test_measurements_that_are_no_numbers_teach_nothing_and_weights_stay():
     assert (run.law.affine.weights == before).all()
 
 
+def test_without_a_ridge_weights_stay_until_the_samples_fix_them_and_are_learned_then():
+    controller, one = network(0.0)
+    law = law_of(controller, context(), wiring(), CHANNELS)
+    run = Run(law._replace(affine=law.affine._replace(ridge=0.0)))
+    assert run.step([0.0, 0.0, 3.0, 4.0]) == GOOD
+    start = one.collapsed()
+    assert (run.law.affine.weights[:-1] == start.weights[0]).all()
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        inputs = rng.normal(size=2)
+        run.step([*inputs, *(inputs @ np.array([[1.0, 0.4], [-2.0, 0.9]]) + (3.0, 4.0))])
+    assert run.step([0.0, 0.0, 3.0, 4.0], (1.0, 1.0)) == GOOD
+    assert run.drives == pytest.approx([2.0, 5.3], rel=1e-6)
+
+
 @pytest.mark.parametrize("windup", ["none", "conditional", "back-calculation"])
 @pytest.mark.parametrize("on", ["error", "measurement"])
 def test_a_compiled_pid_is_the_pid(windup, on):

@@ -73,6 +73,32 @@ def test_a_window_that_slides_gives_what_regression_on_it_gives(window):
     np.testing.assert_allclose(found, wanted, atol=1e-8)
 
 
+def test_without_a_ridge_directions_that_no_sample_moves_in_stay_as_they_were():
+    start = deep().collapsed()
+    sliding = SlidingAffine(start, None, 0.0)
+    x, _ = data(1)
+    sliding.add(x, start(x) + 0.3)
+    assert sliding.solved()(x) == pytest.approx(start(x) + 0.3)
+    z = np.append(start.inputs.scaled(x)[0], 1.0)
+    change = np.vstack(
+        [sliding.solved().weights[0] - start.weights[0], sliding.solved().biases[0] - start.biases[0]]
+    )
+    across = np.eye(4) - np.outer(z, z) / (z @ z)
+    assert across @ change == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_sample_that_is_no_number_teaches_nothing():
+    start = deep().collapsed()
+    sliding = SlidingAffine(start, 50, 1e-3)
+    x, y = data(40)
+    sliding.add(x, y)
+    before = sliding.solved().weights[0]
+    sliding.add(np.full((1, 3), np.nan), y[:1])
+    sliding.add(x[:1], np.full_like(y[:1], np.inf))
+    assert sliding.count == 40
+    assert (sliding.solved().weights[0] == before).all()
+
+
 def test_identity_by_lbfgs_comes_to_exact_affine_least_squares():
     x, y = data()
     network, took_s = train(Training(hidden=(4, 4)), x, y, seed=1)

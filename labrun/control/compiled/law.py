@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.control.compiled.stepping import AFFINE, ALIVE, PID, Affine, Law, Pid, Wiring
+from labrun.control.compiled.stepping import AFFINE, PID, Affine, Law, Pid, Wiring
 from labrun.control.feedbacks import LatestFeedback, OrientationFeedback
 from labrun.control.inverse import InverseController
 from labrun.control.making import OneForEach
@@ -118,7 +118,7 @@ def wiring_of(
         np.radians([low for low, _ in bounds]),
         np.radians([high for _, high in bounds]),
         np.radians(speeds) * context.period_s,
-        np.zeros(7, dtype=np.int64),
+        np.zeros(6, dtype=np.int64),
     )
 
 
@@ -171,8 +171,6 @@ def _network(controller: NetworkController, channels: Channels) -> Affine:
 def _affine(weights: FloatArray, order: Sequence[int], places: Sequence[int], window: int) -> Affine:
     size, outs = weights.shape
     none = np.zeros(outs, dtype=np.int64)
-    counts = np.zeros(7, dtype=np.int64)
-    counts[ALIVE] = 1
     return Affine(
         np.ascontiguousarray(weights, dtype=float),
         np.array(weights, dtype=float, order="C"),
@@ -194,7 +192,7 @@ def _affine(weights: FloatArray, order: Sequence[int], places: Sequence[int], wi
         np.zeros(_KEPT_SAMPLES),
         np.zeros((_KEPT_SAMPLES, outs)),
         np.array([-math.inf, 0.0]),
-        counts,
+        np.zeros(6, dtype=np.int64),
         0.0,
         1,
         0.0,

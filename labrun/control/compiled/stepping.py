@@ -16,10 +16,9 @@ STOPPED, FULL, UNWATCHED, UNSENT = 100, 101, 102, 200
 `UNSENT` + what the device's
 `CompiledWire.send` said."""
 
-SAMPLES, STEPS, TRAININGS, ALIVE, CLAMPED, WRITTEN, OLDEST = range(7)
-"""Places in `Affine.counts` and `Wiring.counts`: samples learned from, steps taken, trainings, whether it learns still,
-steps at which a limit of a joint bounded the set-point, samples of the measured drives kept, number of the
-window's oldest sample."""
+SAMPLES, STEPS, TRAININGS, CLAMPED, WRITTEN, OLDEST = range(6)
+"""Places in `Affine.counts` and `Wiring.counts`: samples learned from, steps taken, trainings, steps at which a limit
+of a joint bounded the set-point, samples of the measured drives kept, number of the window's oldest sample."""
 
 _REFRESH = 2048
 """Samples after which the sums of a window are formed anew: what is added and taken away again leaves rounding."""
@@ -235,7 +234,7 @@ def take_step(  # noqa: PLR0912 - one function, so that nothing is handed from c
         record[more] = now_s - affine.learned_s[1]
         record[more + 1] = affine.learned_s[1] - affine.learned_s[0] if trained > 0 else np.nan
         record[more + 2] = np.nan
-        record[more + 3], record[more + 4] = trained, affine.counts[ALIVE]
+        record[more + 3], record[more + 4] = trained, 1.0
     else:
         record[more : more + 5] = np.nan
     return GOOD
@@ -267,7 +266,7 @@ def _learn(
     bool
         Whether there are new weights.
     """
-    if not law.learns or law.counts[ALIVE] == 0:
+    if not law.learns:
         return False
     outs, kept = len(law.measured), len(law.recent_s)
     made_s = latest_s[law.measured_sensor[0]]
@@ -306,8 +305,7 @@ def _learn(
         return False
     held = _windowed(law, z, e, feedback_s)
     found = np.empty_like(law.weights)
-    if not _solved(law.gram, law.moment, law.ridge * held, found):
-        law.counts[ALIVE] = 0
+    if not _solved(law.gram, law.moment, law.ridge * held, found):  # too few samples without a ridge
         return False
     law.weights[:] = law.start + found
     law.learned_s[0] = feedback_s
