@@ -181,10 +181,9 @@ def table_of(matches: Sequence[Match]) -> tuple[LogTable, list[str]]:
             ),
             hint="are their stamps of one clock?",
         )
-    if inside.sum() < len(time_s):
-        said.append(
-            f"{len(time_s) - int(inside.sum())} samples before or after the other topics are left out"
-        )
+    if outside := len(time_s) - int(inside.sum()):
+        samples = "1 sample" if outside == 1 else f"{outside} samples"
+        said.append(f"{samples} before or after the other topics left out")
     at = time_s[inside]
     values = np.zeros((len(at), len(matches)))
     for place, match in enumerate(matches):
@@ -214,8 +213,8 @@ def _offset(streams: Sequence[Stream]) -> list[str]:
         return []
     (least, early), (most, late) = told[0], told[-1]
     return [
-        f"stamps of {late} lie {1e3 * most:.3g} ms before their receipt, those of {early} {1e3 * least:.3g} ms: the "
-        f"{1e3 * (most - least):.3g} ms between are the way to the recorder or a clock that is off, which the log "
+        f"stamps of {late} lie {1e3 * most:.1f} ms before their receipt, those of {early} {1e3 * least:.1f} ms: the "
+        f"{1e3 * (most - least):.1f} ms between are the way to the recorder or a clock that is off, which the log "
         "cannot tell; stamps are taken as they are"
     ]
 

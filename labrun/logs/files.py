@@ -4,6 +4,7 @@ import csv
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -70,30 +71,46 @@ def read_npz(path: Path, rate_hz: float | None) -> list[Stream]:
 
 
 def read_h5(path: Path, rate_hz: float | None) -> list[Stream]:
-    """Read the datasets of an HDF5 file; those of a group share its stamps, or the file's."""
+    """Read the datasets of an HDF5 file; their stamps are those of their group, or of the nearest one around it."""
     import h5py
 
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, Any] = {}
 
     def visit(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.ndim in (1, 2) and item.dtype.kind in "fiu":
-            group, _, own = name.rpartition("/")
-            found.setdefault(group, {})[own] = item[()]
+            found[name] = item[()]
 
     try:
         with h5py.File(path) as file:
             file.visititems(visit)
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error}") from None
-    shared = next((name for name in found.get("", {}) if name.lower() in _TIMES), None)
+    clocks = {name.rpartition("/")[0]: name for name in found if _is_time(name)}
+    shared: dict[str, dict[str, Any]] = {}
+    strays = []
+    for name, values in found.items():
+        around = name.rpartition("/")[0]
+        while around and around not in clocks:
+            around = around.rpartition("/")[0]
+        as_long = [clock for clock in clocks.values() if len(found[clock]) == len(values)]
+        if around not in clocks and len(as_long) == 1:
+            strays.append(name)
+            around = as_long[0].rpartition("/")[0]
+        shared.setdefault(clocks.get(around, ""), {})[name] = values
     streams = []
-    for group, own in found.items():
-        arrays = own
-        if shared is not None and not any(name.lower() in _TIMES for name in own):
-            arrays = {shared: found[""][shared], **own}
-        if len(arrays) > 1 or shared is None:
-            streams.append(_stream(group or path.stem, arrays, path, rate_hz))
+    for stamp, own in ({stamp: own for stamp, own in shared.items() if stamp} or shared).items():
+        stream = _stream(stamp.rpartition("/")[0] or path.stem, own, path, rate_hz)
+        if lent := [name for name in strays if name in own]:
+            told = (
+                f"{', '.join(lent)} have no stamps of their own, and get those of {stamp}, which are as many"
+            )
+            stream = replace(stream, remarks=(*stream.remarks, told))
+        streams.append(stream)
     return streams
+
+
+def _is_time(name: str) -> bool:
+    return name.rpartition("/")[2].lower() in _TIMES
 
 
 def read_parquet(path: Path, rate_hz: float | None) -> list[Stream]:
@@ -161,7 +178,13 @@ def _stream(
         key: np.asarray(value, dtype=np.float64) for key, value in arrays.items() if np.ndim(value) in (1, 2)
     }
     stamp = next(
-        (key for known in _TIMES for key in tables if key.lower() == known and tables[key].ndim == 1), None
+        (
+            key
+            for known in _TIMES
+            for key in tables
+            if key.rpartition("/")[2].lower() == known and tables[key].ndim == 1
+        ),
+        None,
     )
     remarks: tuple[str, ...] = ()
     if stamp is not None:
@@ -176,13 +199,18 @@ def _stream(
             )
         time_s, remarks = np.arange(count) / rate_hz, (f"no stamps: samples are taken as {rate_hz:g} Hz",)
     episode = None
-    for key in [key for key in tables if key.lower() in ("episode_index", "episode", "trial")]:
+    for key in [
+        key for key in tables if key.rpartition("/")[2].lower() in ("episode_index", "episode", "trial")
+    ]:
         episode = tables.pop(key).astype(np.int64)
     columns: list[Column] = []
     for key, table in tables.items():
         if key == stamp or len(table) != count or key in ("frame_index", "index", "task_index"):
             continue
-        columns += [column("", key, table)] if table.ndim == 1 else vector(key, table, (names or {}).get(key))
+        group, _, own = key.rpartition("/")
+        columns += (
+            [column(group, own, table)] if table.ndim == 1 else vector(key, table, (names or {}).get(key))
+        )
     return Stream(name, time_s, tuple(columns), False, episode, remarks)
 
 

@@ -2,6 +2,7 @@
 
 import difflib
 import math
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ TICKS = 4096
 """Steps of an encoder in one turn, its middle being zero, if nobody says: that of servos whose logs come in ticks."""
 _BEYOND_RAD = 2.2 * math.pi
 _SLACK = 1.05
+_NUMBERED = re.compile(r"(?P<stem>\D*)(?P<number>\d+)")
 _COMMANDS = ("command", "velocity-command", "torque-command")
 _NOT = "none"
 
@@ -189,8 +191,9 @@ def _question(
         f"{one.channel} ({'what is told' if one.kind == 'input' else 'what is measured'} of {one.names[0]})"
     )
     if len(candidates) > 1:
+        richest = max(candidates, key=lambda one: _richness(one[0]))[1]
         names = ", ".join(column.name for _, column in candidates)
-        return f"{what}: {names}; proposal: --map {one.channel}={candidates[0][1].name}"
+        return f"{what}: {names}; proposal: --map {one.channel}={richest.name}"
     if given is not None:
         return f"{what}: --map says {given}, and the log has no such column"
     columns = [column for stream in streams for column in stream.columns if column.role in one.roles]
@@ -201,13 +204,27 @@ def _question(
         proposal = next((c for c in columns if c.place == one.place and c.width == one.width), None)
         proposal = alone[0] if proposal is None and len(alone) == 1 else proposal
     if proposal is None:  # enc_1, enc_2 ...: numbered in the robot's own order, most likely
-        numbered = sorted((int(c.stem), c.name) for c in columns if c.stem.isdigit())
-        named = dict(enumerate((name for _, name in numbered), 0)) if len(numbered) == one.width else {}
-        if one.place in named:
-            return f"{what}: no column of that name; proposal, by its number: --map {one.channel}={named[one.place]}"
+        ends = [(_NUMBERED.fullmatch(c.stem), c.name) for c in columns]
+        numbered = sorted((int(end["number"]), name) for end, name in ends if end)
+        if len(numbered) == one.width and len({end["stem"] for end, _ in ends if end}) == 1:
+            by_number = f"--map {one.channel}={numbered[one.place][1]}"
+            return f"{what}: no column of that name; proposal, by its number: {by_number}"
+    if proposal is None and one.kind == "input":  # two topics of positions: the goals are told by the poorer
+        twins = [
+            (s, c)
+            for s in streams
+            for c in s.columns
+            if c.role == "position" and plain(c.stem) in map(plain, one.names)
+        ]
+        proposal = min(twins, key=lambda twin: _richness(twin[0]))[1] if len(twins) > 1 else None
     if proposal is None:
         return f"{what}: no column of that name; --map {one.channel}={_NOT} leaves it out"
     return f"{what}: no column of that name; proposal: --map {one.channel}={proposal.name}"
+
+
+def _richness(stream: Stream) -> int:
+    """Return how many kinds of things a topic tells: what measures tells velocities and torques as well."""
+    return len({column.role for column in stream.columns})
 
 
 def _listed(wanted: Sequence[Wanted]) -> str:

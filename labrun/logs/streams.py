@@ -12,8 +12,8 @@ from labrun.arrays import FloatArray
 Role = Literal["position", "velocity", "torque", "command", "velocity-command", "torque-command", "unknown"]
 _WORDS: dict[str, frozenset[str]] = {
     "command": frozenset((
-        "cmd", "command", "commands", "commanded", "goal", "target", "ref", "reference", "desired", "des", "setpoint",
-        "sp", "action", "ctrl", "control",
+        "cmd", "cmds", "command", "commands", "commanded", "goal", "goals", "target", "targets", "ref", "reference",
+        "references", "desired", "des", "setpoint", "setpoints", "sp", "action", "actions", "ctrl", "control",
     )),
     "velocity": frozenset(("vel", "velocity", "velocities", "qvel", "dq", "speed", "rate")),
     "torque": frozenset(("torque", "torques", "effort", "efforts", "tau")),

@@ -154,7 +154,7 @@ def test_a_robot_whose_clock_is_another_is_shifted_to_the_recorders(tmp_path, ar
     assert made.duration_s > 10
 
 
-@pytest.mark.parametrize(("clock_s", "told"), [(-0.02, "lie 22 ms before their receipt"), (0.0, "")])
+@pytest.mark.parametrize(("clock_s", "told"), [(-0.02, "lie 22.0 ms before their receipt"), (0.0, "")])
 def test_a_topic_that_is_stamped_early_is_told(tmp_path, arm, clock_s, told):
     pytest.importorskip("rosbags")
     bag = logs.write_bag(tmp_path / "bag", *logs.motion(), clock_s=clock_s, named_goals=False)

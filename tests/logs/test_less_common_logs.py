@@ -8,7 +8,7 @@ import robot_logs as logs
 
 from labrun.app.logs import import_log
 from labrun.errors import ModelError, RecordingError, RequestError
-from labrun.logs import read_log
+from labrun.logs import Stream, Wanted, column, matched, read_log
 from labrun.models import load_model
 from labrun.store import read_recording
 
@@ -148,14 +148,46 @@ def test_one_column_is_not_two_channels(tmp_path, arm):
     assert not (tmp_path / "recording").exists()
 
 
-def test_numbered_columns_are_proposed_by_their_number(tmp_path, arm):
-    names = ["time_s", "cmd_1", "cmd_2", "enc_1", "enc_2"]
+@pytest.mark.parametrize(("told", "measured"), [("cmd_", "enc_"), ("goal_j", "state_j")])
+def test_numbered_columns_are_proposed_by_their_number(tmp_path, arm, told, measured):
+    names = ["time_s", f"{told}1", f"{told}2", f"{measured}1", f"{measured}2"]
     log = logs.write_csv(tmp_path / "log.csv", *logs.motion(), names=names)
     with pytest.raises(RequestError) as asked:
         import_log(log, arm, tmp_path / "recording")
     proposals = [line.partition("--map ")[2] for line in str(asked.value).splitlines() if "proposal" in line]
-    assert proposals == ["shoulder_command=cmd_1", "elbow_command=cmd_2", "shoulder=enc_1", "elbow=enc_2"]
+    assert proposals == [
+        f"shoulder_command={told}1", f"elbow_command={told}2", f"shoulder={measured}1", f"elbow={measured}2",
+    ]  # fmt: skip
     assert import_log(log, arm, tmp_path / "recording", mapping=proposals).trials == 3
+
+
+def test_stamps_of_an_hdf5_group_are_those_of_the_nearest_group_around_it(tmp_path, arm):
+    h5py = pytest.importorskip("h5py")
+    time_s, goals, angles = logs.motion()
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["robot/timestamp"] = time_s
+        for place, joint in enumerate(logs.JOINTS):
+            file[f"robot/command/{joint}"] = goals[:, place]
+            file[f"state/{joint}"] = angles[:, place]  # beside the stamps, and as many
+    made = import_log(tmp_path / "log.h5", arm, tmp_path / "recording")
+    assert dict(made.channels)["elbow_command"] == "robot/command/elbow"
+    assert dict(made.channels)["elbow"] == "state/elbow"
+    assert "state/elbow, state/shoulder have no stamps of their own" in " ".join(made.remarks)
+
+
+def test_of_two_topics_of_positions_the_one_that_tells_more_is_proposed_as_measured():
+    still = np.zeros(50)
+    wanted = [
+        Wanted("elbow_command", "rad", "input", ("elbow",), ("command",)),
+        Wanted("elbow", "rad", "output", ("elbow",), ("position",)),
+    ]
+    leader = Stream("/leader", still, (column("/leader/position", "elbow", still),))
+    parts = ("position", "velocity", "effort")
+    follower = Stream("/follower", still, tuple(column(f"/follower/{one}", "elbow", still) for one in parts))
+    with pytest.raises(RequestError) as asked:
+        matched(wanted, [leader, follower], {})
+    for proposal in ("elbow_command=/leader/position/elbow", "elbow=/follower/position/elbow"):
+        assert f"--map {proposal}" in str(asked.value.hint)
 
 
 def test_the_only_goal_and_angle_of_a_log_are_proposed_for_the_only_joint(tmp_path):

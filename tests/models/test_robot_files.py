@@ -6,7 +6,7 @@ import pytest
 from labrun.errors import ModelError
 from labrun.models import load_model, read_robot, simulate
 
-pytest.importorskip("mujoco")
+mujoco = pytest.importorskip("mujoco")
 
 URDF = """
 <robot name="arm"><link name="base"/>
@@ -94,6 +94,24 @@ def test_a_mass_that_only_a_missing_mesh_would_tell_is_refused(tmp_path):
     )
     with pytest.raises(ModelError, match="the mass of x would come from a mesh that is missing"):
         read_robot(tmp_path / "a.xml")
+
+
+def test_what_meshes_weigh_stays_and_the_robot_needs_no_other_file(tmp_path):
+    (tmp_path / "meshes").mkdir()
+    corners = ("0 0 0", "1 0 0", "0 1 0", "0 0 1")
+    faces = ((1, 3, 2), (1, 2, 4), (1, 4, 3), (2, 3, 4))
+    lines = [f"v {one}" for one in corners] + [f"f {a} {b} {c}" for a, b, c in faces]
+    (tmp_path / "meshes" / "m.obj").write_text("\n".join(lines) + "\n")
+    (tmp_path / "a.xml").write_text(
+        '<mujoco><compiler meshdir="meshes" texturedir="gone"/><asset><mesh name="m" file="m.obj"/>'
+        '<texture name="t" type="2d" file="wood.png"/><material name="w" texture="t"/></asset><worldbody>'
+        '<body name="x"><joint name="j"/><geom type="mesh" mesh="m" density="60" material="w"/></body></worldbody></mujoco>'
+    )
+    xml = read_robot(tmp_path / "a.xml").xml
+    assert "m.obj" not in xml
+    assert "wood.png" not in xml
+    # a corner of a cube, cut off: a sixth of its volume
+    assert mujoco.MjModel.from_xml_string(xml).body("x").mass[0] == pytest.approx(60 / 6)
 
 
 @pytest.mark.parametrize("text", ["no xml at all", "<mujoco><nonsense/></mujoco>"])

@@ -157,6 +157,7 @@ def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | N
     mujoco = imported()
     spec, remarks = robot_spec(path)
     model = _compile(spec, path)
+    _without_assets(spec, path, ())
     if np.any(model.geom_contype) or np.any(model.geom_conaffinity) or model.npair:
         remarks.append("contacts are switched off: what touches something is outside of this model")
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
@@ -214,7 +215,7 @@ def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | N
 
 
 def robot_spec(path: Path) -> tuple[Any, list[str]]:
-    """Return what a file describes, without meshes that are missing, and what was left out.
+    """Return what a file describes, without its meshes and textures if some are missing, and what was left out.
 
     Raises
     ------
@@ -233,30 +234,76 @@ def robot_spec(path: Path) -> tuple[Any, list[str]]:
         spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
         raise refusal(path, error) from None
-    folder = path.parent / (spec.meshdir or "")
-    missing = {
-        mesh.name or Path(mesh.file).stem
-        for mesh in spec.meshes
-        if mesh.file and not (folder / mesh.file).is_file()
-    }
-    if not missing:
+    missing = sorted({_called(mesh) for mesh in spec.meshes if _is_missing(spec, path, "meshdir", mesh.file)})
+    pictures = [("texturedir", one) for one in spec.textures] + [
+        ("meshdir", one) for one in (*spec.hfields, *spec.skins)
+    ]
+    if not missing and not any(_is_missing(spec, path, folder, one.file) for folder, one in pictures):
         return spec, []
-    geoms = [geom for geom in spec.geoms if geom.meshname in missing]
-    massless = sorted(
-        {geom.parent.name for geom in geoms if geom.parent.joints and not geom.parent.explicitinertial}
-        - {geom.parent.name for geom in spec.geoms if geom.meshname not in missing}
-    )
-    if massless:
+    remarks = _without_assets(spec, path, missing)
+    if missing:
+        count = "1 mesh is" if len(missing) == 1 else f"{len(missing)} meshes are"
+        remarks.insert(0, f"{count} missing, and not needed: {', '.join(missing[:3])}")
+    return spec, remarks
+
+
+def _called(mesh: Any) -> str:
+    return str(mesh.name or Path(mesh.file).stem)
+
+
+def _is_missing(spec: Any, path: Path, folder: str, file: str) -> bool:
+    named = Path(file).name if spec.strippath else file
+    return bool(file) and not (path.parent / (getattr(spec, folder) or "") / named).is_file()
+
+
+def _without_assets(spec: Any, path: Path, missing: Collection[str]) -> list[str]:
+    """Take out meshes, height fields, skins and textures; what meshes that are there weigh stays, as inertials.
+
+    Raises
+    ------
+    ModelError
+        A moving body's mass would have come from a mesh that is missing.
+    """
+    for material in spec.materials:
+        material.textures = [""] * len(material.textures)
+    for picture in [*spec.textures, *spec.skins]:
+        spec.delete(picture)
+    from_geoms = spec.compiler.inertiafromgeom == imported().mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    remarks, lost = [], []
+    for body in spec.bodies[1:]:
+        weighing = [geom for geom in body.geoms if 0.0 not in (geom.mass, geom.density)]
+        if not from_geoms and (body.explicitinertial or not any(geom.meshname for geom in weighing)):
+            continue
+        for geom in [geom for geom in weighing if geom.meshname in missing]:
+            spec.delete(geom)
+        left = [geom for geom in weighing if geom.meshname not in missing]
+        if len(left) < len(weighing) and _moves(body):
+            if left or body.explicitinertial:
+                remarks.append(f"{body.name} weighs what the rest of it does: a mesh of it is missing")
+            else:
+                lost.append(body.name)
+        if left:
+            spec.adopt_inertial(body)
+    if lost:
         raise ModelError(
-            f"{path}: the mass of {', '.join(massless)} would come from a mesh that is missing",
+            f"{path}: the mass of {', '.join(sorted(lost))} would come from a mesh that is missing",
             hint="put the mesh where the file looks for it, or give the body an <inertial>",
         )
-    for geom in geoms:
+    spec.compiler.inertiafromgeom = imported().mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    for geom in [geom for geom in spec.geoms if geom.meshname or geom.hfieldname]:
         spec.delete(geom)
-    for mesh in [mesh for mesh in spec.meshes if (mesh.name or Path(mesh.file).stem) in missing]:
-        spec.delete(mesh)
-    count = "1 mesh is" if len(missing) == 1 else f"{len(missing)} meshes are"
-    return spec, [f"{count} missing, and not needed: {', '.join(sorted(missing)[:3])}"]
+    for asset in [*spec.meshes, *spec.hfields]:
+        spec.delete(asset)
+    return remarks
+
+
+def _moves(body: Any) -> bool:
+    """Tell whether a joint moves a body, its own or one further up."""
+    while body is not None:
+        if len(body.joints):
+            return True
+        body = body.parent
+    return False
 
 
 def _compile(spec: Any, path: Path) -> Any:
