@@ -249,10 +249,11 @@ def _of_model(model: Model | None) -> list[Wanted]:
 
 
 def _left_out(table: LogTable, bad: Sequence[tuple[Piece, str]]) -> list[str]:
-    return [
-        f"left out {table.time_s[piece.first]:.3f} to {table.time_s[piece.end - 1]:.3f} s: {why}"
-        for piece, why in bad
-    ]
+    times: dict[str, list[str]] = {}
+    for piece, why in bad:
+        span = f"{table.time_s[piece.first]:.3f} to {table.time_s[piece.end - 1]:.3f} s"
+        times.setdefault(why, []).append(span)
+    return [f"left out {', '.join(spans)}: {why}" for why, spans in times.items()]
 
 
 def _at_rest(table: LogTable, trials: Sequence[Piece]) -> bool:

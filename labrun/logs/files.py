@@ -20,6 +20,7 @@ _TIMES = (
     "time_s", "time", "t", "timestamp", "timestamps", "stamp", "sec", "secs", "seconds", "time_ms", "time_us",
     "time_ns", "timestamp_ns", "timestamp_us", "timestamp_ms", "t_ns", "t_us", "t_ms",
 )  # fmt: skip
+_TABLE = "a log in CSV has one header line, and a number in each cell below it"
 _SCALES = {"_ms": 1e-3, "_us": 1e-6, "_ns": 1e-9}
 _EPOCHS = ((1e17, 1e-9, "nanoseconds"), (1e14, 1e-6, "microseconds"), (1e11, 1e-3, "milliseconds"))
 """From this size on, a stamp of our days counts in that unit (1e9 s after 1970 was in 2001)."""
@@ -41,7 +42,7 @@ def read_csv(path: Path, rate_hz: float | None) -> list[Stream]:
     uneven = next((number for number, row in enumerate(rows, 2) if len(row) != len(header)), None)
     if uneven is not None:
         raise RecordingError(
-            f"{path}:{uneven}: {len(rows[uneven - 2])} cells below a header of {len(header)}"
+            f"{path}:{uneven}: {len(rows[uneven - 2])} cells below a header of {len(header)}", hint=_TABLE
         )
     if not rows:
         there = "there is a header and no sample below it" if sample.strip() else "the file is empty"
@@ -53,7 +54,7 @@ def read_csv(path: Path, rate_hz: float | None) -> list[Stream]:
     if not arrays:
         raise RecordingError(
             f"{path}: no column holds numbers below the header {', '.join(header)[:80]}",
-            hint="a log in CSV has one header line, and a number in each cell below it",
+            hint=_TABLE,
         )
     return [_stream(path.stem, arrays, path, rate_hz)]
 

@@ -87,24 +87,24 @@ def matched(
                 f"--map {name}=...: the model has no {name!r}", hint=f"it has {_listed(wanted)}"
             )
     found: list[Match] = []
-    unclear: list[str] = []
+    open_: list[tuple[Wanted, list[tuple[Stream, Column]], str | None]] = []
     said: list[str] = []
     for one in wanted:
         given = _asked_for(one, asked)
         if given == _NOT:
             found.append(Match(one, None, None))
             continue
-        candidates = _candidates(
-            one, streams, given, exact=plain(one.channel) in {plain(name) for name in asked}
-        )
-        if len(candidates) == 1:
-            found.append(Match(one, *candidates[0]))
-            if given is not None and plain(given) in map(
-                plain, (candidates[0][1].name, candidates[0][1].stem)
-            ):
-                said.append(f"{one.channel} is {candidates[0][1].name}, as --map says")
+        exact = plain(one.channel) in {plain(name) for name in asked}
+        candidates = _candidates(one, streams, given, exact=exact)
+        if len(candidates) != 1:
+            open_.append((one, candidates, given))
             continue
-        unclear.append(_question(one, candidates, streams, given))
+        found.append(Match(one, *candidates[0]))
+        if given is not None and plain(given) in map(plain, (candidates[0][1].name, candidates[0][1].stem)):
+            said.append(f"{one.channel} is {candidates[0][1].name}, as --map says")
+    taken = {id(one.column) for one in found}
+    free = [(stream, column) for stream in streams for column in stream.columns if id(column) not in taken]
+    unclear = [_question(one, candidates, free, given) for one, candidates, given in open_]
     unclear += _twice(found)
     if unclear:
         have = sorted({column.name for stream in streams for column in stream.columns})
@@ -185,7 +185,10 @@ def _candidates(
 
 
 def _question(
-    one: Wanted, candidates: Sequence[tuple[Stream, Column]], streams: Sequence[Stream], given: str | None
+    one: Wanted,
+    candidates: Sequence[tuple[Stream, Column]],
+    free: Sequence[tuple[Stream, Column]],
+    given: str | None,
 ) -> str:
     what = (
         f"{one.channel} ({'what is told' if one.kind == 'input' else 'what is measured'} of {one.names[0]})"
@@ -196,7 +199,7 @@ def _question(
         return f"{what}: {names}; proposal: --map {one.channel}={richest.name}"
     if given is not None:
         return f"{what}: --map says {given}, and the log has no such column"
-    columns = [column for stream in streams for column in stream.columns if column.role in one.roles]
+    columns = [column for _, column in free if column.role in one.roles]
     near = difflib.get_close_matches(plain(one.names[0]), [plain(column.stem) for column in columns], 1, 0.5)
     proposal = next((column for column in columns if near and plain(column.stem) == near[0]), None)
     if proposal is None:
@@ -210,12 +213,8 @@ def _question(
             by_number = f"--map {one.channel}={numbered[one.place][1]}"
             return f"{what}: no column of that name; proposal, by its number: {by_number}"
     if proposal is None and one.kind == "input":  # two topics of positions: the goals are told by the poorer
-        twins = [
-            (s, c)
-            for s in streams
-            for c in s.columns
-            if c.role == "position" and plain(c.stem) in map(plain, one.names)
-        ]
+        names = [plain(name) for name in one.names]
+        twins = [(s, c) for s, c in free if c.role == "position" and plain(c.stem) in names]
         proposal = min(twins, key=lambda twin: _richness(twin[0]))[1] if len(twins) > 1 else None
     if proposal is None:
         return f"{what}: no column of that name; --map {one.channel}={_NOT} leaves it out"

@@ -35,7 +35,8 @@ def read_bag(path: Path) -> list[Stream]:
                 message = reader.deserialize(data, connection.msgtype)
                 gathered.setdefault(connection.topic, []).append(((stamp - zero) * 1e-9, message))
     except (AnyReaderError, OSError, ValueError, KeyError) as error:
-        raise RecordingError(f"{path} cannot be read as a bag: {error}") from None
+        hint = "its recorder did not close it: mcap recover" if "magic" in str(error) else None
+        raise RecordingError(f"{path} cannot be read as a bag: {error}", hint=hint) from None
     if not gathered:
         raise RecordingError(
             f"{path} has no joint states, trajectories or arrays",

@@ -190,6 +190,15 @@ def test_of_two_topics_of_positions_the_one_that_tells_more_is_proposed_as_measu
         assert f"--map {proposal}" in str(asked.value.hint)
 
 
+def test_a_column_that_is_another_joints_is_not_proposed():
+    still = np.zeros(50)
+    names = ("elbow_yaw", "elbow_roll")
+    wanted = [Wanted(one, "rad", "output", (one,), ("position",)) for one in names]
+    log = Stream("log", still, (column("", "elbow_roll_pos", still), column("", "elbow_jaw_pos", still)))
+    with pytest.raises(RequestError, match="proposal: --map elbow_yaw=elbow_jaw_pos"):
+        matched(wanted, [log], {})
+
+
 def test_the_only_goal_and_angle_of_a_log_are_proposed_for_the_only_joint(tmp_path):
     robot = tmp_path / "pan.xml"
     robot.write_text(

@@ -105,7 +105,8 @@ def test_what_meshes_weigh_stays_and_the_robot_needs_no_other_file(tmp_path):
     (tmp_path / "a.xml").write_text(
         '<mujoco><compiler meshdir="meshes" texturedir="gone"/><asset><mesh name="m" file="m.obj"/>'
         '<texture name="t" type="2d" file="wood.png"/><material name="w" texture="t"/></asset><worldbody>'
-        '<body name="x"><joint name="j"/><geom type="mesh" mesh="m" density="60" material="w"/></body></worldbody></mujoco>'
+        '<body name="x"><joint name="j"/><geom type="mesh" mesh="m" density="60" material="w"/></body></worldbody>'
+        "</mujoco>"
     )
     xml = read_robot(tmp_path / "a.xml").xml
     assert "m.obj" not in xml
