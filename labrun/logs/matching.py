@@ -213,8 +213,8 @@ def _question(
             by_number = f"--map {one.channel}={numbered[one.place][1]}"
             return f"{what}: no column of that name; proposal, by its number: {by_number}"
     if proposal is None and one.kind == "input":  # two topics of positions: the goals are told by the poorer
-        names = [plain(name) for name in one.names]
-        twins = [(s, c) for s, c in free if c.role == "position" and plain(c.stem) in names]
+        called = [plain(name) for name in one.names]
+        twins = [(s, c) for s, c in free if c.role == "position" and plain(c.stem) in called]
         proposal = min(twins, key=lambda twin: _richness(twin[0]))[1] if len(twins) > 1 else None
     if proposal is None:
         return f"{what}: no column of that name; --map {one.channel}={_NOT} leaves it out"
