@@ -2,7 +2,7 @@
 
 from labrun.gap.compare import UnitComparison, UnitDifference, compare_units
 from labrun.gap.data_checks import require_informative, with_sound_clocks
-from labrun.gap.diagnose import Options, diagnose_dataset
+from labrun.gap.diagnose import Options, Question, diagnose_dataset
 from labrun.gap.diagnosis import (
     By,
     CandidateVerdict,
@@ -14,16 +14,15 @@ from labrun.gap.diagnosis import (
     Place,
     RatedCandidate,
     ResampledNumber,
+    RestLaw,
     Shrinkage,
     Sizes,
     Verdict,
 )
 from labrun.gap.fresh import FreshTest, Prediction, predict_fresh
-from labrun.gap.question import Question
 from labrun.gap.recalibration import fresh_excess
 from labrun.gap.robot import JointDiagnosis, RobotDiagnosis, diagnose_robot, why_not
 from labrun.gap.saving import recalibrated_only, require_new, save_model, save_with_law
-from labrun.gap.what_is_left import RestLaw
 
 __all__ = [
     "By",

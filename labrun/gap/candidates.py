@@ -1,6 +1,6 @@
 """The candidates: every effect of the library at every site it fits, and every parameter that could be wrong."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -356,3 +356,41 @@ def _starts(effect: Effect) -> tuple[tuple[float, ...], ...]:
 def without(everything: Sequence[Candidate], names: Collection[Name]) -> list[Candidate]:
     """Return the candidates that are not among `names`."""
     return [one for one in everything if one.name not in names]
+
+
+FAMILIES: Mapping[str, tuple[str, ...]] = {
+    "dry friction": (
+        "coulomb-friction",
+        "stribeck-friction",
+        "asymmetric-friction",
+        "presliding-friction",
+    ),
+    "hysteretic friction": ("presliding-friction", "hysteresis"),
+    "lost motion": ("backlash", "dead-band", "end-stop"),
+    "friction under load": ("load-dependent-friction", "gear-efficiency"),
+    "lateness": ("lag", "delay"),
+}
+"""Effects of one family, the common ones first. Presliding friction is dry friction that yields before it slips;
+friction that grows with the load is not of that family, since another load shows it. A gear's efficiency is such
+friction, with another share where the load drives."""
+
+COMMON = (
+    "coulomb-friction", "viscous-damping", "constant-force", "bias", "added-mass", "added-inertia", "gain-error",
+    "delay", "lag", "backlash", "stribeck-friction", "load-dependent-friction", "saturation", "end-stop", "dead-band",
+    "quadratic-drag", "cubic-stiffness",
+)  # fmt: skip
+"""How often a bench lacks it, most often first (judged, not counted): friction and offsets are everywhere, and so is
+inertia that nobody drew (of a rotor, of water). What is not here comes last."""
+
+
+def family(one: Name, other: Name) -> str:
+    """Return the family that two effects at one site share; empty if they share none, or are the same."""
+    if one == other or one.site != other.site:
+        return ""
+    both = {one.effect, other.effect}
+    return next((name for name, members in FAMILIES.items() if both <= set(members)), "")
+
+
+def rank(one: Name) -> int:
+    """Return the place of an effect among what benches lack, from 0."""
+    return COMMON.index(one.effect) if one.effect in COMMON else len(COMMON)

@@ -1,8 +1,8 @@
 """Diagnose trials against a model."""
 
 import time
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,6 +12,15 @@ from labrun.gap.diagnosis import Diagnosis
 from labrun.gap.pipeline import search_causes
 from labrun.gap.rest_law import explain_rest
 from labrun.models import Model
+
+
+@dataclass(frozen=True)
+class Question:
+    """Data, the model they are held against, and which recorded channel is which of its inputs and outputs."""
+
+    dataset: Dataset
+    model: Model
+    signals: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

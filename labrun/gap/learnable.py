@@ -13,10 +13,10 @@ from labrun.arrays import FloatArray
 from labrun.fit import Dataset, OutputNoise, Problem
 from labrun.gap import criteria
 from labrun.gap.candidates import site_courses, typical_time_s
+from labrun.gap.diagnosis import BeyondScatter
 from labrun.gap.held_out import mean_residuals
 from labrun.gap.noise import Noise
-from labrun.gap.null import chance_of_lines
-from labrun.gap.what_is_left import BeyondScatter
+from labrun.gap.noise_threshold import chance_of_lines
 
 
 def learnable_share(problem: Problem, z: FloatArray, *, conditions: bool = False) -> float:

@@ -14,8 +14,7 @@ from labrun.gap.data_checks import CheckedTrials, require_informative, with_soun
 from labrun.gap.held_out import ExcessResidual, fitted_excess, held_out_excess, mean_residuals, not_withheld
 from labrun.gap.lines import growth_in_wells
 from labrun.gap.noise import Noise
-from labrun.gap.noise_threshold import full_strictness, noise_threshold
-from labrun.gap.null import Null
+from labrun.gap.noise_threshold import Null, full_strictness, noise_threshold
 from labrun.gap.on_course import kept_in_wells, kept_on_course
 from labrun.gap.recalibration import (
     Recalibrated,

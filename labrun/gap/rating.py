@@ -7,9 +7,8 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.gap import criteria
-from labrun.gap.candidates import Candidate
+from labrun.gap.candidates import Candidate, family, rank
 from labrun.gap.held_out import ExcessResidual, held_out_excess
-from labrun.gap.kin import family, rank
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import NoiseThreshold
 from labrun.gap.screening import Base, Screened

@@ -13,11 +13,11 @@ from labrun.arrays import FloatArray
 from labrun.effects import Effect, Scale, Site, read_effects
 from labrun.fit import Note, Problem, silent
 from labrun.gap.candidates import site_scales
+from labrun.gap.diagnosis import RestLaw, Term
 from labrun.gap.held_out import ExcessResidual, held_out_excess, mean_residuals
 from labrun.gap.intervals import effect_units
 from labrun.gap.noise import Noise
 from labrun.gap.screening import Base, refit
-from labrun.gap.what_is_left import RestLaw, Term
 from labrun.models import simulate, site_course
 
 MOST_TERMS = 3

@@ -8,9 +8,8 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.fit import Each, Jacobian, Problem, minimise, one_by_one
 from labrun.gap import criteria
-from labrun.gap.candidates import Candidate
+from labrun.gap.candidates import Candidate, family
 from labrun.gap.diagnosis import Name
-from labrun.gap.kin import family
 from labrun.gap.lines import line_starts
 from labrun.gap.nuisance import NuisanceProjection
 

@@ -13,8 +13,7 @@ from labrun.gap.diagnosis import Name
 from labrun.gap.forms import best_form, sharpened
 from labrun.gap.held_out import ExcessResidual, fitted_excess, held_out_excess
 from labrun.gap.noise import Noise
-from labrun.gap.noise_threshold import NoiseThreshold, noise_threshold
-from labrun.gap.null import Null
+from labrun.gap.noise_threshold import NoiseThreshold, Null, noise_threshold
 from labrun.gap.rating import (
     Rated,
     least_to_remove,

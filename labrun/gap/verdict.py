@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 
 from labrun.estimate import significant
 from labrun.gap import criteria
-from labrun.gap.diagnosis import Cause, Name, Shrinkage, Sizes, Verdict
-from labrun.gap.what_is_left import BeyondScatter
+from labrun.gap.diagnosis import BeyondScatter, Cause, Name, Shrinkage, Sizes, Verdict
 
 
 @dataclass(frozen=True, slots=True)

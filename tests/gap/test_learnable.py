@@ -8,9 +8,9 @@ import pytest
 from swings import dataset_of, swing
 
 from labrun.gap.averaging import averaged
+from labrun.gap.diagnosis import Learnable
 from labrun.gap.learnable import beyond_scatter, learnable_share
 from labrun.gap.recalibration import recalibrate
-from labrun.gap.what_is_left import Learnable
 from labrun.models import load_model
 from labrun.report.gap_text import gap_lines
 

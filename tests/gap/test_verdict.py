@@ -2,9 +2,8 @@
 
 import pytest
 
-from labrun.gap.diagnosis import Shrinkage, Sizes
+from labrun.gap.diagnosis import BeyondScatter, Shrinkage, Sizes
 from labrun.gap.verdict import VerdictBasis, verdict
-from labrun.gap.what_is_left import BeyondScatter
 
 
 def findings(

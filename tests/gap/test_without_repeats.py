@@ -13,8 +13,7 @@ from scipy.signal import butter, filtfilt, lfilter
 from labrun.fit.dataset import Dataset, FitTrial
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.noise import of_sensor
-from labrun.gap.noise_threshold import NoiseThreshold
-from labrun.gap.null import chance_of_lines, independent_share
+from labrun.gap.noise_threshold import NoiseThreshold, chance_of_lines, independent_share
 from labrun.models import parse_model
 from labrun.store import SignalInfo
 

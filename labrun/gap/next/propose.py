@@ -9,6 +9,7 @@ import numpy as np
 
 from labrun.fit import Dataset, Note, silent
 from labrun.gap import criteria
+from labrun.gap.diagnose import Question
 from labrun.gap.next.proposal import (
     Outcome,
     Outlook,
@@ -26,7 +27,6 @@ from labrun.gap.next.run_bench import RunBench
 from labrun.gap.next.separation import Evidence, Rivals, Separation, predict, rehearse, rivals_of
 from labrun.gap.next.trials import PlannedTrial
 from labrun.gap.pipeline import Search, search_causes
-from labrun.gap.question import Question
 from labrun.store import imported_channels, open_run
 
 
