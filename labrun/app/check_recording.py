@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from labrun.app.diagnose_robot import joint_by_joint
-from labrun.app.question import find_data, held_against, load_held
+from labrun.app.question import find_data, held_against, load_held, named_model
 from labrun.errors import FitError
 from labrun.fit import Dataset, OutputsAlone, Problem, divergence_warnings, load_dataset
 from labrun.gap import require_informative, with_sound_clocks
-from labrun.models import Model, load_model
+from labrun.models import Model
 from labrun.report.text import aligned, counted, short_time_text
 from labrun.spec import condition_key
 from labrun.store import Recording, is_recording, read_recording
@@ -132,7 +132,7 @@ def check_recording(target: str | Path, *, model: str | Path | None = None) -> C
             (*_doubts(recording), *_clocks(data), "no model.toml beside it: only the recording was checked"),
             f"labrun fit {folder} --model FILE, or labrun check {folder} --model FILE",
         )
-    loaded, signals = held_against(folder, None if model is None else load_model(model), Path())
+    loaded, signals = held_against(folder, None if model is None else named_model(model, Path()), Path())
     data = load_held(folder, loaded, signals)
     require_informative(data)
     off, said = _held(loaded, data)

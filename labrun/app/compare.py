@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from labrun.app.kept import kept_folder, stem_of
-from labrun.app.question import ask, find_data, held_against, load_held
+from labrun.app.question import ask, find_data, held_against, load_held, named_model
 from labrun.errors import LabrunError, RequestError
 from labrun.fit import (
     Comparison,
@@ -87,8 +87,8 @@ def compare(
         its latest. With ``design:`` and ``rig:`` before their names, what a design promised is held against what
         its rig gave, whichever is named first.
     model
-        A model file, plugin or shipped name. Else what the experiment's ``[gap]`` or ``[fit]`` names; else the
-        model.toml beside the recording.
+        A model file, plugin or name: the workspace's own copy (``experiments/models/``) comes before the shipped one.
+        Else what the experiment's ``[gap]`` or ``[fit]`` names; else the model.toml beside the recording.
     tolerance
         Greatest relative error that is accepted, as 0.15 or "15%".
     signals
@@ -120,7 +120,7 @@ def compare(
     require_writable(kept, "the comparison")
     note(f"reading {folder}")
     if against is None:
-        given = None if model is None else load_model(model)
+        given = None if model is None else named_model(model, workspace)
         found, wired = held_against(folder, given, workspace)
         comparison = _beside_model(folder, found, {**wired, **(signals or {})})
     else:
@@ -136,7 +136,7 @@ def compare(
     stem = stem_of(comparison.prediction)
     figure = save(drawn(comparison_figure(comparison)), kept / f"{stem}.png")
     numbers = kept / f"{stem}.json"
-    sources = {"source": str(folder), "against": str(model or against or found.source)}
+    sources = {"source": str(folder), "against": str(against or found.source)}
     record = json.dumps({**comparison_json(comparison), **sources}, indent=2)
     numbers.write_text(record + "\n", encoding="utf-8")
     return StoredComparison(comparison, numbers, figure)
@@ -209,7 +209,7 @@ def predict_fresh(
     Parameters
     ----------
     model
-        A model file, plugin or shipped name; a corrected one knows what it came from.
+        A model file, plugin or name, as of `compare`; a corrected one knows what it came from.
     fresh
         An experiment's name (its latest run), a run folder, a run.h5, or a recording folder.
     horizons_s
@@ -227,7 +227,7 @@ def predict_fresh(
         No such data or model, data the model was corrected by, or a horizon that no trial is long enough for.
     """
     folder = find_data(fresh, Path(results))
-    chosen = load_model(model)
+    chosen = named_model(model, Path(workspace))
     if chosen.origin is not None and chosen.origin.data and _same(chosen.origin.data, folder):
         raise RequestError(
             f"{model} was corrected by {folder}: on the data of its fit it says nothing of how far it reaches",
@@ -235,7 +235,7 @@ def predict_fresh(
         )
     note(f"reading {folder}")
     question = ask(folder, model, signals=signals, workspace=Path(workspace))
-    before, missing = (load_model(beside), ()) if beside is not None else _origin(chosen)
+    before, missing = (named_model(beside, Path(workspace)), ()) if beside is not None else _origin(chosen)
     found = predict(
         question.model,
         question.dataset,

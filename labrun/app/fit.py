@@ -10,13 +10,13 @@ import numpy as np
 
 from labrun import registry
 from labrun.app.kept import kept_folder, stem_of
-from labrun.app.question import declared_plan, find_data, fit_plan
+from labrun.app.question import declared_plan, find_data, fit_plan, named_model
 from labrun.errors import RequestError
 from labrun.fit import GROUP, FitJob, FitPlan, FitSummary, Note, is_method, make_method, silent
 from labrun.models import load_model, shipped_models
 from labrun.report.figures.fits import fit_figure
 from labrun.report.style import save
-from labrun.spec import apply_overrides, load_named
+from labrun.spec import apply_overrides, find_model_file, load_named
 from labrun.store import is_recording, replace_durably, require_writable
 from labrun.toml import nearest
 
@@ -50,8 +50,8 @@ def fit(
     more
         Further runs or recordings of the same fit, named like `target`.
     model
-        A model file, plugin or shipped name; or the name of a fit, which is then the method. Else the experiment's
-        ``[fit] model``; else the recording's model.toml.
+        A model file, plugin or name (the workspace's own copy before the shipped one); or the name of a fit, which is
+        then the method. Else the experiment's ``[fit] model``; else the recording's model.toml.
     method
         A fit by name. Else the experiment's ``[fit] method``; else "model".
     signals
@@ -84,8 +84,8 @@ def fit(
         method, model = model, None
     plan = None if data is None else _lent_plan(str(target), folder, workspace, need_model=model is None)
     if isinstance(model, str):
-        _require_known(model)
-    given = load_model(model) if model is not None else None
+        _require_known(model, workspace)
+    given = None if model is None else named_model(model, workspace)
     plan = plan or fit_plan(folder, workspace, need_model=given is None)
     method = method or plan.method
     chosen: dict[str, Any] = dict(settings or {})
@@ -134,12 +134,12 @@ def _lent_plan(experiment: str, folder: Path, workspace: Path, *, need_model: bo
     return FitPlan(table.method, declared_plan(table, loaded.path, workspace, need_model=need_model).model)
 
 
-def _require_known(name: str) -> None:
+def _require_known(name: str, workspace: Path) -> None:
     """Raise RequestError if a bare name is no model: it may have been meant for a fit."""
     if (
         ":" in name
         or Path(name).suffix == ".toml"
-        or Path(name).is_file()
+        or find_model_file(name, None, workspace) is not None
         or registry.is_installed("labrun.models", name)
     ):
         return

@@ -7,6 +7,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from labrun.app.question import named_model
 from labrun.errors import RecordingError, RequestError
 from labrun.logs import (
     LEAST_SAMPLES,
@@ -112,7 +113,7 @@ def import_log(
     asked = _asked(mapping)
     streams = read_log(log, rate_hz)
     robot = _driven(model, streams, asked) if is_robot(model) else None
-    loaded = None if robot else load_model(model)
+    loaded = None if robot else named_model(model, Path())
     found, said = matched(_of_robot(robot) if robot else _of_model(loaded), streams, asked)
     matches, units = in_si(found, unit, ticks)  # type: ignore[arg-type]
     table, repairs = table_of(matches)

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from labrun.app.question import ask, find_data
+from labrun.app.question import ask, find_data, named_model
 from labrun.errors import RequestError
 from labrun.fit import Note, silent
 from labrun.fit import workers as pool
 from labrun.gap.next import Proposal, RunBench, TrialPlan, propose
 from labrun.gap.next import plan_trials as plan
 from labrun.gap.next.proposal import free_place, require_experiment_place
-from labrun.models import Model, load_model
+from labrun.models import Model
 from labrun.search import at_settings, conditions, settings_of
 from labrun.spec import LoadedExperiment, load_named
 from labrun.workers import cores
@@ -73,7 +73,7 @@ def plan_trials(
     Parameters
     ----------
     model
-        A model file, plugin or shipped name.
+        A model file, plugin or name: the workspace's own copy (``experiments/models/``) comes before the shipped one.
     rig
         The experiment whose rig, gait and limits the trials are to keep: its name, or the path of its file.
     noise : output -> standard deviation of one trial, in the output's unit
@@ -94,7 +94,7 @@ def plan_trials(
     if out is not None:
         require_experiment_place(out)
     loaded = load_named(str(rig), workspace)
-    chosen = load_model(model)
+    chosen = named_model(model, workspace)
     experiment = loaded.experiment
     if experiment.kind == "cmaes":
         raise RequestError(

@@ -46,6 +46,25 @@ def find_data(target: str | Path, results: Path) -> Path:
         raise RequestError(str(error.args[0]), hint=f"did you mean the recording {near!r}?") from None
 
 
+def named_model(name: str | Path, workspace: Path, experiment: Path | None = None) -> Model:
+    """Return the model that a person names.
+
+    Parameters
+    ----------
+    name
+        A file, a plugin or ``package.module:object``; or a bare name: the workspace's own
+        ``experiments/models/NAME.toml`` comes first, then a plugin's model, then the shipped one.
+    workspace, experiment
+        Where files are looked for; models may stand beside an experiment's file.
+
+    Raises
+    ------
+    ModelError, PluginError
+        There is none, or it does not hold.
+    """
+    return load_model(find_model_file(str(name), experiment, workspace) or name)
+
+
 def fit_plan(target: Path, workspace: Path, *, need_model: bool = True) -> FitPlan:
     """Return what data say about their own fit.
 
@@ -82,7 +101,7 @@ def declared_plan(
     """Return the plan of an experiment's ``[fit]`` table; `experiment` is its file, beside which models may stand."""
     model = None
     if need_model and table.model is not None:
-        model = load_model(find_model_file(table.model, experiment, workspace) or table.model)
+        model = named_model(table.model, workspace, experiment)
     return FitPlan(table.method, model, table.signals, table.settings, table.methods)
 
 
@@ -98,8 +117,8 @@ def ask(
     Parameters
     ----------
     model
-        A model file, plugin or shipped name. Else what the experiment's ``[gap]`` or else its ``[fit]`` names; else the
-        model.toml beside the recording.
+        A model file, plugin or name, see `named_model`. Else what the experiment's ``[gap]`` or else its ``[fit]``
+        names; else the model.toml beside the recording.
     more
         Further recordings or runs that belong to the same question.
     signals
@@ -110,7 +129,7 @@ def ask(
     RequestError
         There is nothing at `target`, no model is named anywhere, or data do not belong together.
     """
-    given = load_model(model) if model is not None else None
+    given = None if model is None else named_model(model, workspace)
     found, wired = held_against(target, given, workspace)
     wired = {**wired, **(signals or {})}
     dataset = _loaded(target, found, wired)
@@ -171,9 +190,7 @@ def held_against(target: Path, given: Model | None, workspace: Path) -> tuple[Mo
     """
     table = _gap_table(target)
     if table is not None:
-        return given or load_model(
-            find_model_file(table.model, None, workspace) or table.model
-        ), table.signals
+        return given or named_model(table.model, workspace), table.signals
     plan = fit_plan(target, workspace, need_model=given is None)
     found = given or plan.model
     if found is None:

@@ -53,10 +53,15 @@ def make_references(
 
     if found != count:
         raise SpecError(
-            f"loop {loop} compares {count} numbers with a reference of {found}",
+            f"loop {loop}: its feedback is {_numbers(count)}, its reference {_numbers(found)}; a reference for each "
+            "number of the feedback was expected",
             hint="give as many references as the feedback has numbers, in the same order",
         )
     return several
+
+
+def _numbers(count: int) -> str:
+    return "1 number" if count == 1 else f"{count} numbers"
 
 
 def make_feedback(loop: str, table: PluginTable, units: Mapping[str, str]) -> Feedback:

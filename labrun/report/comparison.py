@@ -26,6 +26,8 @@ from labrun.search import NUMBER, Agreement, Ranking
 _SHOWN = 12
 _OVERLAYS, _ACROSS = 6, 3
 _MOST_TICKS = 24
+_FEW, _HALF_BAR = 3, 0.2
+"""Points of a channel that need no panel of their own; where the bars of a pair stand."""
 
 
 def comparison_text(comparison: Comparison, width: int) -> str:
@@ -135,11 +137,39 @@ def _point_json(point: ComparedPoint) -> dict[str, Any]:
 
 
 def _over_conditions(comparison: Comparison) -> list[Stack]:
-    """Return a panel for each channel: over the only number that changes, else over the conditions by name."""
-    return [
-        Stack((_condition_panel([pair for pair in comparison.pairs if pair.channel == channel]),), width=1.5)
-        for channel in comparison.units()
-    ]
+    """Return a panel for each channel: over the only number that changes, else over the conditions by name.
+
+    Channels of one unit that have few points each share a panel, side by side.
+    """
+    units = comparison.units()
+    channels = {name: [pair for pair in comparison.pairs if pair.channel == name] for name in units}
+    stacks = []
+    for unit in dict.fromkeys(units.values()):
+        own = [pairs for name, pairs in channels.items() if units[name] == unit]
+        together = [pair for pairs in own for pair in pairs]
+        few = max(len(pairs) for pairs in own) <= _FEW and len(together) <= _MOST_TICKS
+        if few and len(own) > 1:
+            stacks.append(Stack((_side_by_side(together, unit),), width=max(1.8, 0.12 * len(together))))
+        else:
+            stacks += [Stack((_condition_panel(pairs),), width=1.5) for pairs in own]
+    return stacks
+
+
+def _side_by_side(pairs: Sequence[Pair], unit: str) -> Panel:
+    """Return measured and predicted numbers of several channels, a pair of bars each."""
+    places = np.arange(len(pairs), dtype=float)
+    alone = len({pair.channel for pair in pairs}) == len(pairs)
+    measured = np.array([float(pair.measured[0]) for pair in pairs])
+    predicted = np.array([float(pair.predicted[0]) for pair in pairs])
+    return Panel(
+        (
+            Curve(places - _HALF_BAR, measured, "measured", "measured", kind="bars"),
+            Curve(places + _HALF_BAR, predicted, "fitted", "predicted", kind="bars"),
+        ),
+        y_label=unit,
+        zero=True,
+        ticks=tuple(pair.channel if alone else f"{pair.channel}, {_apart(pairs, pair)}" for pair in pairs),
+    )
 
 
 def _condition_panel(pairs: Sequence[Pair]) -> Panel:

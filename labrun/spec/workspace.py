@@ -92,13 +92,18 @@ def find_experiment(name_or_path: str, workspace: Path) -> Path:
 
 
 def find_model_file(name: str, experiment: Path | None, workspace: Path) -> Path | None:
-    """Return the file that an experiment's ``model = "models/x.toml"`` means; None if it names no file that exists.
+    """Return the file that ``model = "models/x.toml"`` means, or the name ``x``; None if it names no file that exists.
 
-    Looked for as given, beside the experiment, in the workspace's experiments/, in the workspace, among the shipped.
+    Looked for as given, beside the experiment, in the workspace's experiments/, in the workspace, among the shipped. A
+    name is not looked for among the shipped: a plugin's model of that name comes before theirs.
     """
     given = Path(name).expanduser()
-    folders = [Path(), *([experiment.parent] if experiment is not None else []), *_folders(workspace)]
-    return next((folder / given for folder in folders if (folder / given).is_file()), None)
+    beside = [experiment.parent] if experiment is not None else []
+    files = [folder / given for folder in (Path(), *beside, *_folders(workspace))]
+    if given.parts == (name,) and not given.suffix:
+        own = [*beside, *_folders(workspace)[:2]]
+        files += [folder / "models" / f"{name}.toml" for folder in own]
+    return next((file for file in files if file.is_file()), None)
 
 
 def create_workspace(directory: Path) -> tuple[list[Path], list[Path]]:

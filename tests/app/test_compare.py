@@ -9,6 +9,8 @@ from typer.testing import CliRunner
 import labrun
 from labrun.cli.app import app
 from labrun.errors import RequestError
+from labrun.report.comparison import comparison_figure
+from labrun.spec import shipped_experiments
 
 DRAG = {0.1: (0.05, 0.052), 0.2: (0.2,), 0.4: (0.8,)}
 THEORY = """
@@ -184,6 +186,27 @@ def test_a_table_of_numbers_does_not_drive_a_model_and_says_what_it_can_be_held_
     ) as told:
         labrun.compare("table-5-2", model="caudal-thrust")
     assert "labrun compare RUN table-5-2" in told.value.hint
+
+
+def test_a_models_name_means_the_workspaces_own_copy(tmp_path):
+    shelf = tmp_path / "experiments" / "models"
+    shelf.mkdir(parents=True)
+    shipped = shipped_experiments() / "models" / "six-bar.toml"
+    keys = {"model": "six-bar", "results": tmp_path / "results", "workspace": tmp_path}
+    before = labrun.compare("table-3-3", **keys).comparison
+    (shelf / shipped.name).write_text(shipped.read_text().replace("value = 3.58", "value = 7.16"))
+    after = labrun.compare("table-3-3", **keys)
+    assert after.comparison.worst.relative != before.worst.relative
+    assert json.loads(after.numbers.read_text())["against"] == str(shelf / shipped.name)
+
+
+def test_channels_with_a_point_each_stand_side_by_side_in_one_panel(tmp_path):
+    found = labrun.compare("table-3-3", model="six-bar", results=tmp_path).comparison
+    (panel,) = [panel for row in comparison_figure(found).rows for stack in row for panel in stack.panels]
+    assert panel.ticks == tuple(found.units())
+    measured, predicted = panel.curves
+    assert measured.y == pytest.approx([pair.measured[0] for pair in found.pairs])
+    assert predicted.y == pytest.approx([pair.predicted[0] for pair in found.pairs])
 
 
 def test_a_misspelt_recording_is_told_its_name():

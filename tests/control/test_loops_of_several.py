@@ -59,7 +59,10 @@ def test_the_worst_that_a_loop_of_several_may_ask_for_is_checked_before_anything
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"reference": {"plugin": "constant", "value": 1}}, "compares 2 numbers with a reference of 1"),
+        (
+            {"reference": {"plugin": "constant", "value": 1}},
+            "loop pose: its feedback is 2 numbers, its reference 1",
+        ),
         ({"feedback": BOTH["feedback"][0], "reference": BOTH["reference"][0]}, "answers for one number each"),
     ],
 )

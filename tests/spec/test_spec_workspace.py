@@ -95,6 +95,14 @@ def test_a_model_is_found_beside_its_experiment_or_among_the_shipped(tmp_path):
     assert find_model_file("models/none.toml", None, tmp_path) is None
 
 
+def test_a_models_name_means_the_workspaces_own_copy_and_a_plugins_or_shipped_one_only_without_it(tmp_path):
+    assert find_model_file("hinge-pendulum", None, tmp_path) is None
+    create_workspace(tmp_path)
+    own = tmp_path / "experiments" / "models" / "hinge-pendulum.toml"
+    assert find_model_file("hinge-pendulum", None, tmp_path) == own
+    assert find_model_file("plugin:model", None, tmp_path) is None
+
+
 def test_a_recording_of_a_new_workspace_can_be_read(tmp_path):
     create_workspace(tmp_path)
     recording = read_recording(tmp_path / "experiments" / "recordings" / "table-7-2")
