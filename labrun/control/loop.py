@@ -4,6 +4,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from labrun.control.history import History
 from labrun.control.making import controller_of, make_controllers, make_references
 from labrun.control.protocol import Condition, Feedback, LoopContext, Numbers, VectorStep
@@ -118,7 +120,8 @@ class Loop:
             {channel: value for channel, (_, value) in seen.items()},
             {channel: at_s for channel, (at_s, _) in seen.items()},
         )
-        requested = self.controller.update(step)
+        with np.errstate(all="ignore"):  # what is no finite number is told below, with its name
+            requested = self.controller.update(step)
         for variable, value in zip(self.variables, requested, strict=True):
             if not math.isfinite(value):
                 raise ExperimentError(

@@ -220,6 +220,7 @@ def _at(recent: deque[tuple[float, tuple[float, ...]]], time_s: float) -> list[f
     return list(after)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _quick(network: Network) -> Any:
     """Return an affine network as sums of plain numbers: for four inputs far quicker than arrays."""
     one = network.collapsed()

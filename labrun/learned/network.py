@@ -82,6 +82,7 @@ class Network:
         """Return the outputs for one set of inputs."""
         return tuple(self(np.array([values]))[0].tolist())
 
+    @np.errstate(over="ignore", invalid="ignore")  # a loop tells which of its drives is no number
     def collapsed(self) -> "Network":
         """Return the one affine layer that a network with identity activation is, however deep.
 

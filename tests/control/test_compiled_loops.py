@@ -134,12 +134,13 @@ def test_the_command_stays_within_the_joints_limits_and_the_run_can_say_so():
     assert law.wiring.counts[CLAMPED] == 1
 
 
-def test_a_network_of_no_numbers_leaves_the_command_where_it_is():
+@pytest.mark.parametrize("drive", [0, 1])
+def test_a_network_of_no_numbers_leaves_the_command_where_it_is_and_its_drive_can_be_named(drive):
     controller, _ = network(learn=False)
     law = law_of(controller, context(), wiring(), CHANNELS)
-    law.affine.weights[0, 0] = math.nan
+    law.affine.weights[0, law.affine.place[drive]] = math.nan
     run = Run(law)
-    assert run.step([0.0] * 4, (1.0, 1.0)) == NOT_FINITE
+    assert run.step([0.0] * 4, (1.0, 1.0)) == NOT_FINITE + drive
     assert (run.angles == 0.0).all()
 
 

@@ -19,6 +19,7 @@ from labrun.devices.compiled_bench import (
     CompiledSensor,
     CompiledStandIn,
 )
+from labrun.errors import SpecError
 from labrun.runner import Rig
 
 _BLOCK_S = 0.2
@@ -218,9 +219,11 @@ def require_compiled(rig: Rig, joints: Sequence[str], period_s: float) -> None:
     per_step = period_s / float(scene.step_s)
     if abs(per_step - round(per_step)) > _WHOLE or round(per_step) < 1:
         highest = 1.0 / float(scene.step_s)
-        raise refusal(
-            f"{1.0 / period_s:g} steps a second on this scene, whose own step takes {scene.step_s:g} s: "
-            f"{highest:g} a second, or that divided by a whole number"
+        raise SpecError(
+            f"{1.0 / period_s:g} steps a second on this scene, whose own step takes {scene.step_s:g} s: a compiled "
+            "loop takes a step of its own in a whole number of the scene's",
+            hint=f"track.rate_hz = {_rates_near(1.0 / period_s, highest)} would do; without track.compiled, in Python, "
+            f"{1.0 / period_s:g} would, too",
         )
     for name, device in rig.sensors.items():
         form = getattr(device, "compiled", lambda name=name: f"{name} has no compiled form")()
@@ -235,6 +238,19 @@ def require_compiled(rig: Rig, joints: Sequence[str], period_s: float) -> None:
         owner = [one for one in rig.actuators.values() if joint in getattr(one, "joints", ())]
         if not owner or not hasattr(owner[0], "compiled_joints"):
             raise refusal(f"what drives {joint}")
+
+
+def _rates_near(rate_hz: float, highest_hz: float) -> str:
+    """Return the rates on both sides of one that are the highest, divided by a whole number, and short to write."""
+    every = [highest_hz / n for n in range(1, math.ceil(highest_hz) + 1)]
+    short = [one for one in every if math.isclose(float(f"{one:g}"), one, rel_tol=1e-12)]
+    below, above = [one for one in short if one <= rate_hz], [one for one in short if one >= rate_hz]
+    near = dict.fromkeys([*below[:1], *above[-1:], highest_hz])
+    return (
+        ", ".join(f"{one:g}" for one in list(near)[:-1])
+        + (" or " if len(near) > 1 else "")
+        + f"{highest_hz:g}"
+    )
 
 
 def _in_order(ahead: Sequence[Ahead]) -> tuple[Arriving, dict[int, IntArray]]:

@@ -292,9 +292,10 @@ def _failure(loop: Loop, status: int | None, time_s: float) -> ExperimentError:
             f"loop {loop.name}: the tracker gives no orientation; it lost the body",
             hint="let it be seen again, then labrun resume",
         )
-    if status == NOT_FINITE:
+    if status is not None and NOT_FINITE <= status < STOPPED:
+        variable = loop.variables[status - NOT_FINITE]
         return ExperimentError(
-            f"loop {loop.name}: its controller asks for no finite number at {time_s:.3f} s",
+            f"loop {loop.name}: its controller asks for {variable} = no finite number at {time_s:.3f} s",
             hint="look at its gains or weights, and at the feedback recorded so far",
         )
     why, hint = _ENDED.get(status or 0, (f"it ended ({status})", "labrun resume goes on"))

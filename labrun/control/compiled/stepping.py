@@ -10,7 +10,8 @@ from labrun.compiled import kernel
 from labrun.models.engine import call_model
 
 GOOD, LOST_ORIENTATION, NOT_FINITE = range(3)
-"""What `take_step` returns: all well; the feedback has no direction; the controller asks for no finite number."""
+"""What `take_step` returns: all well; the feedback has no direction; the controller asks for no finite number, which is
+told with the drive's place added."""
 STOPPED, FULL, UNWATCHED, UNSENT = 100, 101, 102, 200
 """Why a loop in real time ended, beside that: it was told to; nobody reads its records; nobody looks at the bench;
 `UNSENT` + what the device's
@@ -204,7 +205,7 @@ def take_step(  # noqa: PLR0912 - one function, so that nothing is handed from c
         _pid(law.pid, dt_s, reference, feedback, drives, wiring.low, wiring.high, wanted)
     for i in range(outs):
         if not math.isfinite(wanted[i]):
-            return NOT_FINITE
+            return NOT_FINITE + i
     for i in range(outs):
         goal = min(max(wanted[i], wiring.low), wiring.high)
         drives[i] = min(max(goal, drives[i] - wiring.most), drives[i] + wiring.most)

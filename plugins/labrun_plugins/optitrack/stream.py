@@ -220,6 +220,8 @@ class PoseReader:
         return np.concatenate([poses.ravel(), angles, *places])
 
 
+SEE_MARKERS = "see that cameras see its markers; lost_tracking_s says how long it may be lost"
+"""What to do about a body that is not tracked."""
 _SILENT_S = 0.4
 _SILENT_PERIODS = 5.0
 _DOUBT_S = 0.4
@@ -352,8 +354,7 @@ class PoseStream:
             raise DeviceError(
                 self._device,
                 f"body {what.body} {what.reason}, for {now_s - since_s:.2g} s now",
-                hint="see that cameras see its markers, and nothing else that shines; lost_tracking_s says how long "
-                "is too long",
+                hint=SEE_MARKERS,
             )
 
     def _silence(self, quiet_s: float) -> DeviceError:

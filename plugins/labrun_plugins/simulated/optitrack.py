@@ -4,13 +4,14 @@ import math
 from typing import Any, ClassVar
 
 import numpy as np
+from pydantic import NonNegativeFloat
 
-from labrun.devices import DeviceContext, DeviceSettings, FloatArray
+from labrun.devices import DeviceContext, DeviceError, DeviceSettings, FloatArray, Samples
 from labrun.devices.compiled_bench import CompiledSensor
 from labrun.models import native
 from labrun_plugins.optitrack.settings import OptiTrackSettings
-from labrun_plugins.optitrack.stream import BodyAngles, channels_of
-from labrun_plugins.simulated.device import SimulatedSettings
+from labrun_plugins.optitrack.stream import SEE_MARKERS, BodyAngles, channels_of
+from labrun_plugins.simulated.device import Faults, SimulatedSettings
 from labrun_plugins.simulated.sensor import SimulatedSensor, Timing
 
 _POSITION_SD_M = 1.0e-4
@@ -19,8 +20,22 @@ _MARKER_RADIUS_M = 0.035
 _POSE_CHANNELS = 7
 
 
+class CaptureFaults(Faults):
+    """Bad days of every simulated device, and of cameras.
+
+    Attributes
+    ----------
+    lose_after_s
+        From then on its bodies are not tracked, though it goes on to answer.
+    """
+
+    lose_after_s: NonNegativeFloat | None = None
+
+
 class SimulatedOptiTrackSettings(OptiTrackSettings, SimulatedSettings):
     """Keys of the motion capture, and of every simulated device."""
+
+    faults: CaptureFaults = CaptureFaults()
 
 
 class SimulatedOptiTrack(SimulatedSensor):
@@ -36,6 +51,8 @@ class SimulatedOptiTrack(SimulatedSensor):
 
     def __init__(self, name: str, settings: SimulatedOptiTrackSettings, context: DeviceContext) -> None:
         self.bodies = settings.bodies
+        self._lose_after_s = settings.faults.lose_after_s
+        self._lost_tracking_s = settings.lost_tracking_s
         channels = channels_of(settings)
         self.feels = tuple(c.name for c in channels[: _POSE_CHANNELS * len(self.bodies)])
         self._markers = tuple(settings.markers.get(body, 0) for body in self.bodies)
@@ -60,6 +77,21 @@ class SimulatedOptiTrack(SimulatedSensor):
         """
         self._require_signals(self.feels)
         super().open()
+
+    def loses_at_s(self) -> float:
+        """Return when it loses its bodies, by the clock; inf if it never does."""
+        return math.inf if self._lose_after_s is None else self._require_open() + self._lose_after_s
+
+    def _blind_from_s(self) -> float:
+        return min(super()._blind_from_s(), self.loses_at_s())
+
+    def _nothing_heard(self, now_s: float) -> Samples:
+        lost_s = now_s - self.loses_at_s()
+        if lost_s > self._lost_tracking_s and not self._silent():
+            raise DeviceError(
+                self.name, f"body {self.bodies[0]} is not tracked, for {lost_s:.2g} s now", hint=SEE_MARKERS
+            )
+        return super()._nothing_heard(now_s)
 
     def _measure(self, time_s: FloatArray) -> FloatArray:
         count = len(time_s)

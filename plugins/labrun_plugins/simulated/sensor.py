@@ -250,7 +250,7 @@ class SimulatedSensor(SimulatedDevice, ABC):
         if (block := self._delivered.take()) is not None:
             return block
         now = self._clock.now()
-        sent_until = min(now, self._silent_from_s())
+        sent_until = min(now, self._blind_from_s())
         arrivals = self._stream.arrived(sent_until, self._rng, self._faults.drop_share)
         if not len(arrivals):
             return self._nothing_heard(now)
@@ -260,7 +260,7 @@ class SimulatedSensor(SimulatedDevice, ABC):
 
     def compiled(self) -> CompiledSensor | str:
         """Return its compiled form, or why there is none; see `labrun.devices.compiled_bench.CompiledStandIn`."""
-        if self._disturbed or math.isfinite(self._silent_from_s()):
+        if self._disturbed or math.isfinite(self._blind_from_s()):
             return f"{self.name} is to have faults"
         return self._compiled() or f"{self.name} ({self.model}) has no compiled form"
 
@@ -276,6 +276,10 @@ class SimulatedSensor(SimulatedDevice, ABC):
     def deliver(self, block: Samples) -> None:
         """Take what the next `read` returns."""
         self._delivered.put(replace(block, saturated=self._clip(block.values)))
+
+    def _blind_from_s(self) -> float:
+        """Return when its samples end, by the clock; inf if they never do."""
+        return self._silent_from_s()
 
     def _compiled(self) -> CompiledSensor | None:
         """Return the compiled form of what `_measure` does; None if there is none."""

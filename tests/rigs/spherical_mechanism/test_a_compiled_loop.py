@@ -1,13 +1,21 @@
 """The loops of chapter 4 with compiled steps: what comes of them is what comes of the loops in Python."""
 
+import json
+import shutil
+import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from labrun.app.run import run
+from labrun.cli.app import app
 from labrun.errors import LabrunError
+from labrun.learned import files_of, read_learned
+from labrun.store import open_run
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 TRANSFER = EXPERIMENTS / "spm-transfer.toml"
@@ -71,7 +79,10 @@ def test_the_same_seed_gives_the_same_run(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        (["track.rate_hz=160"], "160 steps a second on this scene"),
+        (
+            ["track.rate_hz=160"],
+            r"160 steps a second on this scene(.|\n)*track.rate_hz = 125, 200 or 1000 would do",
+        ),
         (['rig.devices.servos.feedback=["angle", "speed"]'], "servos streams more than angles"),
         (["gait.joints.servo_1.angle_deg='theta_1*theta_2'"], "a gait that moves by itself, or bends"),
         (
@@ -84,3 +95,52 @@ def test_what_cannot_be_compiled_is_refused_before_anything_moves(tmp_path, chan
     with pytest.raises(LabrunError, match=said):
         tracked(tmp_path, 500, *changes)
     assert not list(tmp_path.rglob("run.h5"))
+
+
+@pytest.mark.parametrize("compiled", ["true", "false"])
+def test_a_network_that_returns_no_number_ends_the_run_by_the_name_of_its_drive_and_without_other_noise(
+    tmp_path, compiled
+):
+    shutil.copyfile(TRANSFER, tmp_path / "spm-transfer.toml")
+    shutil.copytree(EXPERIMENTS / "models", tmp_path / "models")
+    model = read_learned(EXPERIMENTS / "models" / "mlp-ik.toml")
+    # finite, and beyond what a float holds as soon as it is multiplied: the file is taken, its answers are no numbers
+    beyond = tuple(np.full_like(one, 1e308) for one in model.network.weights)
+    for name, content in files_of(
+        replace(model, network=replace(model.network, weights=beyond)), "mlp-ik"
+    ).items():
+        (tmp_path / "models" / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    overrides = [
+        CONDITION,
+        "trial.duration_s=1",
+        "objectives={}",
+        "track.rate_hz=125",
+        f"track.compiled={compiled}",
+    ]
+    file = tmp_path / "spm-transfer.toml"
+    with warnings.catch_warnings(), pytest.raises(LabrunError, match="asks for theta_1 = "):
+        warnings.simplefilter("error")
+        run(file, dry_run=True, seed=1, overrides=overrides, results=tmp_path / "results")
+
+
+def test_cameras_that_lose_the_body_end_the_run_safely_and_the_data_stay(tmp_path):
+    lost = "rig.devices.cameras.faults={ lose_after_s = 2 }"
+    changes = ["trial.duration_s=3", "objectives={}", CONDITION, lost]
+    arguments = [part for one in changes for part in ("--set", one)]
+    told = CliRunner().invoke(
+        app, ["track", str(TRANSFER), "--dry-run", "--seed", "1", *arguments, "--results", str(tmp_path)]
+    )
+    assert told.exit_code == 1
+    said = " ".join(told.output.split())
+    assert "cameras: body effector is not tracked" in said
+    assert "1 trial is kept in" in said
+    (journal,) = tmp_path.rglob("journal.jsonl")
+    events = [json.loads(line) for line in journal.read_text().splitlines()]
+    stopped = next(place for place, one in enumerate(events) if one["event"] == "stopped")
+    assert events[stopped]["failures"] == []
+    assert events[stopped]["clock_s"] == pytest.approx(2.25, abs=0.05)
+    stored = next(place for place, one in enumerate(events) if one["event"] == "trial")
+    assert stopped < stored
+    with open_run(journal.parent) as stored_run:
+        seen_s = stored_run.measured(0)["cameras"].time_s
+    assert 1.9 < seen_s[-1] <= 2.0
