@@ -19,6 +19,8 @@ TICKS = 4096
 """Steps of an encoder in one turn, its middle being zero, if nobody says: that of servos whose logs come in ticks."""
 _BEYOND_RAD = 2.2 * math.pi
 _SLACK = 1.05
+_FULL_SHARE, _MOST_SHARE = 99.0, 100.5
+"""What shares of a joint's range reach if all of it was used, and at most with rounding."""
 _NUMBERED = re.compile(r"(?P<stem>\D*)(?P<number>\d+)")
 _COMMANDS = ("command", "velocity-command", "torque-command")
 _NOT = "none"
@@ -241,7 +243,8 @@ def in_si(matches: Sequence[Match], asked: Unit | None, ticks: int = TICKS) -> t
         Of a turn of the encoder.
 
     Goals and measured angles are each of one unit. What is stated by name or format counts, but for angles that no
-    joint can have; then whole numbers of a great range are ticks, angles beyond a turn degrees, others radians.
+    joint can have; then whole numbers of a great range are ticks, angles beyond a turn degrees, others radians. What
+    may be shares of the joint's range as well is asked for in a dataset of LeRobot, and told elsewhere.
 
     Raises
     ------
@@ -251,13 +254,18 @@ def in_si(matches: Sequence[Match], asked: Unit | None, ticks: int = TICKS) -> t
     made: list[Match] = []
     said: list[str] = []
     found: dict[str, Unit] = {}
+    lerobot = any(
+        one.column.name.startswith("observation.state") for one in matches if one.column is not None
+    )
     for kind, words in (("output", "measured angles"), ("input", "goals")):
         group = [one for one in matches if one.wanted.kind == kind]
         angles = [one for one in group if one.wanted.unit == "rad" and one.column is not None]
         made += [one for one in group if one not in angles]
         if not angles:
             continue
-        unit, reason = (asked, "as --unit says") if asked else _detected(angles, words, ticks)
+        unit, reason = (
+            (asked, "as --unit says") if asked else _detected(angles, words, ticks, lerobot=lerobot)
+        )
         if reason.startswith(_BY_RANGE):
             found[words] = unit
         said.append(f"{words} are in {_WORDS[unit]}{_turn(unit, ticks)}, {reason}")
@@ -306,7 +314,7 @@ def _turn(unit: Unit, ticks: int) -> str:
     return f" of {ticks} a turn" if unit == "ticks" else ""
 
 
-def _detected(angles: Sequence[Match], words: str, ticks: int) -> tuple[Unit, str]:
+def _detected(angles: Sequence[Match], words: str, ticks: int, *, lerobot: bool) -> tuple[Unit, str]:
     columns = [one.column for one in angles if one.column is not None]
     largest = _largest(angles)
     stated = {column.unit for column in columns if column.unit}
@@ -328,12 +336,17 @@ def _detected(angles: Sequence[Match], words: str, ticks: int) -> tuple[Unit, st
         return "ticks", f"{_BY_RANGE}: whole numbers up to {largest:.0f}"
     if largest <= _BEYOND_RAD:
         return "rad", f"{_BY_RANGE}: they reach {largest:.3g}"
-    if abs(largest - 100.0) < 1.0 and all(
-        abs(float(np.abs(one).max(initial=0.0))) <= 100.5 for one in values
-    ):
+    if largest <= _MOST_SHARE and (lerobot or largest > _FULL_SHARE):
+        told = " in a LeRobot dataset, which does not say its unit" if lerobot else ""
         raise RequestError(
-            f"{words} reach {largest:.4g}: degrees, or shares of the range from -100 to 100?",
-            hint="--unit deg or --unit normalised",
+            f"{words} reach {largest:.4g}{told}: degrees, or shares of the range from -100 to 100?",
+            hint="--unit deg or --unit normalised"
+            + ("; use_degrees of the robot's configuration says which" if lerobot else ""),
+        )
+    if largest <= _MOST_SHARE:
+        return "deg", (
+            f"{_BY_RANGE}: they reach {largest:.4g}; shares of the joint's range from -100 to 100 look alike: "
+            "--unit normalised if they are"
         )
     if largest <= 360 * _SLACK:
         return "deg", f"{_BY_RANGE}: they reach {largest:.4g}"

@@ -144,6 +144,26 @@ def test_a_range_that_could_be_degrees_or_shares_is_asked_for(tmp_path, arm):
     )  # all of its range
 
 
+def test_shares_of_the_range_in_a_lerobot_dataset_are_asked_for_however_small_and_told_elsewhere(
+    tmp_path, arm
+):
+    pytest.importorskip("pyarrow")
+    time_s, goals, angles = logs.motion()
+    scale = 39 / np.abs(angles).max()
+    dataset = logs.write_lerobot(tmp_path / "set", goals, angles, scale=scale)
+    with pytest.raises(RequestError, match="LeRobot dataset, which does not say its unit") as asked:
+        import_log(dataset, arm, tmp_path / "recording")
+    assert "--unit normalised" in str(asked.value.hint)
+    assert not (tmp_path / "recording").exists()
+    recording = read_recording(import_log(dataset, arm, tmp_path / "one", unit="normalised").folder)
+    assert np.abs(columns(recording, "shoulder")).max() == pytest.approx(
+        0.39 * 2.0, rel=1e-6
+    )  # range -2 to 2
+    log = logs.write_csv(tmp_path / "log.csv", time_s, scale * goals, scale * angles)
+    made = import_log(log, arm, tmp_path / "other")
+    assert "--unit normalised if they are" in " ".join(made.remarks)
+
+
 def test_a_robot_whose_clock_is_another_is_shifted_to_the_recorders(tmp_path, arm):
     pytest.importorskip("rosbags")
     made = import_log(
