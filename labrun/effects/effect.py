@@ -9,8 +9,8 @@ from labrun.compiled import NativeFunction, native
 from labrun.errors import ModelError
 from labrun.toml import suggest
 
-SiteKind = Literal["joint", "body", "base", "tip", "input", "output"]
-FORCED: frozenset[SiteKind] = frozenset({"joint", "body", "base", "tip"})
+SiteKind = Literal["joint", "body", "base", "tip", "link", "input", "output"]
+FORCED: frozenset[SiteKind] = frozenset({"joint", "body", "base", "tip", "link"})
 """Kinds of sites that take a force."""
 Need = Literal["load", "stiffness", "drive"]
 
@@ -23,6 +23,7 @@ Quantity = Literal[
     "stiffness",
     "cubic-stiffness",
     "inertia",
+    "compliance",
     "signal",
     "signal-rate",
     "time",
@@ -66,6 +67,7 @@ class Scale:
             "stiffness": self.force / self.coordinate,
             "cubic-stiffness": self.force / self.coordinate**3,
             "inertia": max(self.force / self.acceleration, self.inertia),
+            "compliance": self.force / self.coordinate,  # a link's site has as coordinate what it multiplies
             "signal": self.signal,
             "signal-rate": self.signal / self.time_s,
             "time": self.time_s,
@@ -94,6 +96,7 @@ def unit_of(quantity: Quantity, coordinate_unit: str = "rad", signal_unit: str =
         "stiffness": f"{force}/{c}",
         "cubic-stiffness": f"{force}/{c}^3",
         "inertia": _INERTIAS.get(c, f"force s^2/{c}"),
+        "compliance": f"{c}/({force})" if " " in force else f"{c}/{force}",
     }
     return units[quantity]
 
@@ -105,12 +108,12 @@ class Site:
     Attributes
     ----------
     kind
-        ``joint``, ``body``, ``base`` and ``tip`` sites take forces; every input and every output is a site of its own
-        kind.
+        ``joint``, ``body``, ``base``, ``tip`` and ``link`` sites take forces; every input and every output is a site of
+        its own kind.
     coordinate, rate
         Expressions of a joint's or body's coordinate and of its time derivative. Of a robot's base: what gravity asks
         of a joint for each rad that the base is rolled, and pitched; of its tip: what a joint must exert for each
-        kilogram there.
+        kilogram there; of its link: what its drive exerts less for each rad (m) that it gives way by each N m (N).
     load
         Expression of the load the joint carries; "" where a model gives none.
     stiffness

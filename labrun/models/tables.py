@@ -154,9 +154,9 @@ class MujocoOutput(Table):
 
 
 class SiteTable(Table):
-    """A joint or a body, or the base or the tip of a robot."""
+    """A joint or a body, or the base, the tip or a link of a robot."""
 
-    kind: Literal["joint", "body", "base", "tip"]
+    kind: Literal["joint", "body", "base", "tip", "link"]
     coordinate: Equation
     rate: Equation
     load: Equation = Expression.of(0.0)

@@ -13,8 +13,8 @@ stiffness = 50.0
 damping = 0.8
 [equations]
 angle = "rate"
-rate = """(torque + 0*other + force.hinge + force.blade + force.stand + force.hand - stiffness*angle - damping*rate)
-  / inertia"""
+rate = """(torque + 0*other + force.hinge + force.blade + force.stand + force.hand + force.arm - stiffness*angle
+  - damping*rate) / inertia"""
 [outputs]
 angle = "angle"
 rate  = "rate"
@@ -38,6 +38,10 @@ rate = "5*sin(angle)"
 kind = "tip"
 coordinate = "2*sin(angle)"
 rate = "2*sin(angle)"
+[sites.arm]
+kind = "link"
+coordinate = "4*sin(2*angle)"
+rate = "rate"
 [initial]
 angle = 0.3
 rate = 0.0
@@ -48,6 +52,7 @@ SITES = {
     "body": "blade",
     "base": "stand",
     "tip": "hand",
+    "link": "arm",
     "input": "torque",
     "output": "angle",
 }

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,8 @@ class JointDiagnosis:
         Root mean square of measured minus simulated of this joint, in its unit, where the whole robot is simulated:
         with the model as stated, with parameters recalibrated, with all causes of all joints added. NaN where the
         simulation leaves the finite numbers.
+    agreed
+        Its parameters as the median of what all joints say: a mass moves every joint that carries it.
     """
 
     joint: RobotJoint
@@ -49,6 +51,7 @@ class JointDiagnosis:
     stated: float
     recalibrated: float
     corrected: float
+    agreed: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def moved(self) -> dict[str, float]:
@@ -60,7 +63,9 @@ class JointDiagnosis:
             for name, (stated, tolerance, found) in self.diagnosis.recalibration.items()
             if isinstance(tolerance, float)
             and stated
-            and 0 < criteria.FAR_MOVED * tolerance <= abs(found / stated - 1.0)
+            and 0
+            < criteria.FAR_MOVED * tolerance
+            <= min(abs(one / stated - 1.0) for one in (found, self.agreed.get(name, found)))
         }
 
 
@@ -195,7 +200,7 @@ def diagnose_robot(
             if _loads(answers, hanging) < _loads(second, hanging):
                 answers = [second.get(number, one) for number, one in enumerate(answers)]
                 found, place = moved, better
-        whole, beside = _of_the_whole(answers, place), _beside_sensors(answers)
+        whole, beside = _of_the_whole(answers, place), _beside_encoders(found, answers)
         again = _that_others_may_explain(answers, beside) if whole or beside else []
         if again:
             note(
@@ -339,13 +344,21 @@ def _loads(
     return sum([cause.name.effect for cause in answers[place][1].causes] == ["payload"] for place in at)
 
 
-def _beside_sensors(answers: Sequence[tuple[OneJoint, Diagnosis]]) -> dict[int, list[FloatArray]]:
-    """Return, by place and trial, how far joints are from what was measured of them, as the causes at sensors say.
+def _beside_encoders(
+    prescribed: Prescribed, answers: Sequence[tuple[OneJoint, Diagnosis]]
+) -> dict[int, list[FloatArray]]:
+    """Return, by place and trial, how far joints are from what was measured of them, as the causes there say.
 
-    A joint whose encoder has play moves while its encoder stands still: joints that it carries feel the true motion.
+    A joint whose encoder has play moves while its encoder stands still, and a link behind a gear that gives way is not
+    where its motor is: joints that it carries feel the true motion.
     """
     found = {}
     for place, (one, answer) in enumerate(answers):
+        soft = [effect for effect in answer.effects if effect.effect.kind == "link"]
+        if soft:
+            each = range(len(one.dataset.trials))
+            found[place] = [-soft[0].values[0] * prescribed.carried(k, place)[0][:, 0] for k in each]
+            continue
         sensors = [effect for effect in answer.effects if effect.effect.kind == "output"]
         if not sensors:
             continue
@@ -426,9 +439,15 @@ def _together(
                 f"{name} is told by {', '.join(told_by)} and is not in the corrected model: with it the whole robot "
                 "is simulated no better"
             )
-    errors = (before, after, last)
+    told: dict[str, list[float]] = {}
+    for _, answer in answers:
+        for name, (_, _, value) in answer.recalibration.items():
+            told.setdefault(name, []).append(value)
+    agreed = {name: float(np.median(values)) for name, values in told.items()}
     joints = tuple(
-        JointDiagnosis(one.joint, answer, *(float(error[place]) for error in errors))
+        JointDiagnosis(
+            one.joint, answer, float(before[place]), float(after[place]), float(last[place]), agreed
+        )
         for place, (one, answer) in enumerate(answers)
     )
     return RobotDiagnosis(

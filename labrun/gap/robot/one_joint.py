@@ -80,6 +80,26 @@ class Prescribed:
         more = tuple(was + mass_kg * one.load for was, one in zip(before, self.terms, strict=True))
         return replace(self, around=more)
 
+    def carried(self, number: int, place: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what a joint carries in a trial, without noise, and its first two derivatives."""
+        terms, (_, _, acceleration) = self.terms[number], self.motions[number]
+        torque = terms.torque[:, place] + terms.inertia[:, place] * acceleration[:, [place]]
+        return smoothed(self.dataset.trials[number].time_s, torque.sum(axis=1, keepdims=True))
+
+    def given_way(self, number: int, place: int) -> FloatArray:
+        """Return what a drive exerts less for each rad (m) that the link gives way by each N m (N) it carries.
+
+        The link, and what hangs on it, is then not where the encoder of the motor is: to first order, inertia and
+        slopes of the equations of motion times what it carries tell how much that is.
+        """
+        terms = self.terms[number]
+        torque, first, second = (one[:, 0] for one in self.carried(number, place))
+        inertia = terms.inertia[:, place].sum(axis=1)
+        less: FloatArray = (
+            inertia * second + terms.slope[:, place] * torque + terms.rate_slope[:, place] * first
+        )
+        return less
+
     @property
     def tip(self) -> TipLoad:
         """A kilogram on the last body along the whole log."""
@@ -208,12 +228,14 @@ def _dataset(
     told = [tuple(sorted(trial.condition.items())) for trial in data.trials]
     in_row = len(set(told)) == len(told)
     around = found.around or tuple(np.zeros_like(q) for q, _, _ in found.motions)
-    for trial, (q, rate, _), terms, more in zip(data.trials, found.motions, found.terms, around, strict=True):
+    every = zip(data.trials, found.motions, found.terms, around, strict=True)
+    for number, (trial, (q, rate, _), terms, more) in enumerate(every):
         columns = [] if goal is None else [trial.inputs[:, goal]]
         columns += [terms.torque[:, place, k] for k in own] + [terms.inertia[:, place, k] for k in own]
         columns += [
             terms.torque[:, place, rest].sum(axis=1) + more[:, place], terms.inertia[:, place, rest].sum(axis=1),
             terms.slope[:, place], terms.rate_slope[:, place], q[:, place], rate[:, place],
+            found.given_way(number, place),
         ]  # fmt: skip
         columns += [terms.tilt[:, place, 0], terms.tilt[:, place, 1]] if tilted else []
         columns += [terms.load[:, place]] if loaded else []
@@ -245,7 +267,7 @@ def _lines(
         between = "hold" if drive.command in ("position", "velocity") else "linear"
         yield f'{drive.input} = {{ unit = "{drive.unit}", between = "{between}" }}'
     known = [f"torque_{k}" for k in range(len(bodies))] + [f"inertia_{k}" for k in range(len(bodies))]
-    known += ["torque_rest", "inertia_rest", "slope", "rate_slope", "measured", "measured_rate"]
+    known += ["torque_rest", "inertia_rest", "slope", "rate_slope", "measured", "measured_rate", "given_way"]
     known += ["roll_torque", "pitch_torque"] if tilted else []
     known += ["load_torque"] if loaded else []
     for name in known:
@@ -263,7 +285,12 @@ def _lines(
         own.append(f"{q}_stiffness*({q} - {found.own.rest[place]!r})")
     if found.own.friction[place]:
         own.append(f"{found.own.friction[place]!r}*tanh({rate}/0.01)")
-    forces = [f"force.{q}", *(["force.base"] if tilted else []), *(["force.tip"] if loaded else [])]
+    forces = [
+        f"force.{q}",
+        f"force.{q}_link",
+        *(["force.base"] if tilted else []),
+        *(["force.tip"] if loaded else []),
+    ]
     yield "[equations]"
     yield f'{q} = "{rate}"'
     yield (
@@ -316,6 +343,7 @@ def _sites(joint: RobotJoint, effort: str, *, driven: bool, tilted: bool, loaded
         yield "drive = true"
     if joint.sprung:
         yield f'stiffness = "{q}_stiffness"'
+    yield f'[sites.{q}_link]\nkind = "link"\ncoordinate = "given_way"\nrate = "{rate}"\nunit = "{joint.unit}"'
     if tilted:
         yield '[sites.base]\nkind = "base"\ncoordinate = "roll_torque"\nrate = "pitch_torque"'
     if loaded:

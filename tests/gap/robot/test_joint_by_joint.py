@@ -17,7 +17,7 @@ from labrun.gap.robot.diagnose import (
     JointDiagnosis,
     RobotDiagnosis,
     _announced,
-    _beside_sensors,
+    _beside_encoders,
     _into_damping,
     _smoothing_gap,
 )
@@ -110,7 +110,8 @@ def test_prescribed_motion_is_no_site(tmp_path):
     robot, model, dataset = arm(tmp_path)
     places = one_joint(prescribed(robot, model, dataset), 1).model.places
     assert [(one.kind, one.name) for one in places] == [
-        ("joint", "elbow"), ("base", "base"), ("tip", "tip"), ("input", "elbow_command"), ("output", "elbow"),
+        ("joint", "elbow"), ("link", "elbow_link"), ("base", "base"), ("tip", "tip"),
+        ("input", "elbow_command"), ("output", "elbow"),
     ]  # fmt: skip
 
 
@@ -131,7 +132,7 @@ def test_a_joint_moves_as_in_the_robot_once_the_play_of_the_encoder_before_it_is
         (one_joint(found, 0), SimpleNamespace(effects=(play,), corrected={})),
         (one_joint(found, 1), SimpleNamespace(effects=(), corrected={})),
     ]
-    beside = _beside_sensors(answers)
+    beside = _beside_encoders(found, answers)
     assert list(beside) == [0]
     assert np.abs(np.concatenate(beside[0])).max() == pytest.approx(width / 2, rel=1e-2)
 
@@ -143,6 +144,23 @@ def test_a_joint_moves_as_in_the_robot_once_the_play_of_the_encoder_before_it_is
         return float(np.std(moved.outputs[:, 0] - trial.outputs[:, 0]))
 
     assert differs(found.with_links(beside)) < 0.3 * differs(found)
+
+
+def test_a_link_that_gives_way_asks_of_its_drive_what_gravity_asks_there(tmp_path):
+    """Held still, a link that gives way by compliance times torque hangs there, and not where its motor is."""
+    robot, model, dataset = arm(tmp_path)
+    angles, count = np.array([0.9, 0.4]), 60
+    trial = FitTrial(
+        "still", {}, 1, np.arange(count) * SAMPLE_S, np.zeros((count, 2)), np.tile(angles, (count, 1))
+    )
+    found = prescribed(robot, model, dataclasses.replace(dataset, trials=(trial,)))
+
+    def weight(elbow: float) -> float:
+        return 0.8 * 9.81 * 0.15 * np.sin(angles[0] + elbow)
+
+    compliance = 1e-4
+    more = weight(angles[1] - compliance * weight(angles[1])) - weight(angles[1])
+    assert -compliance * found.given_way(0, 1) == pytest.approx(more, rel=1e-3)
 
 
 def test_what_smoothing_leaves_of_the_noise_is_felt_by_the_joint_that_hangs_on_the_others(tmp_path):
@@ -223,6 +241,20 @@ def test_a_gain_that_alone_explains_a_joint_by_being_far_from_what_is_stated_is_
     assert joint(28.0, verdict="not-in-library").moved == {}
     found = RobotDiagnosis("arm", "arm", "log", (joint(28.0), joint(41.0)), (), (), {}, (), 1.0)
     assert found.sentence == "parameters are far from what is stated: elbow_kp -30 %."
+
+
+def test_a_mass_is_told_only_where_the_joints_that_carry_it_agree():
+    told = SimpleNamespace(
+        causes=(), verdict="parameter", recalibration={"hand_mass_ratio": (1.0, 0.05, 1.3)}
+    )
+
+    def elbow(median: float) -> JointDiagnosis:
+        return JointDiagnosis(
+            SimpleNamespace(name="elbow"), told, 0.1, 0.01, 0.01, {"hand_mass_ratio": median}
+        )
+
+    assert elbow(1.25).moved == {"hand_mass_ratio": pytest.approx(1.3)}
+    assert elbow(1.02).moved == {}
 
 
 def test_a_gain_that_leaves_no_gap_once_it_is_recalibrated_is_told_all_the_same():

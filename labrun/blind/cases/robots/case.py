@@ -131,7 +131,11 @@ def _made(rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, str]]:
     hidden, whole = _hidden(rng, built, plain, speeds, torques)
     around = {"gravity": whole.get("gravity", (0.0, 0.0, -9.81)), "payload": whole.get("payload", 0.0)}
     course = run(built, goal, _drives(hidden), **around)[0] if hidden or whole else plain
-    gaps = {place: _gap(built, goal, plain, course, place) for place in hidden}
+    gaps = {}
+    for place in hidden:
+        others = {one: joint for one, joint in hidden.items() if one != place}
+        without = run(built, goal, _drives(others))[0] if others else plain
+        gaps[place] = _gap(built, goal, plain, course[:, place] - without[:, place], place)
     noise = float(np.exp(rng.uniform(np.log(2e-5), np.log(5e-4))))
     if gaps:
         aim = float(np.exp(rng.uniform(*np.log(GAP))))
@@ -185,8 +189,8 @@ def _drives(hidden: dict[int, Joint]) -> dict[int, Joint]:
     }
 
 
-def _gap(body: Body, goal: FloatArray, plain: FloatArray, course: FloatArray, place: int) -> float:
-    """Return what is left of a joint's change once gains and damping of its servo were adapted to it, rad."""
+def _gap(body: Body, goal: FloatArray, plain: FloatArray, left: FloatArray, place: int) -> float:
+    """Return what is left of the change of a joint by its own effect once its servo and mass were adapted, rad."""
     link = body.links[place]
     changed = []
     for other in (
@@ -195,7 +199,6 @@ def _gap(body: Body, goal: FloatArray, plain: FloatArray, course: FloatArray, pl
     ):  # fmt: skip
         links = tuple(other if k == place else one for k, one in enumerate(body.links))
         changed.append(run(replace(body, links=links), goal, {})[0][:, place] - plain[:, place])
-    left = course[:, place] - plain[:, place]
     by = np.column_stack(changed)
     left = left - by @ np.linalg.lstsq(by, left, rcond=None)[0]
     return float(np.sqrt(np.mean(left**2)))
