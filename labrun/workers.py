@@ -143,10 +143,22 @@ def _dask(address: str) -> Iterator[Pool]:
 
 
 def _begin(scratch: str) -> None:
-    """Leave Ctrl-C and warnings to the process that asked; files go into `scratch`."""
+    """Leave Ctrl-C and warnings to the process that asked, and end with it; files go into `scratch`."""
     tempfile.tempdir = scratch
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("ignore")
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End once the process that asked is gone.
+
+    If it was killed nobody says so: workers hold both ends of the queue of jobs, and would wait at it for ever.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 @contextmanager

@@ -40,6 +40,7 @@ from labrun.spec import (
     find_model_file,
     load_experiment,
     load_named,
+    loads_experiment,
     shipped_experiments,
 )
 from labrun.store import RunFolder, collect, replace_durably, saving
@@ -316,6 +317,15 @@ def _handed_on(
         )
         replace_durably(run / f"{name}.toml", text.encode())
         target, yours = _place_of(name, workspace)
+        try:
+            loads_experiment(text, name, beside=target)
+        except RequestError as error:
+            progress.note(
+                f"{target} stays as it is: with the values of this design it would be refused; mend "
+                f"{run / f'{name}.toml'}, or the ranges in its template: {error}"
+            )
+            written.append(("rig", run / f"{name}.toml"))
+            continue
         if yours:
             progress.note(
                 f"{target} is yours and stays as it is; the experiment of this design is {run / f'{name}.toml'}"

@@ -17,6 +17,8 @@ from labrun.toml import KeyPath, locate, replaced, suggest
 MADE = "# Written by labrun design"
 """How a file begins that a design has written, and a later one may replace."""
 
+_KEEP = "# A later design replaces this file. Take these two lines away to keep it."
+
 
 def dimensions_csv(design: Design, values: Condition, units: Mapping[str, str]) -> str:
     """Return the variables of a design as a table: name, value, tolerance, unit, range; those to be built first."""
@@ -92,8 +94,10 @@ def written_experiment(
             )
         places[known[name]] = _as_toml(value)
     about = f"{MADE} ({run}): {title.splitlines()[0]}"
-    keep = "# A later design replaces this file. Take these two lines away to keep it."
-    return "\n".join([about, keep, replaced(template, places)])
+    text = replaced(template, places)
+    while text.startswith((MADE, _KEEP)):  # the template is what a design wrote before
+        text = text.partition("\n")[2]
+    return "\n".join([about, _KEEP, text])
 
 
 def _as_toml(value: float | str) -> str:

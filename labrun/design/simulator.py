@@ -19,6 +19,8 @@ from labrun.spec import SIMULATION, Condition, Design, Experiment
 from labrun.toml import ExpressionError, suggest
 
 _UNFIT = "cannot be simulated: "
+_REASONS = 3
+"""So many different ones are told when nothing can be simulated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,7 +284,9 @@ def require_simulable(simulator: Simulator) -> float:
     )
     if not any(one.objectives for one in tried):
         reasons = Counter(one.violations.texts[-1].removeprefix(_UNFIT) for one in tried)
-        told = "".join(f"\n  {count} x {reason}" for reason, count in reasons.most_common())
+        told = "".join(f"\n  {count} x {reason}" for reason, count in reasons.most_common(_REASONS))
+        if len(reasons) > _REASONS:
+            told += f"\n  {len(reasons) - _REASONS} others like these"
         raise PlanError(
             f"the design cannot be simulated: none of {len(tried)} that were tried{told}",
             hint="look at design.parameters, design.initial and the ranges of the variables; more design.substeps "

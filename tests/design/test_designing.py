@@ -11,6 +11,7 @@ from labrun.app.design import design
 from labrun.design.constraints import Margin
 from labrun.errors import PlanError, RequestError, SpecError
 from labrun.models import load_model
+from labrun.runner import SilentProgress
 from labrun.search import read_generations
 from labrun.store import open_run
 
@@ -19,6 +20,17 @@ def found(path: Path, **keys):
     return design(
         path, dry_run=True, seed=keys.pop("seed", 3), workers=keys.pop("workers", 1), draw=False, **keys
     )
+
+
+class Notes(SilentProgress):
+    """Keep what is told."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def note(self, text: str) -> None:
+        """Keep it."""
+        self.notes.append(text)
 
 
 def generations(result) -> list[dict]:
@@ -139,8 +151,10 @@ def test_a_design_that_cannot_be_simulated_is_told_with_its_reason(paddle):
     path = paddle(("length / 1000", "-length / 1000"))
     with pytest.raises(
         PlanError, match=r"the design cannot be simulated: (.|\n)*x length = .* is outside 0.01"
-    ):
+    ) as told:
         found(path)
+    assert str(told.value).count("is outside") == 3  # each is another length
+    assert "5 others like these" in str(told.value)
 
 
 def test_a_candidate_that_cannot_be_simulated_costs_a_violation_and_ends_nothing(paddle):
@@ -195,3 +209,35 @@ def test_an_untouched_copy_gives_way_to_the_rig_of_the_design_and_a_file_of_your
     copy.parent.mkdir()
     copy.write_text((shipped_experiments() / "rowing.toml").read_text() + changed)
     assert _place_of("rowing", tmp_path) == (copy, not replaced)
+
+
+def with_rig(paddle, *changes: tuple[str, str], initial: str) -> Path:
+    """Return the paddle's file, which also writes a rig whose search begins at `initial`."""
+    table = f'[design.writes.rowing]\ntemplate = "rowing"\nvalues."cmaes.variables.f.initial" = "{initial}"\n'
+    return paddle(("iterations = 25", "iterations = 2"), ("[leaders]", f"{table}[leaders]"), *changes)
+
+
+def test_a_rig_that_was_written_twice_says_once_which_design_it_is_of(paddle, tmp_path):
+    path = with_rig(paddle, initial="0.7 + 0.1 * f")
+    found(path)
+    result = found(path, seed=4)
+    text = (tmp_path / "rowing.toml").read_text()
+    assert text.count("# Written by labrun design") == text.count("# A later design") == 1
+    assert str(result.run) in text.splitlines()[0]
+
+
+def test_a_rig_that_would_be_refused_is_kept_with_the_run_and_the_file_in_use_stays(paddle, tmp_path):
+    found(with_rig(paddle, initial="0.7 + 0.1 * f"))
+    before = (tmp_path / "rowing.toml").read_text()
+    told = Notes()
+    # at the start of the range, which is looked at beforehand, it would do; rowing's own range ends at 1.2
+    path = with_rig(paddle, initial="0.7 + 5 * (f - 0.5)")
+    result = found(path, progress=told)
+    assert result.finished
+    assert (tmp_path / "rowing.toml").read_text() == before
+    assert f"({result.run})" in (result.run / "rowing.toml").read_text()
+    assert any(
+        "rowing.toml stays as it is" in line and "is outside 0.6 ... 1.2" in line for line in told.notes
+    )
+    assert any(line.startswith("rig") and str(result.run) in line for line in result.more)
+    assert found(path, seed=5).finished  # and the next design has a template to go by
