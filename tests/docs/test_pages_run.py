@@ -45,6 +45,7 @@ HIDING = "--set trial.repeats=2 --set trial.duration_s=3 --set run.conditions=[{
 """Fewer and shorter trials of `hinge` for what a page hides at random: a diagnosis follows."""
 ENDINGS = {
     "labrun: no trial was accepted": 1,
+    "is not tracked": 1,
     "labrun: mine.toml: 4 errors": 2,
     "conditions leave a limit": 2,
     "is above the limit of": 2,
