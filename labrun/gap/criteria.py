@@ -419,10 +419,9 @@ NEXT_TRIALS = (2, 4)
 """Fewest and most trials that are proposed ..."""
 NEXT_REPEATS = 3
 """... each so often."""
-ENOUGH_EVIDENCE = 3.0
-"""Evidence, over what a diagnosis asks for, at which no further trial is needed."""
 EVIDENCE_AIMED_AT = (3.0, 10.0)
-"""The same to first order; the higher one where fits in earnest imitate more than the first order says."""
+"""Evidence, over what a diagnosis asks for, at which no further trial is needed, to first order; the higher one where
+fits in earnest imitate more than that says."""
 HOPELESS_EVIDENCE = 0.1
 """Evidence of the whole pool below which a pair has no part in the choice, and trials are not worth their time."""
 VISIBLE_DIFFERENCE = 1.0

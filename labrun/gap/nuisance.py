@@ -33,7 +33,7 @@ class NuisanceProjection:
         # what stands at a bound has given what it can
         shared = z[: problem.size]
         moving = (shared > problem.priors.lower) & (shared < problem.priors.upper)
-        rows = [_off(own, block[:, moving]) for own, block in zip(self._own, jacobian.shared, strict=True)]
+        rows = [off(own, block[:, moving]) for own, block in zip(self._own, jacobian.shared, strict=True)]
         self._rows, prior = len(prior), prior[:, moving]
         self._shared = basis(np.concatenate([*rows, prior]))
         self.jacobian = jacobian
@@ -46,9 +46,9 @@ class NuisanceProjection:
         prior
             Residuals of the prior; zero if None.
         """
-        rows = [_off(own, part) for own, part in zip(self._own, parts, strict=True)]
+        rows = [off(own, part) for own, part in zip(self._own, parts, strict=True)]
         behind = np.zeros((self._rows, *rows[0].shape[1:])) if prior is None else prior
-        return _off(self._shared, np.concatenate([*rows, behind]))
+        return off(self._shared, np.concatenate([*rows, behind]))
 
 
 def basis(columns: FloatArray) -> FloatArray:
@@ -64,7 +64,8 @@ def basis(columns: FloatArray) -> FloatArray:
     return kept
 
 
-def _off(span: FloatArray, values: FloatArray) -> FloatArray:
+def off(span: FloatArray, values: FloatArray) -> FloatArray:
+    """Return values (rows,) or (rows, k) without what orthonormal columns span."""
     return values - span @ (span.T @ values)
 
 

@@ -1,8 +1,7 @@
 """Which trials come next: those that separate what a diagnosis could not; before any data, those that show most."""
 
 from labrun.gap.next.plan import TrialPlan, plan_trials
-from labrun.gap.next.proposal import Proposal
-from labrun.gap.next.propose import propose
+from labrun.gap.next.proposal import Proposal, propose
 from labrun.gap.next.run_bench import RunBench
 
 __all__ = ["Proposal", "RunBench", "TrialPlan", "plan_trials", "propose"]

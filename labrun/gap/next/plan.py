@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.effects import Scale
+from labrun.effects import AttachedEffect, EffectParameter, Scale
 from labrun.errors import RequestError
 from labrun.fit import Dataset, Each, Note, OutputNoise, Problem, one_by_one, silent
 from labrun.gap import criteria
-from labrun.gap.candidates import Candidate, candidates, site_scales
+from labrun.gap.candidates import candidates, site_scales
 from labrun.gap.diagnosis import Name, ResampledNumber
 from labrun.gap.intervals import effect_units
-from labrun.gap.next.proposal import experiment_text, write_experiment
+from labrun.gap.next.imitation import Change, Imitation, greedy
 from labrun.gap.next.run_bench import RunBench
-from labrun.gap.next.trials import PlannedTrial, planned_data
+from labrun.gap.next.trials import PlannedTrial, evenly, planned_data
 from labrun.models import Model, simulate
 from labrun.store import SignalInfo
 
@@ -28,7 +28,7 @@ _SEEN = 5.0
 _SIZES = (1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0)
 """Sizes that are tried, as parts of what is typical at the site."""
 _MIDDLE = 3
-"""Place of the size at which trials are chosen, and effects held against one another."""
+"""Place of the middle one."""
 _ALIKE = 0.95
 """Cosine between changes above which these trials would not tell two effects apart."""
 _OWN, _POOL = 8, 24
@@ -115,24 +115,28 @@ class TrialPlan:
 
 
 @dataclass(frozen=True)
-class _Signature:
-    """What a candidate of one size changes, trial by trial.
+class _Tried:
+    """An effect at several sizes, in all trials of the pool.
 
     Attributes
     ----------
-    size
-        Its main parameter, SI.
-    mixed : (trials, p), own : (trials,)
-        Products of the change with the derivatives by the parameters, and with itself; initial states projected out.
-    change : per trial (rows,)
-        Of the middle size alone.
+    main
+        Its parameter that tells the size.
+    sizes
+        Of that parameter, SI, from small to large effects.
+    changes
+        What each size changes; trial by trial at the middle one alone.
     """
 
-    candidate: Candidate
-    size: float
-    mixed: FloatArray
-    own: FloatArray
-    change: tuple[FloatArray, ...]
+    attached: AttachedEffect
+    main: EffectParameter
+    sizes: tuple[float, ...]
+    changes: tuple[Change, ...]
+
+    @property
+    def middle(self) -> Change:
+        """What is changed by the size at which trials are chosen, and effects held against one another."""
+        return self.changes[_MIDDLE]
 
 
 def plan_trials(
@@ -165,8 +169,7 @@ def plan_trials(
         Noise of an output that the model has not, or a model that does not simulate the experiment.
     """
     note("looking what the rig allows")
-    own = bench.trials(_some(bench.measured, _OWN))
-    pool = [*own, *_some(bench.pool(rng), _POOL)]
+    pool = [*bench.trials(evenly(bench.measured, _OWN)), *evenly(bench.pool(rng), _POOL)]
     notes: list[str] = []
     kept, outputs = _simulated(model, pool, notes)
     data = planned_data(_empty(model, bench), kept, outputs, repeats)
@@ -174,19 +177,18 @@ def plan_trials(
     sd = _noise(model, problem.spread, noise or {})
     problem = problem.with_noise(OutputNoise(np.sqrt(repeats) / sd))
     z = problem.begin()
-    scales = site_scales(problem, z)
-    library = [one for one in candidates(model, scales) if one.name.kind == "effect"]
-    note(f"trying {len(library)} effects in {len(kept)} trials")
-    information, spans = _parameters(problem, z)
-    base = problem.residuals(z)
-    found = each(lambda one: _signatures(problem, z, base, one, spans, information), library)
-    prior = np.diag(problem.priors.slope**2)
-    chosen = _chosen(kept, found, information, prior)
-    told = [
-        _visible(one, signatures, chosen, information, prior, model, data)
-        for one, signatures in zip(library, found, strict=True)
+    library = [
+        (one.attached, one.scale)
+        for one in candidates(model, site_scales(problem, z))
+        if one.attached is not None and one.scale is not None
     ]
-    told = _held_against(told, [one[_MIDDLE] for one in found], chosen, information, prior)
+    note(f"trying {len(library)} effects in {len(kept)} trials")
+    imitation = Imitation(problem, z, np.diag(problem.priors.slope**2 + _RIDGE))
+    base = problem.residuals(z)
+    tried = each(lambda one: _tried(problem, z, base, imitation, *one), library)
+    chosen = _chosen(kept, tried, imitation)
+    told = [_visible(one, imitation, chosen, effect_units(one.attached, model, data)) for one in tried]
+    told = _held_against(told, tried, imitation, chosen)
     told.sort(key=lambda one: one.size is None)
     trials = tuple(kept[index] for index in chosen)
     plan = bench.plan(trials)
@@ -201,7 +203,7 @@ def plan_trials(
         remarks = [
             f"Planned before any data: these trials make {seen} of {len(told)} effects visible, see labrun gap plan."
         ]
-        write_experiment(out, experiment_text(bench, trials, remarks, None))
+        bench.write(out, trials, remarks, None)
     units = {one.name: one.unit for one in model.outputs}
     sizes = {
         name: ResampledNumber(float(one), float(one), float(one), units[name])
@@ -210,12 +212,6 @@ def plan_trials(
     return TrialPlan(
         out, model.name, trials, repeats, bench.time_s(plan), tuple(told), sizes, len(kept), tuple(notes)
     )
-
-
-def _some(items: Sequence[Any], most: int) -> list[Any]:
-    if len(items) <= most:
-        return list(items)
-    return [items[place] for place in np.linspace(0, len(items) - 1, most).round().astype(int)]
 
 
 def _simulated(
@@ -263,144 +259,74 @@ def _noise(model: Model, spread: FloatArray, stated: Mapping[str, float]) -> Flo
     return np.array([stated.get(name, NOISE_SHARE * size) for name, size in zip(names, spread, strict=True)])
 
 
-def _parameters(
-    problem: Problem, z: FloatArray
-) -> tuple[list[tuple[FloatArray, FloatArray]], list[FloatArray]]:
-    """Return derivatives by the parameters and what they tell, trial by trial, and the spans of initial states."""
-    jacobian = problem.jacobian(z)
-    found, spans = [], []
-    for shared, own in zip(jacobian.shared, jacobian.own, strict=True):
-        span = np.linalg.qr(own)[0] if own.shape[1] else np.empty((len(own), 0))
-        left = shared - span @ (span.T @ shared)
-        found.append((left, left.T @ left))
-        spans.append(span)
-    return found, spans
-
-
-def _signatures(
+def _tried(
     problem: Problem,
     z: FloatArray,
     base: Sequence[FloatArray],
-    one: Candidate,
-    spans: Sequence[FloatArray],
-    shared: Sequence[tuple[FloatArray, FloatArray]],
-) -> list[_Signature]:
-    """Return what a candidate changes at several sizes of it."""
-    added = one.added_to(problem)
-    found: list[_Signature] = []
-    for values, size in _sizes(one):
-        there = np.concatenate([z[: problem.size], values, z[problem.size :]])
-        parameters = added.parameters(there)
-        mixed, own, changes = [], [], []
-        for index, (before, span) in enumerate(zip(base, spans, strict=True)):
-            after = added.trial_residual(parameters, index, added.own(there, index))
-            change = np.zeros_like(before) if after is None else after - before
-            change = change - span @ (span.T @ change)
-            mixed.append(shared[index][0].T @ change)
-            own.append(float(change @ change))
-            changes.append(change)
-        kept = tuple(changes) if len(found) == _MIDDLE else ()
-        found.append(_Signature(one, size, np.array(mixed), np.array(own), kept))
-    return found
-
-
-def _sizes(one: Candidate) -> list[tuple[FloatArray, float]]:
-    """Return scaled values of the effect's own variables, from small to large, and the main one in SI."""
-    if one.attached is None or one.scale is None:
-        return []
-    fitted = [parameter for parameter in one.attached.effect.parameters if not parameter.held]
-    main = next((place for place, parameter in enumerate(fitted) if parameter.neutral is not None), 0)
-    start = np.array([parameter.starts[0] for parameter in fitted])
-    scale: Scale = one.scale
-    found = []
+    imitation: Imitation,
+    attached: AttachedEffect,
+    scale: Scale,
+) -> _Tried:
+    """Return what an effect changes at several sizes of it."""
+    added = problem.with_effects([attached], [scale])
+    fitted = [parameter for parameter in attached.effect.parameters if not parameter.held]
+    main = next((parameter for parameter in fitted if parameter.neutral is not None), fitted[0])
+    sizes, changes = list[float](), list[Change]()
     for part in _SIZES:
-        values = start.copy()
-        for place, parameter in enumerate(fitted):
-            if parameter.neutral is None:
-                continue
-            if np.isfinite(parameter.neutral):
-                sign = -1.0 if parameter.starts[0] < 0 else 1.0
-                values[place] = np.clip(sign * part, parameter.lower, parameter.upper)
-            else:  # a level vanishes far out: the lower it is, the more it shows
-                values[place] = np.clip(1.0 - 0.9 * part, parameter.lower, parameter.upper)
-        found.append((values, float(values[main] * scale.of(fitted[main].quantity))))
-    return found
+        values = [_value(parameter, part) for parameter in fitted]
+        there = np.insert(z, problem.size, values)
+        parameters = added.parameters(there)
+        differences = []
+        for index, before in enumerate(base):
+            after = added.trial_residual(parameters, index, added.own(there, index))
+            differences.append(np.zeros_like(before) if after is None else after - before)
+        change = imitation.change(differences)
+        changes.append(change if len(changes) == _MIDDLE else replace(change, parts=()))
+        sizes.append(float(values[fitted.index(main)] * scale.of(main.quantity)))
+    return _Tried(attached, main, tuple(sizes), tuple(changes))
 
 
-def _strength(
-    signature: _Signature,
-    chosen: Sequence[int],
-    information: Sequence[tuple[FloatArray, FloatArray]],
-    prior: FloatArray,
-) -> float:
-    """Return the norm, in units of the noise, of what parameters cannot imitate of a change."""
-    total = prior + sum(information[index][1] for index in chosen) + _RIDGE * np.eye(len(prior))
-    mixed = signature.mixed[list(chosen)].sum(axis=0)
-    whole = float(signature.own[list(chosen)].sum())
-    return (
-        float(np.sqrt(max(whole - mixed @ np.linalg.solve(total, mixed), 0.0))) if len(prior) else whole**0.5
-    )
+def _value(parameter: EffectParameter, part: float) -> float:
+    """Return the scaled value at which an effect has a part of its typical size."""
+    start = parameter.starts[0]
+    if parameter.neutral is None:
+        return start
+    # a level vanishes far out: the lower it is, the more it shows
+    value = np.copysign(part, start) if np.isfinite(parameter.neutral) else 1.0 - 0.9 * part
+    return float(np.clip(value, parameter.lower, parameter.upper))
 
 
-def _chosen(
-    pool: Sequence[PlannedTrial],
-    found: Sequence[Sequence[_Signature]],
-    information: Sequence[tuple[FloatArray, FloatArray]],
-    prior: FloatArray,
-) -> list[int]:
+def _chosen(pool: Sequence[PlannedTrial], tried: Sequence[_Tried], imitation: Imitation) -> list[int]:
     """Return the trials that lower the sizes that are visible most for their time, one after the other."""
-    middle = [one[_MIDDLE] for one in found]
 
     def value(chosen: Sequence[int]) -> float:
-        strengths = [_strength(one, chosen, information, prior) for one in middle]
+        strengths = [imitation.left(one.middle, chosen) ** 0.5 for one in tried]
         # what is far beyond visible, or far from it, need not become more so
         return float(np.mean(np.log(np.clip(strengths, 0.1 * _SEEN, 20.0 * _SEEN)))) if strengths else 0.0
 
-    chosen: list[int] = []
-    so_far = value([0]) if not middle else float(np.log(0.1 * _SEEN))
-    while len(chosen) < min(criteria.NEXT_TRIALS[1], len(pool)):
-        rest = [index for index in range(len(pool)) if index not in chosen]
-        gains = [value([*chosen, index]) - so_far for index in rest]
-        worth = [gain / pool[index].cost_s ** 0.5 for gain, index in zip(gains, rest, strict=True)]
-        at = int(np.argmax(worth))
-        if len(chosen) >= criteria.NEXT_TRIALS[0] and gains[at] < _LEAST_GAIN:
-            break
-        chosen.append(rest[at])
-        so_far += gains[at]
-    return chosen
+    return greedy(value, [one.cost_s**0.5 for one in pool], lambda _: _LEAST_GAIN)
 
 
-def _imitated(signatures: Sequence[_Signature], strengths: FloatArray, chosen: Sequence[int]) -> bool:
+def _imitated(one: _Tried, strengths: FloatArray, chosen: Sequence[int]) -> bool:
     """Tell whether parameters do nearly the same: asked of the smallest change, where linear projection is true."""
-    for one, left in zip(signatures, strengths, strict=True):
-        whole = float(one.own[list(chosen)].sum()) ** 0.5
+    for change, left in zip(one.changes, strengths, strict=True):
+        whole = float(change.squares[chosen].sum()) ** 0.5
         if whole > _NUMERICAL:
             return bool(left <= criteria.IMITATED * whole)
     return True
 
 
 def _held_against(
-    told: Sequence[Visible],
-    signatures: Sequence[_Signature],
-    chosen: Sequence[int],
-    information: Sequence[tuple[FloatArray, FloatArray]],
-    prior: FloatArray,
+    told: Sequence[Visible], tried: Sequence[_Tried], imitation: Imitation, chosen: Sequence[int]
 ) -> list[Visible]:
     """Return what is visible with the names of what would look the same."""
-    total = prior + sum(information[index][1] for index in chosen) + _RIDGE * np.eye(len(prior))
-    mixed = np.array([one.mixed[list(chosen)].sum(axis=0) for one in signatures])
-    whole = np.array([np.concatenate([one.change[index] for index in chosen]) for one in signatures])
-    products = whole @ whole.T - mixed @ np.linalg.solve(total, mixed.T)
-    size = np.sqrt(np.maximum(np.diag(products), 1e-300))
-    cosine = np.abs(products) / np.outer(size, size)
+    alike = imitation.cosines([one.middle for one in tried], chosen) > _ALIKE
     seen = [one.size is not None for one in told]
     return [
         replace(
             one,
             alike=tuple(
-                told[at].name
-                for at in range(len(told))
-                if at != row and seen[at] and cosine[row, at] > _ALIKE
+                other.name for at, other in enumerate(told) if at != row and seen[at] and alike[row, at]
             ),
         )
         if seen[row]
@@ -409,43 +335,30 @@ def _held_against(
     ]
 
 
-def _visible(
-    one: Candidate,
-    signatures: Sequence[_Signature],
-    chosen: Sequence[int],
-    information: Sequence[tuple[FloatArray, FloatArray]],
-    prior: FloatArray,
-    model: Model,
-    data: Dataset,
-) -> Visible:
+def _visible(one: _Tried, imitation: Imitation, chosen: Sequence[int], units: Mapping[str, str]) -> Visible:
     """Return the size from which on the chosen trials show an effect; whether any trial of the pool would."""
-    attached = one.attached
-    if attached is None:
-        raise TypeError("only effects are planned for")
-    fitted = [parameter for parameter in attached.effect.parameters if not parameter.held]
-    main = next((parameter for parameter in fitted if parameter.neutral is not None), fitted[0])
-    unit = effect_units(attached, model, data)[main.name]
-    strengths = np.array([_strength(each, chosen, information, prior) for each in signatures])
-    strengths *= not _imitated(signatures, strengths, chosen)
-    if np.max(strengths, initial=0.0) < _SEEN:
-        whole = max(float(each.own[list(chosen)].sum()) ** 0.5 for each in signatures)
-        everything = range(len(information))
-        most = max(_strength(each, everything, information, prior) for each in signatures)
+    name, main = Name(one.attached.effect.id, one.attached.site), one.main
+    strengths = np.sqrt([imitation.left(each, chosen) for each in one.changes])
+    imitated = _imitated(one, strengths, chosen)
+    if imitated or np.max(strengths) < _SEEN:
+        whole = max(float(each.squares[chosen].sum()) ** 0.5 for each in one.changes)
+        every = range(len(one.middle.squares))
         why = (
             "moves nothing here"
             if whole < _SEEN
-            else "only all trials together would show it"
-            if most >= _SEEN and not _imitated(signatures, strengths, chosen)
             else "parameters and initial states imitate it"
+            if imitated or max(imitation.left(each, every) for each in one.changes) < _SEEN**2
+            else "only all trials together would show it"
         )
-        return Visible(one.name, main.name, None, -1, why)
+        return Visible(name, main.name, None, -1, why)
     first = int(np.argmax(strengths >= _SEEN))
-    size = abs(signatures[first].size)
+    size = abs(one.sizes[first])
     if first > 0 and strengths[first - 1] > 0:  # between the two, in logarithms
         low, high = np.log(strengths[first - 1 : first + 1])
         part = (np.log(_SEEN) - low) / (high - low)
-        size = float(np.exp((1 - part) * np.log(abs(signatures[first - 1].size)) + part * np.log(size)))
+        size = float(np.exp((1 - part) * np.log(abs(one.sizes[first - 1])) + part * np.log(size)))
     elif np.isfinite(main.neutral if main.neutral is not None else 0.0):
         size *= _SEEN / float(strengths[first])  # smaller than all that were tried, where effects are linear
-    alone = [_strength(signatures[first], [index], information, prior) for index in chosen]
-    return Visible(one.name, main.name, ResampledNumber(size, size, size, unit), int(np.argmax(alone)))
+    alone = [imitation.left(one.changes[first], [index]) for index in chosen]
+    visible = ResampledNumber(size, size, size, units[main.name])
+    return Visible(name, main.name, visible, int(np.argmax(alone)))

@@ -1,48 +1,35 @@
-"""What `labrun gap next` answers, in words, numbers and files: which trials, what they would tell apart."""
+"""What `labrun gap next` proposes: trials that best separate what a diagnosis leaves, and what to expect of them."""
 
 import math
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import tomli_w
 
-from labrun.errors import RequestError
-from labrun.fit import Dataset
+from labrun.fit import Dataset, Note, silent
 from labrun.gap import criteria
+from labrun.gap.diagnose import Question
 from labrun.gap.diagnosis import Name
+from labrun.gap.next.recording_bench import RecordingBench
 from labrun.gap.next.run_bench import RunBench
-from labrun.gap.next.separation import Rival
-from labrun.gap.next.trials import PlannedTrial
-from labrun.spec import load_experiment
+from labrun.gap.next.separation import (
+    Evidence,
+    Rival,
+    Rivals,
+    Separation,
+    hopeless,
+    predict,
+    rehearse,
+    rivals_of,
+)
+from labrun.gap.next.trials import PlannedTrial, free_place
+from labrun.gap.pipeline import Search, search_causes
+from labrun.store import imported_channels, open_run
 
 Outcome = Literal["separates", "helps", "cannot"]
-
-
-@dataclass(frozen=True, slots=True)
-class Outlook:
-    """What the trials would say of two explanations, if the first is true.
-
-    Attributes
-    ----------
-    sigma
-        Standard deviations by which the wrong one, fitted to everything, would miss.
-    ratio
-        Log likelihood over what a diagnosis asks for before it drops the wrong one. Above 1 it names the right one
-        alone if sizes and parameters are what they were fitted to be; `SURE` leaves room for their errors.
-    """
-
-    truth: str
-    rival: str
-    sigma: float
-    ratio: float
-
-    @property
-    def by_simplicity(self) -> bool:
-        """Whether the rival would explain it as well, and is dropped for having more parameters."""
-        return self.ratio >= criteria.TOLD_APART and self.sigma < criteria.CLEARLY_SEEN
 
 
 @dataclass(frozen=True)
@@ -82,7 +69,7 @@ class Proposal:
     repeats: int
     time_s: float
     time_at_most_s: float
-    outlook: tuple[Outlook, ...]
+    outlook: tuple[Evidence, ...]
     advice: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     commands: tuple[str, ...] = ()
@@ -163,24 +150,19 @@ def spoken(seconds: float) -> str:
     return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
 
 
-def told(outlook: Sequence[Outlook]) -> list[str]:
+def told(outlook: Sequence[Evidence]) -> list[str]:
     """Return a sentence for every two explanations, the worse of the two ways round."""
-    worst: dict[frozenset[str], Outlook] = {}
+    worst: dict[frozenset[str], Evidence] = {}
     for one in outlook:
         pair = frozenset((one.truth, one.rival))
-        known = worst.get(pair)
-        if known is None or (one.ratio >= criteria.TOLD_APART, one.sigma) < (
-            known.ratio >= criteria.TOLD_APART,
-            known.sigma,
-        ):
-            worst[pair] = one
+        worst[pair] = min(worst.get(pair, one), one, key=lambda each: (each.told_apart, each.sigma))
     return [_told(one) for one in worst.values()]
 
 
-def _told(one: Outlook) -> str:
+def _told(one: Evidence) -> str:
     if one.by_simplicity:
         return f"if it is {one.truth}, {one.rival} can do the same with more parameters: the simpler is named"
-    if one.ratio >= criteria.TOLD_APART:
+    if one.told_apart:
         return f"{one.truth} or {one.rival}: told apart, at {_number(one.sigma)} standard deviations"
     if one.sigma < criteria.CLEARLY_SEEN:
         return f"{one.truth} or {one.rival}: not told apart, they predict the same"
@@ -203,83 +185,70 @@ _STIFF = frozenset({"cubic-stiffness", "asymmetric-stiffness", "end-stop", "back
 
 _HARDLY = "More repeats, or larger motion: what is left of the gap is hardly beyond the noise."
 _OTHERWISE = (
-    "A further sensor between the two, or motion over a wider range of amplitude and frequency than was "
-    "allowed here."
+    "A further sensor between the two, or motion over a wider range of amplitude and frequency than was allowed "
+    "here."
 )
+_CONTAINED = "The richer friction contains the simpler one, and at the sizes found they are the same:"
 
 
-@dataclass(frozen=True, slots=True)
-class _Rule:
-    """Advice for a pair with one effect in each of two sets."""
-
-    one: frozenset[str]
-    other: frozenset[str]
-    advice: str
-
-
-_RULES = (
-    _Rule(
+_RULES: tuple[tuple[frozenset[str], frozenset[str], str], ...] = (
+    (
         frozenset({"delay"}),
         frozenset({"lag"}),
         "Excite faster: a delay and a lag part past 1/(2 pi tau){corner}.",
     ),
-    _Rule(
+    (
         frozenset({"load-dependent-friction"}),
         _DRY | {"viscous-damping"},
-        "Load the joint differently: a second mass, as a condition that the "
-        "model uses, changes friction that depends on "
-        "the load and leaves the other as it is.",
+        "Load the joint differently: a second mass, as a condition that the model uses, changes friction that depends "
+        "on the load and leaves the other as it is.",
     ),
-    _Rule(
+    (
         frozenset({"coulomb-friction"}),
         frozenset({"stribeck-friction", "presliding-friction"}),
-        "The richer friction contains the simpler one, and at the sizes found "
-        "they are the same: only slower motion, and "
-        "reversals, could show a difference.",
+        f"{_CONTAINED} only slower motion, and reversals, could show a difference.",
     ),
-    _Rule(
+    (
         frozenset({"constant-force"}),
         frozenset({"rest-offset"}),
-        "A constant force and a displaced rest position are the same in a "
-        "joint of one stiffness: exchange its spring, or "
-        "turn it over against gravity.",
+        "A constant force and a displaced rest position are the same in a joint of one stiffness: exchange its spring, "
+        "or turn it over against gravity.",
     ),
-    _Rule(
+    (
         _OFFSET,
         _OFFSET,
         "Change what holds the joint (its spring, its load, its orientation to gravity): a force moves it by another "
         "angle then, a sensor's bias stays; a second sensor tells the bias of the first.",
     ),
-    _Rule(
+    (
         frozenset({"asymmetric-friction"}),
         frozenset({"coulomb-friction"}),
-        "The richer friction contains the simpler one, and at the sizes found they are the same: only the same course "
-        "with its sign turned round, often, could show a difference.",
+        f"{_CONTAINED} only the same course with its sign turned round, often, could show a difference.",
     ),
-    _Rule(
+    (
         frozenset({"asymmetric-friction"}),
-        _DRY | _FAST | frozenset({"load-dependent-friction", "hysteresis"}),
+        _DRY | _FAST | {"load-dependent-friction", "hysteresis"},
         "Drive it both ways alike, by the same course and that course with its sign turned round: what resists both "
         "directions alike gives mirror images, friction with a level for each does not.",
     ),
-    _Rule(
+    (
         _SIDED,
         _DRY | _SIDED | _OFFSET | _TILT,
-        "Measure at two orientations of gravity: what comes from the bench's "
-        "tilt changes sides, what belongs to the joint "
-        "does not.",
+        "Measure at two orientations of gravity: what comes from the bench's tilt changes sides, what belongs to the "
+        "joint does not.",
     ),
-    _Rule(
+    (
         _MASS,
         _FAST | _STIFF | _LATE,
         "Vary the frequency at the same amplitude: inertia grows with its square, the other does not.",
     ),
-    _Rule(
+    (
         _FAST | _STIFF | _DRY,
         _FAST | _STIFF | _DRY,
         "Vary the amplitude over a wide range, at one frequency: the two grow with different powers of it.",
     ),
 )
+"""Advice for a pair with one effect in each of two sets; the first that fits."""
 
 
 def would_separate(one: Rival, other: Rival) -> str:
@@ -293,9 +262,9 @@ def _advice(one: Rival, other: Rival) -> str:
     here, there = one.cause.effect, other.cause.effect
     if here == there:
         return _OTHERWISE
-    for rule in _RULES:
-        if (here in rule.one and there in rule.other) or (there in rule.one and here in rule.other):
-            return rule.advice.format(corner=_corner(one, other))
+    for some, others, advice in _RULES:
+        if (here in some and there in others) or (there in some and here in others):
+            return advice.format(corner=_corner(one, other))
     return _OTHERWISE
 
 
@@ -308,117 +277,183 @@ def _corner(*rivals: Rival) -> str:
     return ""
 
 
-def free_place(folder: Path, stem: str, name: str = "") -> Path:
-    """Return a path in a folder that is not taken: ``stem.toml``, ``stem-2.toml`` ...; or a folder's file `name`."""
-    for number in range(1, 1000):
-        numbered = stem if number == 1 else f"{stem}-{number}"
-        path = folder / numbered / name if name else folder / f"{numbered}.toml"
-        if not path.exists():
-            return path
-    raise RequestError(f"{folder} holds a thousand proposals already", hint="say where with --out")
+@dataclass(frozen=True)
+class ProposedTrials:
+    """Chosen trials and what to expect of them, before anything is written."""
+
+    trials: tuple[PlannedTrial, ...]
+    evidence: tuple[Evidence, ...]
+    rivals: Rivals
+
+    @property
+    def outcome(self) -> Outcome:
+        """What to expect."""
+        if not self.trials or hopeless(self.evidence):
+            return "cannot"
+        return "separates" if self.decided == len(self.evidence) else "helps"
+
+    @property
+    def decided(self) -> int:
+        """How many of the pairs a diagnosis of everything would decide."""
+        return sum(one.told_apart for one in self.evidence)
 
 
-def require_experiment_place(path: Path) -> None:
-    """Raise RequestError unless an experiment file may be written there, and will be found by its name."""
-    if path.suffix != ".toml":
-        raise RequestError(
-            f"{path} does not end in .toml: labrun would not find it as an experiment",
-            hint=f"--out {path}.toml",
-        )
-    require_free(path)
-
-
-def require_free(path: Path) -> None:
-    """Raise RequestError if something is there."""
-    if path.exists():
-        raise RequestError(f"{path} is there already", hint="name another file, or move that one away")
-
-
-def experiment_text(
-    bench: RunBench, trials: Sequence[PlannedTrial], remarks: Sequence[str], model: str | None
-) -> str:
-    """Return the experiment file of chosen trials.
+def propose(
+    target: Path,
+    question: Question,
+    *,
+    model: str | Path | None = None,
+    out: Path | None = None,
+    seed: int = 0,
+    workspace: Path = Path(),
+    note: Note = silent,
+) -> Proposal:
+    """Propose the trials that best separate what a diagnosis leaves, inside the rig's limits, and write them down.
 
     Parameters
     ----------
-    remarks
-        What the head of the file says.
+    target
+        The recording folder, run folder or run.h5 that the question is about.
+    question
+        Its data, and the model they are held against.
     model
-        Instead of the one that its ``[gap]`` names; None leaves that.
-    """
-    tree = _without_defaults(bench)
-    tree["title"] = f"{tree['title']}: what tells the causes apart"
-    tree["run"] = {"conditions": [dict(trial.condition) for trial in trials]}
-    if model is not None:
-        tree["gap"] = {**tree.get("gap", {}), "model": model}
-    head = "".join(f"# {line}\n" for line in remarks)
-    return f"{head}{tomli_w.dumps(tree)}"
-
-
-def write_experiment(path: Path, text: str) -> None:
-    """Write the file, and read it again as `labrun check` does.
+        How that model was named, if it was; the experiment that is written names it, too.
+    workspace
+        Where the person works.
+    out
+        The file to write: an experiment for a run, a recording's toml (with the inputs as CSV files beside it) for a
+        recording. If None, ``experiments/<name>-next.toml`` or ``<name>-next/recording.toml`` in the workspace.
+    seed
+        Of the search and of the pool of trials.
 
     Raises
     ------
-    RequestError
-        It cannot be written.
-    SpecError
-        What was written does not hold.
+    LabrunError
+        Data or a model that do not allow a diagnosis; a rig whose motion cannot be planned; a file that is there.
     """
-    _write(path, text)
-    load_experiment(path)
+    rng = np.random.default_rng(seed)
+    dataset, repeats = question.dataset, criteria.NEXT_REPEATS
+    search = search_causes(dataset, question.model, rng, note=note)
+    run = None if dataset.kind == "recording" else open_run(target)
+    if run is None or imported_channels(run.experiment_toml):
+        recording = RecordingBench(search.data, question.model, repeats)
+        found = design(search, dataset, inside(search, dataset, recording.pool()), note)
+        time_s = time_at_most_s = sum(trial.cost_s for trial in found.trials)
+        file = out or free_place(workspace, f"{dataset.name}-next", "recording.toml")
+        notes = [
+            "The recording does not say what its rig allows: every input stays within the range it was recorded in; "
+            "check speeds and resets yourself. The time is that of recording alone.",
+            *_by_hand(recording.set_by_hand, found.trials, dataset),
+        ]
+        commands = [f"labrun gap diagnose {dataset.source} --with {file.parent}"]
+        if found.outcome != "cannot":
+            recording.write(file, f"{dataset.name}-next", dataset, found.trials, _remarks(found, time_s))
+        return _proposal(found, file, (time_s, time_at_most_s), notes, commands)
+    bench = RunBench.of(run, dataset, question.model, question.signals, repeats)
+    note("looking what the rig allows")
+    found = design(search, dataset, bench.pool(rng), note)
+    notes = _by_hand(bench.set_by_hand, found.trials, dataset)
+    if bench.stands_in:
+        names = ", ".join(bench.stands_in)
+        notes.append(f"The commanded motion was taken for what {names} will measure.")
+    if found.outcome == "cannot":
+        return _proposal(found, None, (0.0, 0.0), notes, [])
+    plan = bench.plan(found.trials)
+    time_s = bench.time_s(plan)
+    file = out or free_place(workspace / "experiments", f"{run.name}-next")
+    named = None if model is None else _model_name(model, file)
+    bench.write(file, found.trials, _remarks(found, time_s), named)
+    shown = file.stem if file.parent.name == "experiments" else str(file)
+    commands = [f"labrun run {shown}", f"labrun gap diagnose {run.name} --with {file.stem}"]
+    return _proposal(found, file, (time_s, max(plan.time_at_most_s, time_s)), notes, commands)
 
 
-def write_recording_plan(
-    path: Path,
-    name: str,
-    dataset: Dataset,
-    trials: Sequence[PlannedTrial],
-    repeats: int,
-    remarks: Sequence[str],
-) -> None:
-    """Write a recording whose outputs are still to be measured: its toml, and the inputs of every trial as CSV."""
-    channels: dict[str, Any] = {}
-    for signal in dataset.inputs:
-        channels[signal.name] = {"kind": "input", "unit": signal.unit, "between": signal.between}
-    for signal in dataset.outputs:
-        channels[signal.name] = {"kind": "output", "unit": signal.unit}
-    entries = [
-        {"file": f"trial-{number}-{repeat}.csv", "condition": dict(trial.condition), "repeat": repeat}
-        for number, trial in enumerate(trials, start=1)
-        for repeat in range(1, repeats + 1)
+def design(
+    search: Search, dataset: Dataset, pool: Sequence[PlannedTrial], note: Note = silent
+) -> ProposedTrials:
+    """Choose from a pool the trials that best separate what a search leaves."""
+    rivals = rivals_of(search)
+    note(f"comparing {len(pool)} trials for {len(rivals.rivals)} explanations")
+    separation = Separation(rivals, dataset, pool, criteria.NEXT_REPEATS)
+    best: ProposedTrials | None = None
+    for enough in criteria.EVIDENCE_AIMED_AT:
+        chosen = separation.choose(enough)
+        expected = separation.evidence(chosen)
+        trials = tuple(separation.trials[k] for k in chosen)
+        if not trials or hopeless(expected):
+            return ProposedTrials((), tuple(expected), rivals)
+        if best is not None and trials == best.trials:
+            break
+        note("fitting every explanation to what the others predict for the chosen trials")
+        fitted = rehearse(rivals, dataset, trials, criteria.NEXT_REPEATS)
+        # a fit that lost its way leaves more than the first order does: the lesser of the two is to be believed
+        pairs = zip(expected, fitted, strict=True)
+        found = ProposedTrials(trials, tuple(min(both, key=lambda one: one.ratio) for both in pairs), rivals)
+        if best is None or found.decided > best.decided:
+            best = found
+        if found.decided == len(found.evidence):
+            break
+    return best if best is not None else ProposedTrials((), (), rivals)
+
+
+def inside(search: Search, dataset: Dataset, pool: Sequence[PlannedTrial]) -> list[PlannedTrial]:
+    """Return the trials in which no output is predicted to leave the recorded range by more than a fifth."""
+    measured = np.concatenate([trial.outputs for trial in dataset.trials])
+    middle = 0.5 * (measured.max(axis=0) + measured.min(axis=0))
+    half = 0.5 * np.ptp(measured, axis=0)
+    predicted = predict(rivals_of(search).rivals[0], dataset, pool)
+    return [
+        trial
+        for trial, outputs in zip(pool, predicted, strict=True)
+        if outputs is not None and np.all(np.abs(outputs - middle) <= criteria.ROOM_OF_OUTPUTS * half)
     ]
-    columns = ", ".join(signal.name for signal in dataset.outputs)
-    head = [
-        *remarks,
-        f"Each CSV file holds time and inputs of one trial; what was measured goes beside them as {columns}.",
-    ]
-    text = "".join(f"# {line}\n" for line in head)
-    text += tomli_w.dumps({"experiment": name, "channels": channels, "trials": entries})
-    _write(path, text)
-    header = ",".join(["time_s", *(signal.name for signal in dataset.inputs)])
-    for number, trial in enumerate(trials, start=1):
-        table = np.column_stack([trial.time_s, trial.inputs])
-        for repeat in range(1, repeats + 1):
-            file = path.parent / f"trial-{number}-{repeat}.csv"
-            require_free(file)
-            np.savetxt(file, table, delimiter=",", header=header, comments="", fmt="%.9g")
 
 
-def _without_defaults(bench: RunBench) -> dict[str, Any]:
-    """Return the experiment's tables as a person would write them: what is as it always is, left out."""
-    found: dict[str, Any] = bench.experiment.model_dump(
-        mode="python", by_alias=True, exclude_none=True, exclude_defaults=True
+def _proposal(
+    found: ProposedTrials,
+    file: Path | None,
+    times_s: tuple[float, float],
+    notes: Sequence[str],
+    commands: Sequence[str],
+) -> Proposal:
+    rivals, nothing = found.rivals, found.outcome == "cannot"
+    unsettled = [pair for pair, one in zip(rivals.pairs, found.evidence, strict=True) if one.ratio < 1.0]
+    once = {frozenset((one.name, other.name)): (one, other) for one, other in unsettled}
+    return Proposal(
+        found.outcome,
+        None if nothing else file,
+        tuple(one.name for one in rivals.rivals),
+        tuple(one.cause for one in rivals.rivals),
+        rivals.doubt,
+        rivals.why,
+        found.trials,
+        criteria.NEXT_REPEATS,
+        *times_s,
+        found.evidence,
+        tuple(would_separate(*pair) for pair in once.values()),
+        tuple(notes),
+        () if nothing else tuple(commands),
     )
-    repeats = found.get("trial", {}).get("repeats")
-    if isinstance(repeats, Mapping) and repeats.get("min") == repeats.get("max"):
-        found["trial"]["repeats"] = repeats["min"]
-    return found
 
 
-def _write(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RequestError(f"{path} cannot be written: {error.strerror}") from error
+def _remarks(found: ProposedTrials, time_s: float) -> list[str]:
+    """Return the head of the file: what it is for."""
+    lines = [found.rivals.why, f"Rig time of these trials: about {spoken(time_s)}. What to expect:"]
+    return [*lines, *(f"  {line}" for line in told(found.evidence))]
+
+
+def _by_hand(names: Sequence[str], trials: Sequence[PlannedTrial], dataset: Dataset) -> list[str]:
+    """Return a sentence on what changes that no motion changes."""
+    every = [*(one.condition for one in dataset.trials), *(one.condition for one in trials)]
+    changed = [name for name in names if trials and len({one.get(name) for one in every}) > 1]
+    if not changed:
+        return []
+    *most, last = sorted(changed)
+    listed = f"{', '.join(most)} and {last}" if most else last
+    return [f"Somebody at the bench sets {listed}, which takes its own time: no motion does."]
+
+
+def _model_name(model: str | Path, file: Path) -> str:
+    """Return how the experiment file names a model file: from its own folder, so that both can be moved together."""
+    path = Path(model)
+    return Path(os.path.relpath(path, file.parent)).as_posix() if path.is_file() else str(model)

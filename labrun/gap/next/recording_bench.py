@@ -1,12 +1,15 @@
 """What could be recorded next where only recordings are known: other courses of the inputs, other conditions."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.fit import Dataset, FitTrial
-from labrun.gap.next.trials import PlannedTrial, by_hand
+from labrun.gap.next.trials import PlannedTrial, by_hand, evenly, require_free, write_plan
 from labrun.models import Model
 from labrun.spec import condition_key, condition_text
 
@@ -64,8 +67,7 @@ class RecordingBench:
         firsts: dict[object, int] = {}
         for place, trial in enumerate(self.dataset.trials):
             firsts.setdefault(condition_key(trial.condition), place)
-        places = list(firsts.values())
-        return [places[k] for k in np.unique(np.linspace(0, len(places) - 1, _BASES).round().astype(int))]
+        return evenly(list(firsts.values()), _BASES)
 
     def _other_conditions(self, place: int) -> list[PlannedTrial]:
         trial = self.dataset.trials[place]
@@ -159,3 +161,30 @@ class RecordingBench:
         time_s = like.time_s - like.time_s[0]
         cost_s = self.repeats * float(time_s[-1])
         return PlannedTrial(label, condition, time_s, np.ascontiguousarray(inputs), max(cost_s, 1e-3), begins)
+
+    def write(
+        self, path: Path, name: str, dataset: Dataset, trials: Sequence[PlannedTrial], remarks: Sequence[str]
+    ) -> None:
+        """Write a recording whose outputs are still to be measured: its toml, and every trial's inputs as CSV."""
+        channels: dict[str, Any] = {}
+        for signal in dataset.inputs:
+            channels[signal.name] = {"kind": "input", "unit": signal.unit, "between": signal.between}
+        for signal in dataset.outputs:
+            channels[signal.name] = {"kind": "output", "unit": signal.unit}
+        files = [
+            (f"trial-{number}-{repeat}.csv", trial, repeat)
+            for number, trial in enumerate(trials, start=1)
+            for repeat in range(1, self.repeats + 1)
+        ]
+        entries = [
+            {"file": file, "condition": dict(trial.condition), "repeat": repeat}
+            for file, trial, repeat in files
+        ]
+        columns = ", ".join(signal.name for signal in dataset.outputs)
+        told = f"Each CSV file holds time and inputs of one trial; what was measured goes beside them as {columns}."
+        write_plan(path, [*remarks, told], {"experiment": name, "channels": channels, "trials": entries})
+        header = ",".join(["time_s", *(signal.name for signal in dataset.inputs)])
+        for file, trial, _ in files:
+            require_free(path.parent / file)
+            table = np.column_stack([trial.time_s, trial.inputs])
+            np.savetxt(path.parent / file, table, delimiter=",", header=header, comments="", fmt="%.9g")

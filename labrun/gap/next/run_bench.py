@@ -3,6 +3,7 @@
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,10 @@ import tomli_w
 from labrun.errors import LabrunError, RequestError
 from labrun.fit import Dataset
 from labrun.gap import criteria
-from labrun.gap.next.trials import PlannedTrial, beyond, by_hand, reach, rounded
+from labrun.gap.next.trials import PlannedTrial, beyond, by_hand, evenly, reach, rounded, write_plan
 from labrun.models import Model
 from labrun.runner import MotionMaker, Plan, Planner
-from labrun.spec import Condition, Experiment, condition_text, loads_experiment, resolved
+from labrun.spec import Condition, Experiment, condition_text, load_experiment, loads_experiment, resolved
 from labrun.store import COMMAND, Run
 from labrun.toml import evaluate, names_in
 
@@ -170,6 +171,43 @@ class RunBench:
         made.require_feasible()
         return made
 
+    def write(
+        self, path: Path, trials: Sequence[PlannedTrial], remarks: Sequence[str], model: str | None
+    ) -> None:
+        """Write the experiment of chosen trials, and read it again as `labrun check` does.
+
+        Parameters
+        ----------
+        remarks
+            What the head of the file says.
+        model
+            Instead of the one that its ``[gap]`` names; None leaves that.
+
+        Raises
+        ------
+        RequestError
+            It cannot be written.
+        SpecError
+            What was written does not hold.
+        """
+        tree = self._without_defaults()
+        tree["title"] = f"{tree['title']}: what tells the causes apart"
+        tree["run"] = {"conditions": [dict(trial.condition) for trial in trials]}
+        if model is not None:
+            tree["gap"] = {**tree.get("gap", {}), "model": model}
+        write_plan(path, remarks, tree)
+        load_experiment(path)
+
+    def _without_defaults(self) -> dict[str, Any]:
+        """Return the experiment's tables as a person would write them: what is as it always is, left out."""
+        found: dict[str, Any] = self.experiment.model_dump(
+            mode="python", by_alias=True, exclude_none=True, exclude_defaults=True
+        )
+        repeats = found.get("trial", {}).get("repeats")
+        if isinstance(repeats, Mapping) and repeats.get("min") == repeats.get("max"):
+            found["trial"]["repeats"] = repeats["min"]
+        return found
+
     @property
     def set_by_hand(self) -> tuple[str, ...]:
         """Numbers of the condition that no motion depends on: somebody at the bench sees to them."""
@@ -187,8 +225,7 @@ class RunBench:
             for name in self.measured[0]
             if name in moving and all(isinstance(one.get(name), float | int) for one in self.measured)
         ]
-        places = np.unique(np.linspace(0, len(self.measured) - 1, _BASES).round().astype(int))
-        bases = [self.measured[place] for place in places]
+        bases = evenly(self.measured, _BASES)
         one_way: list[dict[str, float | str]] = []
         options: dict[str, list[float]] = {}
         for name in (*by_motion, *self.set_by_hand):
@@ -207,7 +244,7 @@ class RunBench:
                 options.setdefault(name, []).extend(new)
                 one_way += [{**base, name: value} for value in new]
         both = [_drawn(bases, options, rng) for _ in range(_MOST)] if len(options) > 1 else []
-        every = _distinct([*_spread(one_way, _MOST * 2 // 3 if both else _MOST), *both])
+        every = _distinct([*evenly(one_way, _MOST * 2 // 3 if both else _MOST), *both])
         fresh = [one for one in every if one not in self.measured and self._allowed(planner, one)]
         return fresh[:_MOST]
 
@@ -326,12 +363,6 @@ def _gentler(
         for other in by_motion
         if other != name and bases[-1][other]
     ]
-
-
-def _spread(items: list[dict[str, float | str]], most: int) -> list[dict[str, float | str]]:
-    if len(items) <= most:
-        return items
-    return [items[place] for place in np.linspace(0, len(items) - 1, most).round().astype(int)]
 
 
 def _drawn(

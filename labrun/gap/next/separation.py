@@ -1,7 +1,8 @@
 """How far trials would tell explanations apart, once each has been fitted to what the others predict (T-optimality)."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -9,12 +10,11 @@ from labrun.arrays import FloatArray
 from labrun.fit import Dataset, Problem, minimise
 from labrun.gap import criteria
 from labrun.gap.diagnosis import Name
-from labrun.gap.next.trials import PlannedTrial, joined, planned_data
-from labrun.gap.nuisance import basis
+from labrun.gap.next.imitation import Change, Imitation, greedy, information
+from labrun.gap.next.trials import PlannedTrial, planned_data
 from labrun.gap.pipeline import Search
 from labrun.gap.rating import Rated
 from labrun.gap.screening import refit
-from labrun.gap.selection import Round
 
 NOTHING = "recalibration only"
 
@@ -33,6 +33,8 @@ class Rival:
         Number of variables that its cause adds.
     squares
         Sum of squared residuals on the data, prior included.
+    slack
+        How far its idealised form is to be believed: the part of what it is to explain that it leaves.
     """
 
     name: str
@@ -41,6 +43,7 @@ class Rival:
     z: FloatArray
     variables: int
     squares: float
+    slack: float = criteria.IDEALISED_FORM[1]
 
     @property
     def shared(self) -> FloatArray:
@@ -99,45 +102,45 @@ def rivals_of(search: Search) -> Rivals:
     held against the runner-up, or against recalibration alone if there is none.
     """
     selection = search.selection
-    base = selection.rounds[0].base
-    null = Rival(NOTHING, None, base.problem, base.z, 0, base.squares)
-    dispersion = selection.rounds[0].threshold.dispersion
-    doubtful = [(cause.rated, cause.doubts) for cause in selection.chosen if cause.doubts]
+    first = selection.rounds[0]
+    null = Rival(NOTHING, None, first.base.problem, first.base.z, 0, first.base.squares)
+
+    def told(found: Sequence[Rival], doubt: bool, why: str) -> Rivals:
+        return Rivals(tuple(found), null, doubt, why, first.threshold.dispersion)
+
+    # several doubtful causes: the one taken in last stands beside all others
+    doubtful = [cause for cause in selection.chosen if cause.doubts]
     if doubtful:
-        # several doubtful causes: the one taken in last stands beside all others
-        cause, others = doubtful[-1]
-        found = [_fitted(one) for one in (cause, *others)][: criteria.MOST_EXPLANATIONS]
+        explanations = (doubtful[-1].rated, *doubtful[-1].doubts)[: criteria.MOST_EXPLANATIONS]
+        found = [_fitted(one, null) for one in explanations]
         names = " or ".join(one.name for one in found[1:])
-        return Rivals(
-            tuple(found), null, True, f"The data cannot tell {found[0].name} from {names}.", dispersion
-        )
-    if selection.chosen:
-        cause = selection.chosen[-1].rated
-        runner_up = _runner_up(selection.rounds[0], cause) if len(selection.chosen) == 1 else None
-        found = [_fitted(cause), null if runner_up is None else _fitted(runner_up)]
-        why = f"The diagnosis is not in doubt: {found[0].name} is held against {_as_runner_up(found[1])}."
-        return Rivals(tuple(found), null, False, why, dispersion)
-    ranked = selection.rounds[-1].rated
-    found = [*(_fitted(one) for one in ranked[:2]), null]
-    why = "No cause was named: the best candidates are held against recalibration alone."
-    return Rivals(tuple(found), null, False, why, dispersion)
+        return told(found, True, f"The data cannot tell {found[0].name} from {names}.")
+    if not selection.chosen:
+        ranked = [_fitted(one, null) for one in selection.rounds[-1].rated[:2]]
+        why = "No cause was named: the best candidates are held against recalibration alone."
+        return told([*ranked, null], False, why)
+    cause = selection.chosen[-1].rated
+    others = [one for one in first.rated if one.candidate.name != cause.candidate.name and one.evidence > 1.0]
+    best = _fitted(cause, null)
+    if len(selection.chosen) == 1 and others:
+        second = _fitted(max(others, key=lambda one: one.score), null)
+        against = f"the runner-up, {second.name}"
+    else:
+        second, against = null, null.name
+    return told(
+        [best, second], False, f"The diagnosis is not in doubt: {best.name} is held against {against}."
+    )
 
 
-def _as_runner_up(rival: Rival) -> str:
-    return f"the runner-up, {rival.name}" if rival.cause is not None else rival.name
-
-
-def _runner_up(look: Round, cause: Rated) -> Rated | None:
-    others = [one for one in look.rated if one.candidate.name != cause.candidate.name and one.evidence > 1.0]
-    return max(others, key=lambda one: one.score, default=None)
-
-
-def _fitted(rated: Rated) -> Rival:
-    screened = rated.screened
-    z = refit(screened.problem, screened.z)
-    candidate = rated.candidate
-    squares = screened.problem.squares(z)
-    return Rival(str(candidate.name), candidate.name, screened.problem, z, candidate.variables, squares)
+def _fitted(rated: Rated, null: Rival) -> Rival:
+    problem, candidate = rated.screened.problem, rated.candidate
+    z = refit(problem, rated.screened.z)
+    squares = problem.squares(z)
+    gain = null.squares - squares
+    rows = sum(part.size for part in problem.residuals(z))
+    left = max(squares - rows, 0.0) / gain if gain > 0 else 1.0
+    slack = float(np.clip(left, *criteria.IDEALISED_FORM))
+    return Rival(str(candidate.name), candidate.name, problem, z, candidate.variables, squares, slack)
 
 
 _TOLERANCE = 1e-5
@@ -160,14 +163,16 @@ class Evidence:
         Log likelihood that the truth has to earn first, for having more variables than its rival; negative if it has
         fewer.
     slack
-        Part of the gain that the truth's idealised form may lack, see `slack`.
+        Part of the gain that the truth's idealised form may lack, see `Rival`.
     """
 
+    truth: str
+    rival: str
     squares: float
     gain: float
     dispersion: float
     price: float
-    slack: float = criteria.IDEALISED_FORM[1]
+    slack: float
 
     @property
     def log_likelihood(self) -> float:
@@ -176,38 +181,60 @@ class Evidence:
 
     @property
     def sigma(self) -> float:
-        """The same as a number of standard deviations."""
+        """Standard deviations by which the wrong one, fitted to everything, would miss."""
         return float(np.sqrt(max(2.0 * self.log_likelihood, 0.0)))
 
     @property
     def ratio(self) -> float:
         """Expected log likelihood over what a diagnosis asks for before it names one of the two alone; above 1 it does.
 
-        Forms of effects are idealised: the more an effect shows, the larger the difference that counts.
+        Forms of effects are idealised: the more an effect shows, the larger the difference that counts. `TOLD_APART`
+        leaves room for errors of sizes and parameters.
         """
         softness = max(1.0, self.slack * 0.5 * self.gain / self.dispersion / 3.0)
         return (self.log_likelihood - self.price) / (criteria.CLEARLY_LESS_LIKELY * softness)
 
+    @property
+    def told_apart(self) -> bool:
+        """Whether a diagnosis is expected to decide between the two."""
+        return self.ratio >= criteria.TOLD_APART
 
-def slack(truth: Rival, null: Rival) -> float:
-    """Return how far the form of an explanation is to be believed: as much as it leaves of what it is to explain."""
-    gain = null.squares - truth.squares
-    rows = sum(part.size for part in truth.problem.residuals(truth.z))
-    left = max(truth.squares - rows, 0.0) / gain if gain > 0 else 1.0
-    return float(np.clip(left, *criteria.IDEALISED_FORM))
+    @property
+    def by_simplicity(self) -> bool:
+        """Whether the rival would explain it as well, and is dropped for having more parameters."""
+        return self.told_apart and self.sigma < criteria.CLEARLY_SEEN
 
 
-def price(truth: Rival, other: Rival) -> float:
-    """Return what `truth` must earn for its further variables."""
-    return criteria.VARIABLE_PRICE * (max(truth.variables, 1) - max(other.variables, 1))
+def hopeless(evidence: Sequence[Evidence]) -> bool:
+    """Tell whether trials say next to nothing of any pair."""
+    return all(
+        one.sigma < criteria.VISIBLE_DIFFERENCE or one.ratio < criteria.HOPELESS_EVIDENCE for one in evidence
+    )
+
+
+def _evidence(
+    rivals: Rivals, squares: Callable[[Rival, Rival], float], gain: Callable[[Rival], float]
+) -> list[Evidence]:
+    """Return the evidence pair by pair as in `Rivals.pairs`, from what rivals leave of each other."""
+    return [
+        Evidence(
+            truth.name,
+            other.name,
+            squares(truth, other),
+            0.0 if truth is rivals.null else gain(truth),
+            rivals.dispersion,
+            criteria.VARIABLE_PRICE * (max(truth.variables, 1) - max(other.variables, 1)),
+            truth.slack,
+        )
+        for truth, other in rivals.pairs
+    ]
 
 
 class Separation:
     """Evidence of any choice of trials from a pool, to first order.
 
     A rival's parameters, effect sizes and initial states move to imitate the truth as far as the data that are there
-    already let them; what they cannot imitate counts (Atkinson and Fedorov, Biometrika 62, 1975). Trials that any
-    rival cannot simulate are left out.
+    already let them; what they cannot imitate counts. Trials that any rival cannot simulate are left out.
 
     Parameters
     ----------
@@ -217,45 +244,38 @@ class Separation:
 
     def __init__(self, rivals: Rivals, dataset: Dataset, pool: Sequence[PlannedTrial], repeats: int) -> None:
         self.rivals = rivals
-        everyone = _with_null(rivals)
-        outputs = {id(one): predict(one, dataset, pool) for one in everyone}
-        usable = [k for k in range(len(pool)) if all(outputs[id(one)][k] is not None for one in everyone)]
+        everyone = list(dict.fromkeys([*rivals.rivals, rivals.null]))
+        simulated = list(zip(*(predict(one, dataset, pool) for one in everyone), strict=True))
+        usable = [k for k, outputs in enumerate(simulated) if all(one is not None for one in outputs)]
         self.trials = [pool[k] for k in usable]
-        self.predicted: dict[int, list[FloatArray]] = {
-            id(one): [found for k in usable if (found := outputs[id(one)][k]) is not None] for one in everyone
+        self._predicted = {
+            one: [found for k in usable if (found := simulated[k][place]) is not None]
+            for place, one in enumerate(everyone)
         }
-        self._slack = {id(one): slack(one, rivals.null) for one in everyone}
-        self._information = {id(one): information(one) for one in everyone}
-        self._slopes: dict[int, tuple[list[FloatArray], list[FloatArray]]] = {}
-        self._units = {
-            id(one): planned_data(dataset, self.trials, self.predicted[id(one)], repeats) for one in everyone
-        }
-        for one in everyone:
-            problem = one.problem.on(self._units[id(one)])
-            blocks = problem.jacobian(self._z(one), central=False)
-            spans = [basis(own) for own in blocks.own]
-            rows = [_off(span, shared) for span, shared in zip(spans, blocks.shared, strict=True)]
-            self._slopes[id(one)] = (spans, rows)
-        self._left = {
-            (id(truth), id(other)): self._residual(truth, other)
-            for truth in rivals.rivals
-            for other in everyone
-            if other is not truth
-        }
+        data = {one: planned_data(dataset, self.trials, self._predicted[one], repeats) for one in everyone}
+        self._imitation, self._changes = dict[Rival, Imitation](), dict[tuple[Rival, Rival], Change]()
+        for other in everyone:
+            z = np.concatenate([other.shared, beginnings(other, self.trials).ravel()])
+            known = information(other.problem, other.z)
+            imitation = Imitation(other.problem.on(data[other]), z, known, central=False)
+            self._imitation[other] = imitation
+            for truth in rivals.rivals:
+                if truth is not other:
+                    missed = other.problem.on(data[truth]).residuals(z)
+                    self._changes[truth, other] = imitation.change(missed)
 
     def evidence(self, chosen: Sequence[int]) -> list[Evidence]:
         """Return what these trials of `trials` would say, pair by pair as in `Rivals.pairs`."""
-        found = []
         null = self.rivals.null
-        for truth, other in self.rivals.pairs:
-            shows = truth is not null
-            more = self._squares(truth, null, chosen) if shows else 0.0
-            gain = max(null.squares - truth.squares, 0.0) + more if shows else 0.0
-            squares = self._squares(truth, other, chosen)
-            found.append(
-                Evidence(squares, gain, self.rivals.dispersion, price(truth, other), self._slack[id(truth)])
-            )
-        return found
+
+        def squares(truth: Rival, other: Rival) -> float:
+            return self._imitation[other].left(self._changes[truth, other], chosen)
+
+        return _evidence(
+            self.rivals,
+            squares,
+            lambda truth: max(null.squares - truth.squares, 0.0) + squares(truth, null),
+        )
 
     def doubt(self, index: int) -> float:
         """Return by how much less a trial's evidence is to be believed, as a factor of at least 1.
@@ -263,35 +283,48 @@ class Separation:
         Models were found to hold where they were measured, not beyond; and where rivals predict quite different things
         neither the first order nor a fit can be trusted to find the best imitation.
         """
-        outputs = [self.predicted[id(one)][index] for one in self.rivals.rivals]
+        outputs = [self._predicted[one][index] for one in self.rivals.rivals]
         does = np.maximum(np.std(outputs[0], axis=0), 1e-300)
         apart = max(
             float(np.max(np.sqrt(np.mean(np.square(one - outputs[0]), axis=0)) / does)) for one in outputs[1:]
         )
         return max(1.0, apart / criteria.PREDICTED_APART) ** 2 * self.trials[index].reach ** 2
 
-    def _z(self, rival: Rival) -> FloatArray:
-        return np.concatenate([rival.shared, beginnings(rival, self.trials).ravel()])
+    def choose(self, enough: float) -> list[int]:
+        """Return a few trials: the cheapest way first, and whatever separates best if that does not decide.
 
-    def _residual(self, truth: Rival, other: Rival) -> list[FloatArray]:
-        parts = other.problem.on(self._units[id(truth)]).residuals(self._z(other))
-        return [_off(span, part) for span, part in zip(self._slopes[id(other)][0], parts, strict=True)]
+        Parameters
+        ----------
+        enough
+            Evidence of every pair, over what a diagnosis asks for, at which no further trial is taken in. What one
+            pair has beyond it does not make up for another; pairs that no trials of the pool can separate do not count.
+        """
+        every = range(len(self.trials))
+        if not every:
+            return []
+        looks = [self.evidence(one) for one in (*([k] for k in every), every)]
+        most = [max(one.ratio for one in pair) for pair in zip(*looks, strict=True)]
+        hopeful = [pair for pair, ratio in enumerate(most) if ratio >= criteria.HOPELESS_EVIDENCE]
 
-    def _squares(self, truth: Rival, other: Rival, chosen: Sequence[int]) -> float:
-        """Return the least sum of squares that `other` can reach on the chosen trials without spoiling its fit."""
-        if truth is other or not chosen:
-            return 0.0
-        left, rows = self._left[id(truth), id(other)], self._slopes[id(other)][1]
-        total = self._information[id(other)].copy()
-        pull = np.zeros(len(total))
-        squares = 0.0
-        for k in chosen:
-            total += rows[k].T @ rows[k]
-            pull += rows[k].T @ left[k]
-            squares += float(left[k] @ left[k])
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-300))
-        moved = np.linalg.lstsq(total * scale[:, None] * scale, pull * scale, rcond=1e-12)[0]
-        return max(squares - float(pull * scale @ moved), 0.0)
+        def ratios(chosen: Sequence[int]) -> list[float]:
+            found = self.evidence(chosen)
+            return [found[pair].ratio for pair in hopeful or range(len(most))]
+
+        def value(chosen: Sequence[int]) -> float:
+            each = [min(max(one, -1.0), enough) for one in ratios(chosen)]
+            return sum(each) + len(each) * min(each)
+
+        def greedily(dear: float) -> list[int]:
+            cost = [self.doubt(k) * trial.cost_s**dear for k, trial in enumerate(self.trials)]
+            return greedy(
+                value,
+                cost,
+                lambda so_far: 0.02 * max(so_far, 1e-12),
+                lambda chosen: min(ratios(chosen)) >= enough,
+            )
+
+        cheap = greedily(1.0)
+        return cheap if min(ratios(cheap)) >= criteria.TOLD_APART else max(cheap, greedily(0.0), key=value)
 
 
 def predict(rival: Rival, dataset: Dataset, trials: Sequence[PlannedTrial]) -> list[FloatArray | None]:
@@ -304,32 +337,16 @@ def predict(rival: Rival, dataset: Dataset, trials: Sequence[PlannedTrial]) -> l
     return [problem.simulate(parameters, k, own) for k, own in enumerate(beginnings(rival, trials))]
 
 
-def information(rival: Rival) -> FloatArray:
-    """Return what data and prior say about parameters and effect sizes: J'J (p, p), initial states eliminated."""
-    problem = rival.problem
-    blocks = problem.jacobian(rival.z, central=False)
-    slope = problem.priors.weight * problem.priors.scale / problem.priors.pull
-    total = np.diag(slope**2)
-    for own, shared in zip(blocks.own, blocks.shared, strict=True):
-        left = _off(basis(own), shared)
-        total = total + left.T @ left
-    return np.asarray(total)
-
-
 def rehearse(
     rivals: Rivals, dataset: Dataset, trials: Sequence[PlannedTrial], repeats: int
 ) -> list[Evidence]:
     """Return what old and new trials together would say, pair by pair, with every rival really fitted to the other."""
-    found = []
-    gains = {id(rivals.null): 0.0}
-    for truth, other in rivals.pairs:
-        if id(truth) not in gains:
-            gains[id(truth)] = fitted_squares(truth, rivals.null, dataset, trials, repeats)
-        null = other is rivals.null
-        squares = gains[id(truth)] if null else fitted_squares(truth, other, dataset, trials, repeats)
-        believed = slack(truth, rivals.null)
-        found.append(Evidence(squares, gains[id(truth)], rivals.dispersion, price(truth, other), believed))
-    return found
+
+    @cache
+    def squares(truth: Rival, other: Rival) -> float:
+        return fitted_squares(truth, other, dataset, trials, repeats)
+
+    return _evidence(rivals, squares, lambda truth: squares(truth, rivals.null))
 
 
 def fitted_squares(
@@ -338,7 +355,9 @@ def fitted_squares(
     """Return what `other` leaves, fitted to everything that `truth` predicts for old and new trials."""
     outputs = [one for one in predict(truth, dataset, trials) if one is not None]
     old = truth.problem.with_measured(truth.problem.simulated(truth.z)).data
-    problem = other.problem.on(joined(old, planned_data(dataset, trials, outputs, repeats)))
+    new = planned_data(dataset, trials, outputs, repeats, after=len(old.conditions))
+    both = replace(old, trials=(*old.trials, *new.trials), conditions=(*old.conditions, *new.conditions))
+    problem = other.problem.on(both)
     z = np.concatenate([other.z, beginnings(other, trials).ravel()])
     end = minimise(problem, z, tolerance=_TOLERANCE, evaluations=_EVALUATIONS, central=False)
     prior = truth.problem.priors.residual(truth.z)
@@ -364,14 +383,6 @@ def beginnings(rival: Rival, trials: Sequence[PlannedTrial]) -> FloatArray:
             unit, factor = trial.like
             predicted[index] = own[unit] * factor
     return np.asarray(predicted)
-
-
-def _with_null(rivals: Rivals) -> list[Rival]:
-    return [*rivals.rivals, *([] if any(one is rivals.null for one in rivals.rivals) else [rivals.null])]
-
-
-def _off(span: FloatArray, values: FloatArray) -> FloatArray:
-    return np.asarray(values - span @ (span.T @ values))
 
 
 def _numbers(conditions: Sequence[Mapping[str, float | str]]) -> list[str]:

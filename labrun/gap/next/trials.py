@@ -3,10 +3,18 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import floor, log10
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import tomli_w
 
 from labrun.arrays import FloatArray
+from labrun.errors import RequestError
 from labrun.fit import Dataset, FitTrial
 from labrun.gap import criteria
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -40,9 +48,19 @@ class PlannedTrial:
 
 
 def planned_data(
-    dataset: Dataset, trials: Sequence[PlannedTrial], outputs: Sequence[FloatArray], repeats: int
+    dataset: Dataset,
+    trials: Sequence[PlannedTrial],
+    outputs: Sequence[FloatArray],
+    repeats: int,
+    after: int = 0,
 ) -> Dataset:
-    """Return new trials as averaged data, had they come out as `outputs` in every repeat."""
+    """Return new trials as averaged data, had they come out as `outputs` in every repeat.
+
+    Parameters
+    ----------
+    after
+        Number of conditions that theirs are counted on from.
+    """
     made = tuple(
         FitTrial(
             trial.label,
@@ -54,16 +72,9 @@ def planned_data(
             group=group,
             members=(one,) * repeats,
         )
-        for group, (trial, one) in enumerate(zip(trials, outputs, strict=True))
+        for group, (trial, one) in enumerate(zip(trials, outputs, strict=True), start=after)
     )
     return replace(dataset, trials=made, conditions=tuple(trial.label for trial in trials))
-
-
-def joined(one: Dataset, other: Dataset) -> Dataset:
-    """Return the trials of both, conditions of the second counted on."""
-    shift = len(one.conditions)
-    trials = (*one.trials, *(replace(trial, group=trial.group + shift) for trial in other.trials))
-    return replace(one, trials=trials, conditions=(*one.conditions, *other.conditions))
 
 
 _STEPS = 14
@@ -140,3 +151,44 @@ def _farthest(end: float, allowed: Callable[[float], bool]) -> float:
 def _new(values: Sequence[float], measured: Sequence[float]) -> list[float]:
     known = {rounded(one) for one in measured} | {0.0}
     return [one for one in dict.fromkeys(values) if one not in known]
+
+
+def evenly(items: Sequence[T], most: int) -> list[T]:
+    """Return at most so many of the items, spread evenly over them."""
+    places = np.unique(np.linspace(0, len(items) - 1, min(most, len(items))).round().astype(int))
+    return [items[place] for place in places]
+
+
+def free_place(folder: Path, stem: str, name: str = "") -> Path:
+    """Return a path in a folder that is not taken: ``stem.toml``, ``stem-2.toml`` ...; or a folder's file `name`."""
+    for number in range(1, 1000):
+        numbered = stem if number == 1 else f"{stem}-{number}"
+        path = folder / numbered / name if name else folder / f"{numbered}.toml"
+        if not path.exists():
+            return path
+    raise RequestError(f"{folder} holds a thousand proposals already", hint="say where with --out")
+
+
+def require_experiment_place(path: Path) -> None:
+    """Raise RequestError unless an experiment file may be written there, and will be found by its name."""
+    if path.suffix != ".toml":
+        raise RequestError(
+            f"{path} does not end in .toml: labrun would not find it as an experiment",
+            hint=f"--out {path}.toml",
+        )
+    require_free(path)
+
+
+def require_free(path: Path) -> None:
+    """Raise RequestError if something is there."""
+    if path.exists():
+        raise RequestError(f"{path} is there already", hint="name another file, or move that one away")
+
+
+def write_plan(path: Path, remarks: Sequence[str], tables: Mapping[str, Any]) -> None:
+    """Write a TOML file with remarks at its head."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("".join(f"# {line}\n" for line in remarks) + tomli_w.dumps(tables), encoding="utf-8")
+    except OSError as error:
+        raise RequestError(f"{path} cannot be written: {error.strerror}") from error
