@@ -152,6 +152,17 @@ class Findings(RunView):
         return bool(self.run.provenance.get("emulated"))
 
     @property
+    def simulated_only(self) -> bool:
+        """Whether it is a design: nothing of it was measured, and what speaks of a bench does not apply."""
+        return self.experiment.kind == "design"
+
+    @property
+    def drawing(self) -> Path | None:
+        """The drawing of what was designed, if there is one."""
+        path = None if self.folder is None else self.folder / "drawing.png"
+        return path if path is not None and self.simulated_only and path.is_file() else None
+
+    @property
     def figure(self) -> Path | None:
         """The picture, if the run has made one."""
         return None if self.result is None else self.result.figure

@@ -1,7 +1,7 @@
 """The page of a run: what its template tells of, made from what was read of the run."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from labrun.estimate import Estimate, rounded
@@ -72,13 +72,12 @@ def run_context(findings: Findings) -> dict[str, Any]:
     """Return what the template ``run.html.j2`` tells of; a section that says nothing is None."""
     run = findings.run
     sections = {
+        "design": _design(findings),
         "result": _figure(findings),
         "search": _search(findings),
         "conditions": conditions_context(findings) if findings.accepted else None,
-        "repeatability": _repeatability(findings),
-        "drift": _drift(findings),
-        "settling": _settling(findings),
-        "timing": _timing(findings),
+        **dict.fromkeys(_OF_A_BENCH),
+        **({} if findings.simulated_only else {name: tell(findings) for name, tell in _OF_A_BENCH.items()}),
         "rejected": _rejected(findings),
         "fits": [fit_context(fit) for fit in findings.fits] or None,
         "gap": findings.diagnosis,
@@ -128,6 +127,25 @@ def _best(findings: Findings) -> Mapping[str, str] | None:
         "luckiest": quantity_text(best.luckiest, best.unit),
         "at": named_condition(best.parameters, findings.experiment.units),
     }
+
+
+def _design(findings: Findings) -> Mapping[str, Any] | None:
+    """Return what a finished design stands at, and its drawing; None of any other run."""
+    result = findings.result
+    if result is None or not findings.simulated_only or not result.more:
+        return None
+    rows = [line.split(maxsplit=1) for line in result.more]
+    alt = f"Drawing to scale: {findings.experiment.title}"
+    return {
+        "told": PageTable(("", ""), rows, words=(0, 1), marked=_places(rows, "active")),
+        "drawing": None
+        if findings.drawing is None
+        else PageFigure.of_png(findings.drawing.read_bytes(), alt),
+    }
+
+
+def _places(rows: Sequence[Sequence[str]], word: str) -> list[int]:
+    return [place for place, row in enumerate(rows) if row[0] == word]
 
 
 def _search(findings: Findings) -> Mapping[str, Any] | None:
@@ -293,6 +311,15 @@ def _channels(signals: Signals | None) -> str:
     if signals is None:
         return ""
     return ", ".join(with_unit(name, unit) for name, unit in zip(signals.columns, signals.units, strict=True))
+
+
+_OF_A_BENCH = {
+    "repeatability": _repeatability,
+    "drift": _drift,
+    "settling": _settling,
+    "timing": _timing,
+}
+"""Sections that say how far measurements can be believed."""
 
 
 # Fits

@@ -58,16 +58,18 @@ def _print_run(findings: Findings, console: Console) -> None:
     state = "finished" if findings.finished else f"not finished; labrun resume {run.path}"
     dry = "dry run, " if findings.dry_run else "emulated, " if findings.emulated else ""
     lasted = duration_text(findings.elapsed_s)
-    console.print(Text(f"{run.name}, {findings.experiment.kind}, {dry}{lasted} of bench time, {state}"))
+    how = "simulated" if findings.simulated_only else f"{dry}{lasted} of bench time"
+    console.print(Text(f"{run.name}, {findings.experiment.kind}, {how}, {state}"))
     for fault in run.faults:
         console.print(Text(f"damaged: {fault}", style="yellow"))
     if findings.best is not None and findings.finished:
         console.print(_best(findings.best))
-    for line in [] if findings.result is None else findings.result.search_lines():
+    for line in [] if findings.result is None else (*findings.result.search_lines(), *findings.result.more):
         console.print(Text(line))
     print_conditions(findings, console)
     _print_trials(findings, console)
-    _print_trust(findings, console)
+    if not findings.simulated_only:
+        _print_trust(findings, console)
     for fit in findings.fits:
         print_fit(fit, console)
     console.print(Text(f"run     {run.path}"), soft_wrap=True)

@@ -63,6 +63,14 @@ def what_was_run(findings: Findings) -> str:
     trials = f"{counted(len(run.outcomes), 'trial')} at {counted(len(conditions), 'condition')}"
     if findings.imported:
         return f"A recording made elsewhere, imported: {trials}, {duration_text(findings.bench_time_s)} of samples."
+    if findings.simulated_only:
+        if not run.outcomes:
+            return "This design is simulated, and has no leader yet."
+        return (
+            f"This design was searched for by simulation. Then {counted(len(conditions), 'leader')} of the search "
+            f"{'was' if len(conditions) == 1 else 'were'} simulated again, as "
+            f"{counted(len(run.outcomes), 'copy')} whose dimensions lie anywhere within their tolerances."
+        )
     spoiled = len(findings.spoiled)
     accepted = "all accepted" if not spoiled else f"{len(findings.accepted)} accepted"
     text = f"This {kind} took {trials} in {duration_text(findings.bench_time_s)} of bench time; {accepted}."
@@ -110,6 +118,8 @@ def checks(findings: Findings) -> list[Check]:
     """Return what decides whether the run can be believed, in the order of the sections."""
     if not findings.run.outcomes:
         return []
+    if findings.simulated_only:
+        return [_losses(findings)] if findings.spoiled else []
     found = [check(findings) for check in (_noise, _steadiness, _rest, _sampling, _losses)]
     return [one for one in found if one is not None and not (findings.imported and one.verdict == "open")]
 

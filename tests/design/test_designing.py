@@ -1,4 +1,5 @@
 import csv
+import html
 import json
 import re
 from pathlib import Path
@@ -8,9 +9,11 @@ import pytest
 
 import labrun
 from labrun.app.design import design
+from labrun.app.report import read_findings, write_report
 from labrun.design.constraints import Margin
 from labrun.errors import PlanError, RequestError, SpecError
 from labrun.models import load_model
+from labrun.report import print_findings
 from labrun.runner import SilentProgress
 from labrun.search import read_generations
 from labrun.store import open_run
@@ -241,3 +244,19 @@ def test_a_rig_that_would_be_refused_is_kept_with_the_run_and_the_file_in_use_st
     )
     assert any(line.startswith("rig") and str(result.run) in line for line in result.more)
     assert found(path, seed=5).finished  # and the next design has a template to go by
+
+
+def test_show_and_page_of_a_design_tell_what_holds_it_back_and_nothing_of_a_bench(paddle, capsys):
+    result = found(paddle(("iterations = 25", "iterations = 3")))
+    with open_run(result.run) as run:
+        findings = read_findings(run)
+        print_findings(findings)
+        page = write_report(findings).read_text(encoding="utf-8")
+    told = " ".join(capsys.readouterr().out.split())
+    for line in result.more:
+        assert html.escape(line.split(maxsplit=1)[1]) in page
+        assert " ".join(line.split()) in told
+    assert "Drawing to scale" in page
+    for words in ("bench time", "Repeatability", "repeatability", "Drift", "jitter", "come to rest"):
+        assert words not in page
+        assert words not in told

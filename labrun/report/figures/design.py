@@ -56,8 +56,9 @@ def draw_design(drawing: Drawing, units: Mapping[str, str], title: str) -> Figur
             ends = (part.x_mm, part.end_mm[0]), (part.y_mm, part.end_mm[1])
             axes.plot(*ends, color=SOFT, linewidth=0.5, linestyle=(0, (6, 3)))
             if plain == part.name:
-                middle = sum(ends[0]) / 2, sum(ends[1]) / 2
-                beside(axes, plain, middle, (8, 0), fontsize=7.5, va="center", color=INK)
+                edge = max(x for x, _ in corners), sum(ends[1]) / 2
+                size = f"{plain} {part.length_mm:.1f} x {part.width_mm:.1f} mm"
+                beside(axes, size, edge, (5, 0), fontsize=7.5, va="center", color=INK)
         across = 1 - _TABLE_MM / width_mm
         figure.text(
             0.02, 1 - 3.0 / height_mm, "\n".join(told), fontsize=10, fontweight="bold", va="top", color=INK
