@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from labrun.arrays import FloatArray
+from labrun.arrays import FloatArray, IntArray
 from labrun.effects import FORCED
 from labrun.fit import Each, FitTrial, one_by_one
 from labrun.gap import criteria
@@ -42,10 +41,10 @@ def defined(difference: Difference) -> frozenset[int]:
     return frozenset(np.flatnonzero(equal.any(axis=1)).tolist())
 
 
-IntArray = NDArray[np.int64]
-
 _STEP = 1e-5
 """Of the differences, in units of each state's range."""
+_TAYLOR, _SQUARING = 8, 0.5
+"""Order of the Taylor series of a matrix exponential, and the norm up to which it is taken directly."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ def linearised(difference: Difference) -> Linearised | None:
 
 
 def _unit(difference: Difference, index: int) -> tuple[FloatArray, ...] | None:
-    from labrun.gap.where.compiled import linearise, transitions
+    from labrun.gap.where.compiled import linearise
 
     model, trial = difference.model, difference.units.trials[index]
     simulation = simulate(
@@ -112,18 +111,32 @@ def _unit(difference: Difference, index: int) -> tuple[FloatArray, ...] | None:
     drive = difference.drives[index]
     u = np.concatenate([drive.u[:: drive.substeps, 0], drive.u_last[None]])
     states = np.ascontiguousarray(simulation.states)
-    size, channels, count = states.shape[1], len(model.outputs), len(states)
     reach = np.maximum(np.ptp(states, axis=0), np.abs(states).max(axis=0))
     steps = _STEP * np.where(reach > 0, reach, 1.0)
-    a, c = np.empty((count, size, size)), np.empty((count, channels, size))
-    linearise(
+    a, c = linearise(
         trial.time_s, states, np.ascontiguousarray(u), model.vector(difference.parameters, trial.condition), steps,
-        _forces(difference, trial, states, steps), model.derivative.address, model.output.address, a, c,
+        _forces(difference, trial, states, steps), model.derivative.address, model.output.address, len(model.outputs),
     )  # fmt: skip
     dt_s = np.diff(trial.time_s, append=trial.time_s[-1])
-    half, whole = np.zeros((count, size, size)), np.zeros((count, size, size))
-    transitions(a, dt_s[:-1], half, whole)
-    return dt_s, half, whole, c / difference.noise_sd[:, None], reach
+    half = _exponential(
+        0.25 * dt_s[:, None, None] * (a + np.roll(a, -1, axis=0))
+    )  # A is the mean of both ends
+    return dt_s, half, half @ half, c / difference.noise_sd[:, None], reach
+
+
+def _exponential(matrices: FloatArray) -> FloatArray:
+    """Return the exponentials of matrices (n, k, k): a scaled and squared Taylor series, all scaled alike."""
+    norm = matrices.shape[1] * float(np.max(np.abs(matrices), initial=0.0))
+    squarings = int(np.clip(np.ceil(np.log2(max(norm / _SQUARING, 1.0))), 0, 60)) if np.isfinite(norm) else 0
+    scaled = matrices / 2.0**squarings
+    term = np.broadcast_to(np.eye(matrices.shape[1]), matrices.shape)
+    total = term.copy()
+    for order in range(1, _TAYLOR + 1):
+        term = term @ scaled / order
+        total += term
+    for _ in range(squarings):
+        total = total @ total
+    return total
 
 
 def _forces(difference: Difference, trial: FitTrial, states: FloatArray, steps: FloatArray) -> FloatArray:
@@ -183,6 +196,14 @@ class _Disturbed:
     start: FloatArray
     still: FloatArray
 
+    def filtered(
+        self, intensity: float, begin: IntArray, r: FloatArray, series: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return what a Kalman filter makes of series at an intensity."""
+        from labrun.gap.where.compiled import disturbed
+
+        return disturbed(self.phi, self.q, begin, self.c, r, self.start, self.still, intensity, series)
+
 
 @dataclass(frozen=True)
 class _Fit:
@@ -238,7 +259,7 @@ def equation_places(
     )
     rivals = _rivals(difference, system)
     gains, kept = [], []
-    none = _filtered(rivals[0][1][0], 0.0, system, r, series).likelihood
+    *_, none = rivals[0][1][0].filtered(0.0, system.begin, r, series)
     everything = each(
         lambda one: _fit(one, system, r, series, none), [one for _, several in rivals for one in several]
     )
@@ -322,40 +343,10 @@ def _output_error(system: Linearised, column: int, name: str, correlation_s: flo
     )
 
 
-@dataclass(frozen=True)
-class _Filtered:
-    """What a Kalman filter makes of series; arrays as `labrun.gap.where.compiled.disturbed` writes them."""
-
-    gains: FloatArray
-    variances: FloatArray
-    innovations: FloatArray
-    likelihood: FloatArray
-
-    @property
-    def most(self) -> float:
-        """The largest log-likelihood that any series whatever could have."""
-        return -0.5 * float(np.sum(np.log(self.variances)))
-
-
-def _filtered(
-    one: _Disturbed, intensity: float, system: Linearised, r: FloatArray, series: FloatArray
-) -> _Filtered:
-    from labrun.gap.where.compiled import disturbed
-
-    shapes = ((*r.shape, one.c.shape[2]), r.shape, series.shape, series.shape[2])
-    found = _Filtered(*(np.empty(shape) for shape in shapes))
-    disturbed(
-        one.phi, one.q, system.begin, one.c, r, one.start, one.still, intensity, series,
-        found.gains, found.variances, found.innovations, found.likelihood,
-    )  # fmt: skip
-    return found
-
-
 def _fit(one: _Disturbed, system: Linearised, r: FloatArray, series: FloatArray, none: FloatArray) -> _Fit:
     from labrun.gap.where.compiled import spread_of
 
-    variance = np.empty(len(r))
-    spread_of(one.phi, one.q, system.begin, one.c, one.start, variance)
+    variance = spread_of(one.phi, one.q, system.begin, one.c, one.start)
     finite = variance[np.isfinite(variance)]
     size = float(np.median(finite)) if finite.size else 0.0
     best, intensity = np.zeros(series.shape[2]), 0.0
@@ -365,12 +356,12 @@ def _fit(one: _Disturbed, system: Linearised, r: FloatArray, series: FloatArray,
     for round_ in (_SIZES / size, None):
         # the second round lies around the best of the first
         for wanted in round_ if round_ is not None else [top * factor for factor in _BETWEEN if top > 0]:
-            found = _filtered(one, float(wanted), system, r, series)
-            gain = np.where(np.isfinite(found.likelihood), found.likelihood - none, -np.inf)
+            _, variances, _, likelihood = one.filtered(float(wanted), system.begin, r, series)
+            gain = np.where(np.isfinite(likelihood), likelihood - none, -np.inf)
             intensity = float(wanted) if gain[0] > best[0] else intensity
             best = np.maximum(best, gain)
-            # a larger disturbance makes every variance larger, and what any series could reach smaller
-            if np.all(found.most <= none + best):
+            # a larger disturbance makes every variance larger, and what any series whatever could reach smaller
+            if np.all(-0.5 * np.sum(np.log(variances)) <= none + best):
                 break
         top = intensity
     return _Fit(best, intensity)
@@ -382,8 +373,8 @@ def _explained(
     """Return the part of the excess over the noise that the smoothed disturbance explains."""
     from labrun.gap.where.compiled import left_over
 
-    found, after = _filtered(one, intensity, system, r, series), np.empty(series.shape[2])
-    left_over(one.phi, system.begin, one.c, r, found.gains, found.variances, found.innovations, after)
+    *filtered, _ = one.filtered(intensity, system.begin, r, series)
+    after = left_over(one.phi, system.begin, one.c, r, *filtered)
     before = np.sum(np.square(series) / r[:, :, None], axis=(0, 1))
     redrawn_too = len(after) > 1
     floor_before, floor_after = (float(one[1:].mean()) if redrawn_too else 0.0 for one in (before, after))
