@@ -18,8 +18,8 @@ def fit(
     model: Annotated[
         str | None,
         typer.Option(
-            help="A model (TOML file, plugin, package.module:object), or a fit by name: "
-            "least-squares, fopdt, transfer-function, pid."
+            help="A model (TOML file, plugin, package.module:object, or a name: this workspace's own model comes "
+            "before the shipped one), or a fit by name: least-squares, fopdt, transfer-function, pid."
         ),
     ] = None,
     more: Annotated[

@@ -31,8 +31,8 @@ class SimulatorName(StrEnum):
 Model = Annotated[
     str | None,
     typer.Option(
-        help="The model (TOML file, plugin, package.module:object); that which the experiment or the recording names "
-        "if not given."
+        help="The model (TOML file, plugin, package.module:object, or a name: this workspace's own model comes before "
+        "the shipped one); that which the experiment or the recording names if not given."
     ),
 ]
 ExperimentFile = Annotated[
