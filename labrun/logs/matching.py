@@ -335,7 +335,8 @@ def _detected(angles: Sequence[Match], words: str, ticks: int, *, lerobot: bool)
             )
         return "ticks", f"{_BY_RANGE}: whole numbers up to {largest:.0f}"
     if largest <= _BEYOND_RAD:
-        return "rad", f"{_BY_RANGE}: they reach {largest:.3g}"
+        doubt = "; a LeRobot dataset does not say its unit: --unit deg or normalised if it is that"
+        return "rad", f"{_BY_RANGE}: they reach {largest:.3g}{doubt if lerobot else ''}"
     if largest <= _MOST_SHARE and (lerobot or largest > _FULL_SHARE):
         told = " in a LeRobot dataset, which does not say its unit" if lerobot else ""
         raise RequestError(

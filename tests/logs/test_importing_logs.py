@@ -159,6 +159,9 @@ def test_shares_of_the_range_in_a_lerobot_dataset_are_asked_for_however_small_an
     assert np.abs(columns(recording, "shoulder")).max() == pytest.approx(
         0.39 * 2.0, rel=1e-6
     )  # range -2 to 2
+    small = import_log(logs.write_lerobot(tmp_path / "small", goals, angles), arm, tmp_path / "two")
+    assert "radians, by their range" in " ".join(small.remarks)
+    assert "--unit deg or normalised if it is that" in " ".join(small.remarks)
     log = logs.write_csv(tmp_path / "log.csv", time_s, scale * goals, scale * angles)
     made = import_log(log, arm, tmp_path / "other")
     assert "--unit normalised if they are" in " ".join(made.remarks)
