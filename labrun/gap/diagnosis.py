@@ -1,7 +1,7 @@
 """What a diagnosis says: the verdict, where, which, how far, and what it does not know."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from labrun.arrays import FloatArray
@@ -121,10 +121,7 @@ class RestLaw:
         return {
             "site": self.site,
             "kind": self.kind,
-            "terms": [
-                {"formula": one.formula, "size": one.size, "unit": one.unit, "chosen": one.chosen}
-                for one in self.terms
-            ],
+            "terms": [asdict(one) for one in self.terms],
             "share_on_withheld": self.share,
             "before": self.before,
             "after": self.after,
@@ -159,6 +156,10 @@ class ResampledNumber:
     low: float
     high: float
     unit: str = "1"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as every ``--json`` of the diagnosis prints it."""
+        return {"value": self.value, "ci95": [self.low, self.high], "unit": self.unit}
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,6 +224,10 @@ class Name:
     def words(self) -> str:
         """For people: ``Coulomb friction at hinge``, or ``parameter inertia``."""
         return f"{effect_words(self.effect)} at {self.site}" if self.kind == "effect" else str(self)
+
+    def to_json(self) -> dict[str, str]:
+        """Return it as every ``--json`` of the diagnosis prints it."""
+        return {"kind": self.kind, "effect": self.effect, "site": self.site}
 
 
 @dataclass(frozen=True)
@@ -405,23 +410,8 @@ class Diagnosis:
             "name": self.name,
             "model": self.model,
             "source": self.source,
-            "gap": {
-                "raw": self.gap.raw,
-                "recalibrated": self.gap.recalibrated,
-                "after": self.gap.after,
-                "floor": self.gap.floor,
-            },
-            "where": [
-                {
-                    "by": place.by,
-                    "at": place.at,
-                    "share": place.share,
-                    "p": place.p,
-                    "text": place.text,
-                    "part": place.part,
-                }
-                for place in self.where
-            ],
+            "gap": asdict(self.gap),
+            "where": [asdict(place) for place in self.where],
             "differs_by_trial": list(self.differs),
             "causes": [_cause(cause) for cause in self.causes],
             "candidates": [_candidate(candidate) for candidate in self.candidates],
@@ -464,11 +454,9 @@ class Diagnosis:
 
 def _cause(cause: Cause) -> dict[str, Any]:
     return {
-        "kind": cause.name.kind,
-        "effect": cause.name.effect,
-        "site": cause.name.site,
+        **cause.name.to_json(),
         "confidence": cause.confidence,
-        "values": _estimates(cause.values, "ci95"),
+        "values": _estimates(cause.values),
         "indistinguishable_from": _names(cause.indistinguishable_from),
         "remark": cause.remark,
     }
@@ -476,24 +464,20 @@ def _cause(cause: Cause) -> dict[str, Any]:
 
 def _candidate(candidate: RatedCandidate) -> dict[str, Any]:
     return {
-        "kind": candidate.name.kind,
-        "effect": candidate.name.effect,
-        "site": candidate.name.site,
+        **candidate.name.to_json(),
         "verdict": candidate.verdict,
         "held_out_share": candidate.held_out_share,
         "evidence": candidate.evidence,
-        "values": _estimates(candidate.values, "ci95"),
-        "upper_bound": _estimates(candidate.upper_bound, "ci95"),
+        "values": _estimates(candidate.values),
+        "upper_bound": _estimates(candidate.upper_bound),
         "indistinguishable_from": _names(candidate.same_as),
         "remark": candidate.remark,
     }
 
 
-def _estimates(values: Mapping[str, ResampledNumber], key: str) -> dict[str, Any]:
-    return {
-        name: {"value": one.value, key: [one.low, one.high], "unit": one.unit} for name, one in values.items()
-    }
+def _estimates(values: Mapping[str, ResampledNumber]) -> dict[str, Any]:
+    return {name: one.to_json() for name, one in values.items()}
 
 
 def _names(names: Sequence[Name]) -> list[dict[str, str]]:
-    return [{"kind": name.kind, "effect": name.effect, "site": name.site} for name in names]
+    return [name.to_json() for name in names]

@@ -74,12 +74,6 @@ class FreshTest:
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap test --json`` prints."""
-
-        def told(one: ResampledNumber | None) -> dict[str, Any] | None:
-            return (
-                None if one is None else {"value": one.value, "ci95": [one.low, one.high], "unit": one.unit}
-            )
-
         return {
             "model": self.model,
             "before": self.before or None,
@@ -90,9 +84,9 @@ class FreshTest:
                 {
                     "output": one.output,
                     "horizon_s": one.horizon_s,
-                    "error": told(one.error),
-                    "before": told(one.before),
-                    "ratio": told(one.ratio),
+                    "error": one.error.to_json(),
+                    "before": one.before and one.before.to_json(),
+                    "ratio": one.ratio and one.ratio.to_json(),
                     "predictions": one.predictions,
                 }
                 for one in self.predictions

@@ -10,6 +10,7 @@ from labrun.effects import AttachedEffect, unit_of
 from labrun.fit import Dataset, Problem
 from labrun.gap import criteria
 from labrun.gap.diagnosis import ResampledNumber
+from labrun.gap.nuisance import off
 from labrun.gap.screening import Base
 from labrun.models import Model
 
@@ -46,24 +47,21 @@ class _Linear:
 
     def __init__(self, base: Base) -> None:
         jacobian, self._problem, self._at = base.nuisance.jacobian, base.problem, base.z
-        self._spans = [
-            np.linalg.qr(own)[0] for own in jacobian.own
-        ]  # no columns where no initial state is free
-        self._rows = [self._off(index, shared) for index, shared in enumerate(jacobian.shared)]
+        self._spans = [np.linalg.qr(own)[0] for own in jacobian.own]
+        self._rows = self._adapted(jacobian.shared)
         self._prior = np.diag(base.problem.priors.slope)
         matrix = np.concatenate([*self._rows, self._prior])
         self._norms = np.linalg.norm(matrix, axis=0)
         self._norms[self._norms == 0] = 1.0
         self._matrix = matrix / self._norms
-        self._residual = [self._off(index, part) for index, part in enumerate(base.residual)]
+        self._residual = self._adapted(base.residual)
 
-    def _off(self, unit: int, values: FloatArray) -> FloatArray:
-        span = self._spans[unit]
-        return np.asarray(values - span @ (span.T @ values))
+    def _adapted(self, parts: Sequence[FloatArray]) -> list[FloatArray]:
+        return [off(span, part) for span, part in zip(self._spans, parts, strict=True)]
 
     def moved(self, parts: Sequence[FloatArray], prior: FloatArray | None = None) -> FloatArray:
         """Return by how much residuals (one array per unit, draws in columns) and those of the prior move variables."""
-        rows = [self._off(unit, part) for unit, part in enumerate(parts)]
+        rows = self._adapted(parts)
         behind = np.zeros((len(self._prior), *rows[0].shape[1:])) if prior is None else prior
         solution = np.linalg.lstsq(self._matrix, np.concatenate([*rows, behind]), rcond=_RIDGE)[0]
         return np.asarray((solution.T / self._norms).T)
@@ -71,8 +69,8 @@ class _Linear:
     def left(self, parts: Sequence[FloatArray], move: FloatArray) -> float:
         """Return the sum of squares, prior included, once residuals changed by `parts` and variables moved."""
         prior = self._problem.priors.residual(self._at) + self._prior @ move
-        rows = zip(self._residual, self._rows, parts, strict=True)
-        changed = [part + row @ move + self._off(unit, more) for unit, (part, row, more) in enumerate(rows)]
+        rows = zip(self._residual, self._rows, self._adapted(parts), strict=True)
+        changed = [part + row @ move + more for part, row, more in rows]
         return float(prior @ prior) + sum(float(one @ one) for one in changed)
 
     def disagreement(self) -> FloatArray:

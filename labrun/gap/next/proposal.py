@@ -86,9 +86,7 @@ class Proposal:
             "outcome": self.outcome,
             "file": None if self.file is None else str(self.file),
             "rivals": [
-                {"name": text, "cause": None}
-                if name is None
-                else {"name": text, "cause": {"kind": name.kind, "effect": name.effect, "site": name.site}}
+                {"name": text, "cause": None if name is None else name.to_json()}
                 for text, name in zip(self.rivals, self.names, strict=True)
             ],
             "in_doubt": self.doubt,
