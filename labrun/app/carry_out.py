@@ -14,6 +14,7 @@ from labrun.devices import Excess
 from labrun.errors import ExperimentError, LabrunError, PlanError
 from labrun.objectives import make_objective
 from labrun.report import RunView, experiment_of
+from labrun.report.text import counted
 from labrun.runner import (
     Interrupted,
     LimitReached,
@@ -124,7 +125,8 @@ def carry_out(
             answer = measure_all(experiment, rig, session, folder, seed, unit, progress)
         except LimitReached:
             folder.journal.append("limit-reached", limit=limit)
-            progress.note(f"stopped after {limit} new trials; to go on: {resume_line(folder.path)}")
+            done = counted(session.new_trials, "new trial")
+            progress.note(f"stopped after {done}; to go on: {resume_line(folder.path)}")
             return _result(folder, best=None, figure=None, finished=False)
         result = finish(folder, answer, progress, draw)
     return require_answer(result, experiment)

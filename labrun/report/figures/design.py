@@ -14,6 +14,7 @@ _MM_PER_IN = 25.4
 _SCALES = (1, 2, 5, 10, 20, 50, 100)
 _LARGEST_MM = 260.0
 _MARGIN_MM = 12.0
+_SIZES_MM = 34.0
 _TABLE_MM = 62.0
 _LINE_MM = 5.5
 _LETTER_MM = 2.3
@@ -36,7 +37,7 @@ def draw_design(drawing: Drawing, units: Mapping[str, str], title: str) -> Figur
     margin = _MARGIN_MM * scale
     wide, tall = right - left + 2 * margin, high - low + 2 * margin
     rows = len(drawing.dimensions) + 3
-    width_mm = max(wide / scale + _TABLE_MM, 110.0)
+    width_mm = max(wide / scale + _SIZES_MM + _TABLE_MM, 110.0)
     told = textwrap.wrap(title, int(width_mm / _LETTER_MM))
     height_mm = max(tall / scale, _LINE_MM * rows) + 5.0 + _LINE_MM * len(told)
     with new_figure(width_mm / _MM_PER_IN, height_mm / _MM_PER_IN) as figure:
