@@ -121,7 +121,6 @@ def diagnose(
         ),
     ] = False,
     report: Annotated[bool, typer.Option(help="Write the page and its picture.")] = True,
-    open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Of resamples and simulated noise; 0 if not given.")
     ] = None,
@@ -162,13 +161,13 @@ def diagnose(
             if why_together == "":
                 stored = diagnose_joints(
                     target, withhold=withhold or (), seed=seed, workers=workers, save_model=save_model,
-                    page=report or open_page, results=results, note=note,
+                    page=report, results=results, note=note,
                 )  # fmt: skip
             else:
                 stored = diagnose_target(
                     target, model=model, more=more or (), withhold=withhold or (), full_guard=full_guard,
                     seed=seed, workers=workers, save_model=save_model, explain_rest=explain_rest,
-                    page=report or open_page, results=results, note=note,
+                    page=report, results=results, note=note,
                 )  # fmt: skip
         if as_json:
             print_json(stored.to_json())
@@ -180,8 +179,6 @@ def diagnose(
                 console.print(line, soft_wrap=True)
         if stored.warning:
             typer.echo(f"labrun: {stored.warning}", err=True)
-    if open_page:
-        typer.launch(str(stored.page))
 
 
 def save(

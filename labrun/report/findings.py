@@ -196,12 +196,6 @@ class Findings(RunView):
         return sum(unsettled(outcome) for outcome in self.run.outcomes)
 
     @cached_property
-    def elapsed_s(self) -> float:
-        """Time from the first trial's start to the last one's end, by the run's clock, s."""
-        ends = [outcome.started_s + outcome.duration_s for outcome in self.run.outcomes]
-        return max(ends) - self.run.outcomes[0].started_s if ends else 0.0
-
-    @cached_property
     def bench_time(self) -> BenchTime | None:
         """Where the bench time went; None where nobody noted it."""
         return bench_time(self.run.events, self.run.outcomes, trial_tare_s(self.experiment))
@@ -315,7 +309,7 @@ class Findings(RunView):
             "finished": self.finished,
             "trials": self.trials,
             "rejected_and_failed": self.reasons,
-            "bench_time_s": self.elapsed_s,
+            "bench_time_s": self.bench_time_s,
             "best": self.best.to_json() if self.best is not None and self.finished else None,
             **({} if self.result is None else self.result.searches_to_json()),
             "conditions": [result.to_json(self.objective_units) for result in most],

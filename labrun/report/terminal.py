@@ -57,7 +57,7 @@ def _print_run(findings: Findings, console: Console) -> None:
     console.print(Text(findings.experiment.title, style="bold"))
     state = "finished" if findings.finished else f"not finished; labrun resume {run.path}"
     dry = "dry run, " if findings.dry_run else "emulated, " if findings.emulated else ""
-    lasted = duration_text(findings.elapsed_s)
+    lasted = duration_text(findings.bench_time_s)
     how = "simulated" if findings.simulated_only else f"{dry}{lasted} of bench time"
     console.print(Text(f"{run.name}, {findings.experiment.kind}, {how}, {state}"))
     for fault in run.faults:

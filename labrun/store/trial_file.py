@@ -399,11 +399,6 @@ class TrialWriter:
                 with self._saving():
                     self._move_to_disk()
 
-    @property
-    def bytes_in_memory(self) -> int:
-        """Size of the samples that are not on disk yet."""
-        return self._bytes
-
     def signals(self, start_s: float, tare: Mapping[str, float]) -> dict[str, Signals | LongSignals]:
         """Return what was recorded so far, by device.
 

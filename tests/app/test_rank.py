@@ -92,6 +92,10 @@ def test_an_order_that_holds_names_the_best_gait_and_says_why(bench, tmp_path):
     assert "exact p" in text
     (stored,) = (tmp_path / "results" / "field").glob("*/ranking.json")
     assert json.loads(stored.read_text())["winner"] == "gait 1"
+    named = labrun.rank(["lab"], "field", objective="turning", results=tmp_path / "results")
+    assert named.winner == found.winner
+    with pytest.raises(RequestError, match="no objective 'turn'"):
+        labrun.rank(["lab"], "field", objective="turn", results=tmp_path / "results")
 
 
 def test_an_order_that_does_not_hold_says_so(bench):

@@ -9,7 +9,8 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field
 
 from labrun.effects import Site
-from labrun.models.chains.model import AT_REST, CLOSED, MEASURES, OPENINGS, ClosedChain, Tree, functions
+from labrun.models.chains.model import AT_REST, ClosedChain
+from labrun.models.chains.tree import CLOSED, MEASURES, OPENINGS, Tree, functions
 from labrun.models.equations import (
     Expressions,
     conditions_of,

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from labrun.arrays import FloatArray, IntArray
 from labrun.errors import ModelError
 from labrun.models.chains import dynamics, geometry
-from labrun.models.chains.model import CLOSED, Tree
+from labrun.models.chains.tree import CLOSED, Tree
 
 _STILL = 1e-10
 """Angles are at rest when Newton would move them by no more, rad."""

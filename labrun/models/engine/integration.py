@@ -438,7 +438,7 @@ def integrate(
         Whether an even step and the next are taken as one step of order 5 (where no input jumps between them); the
         others are classical ones of order 4. The number of steps is even then.
     derivative, output, site_values, coupled, site_table, law_table
-        See `labrun.models.system.System`.
+        See `labrun.models.Model`.
     scratch : (numbers,)
         Zeros, as many as `Forces.scratch`.
     states, outputs : (steps // every + 1, ...)

@@ -6,7 +6,6 @@ from typing import ClassVar
 from labrun.devices import (
     DeviceContext,
     DeviceSettings,
-    FloatArray,
     Identity,
     Pacing,
     Trajectory,
@@ -86,7 +85,3 @@ class ArduinoServo(BoardDevice):
     def pacing(self) -> Pacing:
         """Return how evenly set-points have gone out since `restart_pacing`, or since it was opened."""
         return self._board.timing
-
-    def commanded_pulses(self) -> tuple[FloatArray, FloatArray]:
-        """Return what was sent since the last `follow`: host times (n,), s, and pulse widths (n, joints), us."""
-        return self._board.set_points()

@@ -1,12 +1,9 @@
 """The driver's end of a board with `labservo`: set-points at a steady rate, watchdog, stop; what labrun doctor asks."""
 
 import threading
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
-
-import numpy as np
 
 from labrun.devices import (
     Clock,
@@ -70,8 +67,6 @@ _REST_WATCHDOG_MS = 1000
 """Watchdog while servos stand still: a computer that is busy storing a trial stops nothing by being late."""
 _SETTLED_S = 0.5
 """So long after its last point a motion counts as ended."""
-_KEPT = 200_000
-"""Set-points remembered: an hour at 50 Hz."""
 
 
 class ServoBoard:
@@ -117,7 +112,6 @@ class ServoBoard:
         self._ends_s = 0.0
         self._sent_us: Mapping[int, int] = self._rest_us
         self._stopped = False
-        self._log: deque[tuple[float, tuple[int, ...]]] = deque(maxlen=_KEPT)
 
     @property
     def hello(self) -> Hello:
@@ -221,23 +215,13 @@ class ServoBoard:
             return
         self._token = token
         self._stopped = False
-        self._log.clear()
         self._stream.follow(trajectory, start_s)
-
-    def set_points(self) -> tuple[FloatArray, FloatArray]:
-        """Return what was sent since the last `follow`: host times (n,), s, and pulse widths (n, channels used), us."""
-        rows = list(self._log)
-        times = np.array([time_s for time_s, _ in rows])
-        return times, np.array([row for _, row in rows], dtype=float).reshape(
-            len(rows), len(self._windows_us)
-        )
 
     def send(self, point: FloatArray) -> None:
         """Send one point of a trajectory, if its pulses may be sent; called by the stream's thread."""
         pulses_us = self._pulses_of(point)
         if self.session.post("SV", *self._line(pulses_us), token=self._token):
             self._sent_us = pulses_us
-            self._log.append((self._clock.now(), tuple(pulses_us.values())))
 
     def safe_stop(self) -> None:
         """Have the board stop where it is, asking once more if it does not answer; no set-point follows."""

@@ -45,7 +45,6 @@ class Axis:
     mode: Mode = "still"
     homed: bool = False
     force_limit: bool = False
-    jammed: bool = False
     pressed: str = ""
     """"LOW" or "HIGH": a switch that reads as pressed, wherever the stage is."""
     soft_mm: tuple[float, float] = (-math.inf, math.inf)
@@ -147,10 +146,10 @@ class Axis:
         way_mm = self.speed_mm_s * step_s
         if self.mode == "to" and abs(self._target_mm - self._count()) <= max(abs(way_mm), 0.5 / STEPS_PER_MM):
             way_mm = self._target_mm - self._count()
-            self._shift(way_mm)
+            self.true_mm += way_mm
             self.halt()
             return
-        self._shift(way_mm)
+        self.true_mm += way_mm
         if self.mode == "back":
             if self.true_mm >= BACK_OFF_MM:
                 self._count_from_mm, self.homed = 0.0, True
@@ -193,12 +192,6 @@ class Axis:
 
     def _count(self) -> float:
         return self.true_mm - self._count_from_mm
-
-    def _shift(self, way_mm: float) -> None:
-        if self.jammed:  # steps without a way: it counts them all the same
-            self._count_from_mm -= way_mm
-        else:
-            self.true_mm += way_mm
 
     def _beyond(self, bound_mm: float, sign: int) -> bool:
         return self.homed and sign * (self._count() - bound_mm) > 0.5 / STEPS_PER_MM
@@ -335,7 +328,7 @@ class LinearStageEmulator(EmulatedBoard):
         if (speed_m_s, end_mm) == self._told and self._axis.moving:
             return
         here_m = 1e-3 * (self._axis.true_mm - self._zero_mm)
-        if speed_m_s == 0.0 or self._axis.jammed:
+        if speed_m_s == 0.0:
             if self._told == (0.0, here_m):
                 return
             self._told = (0.0, here_m)
@@ -349,7 +342,6 @@ class LinearStageEmulator(EmulatedBoard):
 
     def _suffer(self, now_s: float) -> None:
         faults = self.context.faults
-        self._axis.jammed = faults.active("jam")
         self._axis.pressed = str(faults.value("end-switch") or "").upper()
         if faults.active("wrap"):
             left_us = int(1e6 * faults.number("wrap"))

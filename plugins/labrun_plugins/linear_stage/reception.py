@@ -71,19 +71,6 @@ def is_saturated(counts: int) -> bool:
     return counts >= FULL_SCALE_COUNTS or counts <= LEAST_COUNTS
 
 
-def counts_of(raw: bytes) -> int:
-    """Return the counts of an HX711's three bytes: two's complement, most significant first.
-
-    Raises
-    ------
-    ValueError
-        Not three bytes.
-    """
-    if len(raw) != 3:
-        raise ValueError(f"an HX711 gives three bytes, not {len(raw)}")
-    return int.from_bytes(raw, "big", signed=True)
-
-
 def parse_sample(fields: Sequence[str]) -> StageSample | None:
     """Return the sample of the fields behind ``S``; None for anything that is none."""
     if len(fields) != _SAMPLE_FIELDS:
@@ -120,11 +107,6 @@ def move_arguments(position_mm: float, speed_mm_s: float) -> tuple[str, str]:
     A speed is rounded up, so that a slow one does not become none.
     """
     return f"{position_mm:.3f}", f"{max(1, math.ceil(1e3 * speed_mm_s - 1e-6)) / 1e3:.3f}"
-
-
-def velocity_argument(speed_mm_s: float) -> str:
-    """Return the argument of ``VEL``: a signed speed."""
-    return f"{speed_mm_s:.3f}"
 
 
 def limit_arguments(low_mm: float, high_mm: float, most_counts: int) -> tuple[str, str, str]:

@@ -38,7 +38,7 @@ class OptiTrackEmulator:
     tracking-lost, hidden-marker and missing-body (of all bodies, or of the one that is named), model-changed (once:
     other numbers), edit-mode and bitstream-changed (bits 2 and 3 of the params), restart (once: numbers begin again),
     reboot (once: numbers and clock begin again; the value is the new clock's rate), wrap (once: numbers are about to
-    wrap), rate (what it says its rate is), forget (clients are forgotten after this many s), no-frames, no-answer.
+    wrap), rate (what it says its rate is), forget (clients are forgotten after this many s), no-frames.
     """
 
     def __init__(self, name: str, settings: SimulatedOptiTrackSettings, context: EmulatorContext) -> None:
@@ -86,7 +86,7 @@ class OptiTrackEmulator:
         """Answer what arrived; send the frames that are due."""
         for datagram, address in self._endpoint.receive():
             told = wire.understand(datagram)
-            if told is not None and not self._faults.active("no-answer"):
+            if told is not None:
                 self._answer(*told, address, now_s)
         self._forget(now_s)
         self._strike()

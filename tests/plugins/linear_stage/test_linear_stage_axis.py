@@ -95,13 +95,3 @@ def test_a_stop_slows_down_and_a_halt_does_not():
         run(axis, now_s + 0.5, from_s=now_s)
         assert not axis.moving
         assert axis.true_mm - here_mm == pytest.approx(way_mm, abs=0.01)
-
-
-def test_a_jammed_screw_counts_a_way_that_it_does_not_go():
-    axis, _ = axis_at(30.0)
-    axis.jammed = True
-    axis.advance(10.0, 0)
-    axis.go(35.0, 5.0)
-    run(axis, 12.0)
-    assert axis.count_mm == pytest.approx(35.0, abs=1e-3)
-    assert axis.true_mm == 30.0
