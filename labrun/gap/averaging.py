@@ -11,7 +11,7 @@ from labrun.errors import RecordingError
 from labrun.fit import FIRST_SAMPLES, Dataset, FitTrial
 from labrun.gap import criteria
 from labrun.models import Model
-from labrun.spec import condition_key, condition_text
+from labrun.spec import condition_key, condition_text, only, varying
 
 
 def averaged(dataset: Dataset, model: Model) -> Dataset:
@@ -39,7 +39,10 @@ def averaged(dataset: Dataset, model: Model) -> Dataset:
             found.append(_mean(alike, group))
         else:
             found.extend(replace(trial, group=group, members=(trial.outputs,)) for trial in trials)
-    labels = [condition_text(trials[0].condition) or trials[0].label for trials in groups.values()]
+    names = varying(trial.condition for trial in dataset.trials)
+    labels = [
+        condition_text(only(trials[0].condition, names)) or trials[0].label for trials in groups.values()
+    ]
     return replace(dataset, trials=tuple(found), conditions=tuple(labels))
 
 

@@ -22,6 +22,7 @@ from labrun.report.text import (
     with_unit,
 )
 from labrun.search import NUMBER, Agreement, Ranking
+from labrun.spec import only, varying
 
 _SHOWN = 12
 _OVERLAYS, _ACROSS = 6, 3
@@ -35,12 +36,16 @@ def comparison_text(comparison: Comparison, width: int) -> str:
     lines = [
         f"{comparison.prediction} held against {comparison.data}: {counted(comparison.trials, 'trial')} "
         f"at {counted(comparison.conditions, 'condition')}, nothing fitted",
+        *_alike(comparison),
         "",
     ]
     shown = comparison.points[:_SHOWN]
     several = len(comparison.units()) > 1
     rows = [("worst first", *(["channel"] if several else []), "measured", "predicted", "RMSE", "relative")]
-    rows += [(_where(point), *([point.channel] if several else []), *_numbers(point)) for point in shown]
+    rows += [
+        (_where(comparison, point), *([point.channel] if several else []), *_numbers(point))
+        for point in shown
+    ]
     lines += [f"  {line}" for line in aligned(rows, words=2 if several else 1)]
     if len(comparison.points) > len(shown):
         lines.append(f"  and {len(comparison.points) - len(shown)} more")
@@ -80,7 +85,7 @@ def comparison_figure(comparison: Comparison) -> FigureData:
     worst = comparison.worst
     title = (
         f"{comparison.prediction} held against {comparison.data}\n"
-        f"Nothing is fitted. Worst: {_relative(worst)}, {worst.channel} at {_where(worst)}"
+        f"Nothing is fitted. Worst: {_relative(worst)}, {worst.channel} at {_where(comparison, worst)}"
     )
     single = all(len(pair.time_s) == 1 for pair in comparison.pairs)
     stacks = _over_conditions(comparison) if single else _overlays(comparison)
@@ -88,8 +93,17 @@ def comparison_figure(comparison: Comparison) -> FigureData:
     return FigureData(title, rows, legend="top", row_height_in=3.0)
 
 
-def _where(point: ComparedPoint) -> str:
-    condition = condition_text(point.condition) or "the only condition"
+def _alike(comparison: Comparison) -> list[str]:
+    """Say once what is the same in all conditions."""
+    differing = varying(point.condition for point in comparison.points)
+    first = comparison.points[0].condition
+    alike = {name: value for name, value in first.items() if name not in differing}
+    return [f"all at {condition_text(alike)}"] if alike else []
+
+
+def _where(comparison: Comparison, point: ComparedPoint) -> str:
+    differing = varying(one.condition for one in comparison.points)
+    condition = condition_text(only(point.condition, differing)) or "the only condition"
     return condition if point.at_s is None else f"{condition}, at {point.at_s:.3g} s"
 
 
@@ -104,7 +118,7 @@ def _relative(point: ComparedPoint) -> str:
 
 def _at_worst(comparison: Comparison, channel: str) -> str:
     own = next(point for point in comparison.points if point.channel == channel)
-    return f"at worst {_relative(own)} ({_where(own)})"
+    return f"at worst {_relative(own)} ({_where(comparison, own)})"
 
 
 def _over_channels(comparison: Comparison) -> list[str]:
@@ -122,7 +136,7 @@ def _over_channels(comparison: Comparison) -> list[str]:
 
 def _verdict(comparison: Comparison) -> str:
     worst = comparison.worst
-    told = f"worst: {worst.channel} at {_where(worst)} is off by {_relative(worst)}"
+    told = f"worst: {worst.channel} at {_where(comparison, worst)} is off by {_relative(worst)}"
     if comparison.tolerance is None:
         return told
     beyond = sum(point.relative > comparison.tolerance for point in comparison.points)

@@ -17,7 +17,7 @@ from labrun.report.text import (
     with_unit,
 )
 from labrun.search import leading_conditions, mean_error
-from labrun.spec import Condition, Experiment, Value, condition_key
+from labrun.spec import Condition, Experiment, Value, condition_key, varying
 from labrun.store import TrialOutcome
 
 _LEADERS_SHOWN = 12
@@ -131,13 +131,6 @@ def in_order(experiment: Experiment, conditions: Iterable[Mapping[str, Value]]) 
         return place, [_sortable(value) for value in condition.values()]
 
     return sorted(conditions, key=rank)
-
-
-def varying(conditions: Iterable[Mapping[str, Value]]) -> list[str]:
-    """Return the names whose value is not the same in all conditions; all names where none varies."""
-    found = list(conditions)
-    names = list(dict.fromkeys(name for condition in found for name in condition))
-    return [name for name in names if len({condition.get(name) for condition in found}) > 1] or names
 
 
 def _sortable(value: Value) -> tuple[int, float, str]:

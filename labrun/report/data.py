@@ -127,11 +127,12 @@ class RunView:
 
     @property
     def trace_label(self) -> str:
-        """Axis label of traces: the objective's quantity over time, or the channel."""
-        if self.trace_factor is not None:
+        """Axis label of traces: the objective's quantity over time, or the channel, with a minus if it is turned."""
+        if self.trace_factor not in (None, -1.0):
             return self.objective_label
         channel = self.channel or ""
-        return with_unit(spaced(channel.partition(".")[2]), self.channel_unit(channel))
+        sign = "" if self.trace_factor is None else "\N{MINUS SIGN}"
+        return with_unit(sign + spaced(channel.partition(".")[2]), self.channel_unit(channel))
 
     def with_best(self, text: str, sign: str = "") -> str:
         """Return a text with the honest best behind it, its interval and where it is; for under a figure's title."""

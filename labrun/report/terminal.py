@@ -15,7 +15,7 @@ from rich.text import Text
 
 from labrun.devices import Remark
 from labrun.estimate import rounded
-from labrun.report.conditions import ConditionResult, standard_error, varying
+from labrun.report.conditions import ConditionResult, standard_error
 from labrun.report.findings import Findings, StoredFit
 from labrun.report.statistics import Drift, Repeatability, repeatability_columns, standard_deviations
 from labrun.report.text import (
@@ -35,7 +35,7 @@ from labrun.report.text import (
 from labrun.report.timing import LEAST_JITTER_S, clock_text, loop_words
 from labrun.runner import JointPeak, Plan, percent
 from labrun.search import Best, unsettled_text
-from labrun.spec import Key
+from labrun.spec import Key, varying
 
 _MOST_REASONS = 6
 _LINK = re.compile(r"\[(.*?)\]\(#[^)]*\)")

@@ -6,7 +6,6 @@ from typing import Literal
 
 from scipy.special import stdtrit
 
-from labrun.report.conditions import varying
 from labrun.report.findings import Findings
 from labrun.report.statistics import Drift, Repeatability, Settling, grows_with_size, spreads
 from labrun.report.text import (
@@ -21,7 +20,7 @@ from labrun.report.text import (
     slope_words,
     spaced,
 )
-from labrun.spec import condition_key
+from labrun.spec import condition_key, varying
 
 _KINDS = {
     "run": "run",

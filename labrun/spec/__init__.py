@@ -1,6 +1,6 @@
 """The experiment file: what it may say, how it is read, and what is wrong with it."""
 
-from labrun.spec.condition import Condition, Value, condition_key, condition_text, value_text
+from labrun.spec.condition import Condition, Value, condition_key, condition_text, only, value_text, varying
 from labrun.spec.experiment import (
     Experiment,
     FitTable,
@@ -84,6 +84,7 @@ __all__ = [
     "RunTable", "SceneTable", "SearchVariable", "Settle", "StopRules", "Sweep", "Tare", "Track", "TrialTable",
     "Until", "Value", "WrittenExperiment", "apply_overrides", "condition_key", "condition_text",
     "create_workspace", "find_beside", "find_experiment", "find_model_file", "keys_at", "list_experiments",
-    "load_experiment", "load_named", "loads_experiment", "loop_channel", "named_channels", "new_experiment",
+    "load_experiment", "load_named", "loads_experiment", "loop_channel", "named_channels", "new_experiment", "only",
     "resolved", "resolved_settings", "scene_of", "shipped_experiments", "summarise_workspace", "value_text",
+    "varying",
 ]  # fmt: skip

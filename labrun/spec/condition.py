@@ -1,6 +1,6 @@
 """A condition: the values a trial is run under, as a key and in words."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from types import MappingProxyType
 from typing import Annotated
 
@@ -30,6 +30,18 @@ NO_UNITS: Mapping[str, str] = MappingProxyType({})
 def condition_key(condition: Condition) -> tuple[tuple[str, Value], ...]:
     """Return a hashable form: equal conditions have equal keys, whatever the order of their names."""
     return tuple(sorted(condition.items(), key=lambda item: item[0]))
+
+
+def varying(conditions: Iterable[Condition]) -> list[str]:
+    """Return the names whose value is not the same in all conditions; all names where none varies."""
+    found = list(conditions)
+    names = list(dict.fromkeys(name for condition in found for name in condition))
+    return [name for name in names if len({condition.get(name) for condition in found}) > 1] or names
+
+
+def only(condition: Condition, names: Collection[str]) -> dict[str, Value]:
+    """Return what a condition has of these names."""
+    return {name: value for name, value in condition.items() if name in names}
 
 
 def condition_text(condition: Condition, units: Mapping[str, str] = NO_UNITS, *, digits: int = 6) -> str:

@@ -72,6 +72,15 @@ def test_the_exit_code_is_1_beyond_the_tolerance(towed, tmp_path, tolerance, cod
     assert done.stdout.index("speed = 0.1") < done.stdout.index("speed = 0.4")
 
 
+def test_what_is_the_same_in_all_conditions_is_said_once(tmp_path):
+    folder = recording(tmp_path / "still", DRAG, name="still", water="still")
+    (folder / "model.toml").write_text(THEORY)
+    text = labrun.compare(folder, results=tmp_path / "results").to_text(100)
+    assert text.count("water = still") == 1
+    assert "all at water = still" in text
+    assert "worst: drag at speed = 0.1 is off" in text
+
+
 def test_as_json_everything_is_a_number_and_the_code_is_the_same(towed, tmp_path):
     done = command(towed, "--tolerance", "1%", "--json", results=tmp_path / "results")
     told = json.loads(done.stdout)

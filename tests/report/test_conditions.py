@@ -11,7 +11,7 @@ from memory_run import sweep_view
 from rich.console import Console
 
 from labrun.app.report import read_findings
-from labrun.report.conditions import condition_results, in_order, most_promising, varying
+from labrun.report.conditions import condition_results, in_order, most_promising
 from labrun.report.figures.runs import condition_title
 from labrun.report.terminal import print_conditions, print_findings
 from labrun.store import open_run
@@ -38,11 +38,6 @@ def test_the_goal_puts_the_most_promising_first_and_what_has_no_value_last():
     ]
     ranked = most_promising(view, condition_results(view))
     assert [result.condition["f"] for result in ranked] == [4, 3, 1, 2]
-
-
-def test_only_what_differs_between_conditions_names_them():
-    assert varying([{"a": 1, "b": 2, "c": "x"}, {"a": 1, "b": 3, "c": "y"}]) == ["b", "c"]
-    assert varying([{"a": 1, "b": 2}]) == ["a", "b"]
 
 
 def test_numbers_are_ordered_as_numbers_and_words_as_words():

@@ -55,6 +55,24 @@ def test_a_plain_run_has_its_picture():
     is_a_picture(draw_plain_run(sweep_view(ridge, {"f": [1, 2, 3, 4]}, kind="run")))
 
 
+@pytest.mark.parametrize("slow_s", [1.25, 4.0])
+def test_trials_share_an_axis_of_time_unless_one_is_much_longer_which_is_drawn_over_the_cycle(slow_s):
+    view = sweep_view(ridge, {"f": [1, 2]}, kind="run")
+    periods_s = {1: 1.0, 2: slow_s}
+    view.run.outcomes = [
+        replace(one, duration_s=3 * periods_s[one.condition["f"]], period_s=periods_s[one.condition["f"]])
+        for one in view.run.outcomes
+    ]
+    panels = draw_plain_run(RunView(view.run, view.experiment, None)).subfigs[0].axes
+    ends = [max(line.get_xdata()[-1] for line in axes.lines[:3]) for axes in panels]
+    if slow_s > 2:
+        assert [axes.get_xlim() for axes in panels] == [(0, 1)] * 2
+        assert max(ends) < 1
+    else:
+        assert [axes.get_xlim() for axes in panels] == [(0, 3 * slow_s)] * 2
+        assert ends == pytest.approx([3, 3 * slow_s], abs=0.02)
+
+
 def test_a_picture_is_whole_or_absent(tmp_path):
     save(draw_sweep(sweep_view(ridge, {"f": GRID})), tmp_path / "figure.png")
     assert [path.name for path in tmp_path.iterdir()] == ["figure.png"]

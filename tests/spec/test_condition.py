@@ -1,6 +1,6 @@
 """A condition as a key and in words."""
 
-from labrun.spec import condition_key, condition_text, value_text
+from labrun.spec import condition_key, condition_text, value_text, varying
 
 
 def test_equal_conditions_have_equal_keys_whatever_their_order() -> None:
@@ -22,3 +22,8 @@ def test_a_value_without_unit_is_a_bare_number() -> None:
     assert value_text(0.3, "1") == "0.3"
     assert value_text(0.3, "Hz") == "0.3 Hz"
     assert value_text("soft", "Hz") == "soft"
+
+
+def test_only_what_differs_between_conditions_names_them() -> None:
+    assert varying([{"a": 1, "b": 2, "c": "x"}, {"a": 1, "b": 3, "c": "y"}]) == ["b", "c"]
+    assert varying([{"a": 1, "b": 2}]) == ["a", "b"]

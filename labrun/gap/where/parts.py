@@ -11,7 +11,7 @@ from labrun.arrays import FloatArray
 from labrun.gap import criteria
 from labrun.gap.diagnosis import By
 from labrun.gap.where.difference import ConditionData, Difference, Mover
-from labrun.spec import Condition, condition_text, value_text
+from labrun.spec import Condition, condition_text, only, value_text, varying
 from labrun.toml import UNITS, split_unit
 
 _FREQUENCIES = ("frequency", "freq", "f", "drive_frequency")
@@ -171,7 +171,9 @@ def condition_sets(
 
     Sets that are all of the data, or that come twice, are left out.
     """
-    conditions = [dict(piece.trial.condition) for piece in pieces]
+    whole = [piece.trial.condition for piece in pieces]
+    names = varying(whole)
+    conditions = [only(condition, names) for condition in whole]
     found: dict[tuple[bool, ...], ConditionSet] = {}
 
     def add(at: str, text: str, chosen: tuple[bool, ...], single: bool = False) -> None:

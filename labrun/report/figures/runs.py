@@ -9,17 +9,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from labrun.arrays import FloatArray
-from labrun.report.conditions import in_order, varying
+from labrun.report.conditions import in_order
 from labrun.report.data import Point, RunView
 from labrun.report.style import COLOURS, FAINT, SOFT, beside, heading, new_figure, zero_line
 from labrun.report.text import label, value_text, with_unit
 from labrun.search import NUMBER
-from labrun.spec import Condition, condition_key, condition_text
+from labrun.spec import Condition, condition_key, condition_text, varying
 from labrun.store import TrialOutcome
 
 _TITLE_WIDTH = 40
 MOST_TRACED = 12
 _MOST_REPEATS = 8
+_UNEQUAL = 1.5
+"""Times the shortest trial: a longer one does not fit its axis of time."""
 _COLUMNS = 3
 _WIDTH_IN = 9.6
 _CHARACTERS_PER_IN = 10.0
@@ -29,7 +31,8 @@ PANEL_TITLE = "mean and 95 % interval; dots are single trials"
 def draw_plain_run(view: RunView) -> Figure | None:
     """Draw a run of listed conditions: traces by condition, then the objective over all of them.
 
-    None of a run that recorded no channel and has no objective: there is nothing to draw.
+    Trials of unequal length, a few cycles of gaits of unequal frequency, share no axis of time: of them the mean cycle
+    of each is drawn. None of a run that recorded no channel and has no objective: there is nothing to draw.
     """
     groups = groups_of(view)
     channel = view.channel
@@ -44,13 +47,19 @@ def draw_plain_run(view: RunView) -> Figure | None:
         parts: Any = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
         if rows and channel is not None:
             grid = parts[0][0].subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+            cycles = _cycles_of_all(view, shown, channel)
             for number, axes in enumerate(grid.flat):
                 if number >= len(shown):
                     axes.set_visible(False)
                     continue
-                _traces(axes, view, shown[number], channel)
+                if cycles is None:
+                    _traces(axes, view, shown[number], channel)
+                else:
+                    _each_cycle(axes, cycles[number])
+                axes.set_xlim(0, max(_lengths_s(shown)) if cycles is None else 1)  # shared
+                axes.set_title(condition_title(view, shown[number][0]))
                 if number + columns >= len(shown):
-                    axes.set_xlabel("time (s)")
+                    axes.set_xlabel("time (s)" if cycles is None else "phase of the gait cycle")
                     axes.tick_params(labelbottom=True)
                 if number % columns == 0:
                     axes.set_ylabel(view.trace_label)
@@ -70,7 +79,10 @@ def groups_of(view: RunView) -> dict[object, list[TrialOutcome]]:
 
 
 def _subtitle(view: RunView, groups: dict[object, list[TrialOutcome]], shown: int) -> str:
+    counts = {len(trials) for trials in groups.values()}
     text = f"{len(groups)} conditions, {sum(len(trials) for trials in groups.values())} accepted trials"
+    if len(counts) == 1 and (each := counts.pop()) > 1:
+        text += f", {each} of each"
     if 0 < shown < len(groups):
         text += f" (traces of the first {shown} conditions)"
     return view.with_best(text)
@@ -82,25 +94,27 @@ def _traces(axes: Axes, view: RunView, trials: Sequence[TrialOutcome], channel: 
         trace = view.trace(trial, channel)
         if trace is not None:
             axes.plot(*trace, color=COLOURS[number % len(COLOURS)], linewidth=0.8, alpha=0.75)
-    axes.set_title(condition_title(view, trials[0]))
-    if len(trials) > 1:
-        count = (
-            f"{len(repeats)} repeats"
-            if len(repeats) == len(trials)
-            else f"{len(repeats)} of {len(trials)} repeats"
-        )
-        axes.text(
-            0.985,
-            0.97,
-            count,
-            transform=axes.transAxes,
-            ha="right",
-            va="top",
-            fontsize=7.5,
-            color="#444444",
-            bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
-        )
-    axes.set_xlim(0, max(trial.duration_s for trial in repeats))
+    zero_line(axes)
+
+
+def _lengths_s(shown: Sequence[Sequence[TrialOutcome]]) -> list[float]:
+    return [trial.duration_s for trials in shown for trial in trials]
+
+
+def _cycles_of_all(
+    view: RunView, shown: Sequence[Sequence[TrialOutcome]], channel: str
+) -> list[FloatArray] | None:
+    """Return the mean cycles of every condition; None if time says more: one length, or one without cycles."""
+    lengths = _lengths_s(shown)
+    if max(lengths) < _UNEQUAL * min(lengths):
+        return None
+    cycles = [cycles_of(view, trials[:_MOST_REPEATS], channel) for trials in shown]
+    return None if any(one is None for one in cycles) else [one for one in cycles if one is not None]
+
+
+def _each_cycle(axes: Axes, cycles: FloatArray) -> None:
+    for number, cycle in enumerate(cycles):
+        axes.plot(_PHASES, cycle, color=COLOURS[number % len(COLOURS)], linewidth=0.8, alpha=0.75)
     zero_line(axes)
 
 
