@@ -15,6 +15,7 @@ from labrun.devices import (
     Pacing,
     Remark,
     Trajectory,
+    opened,
 )
 from labrun_plugins.arduino_servo.settings import BoardSettings
 from labrun_plugins.labline.handshake import probe, stop_from_scratch
@@ -116,9 +117,7 @@ class ServoBoard:
     @property
     def hello(self) -> Hello:
         """What the board said first; DeviceError if it is not open."""
-        if self._hello is None:
-            raise DeviceError(self._device, "is not open", hint="open() comes before any other call")
-        return self._hello
+        return opened(self._device, self._hello)
 
     @property
     def channels_needed(self) -> int:
@@ -332,16 +331,15 @@ def _firmware(name: str, hello: Hello) -> Remark:
 
 def _channels(name: str, hello: Hello, needed: int) -> Remark:
     found = f"{hello.channels} channels, {needed} needed"
-    if hello.channels < needed:
-        return Remark("problem", name, found, f"add the pins to PINS and {_FLASH}")
-    return Remark("ok", name, found)
+    return Remark.judged(
+        hello.channels >= needed, name, found, f"add the pins to PINS and {_FLASH}", "problem"
+    )
 
 
 def _rate(name: str, hello: Hello, rate_hz: float) -> Remark:
     found = f"takes {hello.max_rate_hz:g} set-points/s, {rate_hz:g} are sent"
-    if hello.max_rate_hz < rate_hz:
-        return Remark("problem", name, found, f"set rate_hz = {hello.max_rate_hz:g}")
-    return Remark("ok", name, found)
+    advice = f"set rate_hz = {hello.max_rate_hz:g}"
+    return Remark.judged(hello.max_rate_hz >= rate_hz, name, found, advice, "problem")
 
 
 def _watchdog(name: str, session: LineSession, watchdog_ms: int) -> Remark:

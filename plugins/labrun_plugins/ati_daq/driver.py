@@ -17,7 +17,9 @@ from labrun.devices import (
     SampleBuffer,
     Samples,
     listened,
-)  # fmt: skip
+    opened,
+    streaming,
+)
 from labrun_plugins.ati_daq import calibration
 from labrun_plugins.ati_daq.calibration import Calibration
 from labrun_plugins.ati_daq.reader import Card, NidaqmxReader, SocketReader, VoltageReader
@@ -151,15 +153,11 @@ def examine(
 
 def _stream(reception: Reception, settings: AtiDaqSettings, rate_hz: float) -> Iterator[Remark]:
     measured = reception.rate_hz()
-    if abs(measured / rate_hz - 1.0) > _RATE_TOLERANCE:
-        advice = "this computer cannot keep up, or the card has another clock: lower rate_hz"
-        yield Remark("warning", "rate", f"{measured:.5g} samples/s, the card says {rate_hz:.5g}", advice)
-    else:
-        yield Remark("ok", "rate", f"{measured:.5g} samples/s, the card says {rate_hz:.5g}")
-    verdict = f"{reception.lost} of {reception.received + reception.lost} samples lost"
-    yield Remark(
-        "warning" if reception.lost else "ok", "losses", verdict, "lower rate_hz" if reception.lost else ""
-    )
+    message = f"{measured:.5g} samples/s, the card says {rate_hz:.5g}"
+    advice = "this computer cannot keep up, or the card has another clock: lower rate_hz"
+    yield Remark.judged(abs(measured / rate_hz - 1.0) <= _RATE_TOLERANCE, "rate", message, advice)
+    message = f"{reception.lost} of {reception.received + reception.lost} samples lost"
+    yield Remark.judged(not reception.lost, "losses", message, "lower rate_hz")
     gauge = int(np.argmax(reception.peak_v))
     message = f"the greatest is {reception.peak_v[gauge]:.3g} V, of gauge {gauge + 1}"
     if reception.peak_v[gauge] > _NEAR_RAIL * settings.range_v:
@@ -214,9 +212,7 @@ class AtiDaq:
     @property
     def calibration(self) -> calibration.Calibration:
         """The sensor's; DeviceError before `open`."""
-        if self._calibration is None:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
-        return self._calibration
+        return opened(self.name, self._calibration)
 
     @property
     def reception(self) -> Reception | None:
@@ -311,9 +307,7 @@ class AtiDaq:
         DeviceError
             Not started; or, once everything that came has been handed over, the stream is lost.
         """
-        if self._listener is None:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
-        return self._listener.deliver(self._buffer)
+        return streaming(self.name, self._listener).deliver(self._buffer)
 
     def stop(self) -> None:
         """End sampling; harmless if it does not."""

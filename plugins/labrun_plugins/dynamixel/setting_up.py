@@ -353,12 +353,9 @@ def _of_servo(bus: Bus, servo: Servo) -> Iterator[Remark]:
     now_us = 2 * servo.now[RETURN_DELAY.name]
     if delay_us != now_us:
         yield Remark("ok", who, f"return delay was {delay_us} us; labrun has set it to {now_us} us")
-    elif now_us > 100:
-        yield Remark(
-            "warning", who, f"return delay {now_us} us: each answer waits for it", "return_delay_us = 0"
-        )
     else:
-        yield Remark("ok", who, f"return delay {now_us} us")
+        waits = ": each answer waits for it" if now_us > 100 else ""
+        yield Remark.judged(not waits, who, f"return delay {now_us} us{waits}", "return_delay_us = 0")
     if servo.firmware < WATCHDOG_FIRMWARE:
         yield Remark(
             "problem",
@@ -367,11 +364,7 @@ def _of_servo(bus: Bus, servo: Servo) -> Iterator[Remark]:
             f"update it to {WATCHDOG_FIRMWARE} or later with Dynamixel Wizard",
         )
     elif servo.firmware < FAST_FIRMWARE:
-        yield Remark(
-            "ok",
-            who,
-            f"firmware {servo.firmware} knows no fast reads, {FAST_FIRMWARE} does",
-        )
+        yield Remark("ok", who, f"firmware {servo.firmware} knows no fast reads, {FAST_FIRMWARE} does")
     if servo.now[DRIVE_MODE.name] & _REVERSE:
         yield Remark(
             "warning",
@@ -398,10 +391,7 @@ def _of_servo(bus: Bus, servo: Servo) -> Iterator[Remark]:
     temperature, limit = TEMPERATURE.within(CLIMATE, climate), servo.now[TEMPERATURE_LIMIT.name]
     voltage = VOLTAGE_UNIT_V * INPUT_VOLTAGE.within(CLIMATE, climate)
     state = f"{temperature} degC (shuts down at {limit}), {voltage:.1f} V"
-    if temperature > limit - _WARM_C:
-        yield Remark("warning", who, state, "let it cool down before a long run")
-    else:
-        yield Remark("ok", who, state)
+    yield Remark.judged(temperature <= limit - _WARM_C, who, state, "let it cool down before a long run")
     low, high = servo.now[MIN_POSITION.name], servo.now[MAX_POSITION.name]
     yield Remark("ok", who, f"position limits in the servo: counts {low} to {high}")
 
@@ -423,12 +413,8 @@ def _of_bus(bus: Bus, servos: Sequence[Servo], settings: DynamixelSettings, cloc
             f"{failed} of {_MEASUREMENTS} reads were not answered",
             "check cable, plugs and ids",
         )
-    if median_s > _SLOW_S:
-        yield Remark(
-            "warning", "bus", text, "set the adapter's latency timer to 1 ms, and raise baud to 1000000"
-        )
-    else:
-        yield Remark("ok", "bus", text)
+    advice = "set the adapter's latency timer to 1 ms, and raise baud to 1000000"
+    yield Remark.judged(median_s <= _SLOW_S, "bus", text, advice)
     rate_hz = settings.feedback_hz
     if rate_hz and rate_hz * median_s > 0.7:
         yield Remark(

@@ -17,6 +17,7 @@ from labrun.devices import (
     Remark,
     Samples,
     Trajectory,
+    opened,
 )
 from labrun_plugins.labline.handshake import probe, stop_from_scratch
 from labrun_plugins.labline.session import Hello, LineSession
@@ -87,10 +88,8 @@ def examine(
 
 def _watchdog(settings: LinearStageSettings) -> Remark:
     message = f"stops by itself after {settings.watchdog_ms} ms of silence"
-    if settings.watchdog_ms > 100:
-        advice = "watchdog_ms = 100 keeps a stage whose runner died from pushing on"
-        return Remark("warning", "watchdog", message, advice)
-    return Remark("ok", "watchdog", message)
+    advice = "watchdog_ms = 100 keeps a stage whose runner died from pushing on"
+    return Remark.judged(settings.watchdog_ms <= 100, "watchdog", message, advice)
 
 
 def _state(state: StageState, settings: LinearStageSettings) -> list[Remark]:
@@ -416,9 +415,7 @@ class LinearStage:
         threading.Thread(target=self.safe_stop, daemon=True, name=f"stop {self.name}").start()
 
     def _require_open(self) -> Hello:
-        if self._hello is None:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
-        return self._hello
+        return opened(self.name, self._hello)
 
     def _check(self) -> None:
         """Raise what any thread has met, and stop first."""

@@ -12,6 +12,7 @@ from labrun.devices import (
     Listener,
     Remark,
     Samples,
+    opened,
 )
 from labrun.devices.listening import Newest
 from labrun_plugins.optitrack.frame import BITSTREAM_CHANGED, EDIT_MODE, Frame
@@ -72,26 +73,14 @@ def _latency(device: str, session: Session, frame: Frame | None) -> list[Remark]
     found = []
     latency_s = None if frame is None else session.latency_s(frame)
     if latency_s is not None:
-        slow = latency_s > _SLOW_S
-        found.append(
-            Remark(
-                "warning" if slow else "ok",
-                device,
-                f"{1e3 * latency_s:.1f} ms from exposure to transmission",
-                "close views and programs on Motive's computer" if slow else "",
-            )
-        )
+        text = f"{1e3 * latency_s:.1f} ms from exposure to transmission"
+        advice = "close views and programs on Motive's computer"
+        found.append(Remark.judged(latency_s <= _SLOW_S, device, text, advice))
     offset = session.echoes.best()
     if offset is not None:
-        far = offset.round_trip_s > _FAR_S
-        found.append(
-            Remark(
-                "warning" if far else "ok",
-                device,
-                f"clock offset {offset.offset_s:.4f} s, known to {1e3 * offset.round_trip_s / 2:.2f} ms",
-                "connect by cable, not by wireless" if far else "",
-            )
-        )
+        text = f"clock offset {offset.offset_s:.4f} s, known to {1e3 * offset.round_trip_s / 2:.2f} ms"
+        near = offset.round_trip_s <= _FAR_S
+        found.append(Remark.judged(near, device, text, "connect by cable, not by wireless"))
     return found
 
 
@@ -314,9 +303,7 @@ class OptiTrack:
         )
 
     def _require_open(self) -> Session:
-        if self._session is None:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
-        return self._session
+        return opened(self.name, self._session)
 
     def _trouble(self) -> str:
         """Return why nothing that comes is a measurement; empty if it is."""

@@ -16,6 +16,8 @@ from labrun.devices import (
     SampleBuffer,
     Samples,
     SerialPort,
+    opened,
+    streaming,
 )
 from labrun.devices.clock import RealClock
 from labrun_plugins.robotiq_ft300 import codec
@@ -63,12 +65,9 @@ def of_stream(source: Reception, port: str) -> Iterator[Remark]:
             f"{message}, {codec.STREAM_HZ:g} Hz expected",
             f"62.5 Hz means a latency timer of 16 ms: {shorter}",
         )
-    elif lumpy:
-        yield Remark(
-            "warning", "rate", f"{message}: frames come in lumps, as with a latency timer of 16 ms", shorter
-        )
     else:
-        yield Remark("ok", "rate", message)
+        lumps = ": frames come in lumps, as with a latency timer of 16 ms" if lumpy else ""
+        yield Remark.judged(not lumpy, "rate", message + lumps, shorter)
     wrong = source.parser.crc_errors
     if wrong > _CRC_ERROR_SHARE * frames:
         yield Remark(
@@ -249,8 +248,7 @@ class RobotiqFt300:
             Not started; or, once everything that came has been handed over, the stream is lost or the port gone.
         """
         self._opened()
-        if self._source is None:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
+        streaming(self.name, self._source)
         return self._hearing().deliver(self._buffer)
 
     def stop(self) -> None:
@@ -305,9 +303,7 @@ class RobotiqFt300:
         return probe(port)
 
     def _opened(self) -> Link:
-        if self._link is None:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
-        return self._link
+        return opened(self.name, self._link)
 
     def _hearing(self) -> Listener:
         assert self._listener is not None  # noqa: S101  made with every source

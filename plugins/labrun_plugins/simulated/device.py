@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat
 
-from labrun.devices import DeviceContext, DeviceError, DeviceSettings, Health, Identity, Scene
+from labrun.devices import DeviceContext, DeviceError, DeviceSettings, Health, Identity, Scene, opened
 
 
 class Faults(BaseModel):
@@ -124,9 +124,7 @@ class SimulatedDevice:
         self._opened_s = None
 
     def _require_open(self) -> float:
-        if self._opened_s is None:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
-        return self._opened_s
+        return opened(self.name, self._opened_s)
 
     def _since_open_s(self) -> float:
         return self._clock.now() - self._require_open()

@@ -106,11 +106,8 @@ class TendonSlider(BoardDevice):
             f"{name} {'closed' if one else 'open'}"
             for name, one in zip(self._settings.states, closed, strict=True)
         )
-        if sum(closed) == 1:
-            switches = Remark("ok", self.name, f"switches: {said}")
-        else:
-            advice = "exactly one is closed at rest: look at wiring and springs"
-            switches = Remark("problem", self.name, f"switches: {said}", advice)
+        advice = "exactly one is closed at rest: look at wiring and springs"
+        switches = Remark.judged(sum(closed) == 1, self.name, f"switches: {said}", advice, "problem")
         return [*super().examine(), switches]
 
     def _switches(self) -> Sequence[bool]:

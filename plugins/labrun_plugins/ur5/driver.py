@@ -71,47 +71,32 @@ def _mode(state: ArmState) -> Remark:
 def _rate(tracking: Tracking, rtde: RtdeClient) -> Remark:
     reached = tracking.rate_hz()
     text = f"{reached:.1f} of {rtde.rate_hz:g} packages/s (controller {rtde.version_text})"
-    if math.isfinite(reached) and abs(reached - rtde.rate_hz) <= _RATE_SHARE * rtde.rate_hz:
-        return Remark("ok", "RTDE rate", text)
-    return Remark(
-        "warning",
-        "RTDE rate",
-        text,
-        "close other RTDE clients, use a cable of its own, or ask for a lower rate_hz",
-    )
+    good = math.isfinite(reached) and abs(reached - rtde.rate_hz) <= _RATE_SHARE * rtde.rate_hz
+    advice = "close other RTDE clients, use a cable of its own, or ask for a lower rate_hz"
+    return Remark.judged(good, "RTDE rate", text, advice)
 
 
 def _losses(tracking: Tracking) -> Remark:
     made = tracking.received + tracking.lost
     text = f"{tracking.lost} of {made} packages lost, {tracking.stale} repeated"
-    if tracking.lost <= max(1.0, _LOST_SHARE * made):
-        return Remark("ok", "RTDE packages", text)
-    return Remark(
-        "warning",
-        "RTDE packages",
-        text,
-        "the controller skips packages when it is busy: end URCaps and other clients",
-    )
+    advice = "the controller skips packages when it is busy: end URCaps and other clients"
+    return Remark.judged(tracking.lost <= max(1.0, _LOST_SHARE * made), "RTDE packages", text, advice)
 
 
 def _remote(remote: bool | None) -> Remark:
     if remote is None:
         return Remark("ok", "remote control", "not told by this controller (a CB3 always takes programs)")
-    if remote:
-        return Remark("ok", "remote control", "on")
-    return Remark(
-        "problem",
-        "remote control",
-        "off: the arm takes no programs",
+    text, advice = (
+        "on" if remote else "off: the arm takes no programs",
         "switch to Remote Control on the pendant",
     )
+    return Remark.judged(remote, "remote control", text, advice, "problem")
 
 
 def _slider(state: ArmState) -> Remark:
     text = f"{100 * state.slider:.0f} %, speed scaling {100 * state.speed_scaling:.0f} %"
-    if state.slider >= 1.0:
-        return Remark("ok", "speed slider", text)
-    return Remark("problem", "speed slider", text, "set it to 100 %: moves are slower than the file says")
+    advice = "set it to 100 %: moves are slower than the file says"
+    return Remark.judged(state.slider >= 1.0, "speed slider", text, advice, "problem")
 
 
 def _payload(state: ArmState) -> Remark:
