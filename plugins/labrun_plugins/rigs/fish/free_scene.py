@@ -25,11 +25,7 @@ from labrun.effects import Scale
 from labrun.errors import ExperimentError, SpecError
 from labrun.models import Input, Model, Output, Parameter, Site, Stepper, native
 from labrun_plugins.rigs.fish.fins import ATTACHMENTS, JOINTS, WATERS, AttachmentName, fin_loads, motion_at
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    hidden_effects,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite
 
 REAR_FINS_YAW_DRAG = 0.041
 """What a tail at rest and the dorsal fin add to the yaw drag, N m s^2."""
@@ -329,8 +325,7 @@ class FireFree(Bench):
             self._inputs_before = inputs[1].copy()
         beating = (joints[:, :4] != np.vstack([before, joints[:-1, :4]])).any(axis=1)
         self._watch.look(time_s, rows[:, :3], beating)
-        if not self._stepper.finite:
-            raise ExperimentError("the simulated free fish blew up", hint="hide a weaker effect, or none")
+        require_finite(self._stepper, "free fish")
         return rows
 
     def _recall(self, memory: Mapping[str, Any]) -> None:

@@ -14,7 +14,6 @@ from pydantic import PositiveFloat
 
 from labrun.devices import FloatArray
 from labrun.effects import Scale
-from labrun.errors import ExperimentError
 from labrun.models import Input, Model, Output, Parameter, Site, Stepper, native
 from labrun_plugins.rigs.fish.fins import ATTACHMENTS, JOINTS, WATERS, AttachmentName, fin_loads, motion_at
 from labrun_plugins.rigs.fish.free_scene import chosen_by_hand
@@ -24,6 +23,7 @@ from labrun_plugins.simulated.bench import (
     BenchSettings,
     Carriage,
     hidden_effects,
+    require_finite,
 )
 
 # First sloshing modes of water 0.5 m deep in the 1.22 x 0.61 m tank: omega^2 = g k tanh(k h), k = pi / length.
@@ -221,8 +221,7 @@ class FireTank(Bench):
         inputs[1:, :7], inputs[1:, 7], inputs[1:, 8], inputs[1:, 9:] = loads, speed, acceleration, noise
         wrench = self._stepper.advance(inputs)
         self._inputs_before = inputs[-1:].copy()
-        if not self._stepper.finite:
-            raise ExperimentError("the simulated fire tank blew up", hint="hide a weaker effect, or none")
+        require_finite(self._stepper, "fire tank")
         rows = np.empty((count, len(self.signals)))
         rows[:, :6], rows[:, 6], rows[:, 7:] = wrench, position, joints
         return rows

@@ -40,6 +40,7 @@ class PlainBench(Bench):
     """
 
     Settings: ClassVar[type[BenchSettings]] = PlainSettings
+    remembered = ("carriage",)
 
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         table = PlainSettings.model_validate(dict(settings))
@@ -77,9 +78,3 @@ class PlainBench(Bench):
             elif name.endswith("_qw"):
                 rows[:, column] = 1.0
         return rows
-
-    def _memory(self) -> dict[str, Any]:
-        return {"carriage": self._carriage.snapshot()}
-
-    def _recall(self, memory: Mapping[str, Any]) -> None:
-        self._carriage.restore(memory["carriage"])

@@ -7,6 +7,7 @@ from labrun_plugins.simulated.bench.hidden import (
     hidden_effects,
     joint_model,
     joint_stepper,
+    require_finite,
 )
 from labrun_plugins.simulated.bench.history import ACCELERATION_M_S2, Carriage, packed, unpacked
 from labrun_plugins.simulated.bench.settings import BenchSettings, HiddenEffect
@@ -23,5 +24,6 @@ __all__ = [
     "joint_model",
     "joint_stepper",
     "packed",
+    "require_finite",
     "unpacked",
 ]
