@@ -32,6 +32,7 @@ from labrun.fit import (
     Panel,
     Stack,
     TextTable,
+    WithSettings,
     load_dataset,
     student,
 )
@@ -182,13 +183,10 @@ class _Measured:
         return Estimate(mean, (mean - half, mean + half), "N m")
 
 
-class TapeSpringFit:
+class TapeSpringFit(WithSettings[TapeSpringSettings]):
     """Equal limit gives the sheet's effective thickness; with it the theory says what the opposite limit must be."""
 
     Settings: ClassVar[type[BaseModel]] = TapeSpringSettings
-
-    def __init__(self, settings: TapeSpringSettings) -> None:
-        self._settings = settings
 
     def __call__(self, job: FitJob) -> FitSummary:
         """Fit.

@@ -18,10 +18,8 @@ from labrun.models import Input, Model, Output, Parameter, Site, Stepper, native
 from labrun_plugins.rigs.fish.fins import ATTACHMENTS, JOINTS, WATERS, AttachmentName, fin_loads, motion_at
 from labrun_plugins.rigs.fish.free_scene import chosen_by_hand
 from labrun_plugins.simulated.bench import (
-    ACCELERATION_M_S2,
-    Bench,
     BenchSettings,
-    Carriage,
+    TowedBench,
     hidden_effects,
     require_finite,
 )
@@ -137,7 +135,7 @@ class FireTankSettings(BenchSettings):
     attachment: AttachmentName = "broad"
 
 
-class FireTank(Bench):
+class FireTank(TowedBench):
     """Six-axis load on the five-jointed fish.
 
     Physics and sources: see `five_bar`, `fins` and `model`.
@@ -172,7 +170,6 @@ class FireTank(Bench):
         self._servo = self._passage(self.joints)
         self._hidden = water_effects + self._servo.effects
         self._stepper = Stepper(self._model, effects=water_effects, step_s=self.step_s)
-        self._carriage = Carriage()
         self._motion = motion_at(np.zeros(len(JOINTS)))
         self._wake = np.zeros((WATERS, 3))
         self._attachment: str = self._settings.attachment
@@ -181,17 +178,6 @@ class FireTank(Bench):
     def arrange(self, condition: Mapping[str, float | str]) -> None:
         """Put on the blades of the condition."""
         self._attachment = chosen_by_hand(condition, "attachment", ATTACHMENTS, self._attachment)
-
-    def tow(
-        self,
-        from_m: float,
-        to_m: float,
-        speed_m_s: float,
-        start_s: float,
-        acceleration_m_s2: float = ACCELERATION_M_S2,
-    ) -> None:
-        """Move the carriage from `start_s` on."""
-        self._carriage.move(from_m, to_m, speed_m_s, start_s, acceleration_m_s2)
 
     def observe(self, signals: Sequence[str], time_s: FloatArray) -> FloatArray:
         """Return the true signals at ascending times, shape (n, signals)."""

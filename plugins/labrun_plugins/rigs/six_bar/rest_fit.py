@@ -22,6 +22,7 @@ from labrun.fit import (
     OutputsAlone,
     Panel,
     Stack,
+    WithSettings,
     load_dataset,
     student,
 )
@@ -58,13 +59,10 @@ class Swing:
     period: float
 
 
-class RestFit:
+class RestFit(WithSettings[RestSettings]):
     """Each trial by itself; estimates are means over trials with t-intervals."""
 
     Settings: ClassVar[type[BaseModel]] = RestSettings
-
-    def __init__(self, settings: RestSettings) -> None:
-        self._settings = settings
 
     def __call__(self, job: FitJob) -> FitSummary:
         """Fit.

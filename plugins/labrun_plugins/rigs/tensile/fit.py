@@ -31,6 +31,7 @@ from labrun.fit import (
     Panel,
     Stack,
     TextTable,
+    WithSettings,
     load_dataset,
     student,
 )
@@ -214,13 +215,10 @@ class TensileSettings(BaseModel):
 _MEASURED = OutputsAlone((Output("force", "N"), Output("displacement", "m")))
 
 
-class TensileFit:
+class TensileFit(WithSettings[TensileSettings]):
     """Each test by itself; estimates are means over specimens with t-intervals."""
 
     Settings: ClassVar[type[BaseModel]] = TensileSettings
-
-    def __init__(self, settings: TensileSettings) -> None:
-        self._settings = settings
 
     def __call__(self, job: FitJob) -> FitSummary:
         """Fit.

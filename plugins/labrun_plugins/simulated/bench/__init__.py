@@ -1,6 +1,6 @@
 """What all simulated benches share; the scene of a rig is a `Bench`."""
 
-from labrun_plugins.simulated.bench.bench import Bench
+from labrun_plugins.simulated.bench.bench import Bench, TowedBench
 from labrun_plugins.simulated.bench.hidden import (
     Passage,
     described,
@@ -19,6 +19,7 @@ __all__ = [
     "Carriage",
     "HiddenEffect",
     "Passage",
+    "TowedBench",
     "described",
     "hidden_effects",
     "joint_model",
