@@ -136,10 +136,7 @@ class ServoBoard:
     def open(self) -> None:
         """Connect; no servo gets a pulse yet.
 
-        Raises
-        ------
-        DeviceError
-            As of `LineSession.open`; too few channels; or a watchdog that cannot be armed.
+        Raises DeviceError: as of `LineSession.open`; too few channels; or a watchdog that cannot be armed.
         """
         self.close()
         hello = self.session.open(self._kind)
@@ -196,10 +193,7 @@ class ServoBoard:
     def follow(self, trajectory: Trajectory, start_s: float, token: int) -> None:
         """Send a motion that was checked, from the clock's `start_s` on; then hold its last point.
 
-        Raises
-        ------
-        DeviceError
-            No answer, the watchdog expired, or the first point must not be sent.
+        Raises DeviceError: no answer, the watchdog expired, or the first point must not be sent.
         """
         self.hello  # noqa: B018 -- raises if it is not open
         self.check()
@@ -365,10 +359,7 @@ class BoardDevice:
     def open(self) -> None:
         """Connect; no servo gets a pulse yet.
 
-        Raises
-        ------
-        DeviceError
-            No port, no answer, other firmware, or fewer channels than are needed.
+        Raises DeviceError: no port, no answer, other firmware, or fewer channels than are needed.
         """
         self._board.open()
 

@@ -70,10 +70,7 @@ class Reception:
     def receive(self) -> None:
         """Take the next block, waiting a moment for it.
 
-        Raises
-        ------
-        DeviceError
-            Nothing comes any more, or voltages that cannot be.
+        Raises DeviceError: nothing comes any more, or voltages that cannot be.
         """
         looked_s = self._clock.now()
         block = self._reader.read()
@@ -222,10 +219,7 @@ class AtiDaq:
     def open(self) -> None:
         """Read the calibration file and connect to the card.
 
-        Raises
-        ------
-        DeviceError
-            The file cannot be used, NI's driver or library is missing, or the card does not answer.
+        Raises DeviceError: the file cannot be used, NI's driver or library is missing, or the card does not answer.
         """
         self.close()
         path = self.settings.calibration_file
@@ -281,13 +275,7 @@ class AtiDaq:
         return Health(notes=tuple(notes))
 
     def start(self) -> None:
-        """Begin to sample; samples from before are dropped.
-
-        Raises
-        ------
-        DeviceError
-            Not open, or the card refuses.
-        """
+        """Begin to sample; samples from before are dropped. Raises DeviceError: not open, or the card refuses."""
         read = self.calibration
         self.stop()
         self._buffer.clear()
@@ -302,10 +290,7 @@ class AtiDaq:
     def read(self) -> Samples:
         """Return all samples since the last call; does not wait.
 
-        Raises
-        ------
-        DeviceError
-            Not started; or, once everything that came has been handed over, the stream is lost.
+        Raises DeviceError: not started; or, once everything that came has been handed over, the stream is lost.
         """
         return streaming(self.name, self._listener).deliver(self._buffer)
 

@@ -208,10 +208,7 @@ class AtiNetFt:
     def health(self) -> Health:
         """Report on the stream; if there is none, ask for one sample, to see that the box answers and is well.
 
-        Raises
-        ------
-        DeviceError
-            The stream is lost, or it does not answer.
+        Raises DeviceError: the stream is lost, or it does not answer.
         """
         if self._info is None:
             return Health(ok=False, notes=("not connected",))
@@ -243,10 +240,7 @@ class AtiNetFt:
     def start(self) -> None:
         """Begin to stream; samples from before are dropped.
 
-        Raises
-        ------
-        DeviceError
-            Not open, or the box cannot be reached.
+        Raises DeviceError: not open, or the box cannot be reached.
         """
         info = self.info
         self.stop()

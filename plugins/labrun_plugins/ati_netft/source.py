@@ -133,10 +133,7 @@ class DatagramSocket:
     def take(self) -> Datagrams:
         """Return what has come, 512 datagrams at most; does not wait. The slots hold until the next call.
 
-        Raises
-        ------
-        DeviceError
-            The box's computer says that nobody listens there, or the network is gone.
+        Raises DeviceError: the box's computer says that nobody listens there, or the network is gone.
         """
         looked_s = self._clock.now()
         count = self._receive(self._socket.fileno(), self._messages, _SLOTS, socket.MSG_DONTWAIT, None)

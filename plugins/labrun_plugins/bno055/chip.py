@@ -123,10 +123,7 @@ class Chip:
     def wake(self) -> bytes:
         """Wait until it answers, and return its four ids, two bytes of firmware, and its boot loader's revision.
 
-        Raises
-        ------
-        DeviceError
-            No answer within the time a chip takes to boot, or another chip.
+        Raises DeviceError: no answer within the time a chip takes to boot, or another chip.
         """
         deadline_s = self._clock.now() + _BOOT_S
         while True:
@@ -150,10 +147,7 @@ class Chip:
     def set_up(self, settings: Bno055Settings) -> bytes:
         """Bring it from whatever it did into its fusion mode; return the calibration offsets it works with.
 
-        Raises
-        ------
-        DeviceError
-            It refused a step, or its fusion does not run.
+        Raises DeviceError: it refused a step, or its fusion does not run.
         """
         try:
             self.write(codec.MODE, bytes((codec.CONFIG_MODE,)))

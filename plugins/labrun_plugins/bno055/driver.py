@@ -204,10 +204,7 @@ class Bno055:
     def health(self) -> Health:
         """Report its temperature and its calibration, 0 (none) to 3 (full), two seconds old at most while it measures.
 
-        Raises
-        ------
-        DeviceError
-            Its readings failed, or it does not answer.
+        Raises DeviceError: its readings failed, or it does not answer.
         """
         if self._chip is None:
             return Health(ok=False, notes=("not connected",))
@@ -245,10 +242,7 @@ class Bno055:
     def start(self) -> None:
         """Begin to measure; samples from before are dropped. A chip that was reset meanwhile is set up again.
 
-        Raises
-        ------
-        DeviceError
-            It does not answer, or the port is gone.
+        Raises DeviceError: it does not answer, or the port is gone.
         """
         chip = self._opened()
         self.stop()

@@ -65,10 +65,7 @@ class DynamixelWithFeedback(DynamixelServos):
     def read(self) -> Samples:
         """Return all samples since the last call.
 
-        Raises
-        ------
-        DeviceError
-            Not streaming, a servo fell silent or has shut down, or the port is gone.
+        Raises DeviceError: not streaming, a servo fell silent or has shut down, or the port is gone.
         """
         self._listener.check()
         if not self._listener.running:

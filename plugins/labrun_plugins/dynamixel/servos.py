@@ -116,10 +116,7 @@ class Measurement:
     def counts(self) -> Mapping[int, int]:
         """Return where every servo stands, id -> count, asked for unless it was asked a moment ago.
 
-        Raises
-        ------
-        DeviceError
-            A servo does not answer, or has shut down.
+        Raises DeviceError: a servo does not answer, or has shut down.
         """
         begin_s = self._clock.now()
         if min(self._heard_s.values()) > begin_s - _FRESH_S:
@@ -218,10 +215,7 @@ class DynamixelServos:
     def open(self) -> None:
         """Connect, find every servo and set it up; torque stays as it was, so that joints may be turned by hand.
 
-        Raises
-        ------
-        DeviceError
-            The port, a servo or its set-up is not what the file says.
+        Raises DeviceError: the port, a servo or its set-up is not what the file says.
         """
         self.close()
         self._bus.open()
@@ -251,10 +245,7 @@ class DynamixelServos:
     def health(self) -> Health:
         """Ask every servo for temperature, voltage, errors, torque and watchdog.
 
-        Raises
-        ------
-        DeviceError
-            One does not answer, or the command stream has failed.
+        Raises DeviceError: one does not answer, or the command stream has failed.
         """
         self._require_open()
         self._check_threads()
@@ -263,10 +254,7 @@ class DynamixelServos:
     def pose(self) -> Mapping[str, float]:
         """Return the measured angles, rad.
 
-        Raises
-        ------
-        DeviceError
-            A servo does not answer, has shut down, or the command stream has failed.
+        Raises DeviceError: a servo does not answer, has shut down, or the command stream has failed.
         """
         self._require_open()
         self._check_threads()

@@ -335,13 +335,7 @@ def probe(port: str, clock: Clock) -> Identity | None:
 
 
 def remarks(bus: Bus, servos: Sequence[Servo], settings: DynamixelSettings, clock: Clock) -> list[Remark]:
-    """Look at an opened bus.
-
-    Raises
-    ------
-    DeviceError
-        A servo does not answer.
-    """
+    """Look at an opened bus. Raises DeviceError: a servo does not answer."""
     found = [remark for servo in servos for remark in _of_servo(bus, servo)]
     return [*found, *_of_bus(bus, servos, settings, clock)]
 

@@ -201,20 +201,14 @@ class LinearStage:
     def open(self) -> None:
         """Connect, arm the watchdog, hand over the limits, and home the stage if the file asks for it.
 
-        Raises
-        ------
-        DeviceError
-            No port, no answer, a board of another kind, or a stage that does not find its end switch.
+        Raises DeviceError: no port, no answer, a board of another kind, or a stage that does not find its end switch.
         """
         self._open(home=self._settings.home_on_open)
 
     def open_at_rest(self) -> None:
         """Open it without homing it, for `labrun doctor`: who asks how a stage is does not expect it to move.
 
-        Raises
-        ------
-        DeviceError
-            As `open`.
+        Raises DeviceError: as `open`.
         """
         self._open(home=False)
 
@@ -244,10 +238,7 @@ class LinearStage:
     def home(self) -> None:
         """Seek the lower end switch, then go to zero; returns when it is there.
 
-        Raises
-        ------
-        DeviceError
-            It did not arrive in time, or a limit stopped it.
+        Raises DeviceError: it did not arrive in time, or a limit stopped it.
         """
         self._check()
         self._received.mind_limits(False)
@@ -285,10 +276,7 @@ class LinearStage:
     def health(self) -> Health:
         """Report what the board says about itself.
 
-        Raises
-        ------
-        DeviceError
-            It does not answer, it restarted, its watchdog expired, or a limit stopped it.
+        Raises DeviceError: it does not answer, it restarted, its watchdog expired, or a limit stopped it.
         """
         self._check()
         notes = complaints(self._state().flags, homes=self._settings.home_on_open)
@@ -351,13 +339,7 @@ class LinearStage:
         return self._motion.timing
 
     def start(self) -> None:
-        """Begin to stream; samples from before are dropped.
-
-        Raises
-        ------
-        DeviceError
-            Not open, or no answer.
-        """
+        """Begin to stream; samples from before are dropped. Raises DeviceError: not open, or no answer."""
         self._check()
         self._received.start()
         self._session.request("STR", _RATE.format(self.rate_hz))
@@ -366,10 +348,7 @@ class LinearStage:
     def read(self) -> Samples:
         """Return all samples since the last call; does not wait.
 
-        Raises
-        ------
-        DeviceError
-            Not streaming, the load cell's amplifier gives nothing, or what the listening thread met.
+        Raises DeviceError: not streaming, the load cell's amplifier gives nothing, or what the listening thread met.
         """
         self._check()
         if not self._streaming:

@@ -250,10 +250,7 @@ class Reception:
     def take(self) -> Samples:
         """Return the samples since the last call.
 
-        Raises
-        ------
-        DeviceError
-            The amplifier of the load cell has not been ready for long.
+        Raises DeviceError: the amplifier of the load cell has not been ready for long.
         """
         if self._not_ready_s > _NOT_READY_S:
             raise DeviceError(

@@ -80,13 +80,7 @@ class Operator:
         self._failure: NoTerminalError | None = None
 
     def open(self) -> None:
-        """See that there is a terminal.
-
-        Raises
-        ------
-        DeviceError
-            There is none: nobody could be asked.
-        """
+        """See that there is a terminal. Raises DeviceError: there is none: nobody could be asked."""
         try:
             self._terminal.require()
         except NoTerminalError as error:
@@ -155,10 +149,7 @@ class Operator:
     def arrived(self) -> bool:
         """Tell whether the person has done what was asked; does not wait.
 
-        Raises
-        ------
-        DeviceError
-            Stopped meanwhile, nobody answers, or the terminal is gone.
+        Raises DeviceError: stopped meanwhile, nobody answers, or the terminal is gone.
         """
         if self._asked_s is None:
             return True

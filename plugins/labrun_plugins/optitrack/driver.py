@@ -127,10 +127,7 @@ class OptiTrack:
     def open(self) -> None:
         """Connect to Motive, and see that it streams the bodies of the file at their rate.
 
-        Raises
-        ------
-        DeviceError
-            No answer, another rate, a body that Motive does not stream, or no frames.
+        Raises DeviceError: no answer, another rate, a body that Motive does not stream, or no frames.
         """
         self.close()
         session = self._session = Session(self.name, self._settings, self._clock)
@@ -186,10 +183,7 @@ class OptiTrack:
     def start(self) -> None:
         """Begin to collect samples; frames from before are dropped.
 
-        Raises
-        ------
-        DeviceError
-            Not open, or the connection broke in the meantime.
+        Raises DeviceError: not open, or the connection broke in the meantime.
         """
         session = self._require_open()
         self._listener.check()

@@ -104,10 +104,7 @@ def of_nameplate(plate: Nameplate, jams: int) -> Iterator[Remark]:
 def probe(port: str) -> Identity | None:
     """Ask what is at a port whether it is an FT300 with the settings of delivery; None if it is not.
 
-    Raises
-    ------
-    DeviceError
-        pymodbus is not installed: nobody can be asked.
+    Raises DeviceError: pymodbus is not installed: nobody can be asked.
     """
     clock = RealClock()
     settings = RobotiqFt300Settings(port=port)
@@ -195,10 +192,7 @@ class RobotiqFt300:
     def health(self) -> Health:
         """Report on the stream; ask for the firmware if there is none, to see that it answers.
 
-        Raises
-        ------
-        DeviceError
-            The stream is lost, or it does not answer.
+        Raises DeviceError: the stream is lost, or it does not answer.
         """
         if self._link is None:
             return Health(ok=False, notes=("not connected",))
@@ -218,10 +212,7 @@ class RobotiqFt300:
     def start(self) -> None:
         """Begin to measure; samples from before are dropped.
 
-        Raises
-        ------
-        DeviceError
-            It does not answer, or the port is gone.
+        Raises DeviceError: it does not answer, or the port is gone.
         """
         link = self._opened()
         if self._source is not None:

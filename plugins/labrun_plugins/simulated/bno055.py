@@ -77,13 +77,7 @@ class SimulatedBno055(SimulatedSensor):
         )  # fmt: skip
 
     def open(self) -> None:
-        """Connect.
-
-        Raises
-        ------
-        DeviceError
-            This bench has no such body to mount it on.
-        """
+        """Connect. Raises DeviceError: this bench has no such body to mount it on."""
         signals = self.scene.signals
         if not all(signal in signals for signal in self.feels):
             ends = f"_{_FELT[-1]}"

@@ -84,13 +84,7 @@ class SimulatedDevice:
 
     @property
     def scene(self) -> Scene:
-        """The simulated bench.
-
-        Raises
-        ------
-        DeviceError
-            The experiment names none.
-        """
+        """The simulated bench. Raises DeviceError: the experiment names none."""
         if self._scene is None:
             raise DeviceError(
                 self.name,
@@ -162,13 +156,7 @@ class SimulatedCarriage(SimulatedDevice):
     """Signals of the bench without which there is nothing to move."""
 
     def open(self) -> None:
-        """Connect.
-
-        Raises
-        ------
-        DeviceError
-            This bench has no carriage.
-        """
+        """Connect. Raises DeviceError: this bench has no carriage."""
         self._require_signals(self.needs)
         super().open()
 

@@ -138,13 +138,7 @@ class SimulatedDynamixelWithFeedback(SimulatedDynamixel):
         super().close()
 
     def read(self) -> Samples:
-        """Return all samples since the last call.
-
-        Raises
-        ------
-        DeviceError
-            Not streaming, or no answer.
-        """
+        """Return all samples since the last call. Raises DeviceError: not streaming, or no answer."""
         self._require_answer()
         if not self._streaming:
             raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")

@@ -71,13 +71,7 @@ class SimulatedLinearStage(SimulatedCarriage, SimulatedSensor):
         self._homing_to_m = settings.whole_travel_m[0] if settings.home_on_open else None
 
     def open(self) -> None:
-        """Connect.
-
-        Raises
-        ------
-        DeviceError
-            This bench has no pusher.
-        """
+        """Connect. Raises DeviceError: this bench has no pusher."""
         super().open()
         if self._homing_to_m is not None:
             for to_m in (self._homing_to_m, 0.0):

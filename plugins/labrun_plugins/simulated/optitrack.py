@@ -68,13 +68,7 @@ class SimulatedOptiTrack(SimulatedSensor):
         )  # fmt: skip
 
     def open(self) -> None:
-        """Connect.
-
-        Raises
-        ------
-        DeviceError
-            A body is not to be seen on this bench.
-        """
+        """Connect. Raises DeviceError: a body is not to be seen on this bench."""
         self._require_signals(self.feels)
         super().open()
 

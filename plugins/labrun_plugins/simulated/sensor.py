@@ -237,13 +237,7 @@ class SimulatedSensor(SimulatedDevice, ABC):
         super().close()
 
     def read(self) -> Samples:
-        """Return all samples since the last call.
-
-        Raises
-        ------
-        DeviceError
-            Not streaming, or silent for too long.
-        """
+        """Return all samples since the last call. Raises DeviceError: not streaming, or silent for too long."""
         self._require_open()
         if not self._streaming:
             raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")

@@ -152,13 +152,7 @@ class SimulatedJoints(SimulatedDevice):
         self._commanded: dict[str, tuple[float, Trajectory]] = {}
 
     def open(self) -> None:
-        """Connect.
-
-        Raises
-        ------
-        DeviceError
-            The bench has no joint of that name.
-        """
+        """Connect. Raises DeviceError: the bench has no joint of that name."""
         require_joints(self.name, self.joints, self.scene)
         super().open()
 
@@ -293,10 +287,7 @@ def _recalled(joint: str, stored: list[Any]) -> tuple[float, Trajectory]:
 def joints_or_own_name(name: str, context: DeviceContext) -> tuple[str, ...]:
     """Return the joint of a device whose table names none: the one of its name, else the only one.
 
-    Raises
-    ------
-    DeviceError
-        The bench has several joints, and none is called like the device.
+    Raises DeviceError: the bench has several joints, and none is called like the device.
     """
     on_bench = () if context.scene is None else context.scene.joints
     if name in on_bench or not on_bench:

@@ -42,10 +42,7 @@ class TendonSlider(BoardDevice):
     def open(self) -> None:
         """Connect; the servo gets no pulse yet.
 
-        Raises
-        ------
-        DeviceError
-            No port, no answer, other firmware, or a firmware without its two switches.
+        Raises DeviceError: no port, no answer, other firmware, or a firmware without its two switches.
         """
         self._change.withdraw()
         super().open()
@@ -74,10 +71,7 @@ class TendonSlider(BoardDevice):
     def arrange(self, condition: Mapping[str, float | str]) -> None:
         """Begin to move into the state that the coming trial's condition names; returns at once.
 
-        Raises
-        ------
-        DeviceError
-            No such state, no answer, or the watchdog expired.
+        Raises DeviceError: no such state, no answer, or the watchdog expired.
         """
         token = self._board.motion_token()
         from_pulled = self._settings.pulled(self._board.sent_us()[self._settings.channel])

@@ -172,10 +172,7 @@ class Ur5:
     def open(self) -> None:
         """Connect to all services and wait for the first state; the line is taken from it where the file has none.
 
-        Raises
-        ------
-        DeviceError
-            A service that does not answer, an old controller, or a register that is taken.
+        Raises DeviceError: a service that does not answer, an old controller, or a register that is taken.
         """
         self._link.open()
         self.rate_hz = self._link.rtde.rate_hz
@@ -208,10 +205,7 @@ class Ur5:
     def health(self) -> Health:
         """Tell how the arm is.
 
-        Raises
-        ------
-        DeviceError
-            It cannot move, its last move failed, it does not answer, or it is under local control.
+        Raises DeviceError: it cannot move, its last move failed, it does not answer, or it is under local control.
         """
         self._sound_state()
         try:
@@ -287,10 +281,7 @@ class Ur5:
     def read(self) -> Samples:
         """Return the samples since the last call.
 
-        Raises
-        ------
-        DeviceError
-            Not streaming, the arm cannot move, its move failed, or it has fallen silent.
+        Raises DeviceError: not streaming, the arm cannot move, its move failed, or it has fallen silent.
         """
         if not self._link.tracking.streaming:
             raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
@@ -309,10 +300,7 @@ class Ur5:
     def emergency_stop(cls, name: str, settings: Ur5Settings) -> None:
         """Connect from scratch and stop; the runner is dead.
 
-        Raises
-        ------
-        DeviceError
-            Neither the script port nor the dashboard could be reached.
+        Raises DeviceError: neither the script port nor the dashboard could be reached.
         """
         if not stop_from_scratch(name, settings, RealClock(), _LOOK_S):
             raise DeviceError(

@@ -66,10 +66,7 @@ class Tracking:
     def receive(self) -> None:
         """Take what has arrived; waits briefly.
 
-        Raises
-        ------
-        DeviceError
-            The connection is lost, sends nonsense, or the controller was restarted.
+        Raises DeviceError: the connection is lost, sends nonsense, or the controller was restarted.
         """
         found, host_s = self._rtde.receive()
         times: list[float] = []
@@ -211,10 +208,7 @@ class Link:
     def state(self) -> ArmState:
         """Return the latest state.
 
-        Raises
-        ------
-        DeviceError
-            Not open, a connection is lost, nonsense was heard, or nothing for too long.
+        Raises DeviceError: not open, a connection is lost, nonsense was heard, or nothing for too long.
         """
         if not self._is_open:
             raise DeviceError(self._device, "is not open", hint="open() comes before any other call")

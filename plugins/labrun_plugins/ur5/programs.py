@@ -59,10 +59,7 @@ class Dashboard:
     def ask(self, command: str) -> str:
         """Send one command, and return the reply.
 
-        Raises
-        ------
-        DeviceError
-            No reply within a second, or the connection is lost.
+        Raises DeviceError: no reply within a second, or the connection is lost.
         """
         with self._lock:
             if self._owes_reply:  # which may come yet, and would be taken for that to the next question

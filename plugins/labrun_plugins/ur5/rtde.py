@@ -287,10 +287,7 @@ class RtdeClient:
     def receive(self) -> tuple[list[Mapping[str, Any]], float]:
         """Return the data packages that have arrived, waiting briefly for the first, and the host's time of receipt.
 
-        Raises
-        ------
-        DeviceError
-            The connection is lost, or what arrives is no data of this stream.
+        Raises DeviceError: the connection is lost, or what arrives is no data of this stream.
         """
         data = self._connection.read() if not self._waiting else b""
         host_s = self._clock.now()

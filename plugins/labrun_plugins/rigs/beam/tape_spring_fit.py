@@ -189,13 +189,7 @@ class TapeSpringFit(WithSettings[TapeSpringSettings]):
     Settings: ClassVar[type[BaseModel]] = TapeSpringSettings
 
     def __call__(self, job: FitJob) -> FitSummary:
-        """Fit.
-
-        Raises
-        ------
-        FitError
-            No trial of the beam buckled in equal sense.
-        """
+        """Fit. Raises FitError: no trial of the beam buckled in equal sense."""
         keys = self._settings
         data = load_dataset(job.target, _MEASURED, job.signals)
         found = [

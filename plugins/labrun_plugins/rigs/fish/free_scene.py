@@ -199,10 +199,7 @@ def chosen_by_hand(
 ) -> str:
     """Return which kind of `name` a condition asks for; `otherwise` where it does not say.
 
-    Raises
-    ------
-    SpecError
-        There is no such kind.
+    Raises SpecError: there is no such kind.
     """
     wanted = condition.get(name, otherwise)
     known = list(kinds)

@@ -51,10 +51,7 @@ class RobotBench(Bench):
     def embed(cls, keys: Mapping[str, Any], find: Callable[[str], Path]) -> dict[str, Any]:
         """Return the settings with the robot itself in the place of its file's name.
 
-        Raises
-        ------
-        SpecError
-            The file is not there, or MuJoCo cannot read it.
+        Raises SpecError: the file is not there, or MuJoCo cannot read it.
         """
         model = keys.get("model", "")
         if not isinstance(model, str) or model.lstrip().startswith("<"):

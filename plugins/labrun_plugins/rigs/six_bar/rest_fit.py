@@ -103,13 +103,7 @@ class RestFit(WithSettings[RestSettings]):
 
 
 def swing(time_s: FloatArray, angle: FloatArray) -> Swing:
-    """Return rest, decay and period of a decaying oscillation.
-
-    Raises
-    ------
-    FitError
-        There is none.
-    """
+    """Return rest, decay and period of a decaying oscillation. Raises FitError: there is none."""
     middle = angle - angle.mean()
     spectrum = np.abs(np.fft.rfft(middle * np.hanning(len(middle))))
     frequencies = np.fft.rfftfreq(len(middle), float(np.mean(np.diff(time_s))))

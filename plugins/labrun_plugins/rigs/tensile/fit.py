@@ -221,13 +221,7 @@ class TensileFit(WithSettings[TensileSettings]):
     Settings: ClassVar[type[BaseModel]] = TensileSettings
 
     def __call__(self, job: FitJob) -> FitSummary:
-        """Fit.
-
-        Raises
-        ------
-        FitError
-            No test can be read: strain that runs backwards, a load cell beyond its range.
-        """
+        """Fit. Raises FitError: no test can be read: strain that runs backwards, a load cell beyond its range."""
         data = load_dataset(job.target, _MEASURED, job.signals)
         keys = self._settings
         area_m2 = 1e-6 * keys.thickness_mm * keys.width_mm

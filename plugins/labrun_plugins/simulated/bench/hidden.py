@@ -17,10 +17,7 @@ from labrun_plugins.simulated.bench.settings import HiddenEffect
 def hidden_effects(wanted: Iterable[HiddenEffect], model: Model, scale: Scale) -> list[AttachedEffect]:
     """Return the effects at their sites of the model; values not given take their first start.
 
-    Raises
-    ------
-    SpecError
-        No such site, or no such effect for its kind of site.
+    Raises SpecError: no such site, or no such effect for its kind of site.
     """
     return [_attached(one, model, scale) for one in wanted]
 
