@@ -81,15 +81,8 @@ def repaired(
 ) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.bool_], list[str]]:
     """Return the good stamps of a stream, which samples they are of, where it is broken, and what was done.
 
-    Parameters
-    ----------
-    used
-        Its columns that must hold a number.
-
-    Raises
-    ------
-    RecordingError
-        More stamps repeat or run backwards than the rule allows.
+    `used`: its columns that must hold a number. Raises RecordingError: more stamps repeat or run backwards than the
+    rule allows.
     """
     said: list[str] = []
     finite = np.isfinite(stream.time_s)

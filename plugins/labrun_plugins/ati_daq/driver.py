@@ -138,13 +138,7 @@ _NEAR_RAIL = 0.9
 def examine(
     reception: Reception, calibration: Calibration, settings: AtiDaqSettings, rate_hz: float
 ) -> list[Remark]:
-    """Judge what has been sampled for a while.
-
-    Parameters
-    ----------
-    rate_hz
-        What the card says.
-    """
+    """Judge what has been sampled for a while. `rate_hz`: what the card says."""
     return [*_stream(reception, settings, rate_hz), *_calibration(calibration, settings)]
 
 

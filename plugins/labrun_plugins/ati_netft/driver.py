@@ -41,12 +41,7 @@ def stream(
 ) -> Iterator[Remark]:
     """Judge what has been heard for a while.
 
-    Parameters
-    ----------
-    counted
-        What is said about the records.
-    rate_hz
-        Of the samples that are handed over.
+    `counted`: what is said about the records. `rate_hz`: of the samples that are handed over.
     """
     counts, measured, told = reception.sequencer.counts, reception.rate_hz(), info.rate_hz
     if abs(measured / told - 1.0) > _RATE_TOLERANCE:
@@ -159,10 +154,8 @@ class AtiNetFt:
     def open(self) -> None:
         """Connect: read the box's units and rate, set the rate if the file says so, and ask for one sample.
 
-        Raises
-        ------
-        DeviceError
-            No way to it, no answer, an answer that makes no sense, a rate below the one wanted, or an error it reports.
+        Raises DeviceError: no way to it, no answer, an answer that makes no sense, a rate below the one wanted, or an
+        error it reports.
         """
         self.close()
         own = network.own_address(self.name, self.settings)
@@ -261,10 +254,8 @@ class AtiNetFt:
     def read(self) -> Samples:
         """Return all samples since the last call; does not wait.
 
-        Raises
-        ------
-        DeviceError
-            Not started; or, once everything that came has been handed over, the stream is lost or the box not well.
+        Raises DeviceError: not started; or, once everything that came has been handed over, the stream is lost or the
+        box not well.
         """
         return streaming(self.name, self._listener).deliver(self._buffer)
 

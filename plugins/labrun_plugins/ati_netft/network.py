@@ -225,10 +225,8 @@ def ask_info(device: str, settings: AtiNetFtSettings, own: str) -> BoxInfo:
 def set_rate(device: str, settings: AtiNetFtSettings, own: str) -> BoxInfo:
     """Have the box send at the wanted rate; return its set-up as it is then.
 
-    Raises
-    ------
-    DeviceError
-        It does not answer, or still has another rate afterwards: it ignores what it does not understand.
+    Raises DeviceError: it does not answer, or still has another rate afterwards: it ignores what it does not
+    understand.
     """
     wanted = round(box_rate(settings.rate_hz))
     fetch(device, settings, own, f"/comm.cgi?comrdtrate={wanted}")

@@ -173,10 +173,7 @@ class Chip:
     def read_offsets(self, settings: Bno055Settings) -> bytes:
         """Return the calibration as it is now; leaves the fusion for a moment, because it can only be read outside.
 
-        Raises
-        ------
-        Refused, DeviceError
-            As of `read`; the fusion may not run then.
+        Raises Refused, DeviceError: as of `read`; the fusion may not run then.
         """
         self.write(codec.MODE, bytes((codec.CONFIG_MODE,)))
         self._clock.sleep(_TO_CONFIG_S)

@@ -178,11 +178,8 @@ class Bno055:
     def open(self) -> None:
         """Connect, wait for the chip to boot if need be, and set it up.
 
-        Raises
-        ------
-        DeviceError
-            No such port, no right to use it, held by another program, no answer, another chip, or a fusion that does
-            not run.
+        Raises DeviceError: no such port, no right to use it, held by another program, no answer, another chip, or a
+        fusion that does not run.
         """
         self.close()
         self._port.open()
@@ -260,10 +257,8 @@ class Bno055:
     def read(self) -> Samples:
         """Return all samples since the last call; does not wait.
 
-        Raises
-        ------
-        DeviceError
-            Not started; or, once everything that came has been handed over, its readings fail or the port is gone.
+        Raises DeviceError: not started; or, once everything that came has been handed over, its readings fail or the
+        port is gone.
         """
         self._opened()
         streaming(self.name, self._sampling)

@@ -33,12 +33,7 @@ class Complaints:
     def silent(self, ids: Sequence[int], *, damaged: bool, strangers: Collection[int]) -> DeviceError:
         """Return the error for servos that do not answer, or only with noise.
 
-        Parameters
-        ----------
-        damaged
-            Whether something came that was no answer.
-        strangers
-            Ids that answered without having been asked.
+        `damaged`: whether something came that was no answer. `strangers`: ids that answered without having been asked.
         """
         who = self.who(ids)
         if damaged:

@@ -108,10 +108,8 @@ class CommandCheck:
     def set_point(self, angles_rad: FloatArray, now_s: float) -> FloatArray:
         """Return a set-point that may be sent now.
 
-        Raises
-        ------
-        LimitExceededError
-            It leaves the angle limit, or the way from those before is too long for the time since.
+        Raises LimitExceededError: it leaves the angle limit, or the way from those before is too long for the time
+        since.
         """
         if not np.isfinite(angles_rad).all():
             raise LimitExceededError(

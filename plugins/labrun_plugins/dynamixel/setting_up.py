@@ -84,10 +84,8 @@ class Servo:
 def find_servos(bus: Bus, settings: DynamixelSettings) -> list[Servo]:
     """Return all servos of the file.
 
-    Raises
-    ------
-    DeviceError
-        One does not answer (says who does), is of an unknown model, or cannot measure what the stream shall hold.
+    Raises DeviceError: one does not answer (says who does), is of an unknown model, or cannot measure what the stream
+    shall hold.
     """
     found = {joint: bus.ping(table.id) for joint, table in settings.joints.items()}
     if None in found.values():
@@ -113,10 +111,8 @@ def find_servos(bus: Bus, settings: DynamixelSettings) -> list[Servo]:
 def set_up(bus: Bus, servo: Servo, scale: Scale, settings: DynamixelSettings, clock: Clock) -> None:
     """Write what differs from the file and read it back; torque stays as it is unless EEPROM has to be written.
 
-    Raises
-    ------
-    DeviceError
-        No answer, a refusal, a hardware error that a restart does not clear, or a value that does not stay.
+    Raises DeviceError: no answer, a refusal, a hardware error that a restart does not clear, or a value that does not
+    stay.
     """
     _listen_to(bus, servo)
     _clear_errors(bus, servo, clock)
@@ -254,15 +250,7 @@ def identity(servos: Sequence[Servo], settings: DynamixelSettings) -> Identity:
 def health(bus: Bus, servos: Sequence[Servo], *, energised: bool) -> Health:
     """Ask all servos how they are.
 
-    Parameters
-    ----------
-    energised
-        Whether their torque should be on.
-
-    Raises
-    ------
-    DeviceError
-        One does not answer.
+    `energised`: whether their torque should be on. Raises DeviceError: one does not answer.
     """
     ids = [servo.id for servo in servos]
     guarded = [servo.id for servo in servos if servo.firmware >= WATCHDOG_FIRMWARE]

@@ -194,11 +194,8 @@ class OptiTrack:
     def read(self) -> Samples:
         """Return all samples since the last call; does not wait.
 
-        Raises
-        ------
-        DeviceError
-            Not streaming; or, once everything that came has been handed over: no frames, frames that are no
-            measurement, a body that is not tracked.
+        Raises DeviceError: not streaming; or, once everything that came has been handed over: no frames, frames that
+        are no measurement, a body that is not tracked.
         """
         self._require_open()
         if self._stream is None:

@@ -156,10 +156,8 @@ class RobotiqFt300:
     def open(self) -> None:
         """Connect: stop a stream that still runs, and ask the sensor what it is.
 
-        Raises
-        ------
-        DeviceError
-            No such port, no right to use it, held by another program, no answer, or another device answers.
+        Raises DeviceError: no such port, no right to use it, held by another program, no answer, or another device
+        answers.
         """
         self.close()
         self._port.open()
@@ -233,10 +231,8 @@ class RobotiqFt300:
     def read(self) -> Samples:
         """Return all samples since the last call; does not wait. None any more after `safe_stop`.
 
-        Raises
-        ------
-        DeviceError
-            Not started; or, once everything that came has been handed over, the stream is lost or the port gone.
+        Raises DeviceError: not started; or, once everything that came has been handed over, the stream is lost or the
+        port gone.
         """
         self._opened()
         streaming(self.name, self._source)

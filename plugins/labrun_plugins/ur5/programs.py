@@ -213,15 +213,8 @@ class Programs:
     def send(self, program: str, wanted: Callable[[], bool]) -> bool:
         """Send a program, which takes the place of the one that runs; tell whether it was.
 
-        Parameters
-        ----------
-        wanted
-            Asked right before the text leaves: a stop that came in between wins.
-
-        Raises
-        ------
-        DeviceError
-            It cannot be sent.
+        `wanted`: asked right before the text leaves: a stop that came in between wins. Raises DeviceError: it cannot be
+        sent.
         """
         with self._lock:
             self._complaints = []

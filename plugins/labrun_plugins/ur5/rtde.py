@@ -269,10 +269,8 @@ class RtdeClient:
     def open(self) -> None:
         """Connect, agree, and start the stream.
 
-        Raises
-        ------
-        DeviceError
-            Not reached, no or a wrong answer, a variable that the controller lacks, or a register that is taken.
+        Raises DeviceError: not reached, no or a wrong answer, a variable that the controller lacks, or a register that
+        is taken.
         """
         self._connection.open()
         self._stream = PackageStream()

@@ -84,13 +84,8 @@ def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> No
 def beam_model(beam: Beam, lever_m: float) -> Model:
     """Return the model of one of the source's beams.
 
-    Parameters
-    ----------
-    beam
-        "long" (31.75 mm) or "short" (3.6 mm) of section 7.5.1: 25.4 mm wide, curved by 180 degrees; "polyester" or
-        "steel" of section 7.2.
-    lever_m
-        From where the beam is clamped to where the pusher touches the arm on it, m.
+    `beam`: "long" (31.75 mm) or "short" (3.6 mm) of section 7.5.1: 25.4 mm wide, curved by 180 degrees; "polyester" or
+    "steel" of section 7.2. `lever_m`: from where the beam is clamped to where the pusher touches the arm on it, m.
     """
     stiffness, (equal, opposite) = STIFFNESS_N_M[beam], LIMITS_N_M[beam]
     return Model(

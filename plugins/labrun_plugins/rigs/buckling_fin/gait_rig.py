@@ -142,12 +142,7 @@ class GaitRig(Bench):
 def swimmer(settings: GaitRigSettings, *, short: bool) -> Model:
     """Return the model of the swimmer on its arm, behind servos that follow their shafts at 30 Hz (chosen).
 
-    Parameters
-    ----------
-    settings
-        Its dimensions, masses and mount.
-    short
-        Whether the tendon has made the beams short.
+    `settings`: its dimensions, masses and mount. `short`: whether the tendon has made the beams short.
     """
     keys = settings
     links_m = 1e-3 * (keys.d1_mm + keys.d2_mm)

@@ -152,17 +152,8 @@ class Watch:
     def read(self, what: str, thumb: float) -> float | str:
         """Return what a person would type.
 
-        Parameters
-        ----------
-        what
-            One of `ANSWERS`.
-        thumb
-            How late the watch is stopped, in standard deviations.
-
-        Raises
-        ------
-        ExperimentError
-            Something else is asked for, or nothing was seen.
+        `what`: one of `ANSWERS`. `thumb`: how late the watch is stopped, in standard deviations. Raises
+        ExperimentError: something else is asked for, or nothing was seen.
         """
         if what not in ANSWERS:
             raise ExperimentError(
