@@ -237,6 +237,7 @@ def _timing(findings: Findings) -> Mapping[str, Any] | None:
         "loop": None if findings.loop is None else (loop_words(findings.loop), bool(findings.loop.missed)),
         "commands": _commands(findings),
         "streams": _streams(findings),
+        "channels": _channels(findings),
         "looked_at": f"{counted(looked, 'trial')} "
         + (f"(all {looked})" if looked == of else f"({looked} of {of}, evenly over the run)"),
     }
@@ -281,14 +282,25 @@ def _commands(findings: Findings) -> PageTable | None:
     return PageTable(columns, rows) if rows else None
 
 
-def _streams(findings: Findings) -> PageTable | None:
+def _channels(findings: Findings) -> PageTable | None:
+    """Return what each device measured, by the first trial; None where nothing streamed."""
     if not findings.streams:
         return None
     first = findings.run.signals(findings.run.outcomes[0].index)
     rows = [
+        [item.device, _listed_channels(first[item.device])]
+        for item in findings.streams
+        if item.device in first
+    ]
+    return PageTable(("device", "channels"), rows, words=(0, 1))
+
+
+def _streams(findings: Findings) -> PageTable | None:
+    if not findings.streams:
+        return None
+    rows = [
         [
             item.device,
-            _channels(first.get(item.device)),
             f"{item.nominal_hz:.4g}",
             f"{item.actual_hz:.4g}",
             f"{1000 * item.jitter_s:.2g}" if item.jitter_s > LEAST_JITTER_S else "0",
@@ -300,16 +312,14 @@ def _streams(findings: Findings) -> PageTable | None:
         for item in findings.streams
     ]
     columns = (
-        "device", "channels", "nominal (Hz)", "actual (Hz)", "jitter, sd (ms)", "clock offset", "drift",
+        "device", "nominal (Hz)", "actual (Hz)", "jitter, sd (ms)", "clock offset", "drift",
         "samples", "lost", "saturated",
     )  # fmt: skip
     marked = [place for place, item in enumerate(findings.streams) if item.saturated]
-    return PageTable(columns, rows, words=(0, 1), marked=marked)
+    return PageTable(columns, rows, marked=marked)
 
 
-def _channels(signals: Signals | None) -> str:
-    if signals is None:
-        return ""
+def _listed_channels(signals: Signals) -> str:
     return ", ".join(with_unit(name, unit) for name, unit in zip(signals.columns, signals.units, strict=True))
 
 

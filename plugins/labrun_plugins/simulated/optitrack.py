@@ -79,6 +79,9 @@ class SimulatedOptiTrack(SimulatedSensor):
     def _blind_from_s(self) -> float:
         return min(super()._blind_from_s(), self.loses_at_s())
 
+    def _falls_blind(self) -> bool:
+        return super()._falls_blind() or self._lose_after_s is not None
+
     def _nothing_heard(self, now_s: float) -> Samples:
         lost_s = now_s - self.loses_at_s()
         if lost_s > self._lost_tracking_s and not self._silent():

@@ -1,6 +1,5 @@
 """A simulated sensor: when it takes samples, when they arrive, with noise, quantization, range, losses and latency."""
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 
@@ -254,7 +253,7 @@ class SimulatedSensor(SimulatedDevice, ABC):
 
     def compiled(self) -> CompiledSensor | str:
         """Return its compiled form, or why there is none; see `labrun.devices.compiled_bench.CompiledStandIn`."""
-        if self._disturbed or math.isfinite(self._blind_from_s()):
+        if self._disturbed or self._falls_blind():
             return f"{self.name} is to have faults"
         return self._compiled() or f"{self.name} ({self.model}) has no compiled form"
 
@@ -274,6 +273,10 @@ class SimulatedSensor(SimulatedDevice, ABC):
     def _blind_from_s(self) -> float:
         """Return when its samples end, by the clock; inf if they never do."""
         return self._silent_from_s()
+
+    def _falls_blind(self) -> bool:
+        """Tell whether its samples are to end while it runs; it need not be open."""
+        return self._faults.stop_answering_after_s is not None
 
     def _compiled(self) -> CompiledSensor | None:
         """Return the compiled form of what `_measure` does; None if there is none."""
