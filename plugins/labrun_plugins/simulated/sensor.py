@@ -107,22 +107,6 @@ class SampleStream:
         return Ahead(here.taken_s, here.device_time_s, here.host_time_s, noise, here.lost)
 
 
-class Delivered:
-    """A block that a compiled dry run has measured already, until it is read."""
-
-    def __init__(self) -> None:
-        self._block: Samples | None = None
-
-    def put(self, block: Samples) -> None:
-        """Keep a block for the next read."""
-        self._block = block
-
-    def take(self) -> Samples | None:
-        """Return it once; None if there is none."""
-        block, self._block = self._block, None
-        return block
-
-
 @kernel
 def _sent(
     numbers: IntArray, host_s: FloatArray, first: int, delay_s: FloatArray, latency_s: float, dice: FloatArray,
@@ -166,7 +150,8 @@ def _sent(
 
 
 _SILENCE_S = 0.5
-"""A driver takes a stream that is silent for this long as lost."""
+_SILENT_SAMPLES = 3
+"""A driver takes a stream that is silent for this long, and for so many samples, as lost."""
 
 
 class SimulatedSensor(SimulatedDevice, ABC):
@@ -212,7 +197,7 @@ class SimulatedSensor(SimulatedDevice, ABC):
         self._has_clock = has_clock
         self._streaming = False
         self._last_heard_s = 0.0
-        self._delivered = Delivered()
+        self._delivered: Samples | None = None  # a block that a compiled dry run has measured already
 
     def reseed(self, seed: np.random.SeedSequence) -> None:
         """Take a new generator for noise, jitter and losses."""
@@ -240,7 +225,8 @@ class SimulatedSensor(SimulatedDevice, ABC):
         self._require_open()
         if not self._streaming:
             raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
-        if (block := self._delivered.take()) is not None:
+        if self._delivered is not None:
+            block, self._delivered = self._delivered, None
             return block
         now = self._clock.now()
         sent_until = min(now, self._blind_from_s())
@@ -268,7 +254,7 @@ class SimulatedSensor(SimulatedDevice, ABC):
 
     def deliver(self, block: Samples) -> None:
         """Take what the next `read` returns."""
-        self._delivered.put(replace(block, saturated=self._clip(block.values)))
+        self._delivered = replace(block, saturated=self._clip(block.values))
 
     def _blind_from_s(self) -> float:
         """Return when its samples end, by the clock; inf if they never do."""
@@ -302,7 +288,7 @@ class SimulatedSensor(SimulatedDevice, ABC):
 
     def _nothing_heard(self, now_s: float) -> Samples:
         silence = now_s - self._last_heard_s
-        if silence > _SILENCE_S:
+        if silence > max(_SILENCE_S, _SILENT_SAMPLES / self.rate_hz):
             raise DeviceError(
                 self.name,
                 f"has sent nothing for {silence:.2g} s (expected {self.rate_hz:g} samples/s)",

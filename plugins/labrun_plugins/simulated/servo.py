@@ -133,6 +133,8 @@ class SimulatedJoints(SimulatedDevice):
         Joint -> +1 or -1: a servo with sign -1 turns its joint of the bench against the commanded sense.
     shaft
         What each servo is like.
+    sensor
+        What `SimulatedSensor` takes, for a servo that is one as well.
     """
 
     def __init__(
@@ -142,8 +144,9 @@ class SimulatedJoints(SimulatedDevice):
         context: DeviceContext,
         signs: Mapping[str, int],
         shaft: Shaft,
+        **sensor: Any,
     ) -> None:
-        super().__init__(name, settings, context)
+        super().__init__(name, settings, context, **sensor)
         self.joints = tuple(signs)
         self._signs = dict(signs)
         self._shaft = shaft
