@@ -93,15 +93,18 @@ Part = TypeVar("Part")
 
 
 def opened(device: str, part: Part | None) -> Part:
-    """Return what a device has while it is open: a connection, or what it said. Raises DeviceError: it is None."""
-    if part is None:
+    """Return what a device has while it is open: a connection, or what it said.
+
+    Raises DeviceError: it is None, or False where a device only notes whether it is open.
+    """
+    if part is None or part is False:
         raise DeviceError(device, "is not open", hint="open() comes before any other call")
     return part
 
 
 def streaming(device: str, part: Part | None) -> Part:
-    """Return what a sensor has while it streams. Raises DeviceError: it is None."""
-    if part is None:
+    """Return what a sensor has while it streams. Raises DeviceError: it is None or False."""
+    if part is None or part is False:
         raise DeviceError(device, "is not streaming", hint="start() comes before read()")
     return part
 

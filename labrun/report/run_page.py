@@ -323,12 +323,7 @@ def _listed_channels(signals: Signals) -> str:
     return ", ".join(with_unit(name, unit) for name, unit in zip(signals.columns, signals.units, strict=True))
 
 
-_OF_A_BENCH = {
-    "repeatability": _repeatability,
-    "drift": _drift,
-    "settling": _settling,
-    "timing": _timing,
-}
+_OF_A_BENCH = {"repeatability": _repeatability, "drift": _drift, "settling": _settling, "timing": _timing}
 """Sections that say how far measurements can be believed."""
 
 
@@ -341,7 +336,11 @@ def fit_context(fit: StoredFit) -> Mapping[str, Any]:
     if fit.fault:
         return {"fault": f"{fit.path.name} cannot be read ({fit.fault}): labrun fit writes it anew."}
     fixed = as_table(numbers.get("fixed")).items()
-    rows = [[spaced(str(name)), *_estimate(entry)] for name, entry in numbers["parameters"].items()]
+    estimates = fit.estimates
+    rows = [
+        [spaced(str(name)), *_estimate(entry, estimates.get(str(name)))]
+        for name, entry in numbers["parameters"].items()
+    ]
     rows += [[spaced(str(name)), _short(value), "as given", ""] for name, value in fixed]
     rest = [
         [f"rms of measured - simulated, {spaced(str(name))}", _short(value)]
@@ -363,15 +362,14 @@ def fit_context(fit: StoredFit) -> Mapping[str, Any]:
     }
 
 
-def _estimate(entry: Any) -> tuple[str, str, str]:
+def _estimate(entry: Any, known: Estimate | None) -> tuple[str, str, str]:
+    """Return value, interval and unit; `known` is None of an entry without a number and an interval."""
     if not isinstance(entry, Mapping):
         return _short(entry), "", ""
-    value: Any = entry.get("value")
-    unit, interval = str(entry.get("unit", "")), as_list(entry.get("ci95"))
-    if not is_number(value) or len(interval) != 2 or not all(is_number(end) for end in interval):
-        return _short(value), "not known", unit
-    middle, low, high = rounded(Estimate(float(value), (float(interval[0]), float(interval[1])), unit))
-    return middle, f"{low} to {high}", unit
+    if known is None:
+        return _short(entry.get("value")), "not known", str(entry.get("unit", ""))
+    middle, low, high = rounded(known)
+    return middle, f"{low} to {high}", known.unit
 
 
 def _fit_table(entry: Any) -> PageTable | None:

@@ -267,9 +267,7 @@ class PynetftSource:
         if settings.mode == "buffered" or settings.interface is not None:
             what = 'mode = "buffered"' if settings.mode == "buffered" else "an interface"
             raise DeviceError(
-                device,
-                f"pynetft cannot use {what}",
-                hint='leave client out: client = "labrun" can',
+                device, f"pynetft cannot use {what}", hint='leave client out: client = "labrun" can'
             )
         self._device = device
         self._clock = clock

@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from labrun.devices import Clock, DeviceError
+from labrun.devices import Clock, DeviceError, opened
 from labrun.devices.serial_port import SerialPort
 from labrun_plugins.dynamixel.codec import (
     BROADCAST,
@@ -428,6 +428,4 @@ class Bus:
         return status
 
     def _parts(self) -> "tuple[HardenedPort, HardenedHandler]":
-        if self._port is None or self._handler is None:
-            raise DeviceError(self.device, "is not open", hint="open() comes before any other call")
-        return self._port, self._handler
+        return opened(self.device, self._port), opened(self.device, self._handler)

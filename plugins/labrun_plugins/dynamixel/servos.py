@@ -17,6 +17,7 @@ from labrun.devices import (
     Health,
     Identity,
     Trajectory,
+    opened,
 )
 from labrun.devices.pacing import CommandStream, Pacing
 from labrun.devices.protocols import Remark
@@ -419,5 +420,4 @@ class DynamixelServos:
         self._stream.check()
 
     def _require_open(self) -> None:
-        if not self._bus.is_open:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
+        opened(self.name, self._bus.is_open)

@@ -18,6 +18,7 @@ from labrun.devices import (
     Samples,
     Trajectory,
     opened,
+    streaming,
 )
 from labrun_plugins.labline.handshake import probe, stop_from_scratch
 from labrun_plugins.labline.session import Hello, LineSession
@@ -351,8 +352,7 @@ class LinearStage:
         Raises DeviceError: not streaming, the load cell's amplifier gives nothing, or what the listening thread met.
         """
         self._check()
-        if not self._streaming:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
+        streaming(self.name, self._streaming)
         return self._received.take()
 
     def stop(self) -> None:

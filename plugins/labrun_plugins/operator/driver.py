@@ -18,6 +18,7 @@ from labrun.devices import (
     NoTerminalError,
     Terminal,
     Trajectory,
+    opened,
 )
 from labrun.errors import LimitExceededError
 
@@ -61,11 +62,7 @@ class Operator:
     Settings: ClassVar[type[DeviceSettings]] = OperatorSettings
 
     def __init__(
-        self,
-        name: str,
-        settings: OperatorSettings,
-        context: DeviceContext,
-        terminal: Terminal | None = None,
+        self, name: str, settings: OperatorSettings, context: DeviceContext, terminal: Terminal | None = None
     ) -> None:
         self.name = name
         self.joints = (name,)
@@ -226,5 +223,4 @@ class Operator:
         )
 
     def _require_open(self) -> None:
-        if not self._open:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
+        opened(self.name, self._open)

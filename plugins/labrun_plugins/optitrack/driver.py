@@ -13,6 +13,7 @@ from labrun.devices import (
     Remark,
     Samples,
     opened,
+    streaming,
 )
 from labrun.devices.listening import Newest
 from labrun_plugins.optitrack.frame import BITSTREAM_CHANGED, EDIT_MODE, Frame
@@ -198,11 +199,10 @@ class OptiTrack:
         are no measurement, a body that is not tracked.
         """
         self._require_open()
-        if self._stream is None:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
-        block = self._listener.deliver(self._stream.buffer)
+        stream = streaming(self.name, self._stream)
+        block = self._listener.deliver(stream.buffer)
         if not len(block):
-            self._stream.check()
+            stream.check()
         return block
 
     def show(self, newest: Newest | None) -> None:

@@ -5,14 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from labrun.devices import (
-    Channel,
-    DeviceContext,
-    DeviceError,
-    DeviceSettings,
-    FloatArray,
-    Health,
-)
+from labrun.devices import Channel, DeviceContext, DeviceError, DeviceSettings, FloatArray, Health
 from labrun_plugins.bno055.settings import Bno055Settings
 from labrun_plugins.simulated.device import SimulatedSettings
 from labrun_plugins.simulated.sensor import SimulatedSensor, Timing

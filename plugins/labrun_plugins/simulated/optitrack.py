@@ -123,11 +123,7 @@ def _noisy_poses(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None
         at, draw = 7 * body, 6 * body
         for i in range(3):
             out[at + i] = x[at + i] + p[1] * u[draw + i]
-        a, b, c = (
-            0.5 * p[2] * u[draw + 3],
-            0.5 * p[2] * u[draw + 4],
-            0.5 * p[2] * u[draw + 5],
-        )
+        a, b, c = (0.5 * p[2] * u[draw + 3], 0.5 * p[2] * u[draw + 4], 0.5 * p[2] * u[draw + 5])
         qx, qy, qz, qw = x[at + 3], x[at + 4], x[at + 5], x[at + 6]
         nx = qx + qw * a + b * qz - c * qy
         ny = qy + qw * b + c * qx - a * qz

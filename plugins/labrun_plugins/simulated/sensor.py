@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.devices import Channel, DeviceContext, DeviceError, FloatArray, Samples
+from labrun.devices import Channel, DeviceContext, DeviceError, FloatArray, Samples, streaming
 from labrun.devices.compiled_bench import Ahead, CompiledSensor
 from labrun.models import kernel
 from labrun_plugins.simulated.device import SimulatedDevice, SimulatedSettings
@@ -223,8 +223,7 @@ class SimulatedSensor(SimulatedDevice, ABC):
     def read(self) -> Samples:
         """Return all samples since the last call. Raises DeviceError: not streaming, or silent for too long."""
         self._require_open()
-        if not self._streaming:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
+        streaming(self.name, self._streaming)
         if self._delivered is not None:
             block, self._delivered = self._delivered, None
             return block

@@ -14,6 +14,7 @@ from labrun.devices import (
     Remark,
     SampleBuffer,
     Samples,
+    streaming,
 )
 from labrun.devices.clock import RealClock
 from labrun_plugins.ur5.link import Link, Tracking, stop_from_scratch
@@ -283,8 +284,7 @@ class Ur5:
 
         Raises DeviceError: not streaming, the arm cannot move, its move failed, or it has fallen silent.
         """
-        if not self._link.tracking.streaming:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
+        streaming(self.name, self._link.tracking.streaming)
         self._sound_state()
         return self._buffer.take()
 

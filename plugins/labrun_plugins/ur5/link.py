@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from labrun.devices import Clock, DeviceError, FloatArray, Listener, SampleBuffer
+from labrun.devices import Clock, DeviceError, FloatArray, Listener, SampleBuffer, opened
 from labrun_plugins.ur5.connection import REOPEN_HINT
 from labrun_plugins.ur5.motion import Line, Move
 from labrun_plugins.ur5.programs import Dashboard, Programs
@@ -210,8 +210,7 @@ class Link:
 
         Raises DeviceError: not open, a connection is lost, nonsense was heard, or nothing for too long.
         """
-        if not self._is_open:
-            raise DeviceError(self._device, "is not open", hint="open() comes before any other call")
+        opened(self._device, self._is_open)
         self._listener.check()
         self._heart.check()
         state = self.tracking.state

@@ -100,10 +100,7 @@ class PayloadArm(Plant):
             name="payload-arm",
             states=("angle", "rate"),
             inputs=(Signal("command", "rad", draw_between(rng)),),
-            outputs=(
-                Signal("angle", "rad", equation="angle"),
-                Signal("motor_torque", "N m", equation=pull),
-            ),
+            outputs=(Signal("angle", "rad", equation="angle"), Signal("motor_torque", "N m", equation=pull)),
             parameters=(
                 Parameter("inertia", own, 0.0 if known else 0.05, "kg m^2"),
                 Parameter("own_gravity", near(rng, 0.05, 1.5), 0.03, "N m"),

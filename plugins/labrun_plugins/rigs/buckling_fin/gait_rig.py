@@ -11,13 +11,7 @@ from labrun.effects import Scale
 from labrun.models import Model, Stepper
 from labrun_plugins.rigs.buckling_fin.model import fin_model
 from labrun_plugins.rigs.buckling_fin.wings import SHORT_BEAM
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    hidden_effects,
-    require_finite,
-    unpacked,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite, unpacked
 
 _SCALE = Scale(coordinate=0.5, rate=0.4, acceleration=10.0, force=0.2, signal=0.5, time_s=2.0)
 _FELT = ("force_x", "force_y", "torque_z")

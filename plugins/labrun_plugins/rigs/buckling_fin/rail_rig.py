@@ -16,13 +16,7 @@ from labrun.effects import Scale
 from labrun.models import Model, Stepper
 from labrun_plugins.rigs.buckling_fin.swimmers import LINK_DAMPING, LINK_HZ, two_fin_swimmer
 from labrun_plugins.rigs.buckling_fin.wing_scene import POSE, poses
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    HiddenEffect,
-    hidden_effects,
-    require_finite,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, HiddenEffect, hidden_effects, require_finite
 
 _SCALE = Scale(coordinate=0.5, rate=0.3, acceleration=3.0, force=1.0, signal=0.5, time_s=2.0)
 _X, _SPEED = 0, 3

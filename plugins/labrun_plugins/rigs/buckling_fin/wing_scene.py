@@ -11,13 +11,7 @@ from labrun.effects import Scale
 from labrun.errors import SpecError
 from labrun.models import Model, Stepper
 from labrun_plugins.rigs.buckling_fin.wings import CONDITIONS, OF_THE_BEAM, Medium, wing
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    hidden_effects,
-    require_finite,
-    unpacked,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite, unpacked
 
 _SCALE = Scale(coordinate=0.5, rate=0.4, acceleration=10.0, force=0.2, signal=0.5, time_s=2.0)
 _KNOWN: Mapping[str, tuple[float, ...]] = {"beams": (1.0, 2.0), "wings": (1.0, 2.0), "short": (0.0, 1.0)}

@@ -66,12 +66,7 @@ def driven_joint_model(*, friction_n_m: float, drag: float) -> Model:
     return Model(
         name="driven-joint",
         states=("angle", "swing"),
-        inputs=(
-            Input("base", "rad"),
-            Input("up"),
-            Input("payload", "kg"),
-            Input("strip"),
-        ),
+        inputs=(Input("base", "rad"), Input("up"), Input("payload", "kg"), Input("strip")),
         outputs=(Output("angle", "rad"), Output("horn", "rad")),
         parameters=(
             Parameter("stiffness", 0.3, unit="N m/rad", lower=1e-3),

@@ -17,12 +17,7 @@ from labrun.effects import Scale
 from labrun.models import Input, Model, Output, Parameter, Site, Stepper, native
 from labrun_plugins.rigs.fish.fins import ATTACHMENTS, JOINTS, WATERS, AttachmentName, fin_loads, motion_at
 from labrun_plugins.rigs.fish.free_scene import chosen_by_hand
-from labrun_plugins.simulated.bench import (
-    BenchSettings,
-    TowedBench,
-    hidden_effects,
-    require_finite,
-)
+from labrun_plugins.simulated.bench import BenchSettings, TowedBench, hidden_effects, require_finite
 
 # First sloshing modes of water 0.5 m deep in the 1.22 x 0.61 m tank: omega^2 = g k tanh(k h), k = pi / length.
 _ALONG = 4.66

@@ -13,13 +13,7 @@ from labrun.effects import Scale
 from labrun.errors import SpecError
 from labrun.models import kernel
 from labrun_plugins.rigs.beam.tape_spring_fit import TapeSpring, Width
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    Passage,
-    described,
-    joint_model,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, Passage, described, joint_model
 
 _SCALE = Scale(signal=0.5, time_s=2.0)
 _MIL_M = 25.4e-6

@@ -13,13 +13,7 @@ from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import ExperimentError
 from labrun.models import ClosedChain, Site, Stepper, load_model, parse_model, shipped_models
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    Passage,
-    hidden_effects,
-    unpacked,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, Passage, hidden_effects, unpacked
 
 _MODEL = "six-bar"
 _HELD = "theta_5"

@@ -13,11 +13,7 @@ from labrun.effects import Scale
 from labrun.errors import ExperimentError, SpecError
 from labrun.models import Stepper, kernel, native
 from labrun_plugins.rigs.spherical_mechanism.loaded_model import OUTPUTS, loaded_model
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    hidden_effects,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects
 
 _SCALE = Scale(coordinate=0.05, rate=1.0, acceleration=10.0, force=0.03, signal=0.4, time_s=0.5)
 _STOP_RAD = math.radians(80.0)

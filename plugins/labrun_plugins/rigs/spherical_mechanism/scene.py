@@ -12,12 +12,7 @@ from labrun.effects import Scale
 from labrun.models import Stepper
 from labrun_plugins.rigs.spherical_mechanism.bodies import BODIES, SIGNALS, orientations
 from labrun_plugins.rigs.spherical_mechanism.model import spm_model
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    hidden_effects,
-    require_finite,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite
 
 _STOP_RAD = math.radians(85.0)
 _LEVEL = np.array([[1.0, 0.0, 0.0, 0.0]] * len(BODIES))
