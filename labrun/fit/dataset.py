@@ -249,9 +249,14 @@ def _run_trials(
     # a sample of the very start may be dated a moment before it: clocks are only estimated
     first, last = np.searchsorted(base, [-1e-3, end_s + 1e-3])
     commanded = any(sources[port.name][0] == COMMAND for port in model.inputs)
-    if commanded and CYCLES not in measured and 0 < first < last and base[first] > 0.0:
-        first -= 1  # until a motion starts, a bench stands where it begins: there a simulation can begin, too
+    from_rest = commanded and CYCLES not in measured and 0 < first < last and base[first] > 0.0
+    first -= (
+        from_rest  # until a motion starts, a bench stands where it begins: there a simulation can begin, too
+    )
     time_s = base if whole else base[first:last]
+    if from_rest and not whole and all(getattr(port, "between", "") == "linear" for port in model.inputs):
+        # What was seen then would be seen at 0, too, where commands begin: a kink that a longer step would smear.
+        time_s = np.append(0.0, time_s[1:])
     if len(time_s) < 2:
         raise RecordingError(
             f"trial {outcome.index} has {len(time_s)} samples of {'.'.join(sources[model.outputs[0].name])} "

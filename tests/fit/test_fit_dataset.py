@@ -9,7 +9,7 @@ import pytest
 from labrun.devices import Channel, Samples, Trajectory
 from labrun.errors import FitError, RequestError
 from labrun.fit.dataset import load_dataset, thinned, until_peak
-from labrun.models import Model, parse_model
+from labrun.models import Between, Model, parse_model
 from labrun.store import RunFolder, TrialOutcome, import_recording
 
 MODEL = """
@@ -150,12 +150,14 @@ def test_a_run_gives_accepted_trials_between_start_and_end(tmp_path: Path, model
     np.testing.assert_allclose(trial.inputs[:, 0], 1.0 - np.abs(trial.time_s - 1.0), atol=1e-9)
 
 
-def test_a_commanded_trial_begins_with_the_last_sample_before_its_start_where_the_bench_still_stands(
-    tmp_path: Path, model: Model
+@pytest.mark.parametrize(("between", "begins_s"), [("linear", 0.0), ("band-limited", -0.013)])
+def test_a_commanded_trial_begins_where_the_bench_still_stands_at_its_start_or_an_even_step_before(
+    tmp_path: Path, model: Model, between: Between, begins_s: float
 ) -> None:
     signals = {"angle": "cameras.angle", "command": "command.tail"}
+    model = replace(model, inputs=tuple(replace(one, between=between) for one in model.inputs))
     trial = load_dataset(stored_run(tmp_path, camera_begins_s=-0.193), model, signals).trials[0]
-    np.testing.assert_allclose(trial.time_s[:2], [-0.013, 0.007], atol=1e-9)
+    np.testing.assert_allclose(trial.time_s[:2], [begins_s, 0.007], atol=1e-9)
     np.testing.assert_allclose(trial.inputs[:2, 0], [0.0, 0.007], atol=1e-9)
 
 
