@@ -17,7 +17,6 @@ from labrun.devices import (
     Health,
     Identity,
     Trajectory,
-    opened,
 )
 from labrun.devices.pacing import CommandStream, Pacing
 from labrun.devices.protocols import Remark
@@ -117,7 +116,10 @@ class Measurement:
     def counts(self) -> Mapping[int, int]:
         """Return where every servo stands, id -> count, asked for unless it was asked a moment ago.
 
-        Raises DeviceError: a servo does not answer, or has shut down.
+        Raises
+        ------
+        DeviceError
+            A servo does not answer, or has shut down.
         """
         begin_s = self._clock.now()
         if min(self._heard_s.values()) > begin_s - _FRESH_S:
@@ -216,7 +218,10 @@ class DynamixelServos:
     def open(self) -> None:
         """Connect, find every servo and set it up; torque stays as it was, so that joints may be turned by hand.
 
-        Raises DeviceError: the port, a servo or its set-up is not what the file says.
+        Raises
+        ------
+        DeviceError
+            The port, a servo or its set-up is not what the file says.
         """
         self.close()
         self._bus.open()
@@ -246,7 +251,10 @@ class DynamixelServos:
     def health(self) -> Health:
         """Ask every servo for temperature, voltage, errors, torque and watchdog.
 
-        Raises DeviceError: one does not answer, or the command stream has failed.
+        Raises
+        ------
+        DeviceError
+            One does not answer, or the command stream has failed.
         """
         self._require_open()
         self._check_threads()
@@ -255,7 +263,10 @@ class DynamixelServos:
     def pose(self) -> Mapping[str, float]:
         """Return the measured angles, rad.
 
-        Raises DeviceError: a servo does not answer, has shut down, or the command stream has failed.
+        Raises
+        ------
+        DeviceError
+            A servo does not answer, has shut down, or the command stream has failed.
         """
         self._require_open()
         self._check_threads()
@@ -420,4 +431,5 @@ class DynamixelServos:
         self._stream.check()
 
     def _require_open(self) -> None:
-        opened(self.name, self._bus.is_open)
+        if not self._bus.is_open:
+            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")

@@ -18,7 +18,6 @@ from labrun.devices import (
     NoTerminalError,
     Terminal,
     Trajectory,
-    opened,
 )
 from labrun.errors import LimitExceededError
 
@@ -62,7 +61,11 @@ class Operator:
     Settings: ClassVar[type[DeviceSettings]] = OperatorSettings
 
     def __init__(
-        self, name: str, settings: OperatorSettings, context: DeviceContext, terminal: Terminal | None = None
+        self,
+        name: str,
+        settings: OperatorSettings,
+        context: DeviceContext,
+        terminal: Terminal | None = None,
     ) -> None:
         self.name = name
         self.joints = (name,)
@@ -77,7 +80,13 @@ class Operator:
         self._failure: NoTerminalError | None = None
 
     def open(self) -> None:
-        """See that there is a terminal. Raises DeviceError: there is none: nobody could be asked."""
+        """See that there is a terminal.
+
+        Raises
+        ------
+        DeviceError
+            There is none: nobody could be asked.
+        """
         try:
             self._terminal.require()
         except NoTerminalError as error:
@@ -146,7 +155,10 @@ class Operator:
     def arrived(self) -> bool:
         """Tell whether the person has done what was asked; does not wait.
 
-        Raises DeviceError: stopped meanwhile, nobody answers, or the terminal is gone.
+        Raises
+        ------
+        DeviceError
+            Stopped meanwhile, nobody answers, or the terminal is gone.
         """
         if self._asked_s is None:
             return True
@@ -223,4 +235,5 @@ class Operator:
         )
 
     def _require_open(self) -> None:
-        opened(self.name, self._open)
+        if not self._open:
+            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")

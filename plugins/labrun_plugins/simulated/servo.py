@@ -3,7 +3,7 @@
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -16,6 +16,7 @@ from labrun_plugins.simulated.bench import packed, unpacked
 from labrun_plugins.simulated.device import SimulatedDevice, SimulatedSettings
 
 _SUBSTEP_S = 0.005
+_NO_STEP_RAD = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,8 @@ class Shaft:
         Greatest speed.
     natural_hz, damping
         Natural frequency and damping ratio of the closed loop.
+    smooth
+        Commands come half a frame late in place of once a frame, as a model without frames has it.
     """
 
     frame_s: float
@@ -42,6 +45,11 @@ class Shaft:
     speed_rad_s: float
     natural_hz: float
     damping: float
+    smooth: bool = False
+
+    def smoothed(self) -> "Shaft":
+        """Return a shaft of the same delay and dynamics, without frames, steps and dead band."""
+        return replace(self, step_rad=_NO_STEP_RAD, dead_band_rad=0.0, smooth=True)
 
     def row(self, step_s: float, hold: int, sign: int) -> FloatArray:
         """Return what a compiled dry run knows of it, see `labrun.devices.compiled_bench.CompiledJoints`."""
@@ -61,9 +69,10 @@ class Shaft:
         reach = max(float(commanded.max()) - from_rad, from_rad - float(commanded.min()))
         tail_s = 1.5 / self.natural_hz + self.frame_s + reach / self.speed_rad_s
         count = math.ceil((trajectory.duration_s + tail_s) / _SUBSTEP_S) + 1
-        hold = round(self.frame_s / _SUBSTEP_S)
-        frame_time_s = np.arange(-(-count // hold), dtype=np.float64) * self.frame_s
-        command = np.interp(frame_time_s, trajectory.time_s, commanded)
+        frame_s = _SUBSTEP_S if self.smooth else self.frame_s
+        hold = round(frame_s / _SUBSTEP_S)
+        frame_time_s = np.arange(-(-count // hold), dtype=np.float64) * frame_s
+        command = np.interp(frame_time_s - 0.5 * (self.frame_s - frame_s), trajectory.time_s, commanded)
         angle = _follow(
             command, hold, count, from_rad, from_rad_s, transition(self.natural_hz, self.damping, _SUBSTEP_S),
             self.step_rad, self.dead_band_rad, self.speed_rad_s,
@@ -133,8 +142,6 @@ class SimulatedJoints(SimulatedDevice):
         Joint -> +1 or -1: a servo with sign -1 turns its joint of the bench against the commanded sense.
     shaft
         What each servo is like.
-    sensor
-        What `SimulatedSensor` takes, for a servo that is one as well.
     """
 
     def __init__(
@@ -144,18 +151,25 @@ class SimulatedJoints(SimulatedDevice):
         context: DeviceContext,
         signs: Mapping[str, int],
         shaft: Shaft,
-        **sensor: Any,
     ) -> None:
-        super().__init__(name, settings, context, **sensor)
+        super().__init__(name, settings, context)
         self.joints = tuple(signs)
         self._signs = dict(signs)
+        if getattr(context.scene, "smooth_drives", False):
+            shaft = shaft.smoothed()
         self._shaft = shaft
         self._frame_s = shaft.frame_s
         self._motion: dict[str, tuple[float, Trajectory]] = {}
         self._commanded: dict[str, tuple[float, Trajectory]] = {}
 
     def open(self) -> None:
-        """Connect. Raises DeviceError: the bench has no joint of that name."""
+        """Connect.
+
+        Raises
+        ------
+        DeviceError
+            The bench has no joint of that name.
+        """
         require_joints(self.name, self.joints, self.scene)
         super().open()
 
@@ -290,7 +304,10 @@ def _recalled(joint: str, stored: list[Any]) -> tuple[float, Trajectory]:
 def joints_or_own_name(name: str, context: DeviceContext) -> tuple[str, ...]:
     """Return the joint of a device whose table names none: the one of its name, else the only one.
 
-    Raises DeviceError: the bench has several joints, and none is called like the device.
+    Raises
+    ------
+    DeviceError
+        The bench has several joints, and none is called like the device.
     """
     on_bench = () if context.scene is None else context.scene.joints
     if name in on_bench or not on_bench:
@@ -305,7 +322,7 @@ def joints_or_own_name(name: str, context: DeviceContext) -> tuple[str, ...]:
 
 
 _SHAFT = Shaft(
-    frame_s=0.005, step_rad=1e-6, dead_band_rad=0.0, speed_rad_s=float(np.radians(720.0)),
+    frame_s=0.005, step_rad=_NO_STEP_RAD, dead_band_rad=0.0, speed_rad_s=float(np.radians(720.0)),
     natural_hz=25.0, damping=0.8,
 )  # fmt: skip
 

@@ -53,6 +53,24 @@ def test_a_servo_follows_a_gait_with_its_lag(plugin, keys):
     assert -0.07 * 2 * np.pi < np.angle(response) < 0
 
 
+def test_on_a_bench_that_has_to_agree_with_a_model_a_servo_takes_no_steps_and_is_as_late():
+    coarse, fine = StillScene(SCENE), StillScene(SCENE)
+    fine.smooth_drives = True
+    time_s = np.arange(1.0, 30.0, 0.005)
+    angles = []
+    for scene in (coarse, fine):
+        servo = device("simulated-arduino-servo", "tail", {"port": "p"}, scene, HandClock(3.0))
+        servo.open()
+        servo.follow(sine("tail", 66, 0.1, 30.0), 3.0)
+        angles.append(np.degrees(scene.driven[-1][1].at(time_s)[:, 0]))
+    shaft = servo._shaft
+    delay_s = 0.5 * shaft.frame_s
+    loop = 1 / (1 - (0.1 / shaft.natural_hz) ** 2 + 2j * shaft.damping * 0.1 / shaft.natural_hz)
+    exact = np.imag(66 * loop * np.exp(2j * np.pi * 0.1 * (time_s - delay_s)))
+    assert np.max(np.abs(angles[1] - exact)) < 0.01
+    assert 0.1 < np.max(np.abs(angles[0] - exact)) < 0.5
+
+
 @pytest.mark.parametrize(("plugin", "keys"), SERVOS)
 def test_a_servo_shaft_accelerates_without_jumps_of_speed(plugin, keys):
     servo, scene = _servo(plugin, keys)

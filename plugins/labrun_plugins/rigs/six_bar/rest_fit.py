@@ -22,7 +22,6 @@ from labrun.fit import (
     OutputsAlone,
     Panel,
     Stack,
-    WithSettings,
     load_dataset,
     student,
 )
@@ -59,10 +58,13 @@ class Swing:
     period: float
 
 
-class RestFit(WithSettings[RestSettings]):
+class RestFit:
     """Each trial by itself; estimates are means over trials with t-intervals."""
 
     Settings: ClassVar[type[BaseModel]] = RestSettings
+
+    def __init__(self, settings: RestSettings) -> None:
+        self._settings = settings
 
     def __call__(self, job: FitJob) -> FitSummary:
         """Fit.
@@ -103,7 +105,13 @@ class RestFit(WithSettings[RestSettings]):
 
 
 def swing(time_s: FloatArray, angle: FloatArray) -> Swing:
-    """Return rest, decay and period of a decaying oscillation. Raises FitError: there is none."""
+    """Return rest, decay and period of a decaying oscillation.
+
+    Raises
+    ------
+    FitError
+        There is none.
+    """
     middle = angle - angle.mean()
     spectrum = np.abs(np.fft.rfft(middle * np.hanning(len(middle))))
     frequencies = np.fft.rfftfreq(len(middle), float(np.mean(np.diff(time_s))))

@@ -16,8 +16,6 @@ from labrun.errors import ExperimentError, SpecError
 from labrun.models import Model, Site
 from labrun_plugins.simulated.bench.hidden import Passage, described
 from labrun_plugins.simulated.bench.history import (
-    ACCELERATION_M_S2,
-    Carriage,
     History,
     JointDrive,
     generator_state,
@@ -52,6 +50,8 @@ class Bench(ABC):
     """Step of a bench that has to agree with a model, where `step_s` is too coarse for that."""
     signals: Mapping[str, str]
     joints: tuple[str, ...]
+    steps_are_beyond_model: ClassVar[bool] = False
+    """Whether frames, steps and dead band of servos show on this bench, and its model has none: see `smooth_drives`."""
     scale: ClassVar[Scale] = Scale()
     """Typical magnitudes on the bench, in which effects without values are hidden."""
     sensed: ClassVar[tuple[str, ...]] = ()
@@ -78,6 +78,11 @@ class Bench(ABC):
         driven = [Site(joint, "input") for joint in self.joints]
         sensed = self.sensed or [output.name for output in self._model.outputs]
         return (*driven, *self._model.sites, *(Site(signal, "output") for signal in sensed))
+
+    @property
+    def smooth_drives(self) -> bool:
+        """Whether servos are to follow what they are told without frames, steps and dead band."""
+        return bool(self._settings.as_modelled) and self.steps_are_beyond_model
 
     def arrange(self, condition: Mapping[str, float | str]) -> None:  # noqa: B027
         """Put in place what a person would change by hand; this bench has nothing of the kind."""
@@ -224,21 +229,6 @@ class Bench(ABC):
         for drive in self._drives.values():
             drive.forget_before(self._history.end * self.step_s)
         return self._drives
-
-
-class TowedBench(Bench):
-    """A bench with a carriage, which goes along a line with ramps."""
-
-    def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
-        super().__init__(settings, rng)
-        self._carriage = Carriage()
-
-    def tow(
-        self, from_m: float, to_m: float, speed_m_s: float, start_s: float,
-        acceleration_m_s2: float = ACCELERATION_M_S2,
-    ) -> None:  # fmt: skip
-        """Move the carriage from `start_s` on."""
-        self._carriage.move(from_m, to_m, speed_m_s, start_s, acceleration_m_s2)
 
 
 def _kept(value: Any) -> Any:
