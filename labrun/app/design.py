@@ -253,7 +253,8 @@ def _told(simulator: Simulator, best: Best, nominal: Simulated, candidates: Cand
             lines.append(f"holds     {margin.text}")
         else:
             word = "active" if margin.active else "holds"
-            lines.append(f"{word:<9} {margin.text}: {margin.value:.4g} of {margin.bound:.4g}")
+            of = f" of {margin.bound:.4g}" if margin.bound else ""
+            lines.append(f"{word:<9} {margin.text}: {margin.value:.4g}{of}")
     broken = Counter(candidates.broken.get("confirm", ()))
     for text, count in broken.most_common():
         lines.append(f"copies    {count} of {best.trials} within the tolerances break {text}")

@@ -189,7 +189,8 @@ class _Parts:
         for kind, channel in self.constraints.summaries:
             if channel not in self._names:
                 raise SpecError(
-                    f"design.where: {kind}_{channel} is of no channel", hint=suggest(channel, self._names)
+                    f"design.where: {kind}_{channel} is of no channel",
+                    hint=suggest(f"{kind}_{channel}", [f"{kind}_{name}" for name in self._names]),
                 )
         joints = list(self.motions.joints)
         self.columns = []

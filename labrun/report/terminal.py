@@ -325,11 +325,14 @@ def plan_text(plan: Plan, results: Path) -> str:
     lines = [
         *_what_is_measured(plan),
         f"trials      {_between(str(plan.trials), str(plan.trials_at_most))}",
-        f"time        {_between(duration_text(plan.time_s), duration_text(plan.time_at_most_s))} on the bench, "
-        f"{_settling(plan)}",
-        f"disk        {bytes_text(plan.disk_bytes)} of {bytes_text(free)} free",
-        f"sensors     {rates or 'none'}",
     ]
+    if plan.time_at_most_s > 0.0:  # a design has no bench
+        lines += [
+            f"time        {_between(duration_text(plan.time_s), duration_text(plan.time_at_most_s))} on the bench, "
+            f"{_settling(plan)}",
+            f"disk        {bytes_text(plan.disk_bytes)} of {bytes_text(free)} free",
+            f"sensors     {rates or 'none'}",
+        ]
     lines += [f"joint       {_joint(peak)}" for peak in plan.peaks]
     lines += [f"note        {note}" for note in plan.notes]
     if plan.excess:

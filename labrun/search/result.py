@@ -1,6 +1,7 @@
 """What a run comes to."""
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +14,7 @@ from labrun.spec import Value, condition_text
 
 RESULT_FILE = "result.json"
 _MOST_REASONS = 4
+_MEASURED = re.compile(r"= -?\d\S*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,9 +237,25 @@ def _apart(one: Best, other: Best) -> bool:
 
 
 def reason_lines(reasons: Mapping[str, int]) -> list[str]:
-    """Return the most frequent reasons of rejected and failed trials, one a line, and how many others there are."""
-    lines = [f"  {count} x {reason}" for reason, count in list(reasons.items())[:_MOST_REASONS]]
-    others = sum(list(reasons.values())[_MOST_REASONS:])
+    """Return the most frequent reasons of rejected and failed trials, one a line, and how many others there are.
+
+    Reasons that differ in a measured number only are one: the most frequent of them is shown.
+    """
+    alike: dict[str, list[tuple[int, str]]] = {}
+    for reason, count in reasons.items():
+        alike.setdefault(_MEASURED.sub("=", reason), []).append((count, reason))
+    groups = sorted(
+        (
+            (sum(count for count, _ in one), max(one, key=lambda item: item[0])[1], len(one))
+            for one in alike.values()
+        ),
+        key=lambda group: -group[0],
+    )
+    lines = [
+        f"  {count} x {reason}" + (", or nearly so" if different > 1 else "")
+        for count, reason, different in groups[:_MOST_REASONS]
+    ]
+    others = sum(count for count, _, _ in groups[_MOST_REASONS:])
     return [*lines, f"  {others} x other reasons"] if others else lines
 
 

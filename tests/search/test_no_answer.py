@@ -84,6 +84,17 @@ def test_the_result_shows_the_most_frequent_reasons(tmp_path):
     assert "  9 x other reasons" in text
 
 
+def test_reasons_that_differ_in_a_measured_number_only_are_one(tmp_path):
+    reasons = {
+        f"rejected: wrench.force_x = {-0.5 - n / 7} N is outside -0.5 ... 1: stopped": 1 for n in range(9)
+    }
+    reasons["rejected: wrench.force_y = 2 N is outside -1 ... 1: stopped"] = 2
+    text = RunResult(tmp_path, 3, 11, 0, None, None, finished=True, reasons=reasons).to_text()
+    assert "  9 x rejected: wrench.force_x = -0.5 N is outside -0.5 ... 1: stopped, or nearly so\n" in text
+    assert "  2 x rejected: wrench.force_y = 2 N is outside -1 ... 1: stopped\n" in text
+    assert "other reasons" not in text
+
+
 def test_a_bench_that_never_settles_is_warned_of_wherever_the_result_is_shown(write, dry_run, recorder):
     path = write("sweep")
     rule = 'settle = { until = "quiet", below = 1e-9, hold_s = 1, timeout_s = 3 }'
