@@ -175,13 +175,7 @@ class CycleAverageFeedback(ChannelFeedback):
         return "period_s" not in settings
 
     def memory_s(self, period_s: float | None) -> float:
-        """Return one cycle.
-
-        Raises
-        ------
-        SpecError
-            Neither the gait nor the feedback has a cycle.
-        """
+        """Return one cycle. Raises SpecError: neither the gait nor the feedback has a cycle."""
         cycle_s = self._keys.period_s or period_s
         if cycle_s is None:
             raise SpecError(
@@ -242,13 +236,7 @@ class OrientationFeedback:
         return 0.0
 
     def __call__(self, history: History, period_s: float | None) -> Numbers:  # noqa: ARG002
-        """Return the quaternion.
-
-        Raises
-        ------
-        ExperimentError
-            It has no length.
-        """
+        """Return the quaternion. Raises ExperimentError: it has no length."""
         w, x, y, z = [history.newest(channel)[1] for channel in self.channels]
         return unit_quaternion(w, x, y, z)
 
@@ -256,10 +244,7 @@ class OrientationFeedback:
 def unit_quaternion(w: float, x: float, y: float, z: float) -> Numbers:
     """Return the unit quaternion of an orientation, qw >= 0.
 
-    Raises
-    ------
-    ExperimentError
-        No orientation: all four are next to nothing, or one is no number.
+    Raises ExperimentError: no orientation: all four are next to nothing, or one is no number.
     """
     length = (w * w + x * x + y * y + z * z) ** 0.5
     if not length > _LEAST:

@@ -3,6 +3,7 @@
 import contextlib
 import math
 import multiprocessing
+import signal
 import time
 from abc import ABC, abstractmethod
 from collections import deque
@@ -168,11 +169,18 @@ class ProcessLearner(Learner):
         """Tell whether the process has come up; see `Learner.ready`."""
         if self._view is None or self._view.all[_READY]:
             return True
-        if not self._process.is_alive() or time.monotonic() > self._until_s:
+        if not self._process.is_alive():
+            how = _how_it_ended(self._process.exitcode)
             self.end()
             raise ExperimentError(
-                "the process that learns beside the loop did not come up",
-                hint="the loop was not closed yet; see what it wrote above",
+                f"the process that learns beside the loop ended before it had come up ({how})",
+                hint="the loop was not closed yet; what the process wrote, if anything, stands above",
+            )
+        if time.monotonic() > self._until_s:
+            self.end()
+            raise ExperimentError(
+                f"the process that learns beside the loop did not come up within {_READY_S:g} s",
+                hint="the loop was not closed yet; close programs that keep this computer busy, then go on",
             )
         return False
 
@@ -218,7 +226,7 @@ class ProcessLearner(Learner):
                 self._looked_s = now_s
                 if not self._process.is_alive():
                     self._give_up(
-                        f"its process died (exit code {self._process.exitcode}) after {now_s:.2f} s"
+                        f"its process died ({_how_it_ended(self._process.exitcode)}) after {now_s:.2f} s"
                     )
             return None
         head, weights = view.weights(version)
@@ -228,6 +236,11 @@ class ProcessLearner(Learner):
             self.lag_s, self.training_s = now_s - head[0], head[1]
             self.trainings = int(head[2])
         return network
+
+
+def _how_it_ended(exit_code: int) -> str:
+    """Return how a process ended, in words: Python gives the number of a signal as a negative exit code."""
+    return f"exit code {exit_code}" if exit_code >= 0 else f"killed by {signal.Signals(-exit_code).name}"
 
 
 class _Shared:

@@ -156,13 +156,7 @@ class FormulaReference:
         self._names = dict(condition)
 
     def __call__(self, time_s: float) -> float:
-        """Return the value at a time of the trial.
-
-        Raises
-        ------
-        ExpressionError
-            The formula gives no finite number there.
-        """
+        """Return the value at a time of the trial. Raises ExpressionError: the formula gives no finite number there."""
         return float(evaluate(self._value, {**self._names, "t": time_s}))
 
 

@@ -24,6 +24,8 @@ from labrun.devices.protocols import (
     Scene,
     Sensor,
     Tracker,
+    opened,
+    streaming,
 )
 from labrun.devices.samples import Channel, Samples
 from labrun.devices.serial_port import SerialPort
@@ -36,5 +38,6 @@ __all__ = [
     "DeviceContext", "DeviceError", "DevicePlugin", "DeviceSettings", "EmergencyStop", "EulerAngles", "Excess",
     "FloatArray", "Health", "HingeAngle", "Identity", "Limits", "Listener", "NoTerminalError",
     "OrientationAngles", "Paced", "Pacing", "Port", "Remark", "SampleBuffer", "Samples", "Scene", "Sensor",
-    "SerialPort", "Terminal", "Tracker", "Trajectory", "listened", "turn_about", "unknown_bodies",
+    "SerialPort", "Terminal", "Tracker", "Trajectory", "listened", "opened", "streaming", "turn_about",
+    "unknown_bodies",
 ]  # fmt: skip

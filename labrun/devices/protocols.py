@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Annotated, Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -13,6 +13,7 @@ from labrun.devices.limits import Limits
 from labrun.devices.pacing import Pacing
 from labrun.devices.samples import Channel, Samples
 from labrun.devices.trajectory import Trajectory
+from labrun.errors import DeviceError
 
 
 class Scene(Protocol):
@@ -89,6 +90,26 @@ class Health:
     ok: bool = True
     temperature_c: float | None = None
     notes: tuple[str, ...] = ()
+
+
+Part = TypeVar("Part")
+
+
+def opened(device: str, part: Part | None) -> Part:
+    """Return what a device has while it is open: a connection, or what it said.
+
+    Raises DeviceError: it is None, or False where a device only notes whether it is open.
+    """
+    if part is None or part is False:
+        raise DeviceError(device, "is not open", hint="open() comes before any other call")
+    return part
+
+
+def streaming(device: str, part: Part | None) -> Part:
+    """Return what a sensor has while it streams. Raises DeviceError: it is None or False."""
+    if part is None or part is False:
+        raise DeviceError(device, "is not streaming", hint="start() comes before read()")
+    return part
 
 
 @runtime_checkable
@@ -224,6 +245,18 @@ class Remark:
     subject: str
     message: str
     advice: str = ""
+
+    @classmethod
+    def judged(
+        cls,
+        good: bool,
+        subject: str,
+        message: str,
+        advice: str,
+        bad: Literal["warning", "problem"] = "warning",
+    ) -> "Remark":
+        """Return a message that is "ok" where all is good, and `bad` with the advice where it is not."""
+        return cls("ok", subject, message) if good else cls(bad, subject, message, advice)
 
     def to_json(self) -> dict[str, str]:
         """Return the fields by name."""

@@ -12,7 +12,7 @@ from labrun.fit.dataset import Dataset
 from labrun.fit.problem import Problem
 from labrun.models import Model, simulate
 from labrun.signals import Signal
-from labrun.spec import condition_text
+from labrun.spec import condition_key, condition_text
 from labrun.store import COMMAND, Run, TrialOutcome, imported_channels, is_recording
 
 LEAST_SIZE = 0.05
@@ -107,7 +107,7 @@ class Comparison:
     @property
     def conditions(self) -> int:
         """How many conditions were compared."""
-        return len({_key(point.condition) for point in self.points})
+        return len({condition_key(point.condition) for point in self.points})
 
     def rmse(self) -> dict[str, float]:
         """Return the root mean square of measured - predicted of every channel, over all its samples."""
@@ -131,7 +131,7 @@ def compared(pairs: Sequence[Pair]) -> tuple[ComparedPoint, ...]:
     for own in _by_channel(pairs).values():
         groups: dict[object, list[Pair]] = {}
         for pair in own:
-            groups.setdefault(_key(pair.condition), []).append(pair)
+            groups.setdefault(condition_key(pair.condition), []).append(pair)
         sizes = {key: _rms(np.concatenate([one.measured for one in group])) for key, group in groups.items()}
         least = LEAST_SIZE * max(sizes.values())
         points += [_point(group, max(sizes[key], least)) for key, group in groups.items()]
@@ -195,10 +195,6 @@ def _by_channel(pairs: Sequence[Pair]) -> dict[str, list[Pair]]:
     for pair in pairs:
         found.setdefault(pair.channel, []).append(pair)
     return found
-
-
-def _key(condition: Mapping[str, float | str]) -> tuple[tuple[str, float | str], ...]:
-    return tuple(sorted(condition.items()))
 
 
 def _rms(values: FloatArray) -> float:

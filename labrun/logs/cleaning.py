@@ -81,15 +81,8 @@ def repaired(
 ) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.bool_], list[str]]:
     """Return the good stamps of a stream, which samples they are of, where it is broken, and what was done.
 
-    Parameters
-    ----------
-    used
-        Its columns that must hold a number.
-
-    Raises
-    ------
-    RecordingError
-        More stamps repeat or run backwards than the rule allows.
+    `used`: its columns that must hold a number. Raises RecordingError: more stamps repeat or run backwards than the
+    rule allows.
     """
     said: list[str] = []
     finite = np.isfinite(stream.time_s)
@@ -140,7 +133,7 @@ def repaired(
 
 
 def table_of(matches: Sequence[Match]) -> tuple[LogTable, list[str]]:
-    """Return one table on the stamps of what is measured: goals as they stood, other measurements by straight lines.
+    """Return one table on the stamps of what is measured: goals by what stood, other measurements by straight lines.
 
     Raises
     ------
@@ -193,6 +186,8 @@ def table_of(matches: Sequence[Match]) -> tuple[LogTable, list[str]]:
         course = values_of(match)[index]
         if match.stream is base:
             values[:, place] = course[inside]
+        elif match.wanted.goal:
+            values[:, place] = _standing(at, stamps, course)
         elif match.wanted.kind == "input":
             values[:, place] = course[np.maximum(np.searchsorted(stamps, at, side="right") - 1, 0)]
         else:
@@ -200,10 +195,29 @@ def table_of(matches: Sequence[Match]) -> tuple[LogTable, list[str]]:
     others = [stream.name for stream in streams if stream is not base]
     if others:
         said.append(
-            f"stamps of {base.name} count; goals stand until the next one, other measurements run straight between "
-            f"theirs: {', '.join(others)}"
+            f"stamps of {base.name} count; goals stand until the next one, with their mean from stamp to stamp, other "
+            f"measurements run straight between theirs: {', '.join(others)}"
         )
     return LogTable(at - at[0], values, tuple(matches), broken[inside]), [*said, *_offset(streams)]
+
+
+def _standing(at: FloatArray, stamps: FloatArray, course: FloatArray) -> FloatArray:
+    """Return the mean, from each time to the next, of a goal that stands until its next one.
+
+    What stood at each time would come late by half a period in the mean: as much as a clock that is off.
+    """
+    period = float(np.median(np.diff(at)))
+    ends = np.append(at[1:], at[-1] + period)
+    first = np.maximum(np.searchsorted(stamps, at, side="right") - 1, 0)
+    last = np.maximum(np.searchsorted(stamps, ends, side="left") - 1, first)
+    values = course[first]
+    for place in np.flatnonzero(last > first):
+        goals = slice(first[place], last[place] + 1)
+        edges = np.concatenate([[at[place]], stamps[first[place] + 1 : goals.stop], [ends[place]]])
+        # of differences, so that a goal that is told again is exactly what it was
+        changes = course[goals] - course[first[place]]
+        values[place] += float(changes @ np.diff(edges)) / (edges[-1] - edges[0])
+    return values
 
 
 def _offset(streams: Sequence[Stream]) -> list[str]:

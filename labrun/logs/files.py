@@ -53,8 +53,7 @@ def read_csv(path: Path, rate_hz: float | None) -> list[Stream]:
     arrays = {name: table[:, place] for place, name in enumerate(header) if name not in words}
     if not arrays:
         raise RecordingError(
-            f"{path}: no column holds numbers below the header {', '.join(header)[:80]}",
-            hint=_TABLE,
+            f"{path}: no column holds numbers below the header {', '.join(header)[:80]}", hint=_TABLE
         )
     return [_stream(path.stem, arrays, path, rate_hz)]
 

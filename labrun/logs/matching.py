@@ -55,6 +55,11 @@ class Wanted:
     width: int = 1
     range: tuple[float, float] | None = None
 
+    @property
+    def goal(self) -> bool:
+        """Whether it is a goal, which stands until the next one."""
+        return self.kind == "input" and self.roles[0] in ("command", "velocity-command")
+
 
 @dataclass(frozen=True)
 class Match:

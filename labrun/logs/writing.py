@@ -42,7 +42,7 @@ def write_recording(
     for place in columns:
         wanted = table.matches[place].wanted
         lines += [f"[channels.{wanted.channel}]", f'kind = "{wanted.kind}"', f'unit = "{wanted.unit}"']
-        if wanted.kind == "input" and wanted.roles[0] in ("command", "velocity-command"):
+        if wanted.goal:
             lines += ['between = "hold"']
     motions, trials = _motions(table, trials)
     try:

@@ -94,12 +94,8 @@ def per_metre(unit: str) -> str:
 def time_mean(pieces: Iterable[Signal], of: Callable[[FloatArray], FloatArray] = np.asarray) -> float:
     """Return the mean over time (trapezoidal rule); missing samples do not shift it as they would a plain mean.
 
-    Parameters
-    ----------
-    pieces
-        At least one; each begins with the last sample of the one before.
-    of
-        What of the values is meant, for example their magnitude.
+    `pieces`: at least one; each begins with the last sample of the one before. `of`: what of the values is meant, for
+    example their magnitude.
     """
     parts: list[float] = []
     start_s = end_s = 0.0
@@ -155,10 +151,7 @@ class CycleMean(Mean):
     def __call__(self, signals: TrialSignals) -> float:
         """Return the mean, in the unit of `unit`.
 
-        Raises
-        ------
-        ExperimentError
-            The gait has no cycle, or the recording holds no whole one.
+        Raises ExperimentError: the gait has no cycle, or the recording holds no whole one.
         """
         if signals.period_s is None and signals.average is None:
             raise ExperimentError(
@@ -196,10 +189,7 @@ class MeanAbsolute(ReducedChannel):
     def __call__(self, signals: TrialSignals) -> float:
         """Return the mean, in the unit of `unit`.
 
-        Raises
-        ------
-        ExperimentError
-            Fewer than two samples lie between `from_s` and `to_s`.
+        Raises ExperimentError: fewer than two samples lie between `from_s` and `to_s`.
         """
         # A stated end need not be that of a gait cycle: up to there, the whole recording counts.
         from_s, to_s = self._settings.from_s, self._settings.to_s
@@ -324,13 +314,7 @@ class Direction(ChannelObjective):
         return "deg"
 
     def __call__(self, signals: TrialSignals) -> float:
-        """Return the angle, deg, in (-180, 180].
-
-        Raises
-        ------
-        ExperimentError
-            Both means are zero: there is no direction.
-        """
+        """Return the angle, deg, in (-180, 180]. Raises ExperimentError: both means are zero: there is no direction."""
         keys = self._settings
         forward = time_mean(signals.counting_pieces(self.channel)) * keys.scale
         side = time_mean(signals.counting_pieces(keys.side_channel)) * keys.side_scale
@@ -353,13 +337,7 @@ class Cycles:
         return "1"
 
     def __call__(self, signals: TrialSignals) -> float:
-        """Return the number of cycles.
-
-        Raises
-        ------
-        ExperimentError
-            The motion has none.
-        """
+        """Return the number of cycles. Raises ExperimentError: the motion has none."""
         if signals.period_s is None:
             raise ExperimentError("the motion has no cycle to count")
         start_s, end_s = signals.window()

@@ -9,15 +9,7 @@ import sys
 from labrun import UseCasePackage
 from labrun.report.data import RunView, experiment_of
 from labrun.report.findings import Findings, StoredFit, StoredGap
-from labrun.report.live import (
-    LiveProgress,
-    PlainProgress,
-    Snapshot,
-    State,
-    event_text,
-    render,
-    watch,
-)
+from labrun.report.live import LiveProgress, PlainProgress, Snapshot, State, event_text, render, watch
 from labrun.report.statistics import Drift, drift_of, without_drift
 from labrun.report.terminal import keys_text, plan_text, print_findings, remark_text
 from labrun.report.text import duration_text, interval_text

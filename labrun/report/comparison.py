@@ -318,7 +318,4 @@ def _winner_lines(ranking: Ranking, heads: Sequence[str]) -> list[str]:
     bound, head = min(((b, h) for b, h in bounds if b is not None), key=lambda item: sign * item[0])
     end, beyond = ("from", "greatest") if ranking.maximise else ("up to", "least")
     why = f"in its worst water ({head}) its interval goes {end} {bound:.4g} {ranking.unit}, the {beyond} of all gaits"
-    return [
-        f"take {ranking.name(place)}: {why}",
-        f"          {condition_text(ranking.gaits[place])}",
-    ]
+    return [f"take {ranking.name(place)}: {why}", f"          {condition_text(ranking.gaits[place])}"]

@@ -219,17 +219,24 @@ def _every(view: RunView) -> Mapping[str, Any]:
     results = condition_results(view)
     decimals = {name: _decimals(results, name) for name in objectives}
     keys = varying(result.condition for result in results)
+    repeated = {
+        name: any(
+            standard_error(result.points[name]) is not None for result in results if name in result.points
+        )
+        for name in objectives
+    }
     rows = []
     for result in results[:_CONDITIONS_SHOWN]:
         row = _values(result.condition, keys)
         for name in objectives:
             point = result.points.get(name)
-            row += ["", ""] if point is None else _mean(point, decimals[name])[:2]
+            told = ["", ""] if point is None else _mean(point, decimals[name])[:2]
+            row += told if repeated[name] else told[:1]
         spoiled = str(len(result.trials) - result.accepted)
         rows.append([*row, str(result.accepted), spoiled, f"{result.recorded_s:.4g}"])
     columns = list(_labels(keys, view))
     for name in objectives:
-        columns += [_quantity(name, view.unit_of(name)), "standard error"]
+        columns += [_quantity(name, view.unit_of(name)), *(["standard error"] if repeated[name] else [])]
     left = len(results) - len(rows)
     alike = (
         {name: value for name, value in results[0].condition.items() if name not in keys} if results else {}

@@ -55,14 +55,8 @@ _CUT = " \u2026"
 def gap_lines(diagnosis: Diagnosis, width: int, files: Mapping[str, Path] | None = None) -> list[Text]:
     """Return a diagnosis as at most 20 lines.
 
-    Parameters
-    ----------
-    diagnosis
-        What was found.
-    width
-        Columns of the terminal; no line but a path is longer.
-    files
-        What was written, by a word for it; a line each, three at most.
+    `diagnosis`: what was found. `width`: columns of the terminal; no line but a path is longer. `files`: what was
+    written, by a word for it; a line each, three at most.
     """
     width = max(width, _NARROWEST)
     room = width - _MARGIN

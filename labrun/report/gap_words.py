@@ -44,22 +44,8 @@ _PREPOSITIONS: dict[By, str] = {
     "equation": "in",
 }
 _LOCATING = frozenset(
-    [
-        "in",
-        "at",
-        "on",
-        "from",
-        "with",
-        "between",
-        "within",
-        "above",
-        "below",
-        "away",
-        "near",
-        "after",
-        "before",
-    ]
-)
+    ["in", "at", "on", "from", "with", "between", "within", "above", "below", "away", "near", "after", "before"]
+)  # fmt: skip
 """A place that begins so needs no other word before it."""
 _CUT_TWICE = " | "
 """In `Place.at` of a part that is cut in two ways, which is part of a larger one."""

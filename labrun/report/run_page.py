@@ -237,6 +237,7 @@ def _timing(findings: Findings) -> Mapping[str, Any] | None:
         "loop": None if findings.loop is None else (loop_words(findings.loop), bool(findings.loop.missed)),
         "commands": _commands(findings),
         "streams": _streams(findings),
+        "channels": _channels(findings),
         "looked_at": f"{counted(looked, 'trial')} "
         + (f"(all {looked})" if looked == of else f"({looked} of {of}, evenly over the run)"),
     }
@@ -281,14 +282,25 @@ def _commands(findings: Findings) -> PageTable | None:
     return PageTable(columns, rows) if rows else None
 
 
-def _streams(findings: Findings) -> PageTable | None:
+def _channels(findings: Findings) -> PageTable | None:
+    """Return what each device measured, by the first trial; None where nothing streamed."""
     if not findings.streams:
         return None
     first = findings.run.signals(findings.run.outcomes[0].index)
     rows = [
+        [item.device, _listed_channels(first[item.device])]
+        for item in findings.streams
+        if item.device in first
+    ]
+    return PageTable(("device", "channels"), rows, words=(0, 1))
+
+
+def _streams(findings: Findings) -> PageTable | None:
+    if not findings.streams:
+        return None
+    rows = [
         [
             item.device,
-            _channels(first.get(item.device)),
             f"{item.nominal_hz:.4g}",
             f"{item.actual_hz:.4g}",
             f"{1000 * item.jitter_s:.2g}" if item.jitter_s > LEAST_JITTER_S else "0",
@@ -300,25 +312,18 @@ def _streams(findings: Findings) -> PageTable | None:
         for item in findings.streams
     ]
     columns = (
-        "device", "channels", "nominal (Hz)", "actual (Hz)", "jitter, sd (ms)", "clock offset", "drift",
+        "device", "nominal (Hz)", "actual (Hz)", "jitter, sd (ms)", "clock offset", "drift",
         "samples", "lost", "saturated",
     )  # fmt: skip
     marked = [place for place, item in enumerate(findings.streams) if item.saturated]
-    return PageTable(columns, rows, words=(0, 1), marked=marked)
+    return PageTable(columns, rows, marked=marked)
 
 
-def _channels(signals: Signals | None) -> str:
-    if signals is None:
-        return ""
+def _listed_channels(signals: Signals) -> str:
     return ", ".join(with_unit(name, unit) for name, unit in zip(signals.columns, signals.units, strict=True))
 
 
-_OF_A_BENCH = {
-    "repeatability": _repeatability,
-    "drift": _drift,
-    "settling": _settling,
-    "timing": _timing,
-}
+_OF_A_BENCH = {"repeatability": _repeatability, "drift": _drift, "settling": _settling, "timing": _timing}
 """Sections that say how far measurements can be believed."""
 
 
@@ -331,7 +336,11 @@ def fit_context(fit: StoredFit) -> Mapping[str, Any]:
     if fit.fault:
         return {"fault": f"{fit.path.name} cannot be read ({fit.fault}): labrun fit writes it anew."}
     fixed = as_table(numbers.get("fixed")).items()
-    rows = [[spaced(str(name)), *_estimate(entry)] for name, entry in numbers["parameters"].items()]
+    estimates = fit.estimates
+    rows = [
+        [spaced(str(name)), *_estimate(entry, estimates.get(str(name)))]
+        for name, entry in numbers["parameters"].items()
+    ]
     rows += [[spaced(str(name)), _short(value), "as given", ""] for name, value in fixed]
     rest = [
         [f"rms of measured - simulated, {spaced(str(name))}", _short(value)]
@@ -353,15 +362,14 @@ def fit_context(fit: StoredFit) -> Mapping[str, Any]:
     }
 
 
-def _estimate(entry: Any) -> tuple[str, str, str]:
+def _estimate(entry: Any, known: Estimate | None) -> tuple[str, str, str]:
+    """Return value, interval and unit; `known` is None of an entry without a number and an interval."""
     if not isinstance(entry, Mapping):
         return _short(entry), "", ""
-    value: Any = entry.get("value")
-    unit, interval = str(entry.get("unit", "")), as_list(entry.get("ci95"))
-    if not is_number(value) or len(interval) != 2 or not all(is_number(end) for end in interval):
-        return _short(value), "not known", unit
-    middle, low, high = rounded(Estimate(float(value), (float(interval[0]), float(interval[1])), unit))
-    return middle, f"{low} to {high}", unit
+    if known is None:
+        return _short(entry.get("value")), "not known", str(entry.get("unit", ""))
+    middle, low, high = rounded(known)
+    return middle, f"{low} to {high}", known.unit
 
 
 def _fit_table(entry: Any) -> PageTable | None:

@@ -13,7 +13,7 @@ from matplotlib.axis import XAxis, YAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogFormatter
 
 INK = "#1a1a1a"
 SOFT = "#8a8a8a"
@@ -159,9 +159,19 @@ def zero_line(axes: Axes) -> None:
 
 
 def plain_numbers(axis: XAxis | YAxis) -> None:
-    """Write the ticks of a logarithmic axis as numbers, 0.01, rather than as powers of ten."""
+    """Write the ticks of a logarithmic axis as numbers, 0.01, rather than as powers of ten.
+
+    Those between powers of ten have numbers only where the axis shows one such power or none.
+    """
     axis.set_major_formatter(lambda value, _: f"{value:g}")
-    axis.set_minor_formatter(NullFormatter())
+    axis.set_minor_formatter(_BetweenDecades(minor_thresholds=(1, 0.4)))
+
+
+class _BetweenDecades(LogFormatter):
+    """Which minor ticks have a number is matplotlib's rule, how it is written is not."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f"{x:g}" if super().__call__(x, pos) else ""
 
 
 def panel_letter(axes: Axes, letter: str, title: str) -> None:

@@ -31,11 +31,14 @@ def spaced(name: str) -> str:
 
 
 def label(name: str, units: Mapping[str, str]) -> str:
-    """Return an axis label: the name with its unit, as the file states it or as the name's ending says."""
-    if name in units:
-        return with_unit(spaced(name), units[name])
+    """Return an axis label: the name with its unit, as the file states it or as the name's ending says.
+
+    A unit that both say stands there once: ``history (s)`` of ``history_s``.
+    """
     stem, suffix = split_unit(name)
     unit = "" if suffix is None else UNITS[suffix].label
+    if name in units:
+        return with_unit(spaced(stem if unit == units[name] else name), units[name])
     return with_unit(spaced(stem), "°C" if unit == "degC" else unit)
 
 

@@ -167,9 +167,7 @@ def _rest(findings: Findings) -> Check | None:
         return Check("settling", "look", text)
     if all(summary.reason == "time" for summary in settled):
         return Check(
-            "settling",
-            "open",
-            "The bench was given a fixed time to settle; nobody looked whether it had.",
+            "settling", "open", "The bench was given a fixed time to settle; nobody looked whether it had."
         )
     return Check("settling", "good", f"The bench was at rest before all {len(settled)} trials.")
 

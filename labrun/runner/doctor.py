@@ -50,13 +50,8 @@ def _clock() -> Iterator[Remark]:
         f"monotonic, resolution {resolution_s * 1e9:.0f} ns; wakes {1e3 * sorted(late)[len(late) // 2]:.2f} ms late "
         f"(median of {_SLEEP_TRIES}), {worst_ms:.2f} ms at worst"
     )
-    if worst_ms > 10:
-        advice = (
-            "commands at 100 Hz will jitter: close other programs, or use a machine of its own for the bench"
-        )
-        yield Remark("warning", "clock", message, advice)
-    else:
-        yield Remark("ok", "clock", message)
+    advice = "commands at 100 Hz will jitter: close other programs, or use a machine of its own for the bench"
+    yield Remark.judged(worst_ms <= 10, "clock", message, advice)
 
 
 def _disk(results: Path) -> Iterator[Remark]:
@@ -78,12 +73,9 @@ def _disk(results: Path) -> Iterator[Remark]:
     message = f"{folder}: {free_gb:.0f} GB free, a flush to disk takes {sync_ms:.1f} ms"
     if free_gb < 1:
         yield Remark("problem", "disk", message, "free some space: a night of 7 kHz data needs about 12 GB")
-    elif sync_ms > 20:
-        yield Remark(
-            "warning", "disk", message, "every trial waits for several flushes; a local SSD is quicker"
-        )
     else:
-        yield Remark("ok", "disk", message)
+        advice = "every trial waits for several flushes; a local SSD is quicker"
+        yield Remark.judged(sync_ms <= 20, "disk", message, advice)
 
 
 def _ports(usb_serial: Path) -> Iterator[Remark]:
@@ -110,10 +102,10 @@ def latency(device: str, description: str, usb_serial: Path = _USB_SERIAL) -> Re
     except (OSError, ValueError):  # only FTDI adapters have one
         return Remark("ok", device, description)
     message = f"{description}: latency timer {latency_ms} ms"
-    if latency_ms > _GOOD_LATENCY_MS:
-        advice = f"echo 1 | sudo tee {timer} (a udev rule keeps it): at {latency_ms} ms a 100 Hz stream comes in lumps"
-        return Remark("warning", device, message, advice)
-    return Remark("ok", device, message)
+    advice = (
+        f"echo 1 | sudo tee {timer} (a udev rule keeps it): at {latency_ms} ms a 100 Hz stream comes in lumps"
+    )
+    return Remark.judged(latency_ms <= _GOOD_LATENCY_MS, device, message, advice)
 
 
 def _plugins() -> Iterator[Remark]:
@@ -192,11 +184,8 @@ def _rate(name: str, sensor: Sensor, clock: Clock) -> Remark:
         return Remark(
             "warning", name, message, "set rate_hz to what it gives, or look for what slows it down"
         )
-    if samples.lost:
-        return Remark(
-            "warning", name, message, "a busy network, a slow adapter, or a machine with too much to do"
-        )
-    return Remark("ok", name, message)
+    advice = "a busy network, a slow adapter, or a machine with too much to do"
+    return Remark.judged(not samples.lost, name, message, advice)
 
 
 def identity_text(identity: Identity) -> str:

@@ -281,10 +281,7 @@ def modified_z(values: FloatArray) -> FloatArray:
 def find_outliers(measurement: Measurement, rule: Outliers, default_objective: str | None) -> dict[int, str]:
     """Return the accepted trials the rule rejects: trial index -> reason.
 
-    Parameters
-    ----------
-    default_objective
-        The objective judged where the rule names none.
+    `default_objective`: the objective judged where the rule names none.
     """
     objective = rule.objective or default_objective
     accepted = measurement.accepted

@@ -363,10 +363,7 @@ def measure_baseline(bench: Bench, rule: Settle) -> Bounds:
 def settle(bench: Bench, rule: Settle | None, baseline: Bounds | None) -> Settled:
     """Wait until the bench is at rest; sensors must be running, and are under watch meanwhile.
 
-    Raises
-    ------
-    SettleError
-        Not at rest in time, and the file says ``on_timeout = "stop"``.
+    Raises SettleError: not at rest in time, and the file says ``on_timeout = "stop"``.
     """
     if rule is None:
         return Settled(None, None)

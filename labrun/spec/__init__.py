@@ -20,14 +20,7 @@ from labrun.spec.loading import (
     loads_experiment,
     resolved,
 )
-from labrun.spec.loop_tables import (
-    LOOP_DEVICE,
-    TIMING_CHANNELS,
-    LoopShape,
-    LoopTable,
-    Track,
-    loop_channel,
-)
+from labrun.spec.loop_tables import LOOP_DEVICE, TIMING_CHANNELS, LoopShape, LoopTable, Track, loop_channel
 from labrun.spec.plugins import resolved_settings, scene_of
 from labrun.spec.raw import named_channels
 from labrun.spec.search_tables import (

@@ -32,14 +32,7 @@ def check_track(
 ) -> Iterator[Fault]:
     """Yield what is wrong with the loops of a file, apart from the shape of their tables.
 
-    Parameters
-    ----------
-    data
-        The file as it was read.
-    devices
-        What it connects.
-    conditions
-        Names of the values of a condition.
+    `data`: the file as it was read. `devices`: what it connects. `conditions`: names of the values of a condition.
     """
     loops = tables(data, "track", "loops")
     if data.get("kind") != "track" or not loops:

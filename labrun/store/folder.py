@@ -41,10 +41,7 @@ class TrialSource:
     def tables(self, index: int) -> Iterator[dict[str, LongSignals]]:
         """Give all signals of one trial by name: devices, ``command``, ``settle``; readable within the ``with``.
 
-        Raises
-        ------
-        RecordingError
-            There is no such trial.
+        Raises RecordingError: there is no such trial.
         """
         path = self._files.get(index)
         if path is not None:

@@ -14,16 +14,7 @@ from labrun.toml.faults import (
 )
 from labrun.toml.grammar import CONSTANTS, FUNCTIONS, RESERVED, ExpressionError
 from labrun.toml.names import KNOWN_UNITS, UNITS, nearest, split_unit, suggest, unit_of
-from labrun.toml.reading import (
-    Places,
-    PluginTable,
-    Table,
-    checked,
-    mend,
-    parsed,
-    text_of,
-    validate,
-)
+from labrun.toml.reading import Places, PluginTable, Table, checked, mend, parsed, text_of, validate
 
 __all__ = [
     "CONSTANTS", "FUNCTIONS", "KNOWN_UNITS", "RESERVED", "UNITS", "Expression", "ExpressionError", "Fault",

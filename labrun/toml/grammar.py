@@ -130,10 +130,7 @@ class Parsed:
 def parse(text: str) -> Parsed:
     """Parse and check an expression; runs nothing of it.
 
-    Raises
-    ------
-    ExpressionError
-        Whatever is not of the language, with its position.
+    Raises ExpressionError: whatever is not of the language, with its position.
     """
     if len(text) > _LONGEST:
         raise ExpressionError(text[:40] + "...", f"{len(text)} characters are too many (at most {_LONGEST})")

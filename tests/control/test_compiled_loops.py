@@ -16,6 +16,8 @@ from labrun.devices import Limits
 from labrun.errors import SpecError
 from labrun.learned import LearnedModel, Network, Scaling, SlidingAffine, to_table
 
+pytestmark = pytest.mark.xdist_group("compiled loops")  # a loop is compiled once, by one worker
+
 PERIOD_S = 0.001
 CHANNELS = Channels(("s", "m"), {"s.a": 0, "s.b": 1, "m.u": 2, "m.v": 3})
 WEIGHTS = np.array([[2.0, -1.0], [0.5, 3.0]])

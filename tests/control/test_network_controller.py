@@ -158,7 +158,7 @@ def test_a_learner_in_a_process_of_its_own_learns_and_its_death_leaves_the_last_
             return not learner.alive
 
         until(dead)
-        assert "its process died (exit code -9)" in learner.remarks[0]
+        assert "its process died (killed by SIGKILL)" in learner.remarks[0]
         learner.give(2.0, x[0], y[0])
     finally:
         learner.end()

@@ -11,7 +11,7 @@ from memory_run import sweep_view
 from rich.console import Console
 
 from labrun.app.report import read_findings
-from labrun.report.conditions import condition_results, in_order, most_promising
+from labrun.report.conditions import condition_results, conditions_context, in_order, most_promising
 from labrun.report.figures.runs import condition_title
 from labrun.report.terminal import print_conditions, print_findings
 from labrun.store import open_run
@@ -38,6 +38,17 @@ def test_the_goal_puts_the_most_promising_first_and_what_has_no_value_last():
     ]
     ranked = most_promising(view, condition_results(view))
     assert [result.condition["f"] for result in ranked] == [4, 3, 1, 2]
+
+
+@pytest.mark.parametrize("repeats", [1, 2])
+def test_a_page_has_a_column_of_errors_only_where_something_was_repeated(repeats):
+    view = sweep_view(lambda c: c["f"], {"f": [1, 2, 3]}, repeats=repeats)
+    thrust = view.experiment.objectives["thrust"].model_copy(update={"goal": None})
+    experiment = view.experiment.model_copy(update={"objectives": {"thrust": thrust}})
+    view.run.outcomes[:] = [one for one in view.run.outcomes if one.role == "measure"]
+    table = conditions_context(replace(view, experiment=experiment))["every"]["table"]
+    assert ("standard error" in table.columns) == (repeats > 1)
+    assert all(len(row) == len(table.columns) for row in table.rows)
 
 
 def test_numbers_are_ordered_as_numbers_and_words_as_words():

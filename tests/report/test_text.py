@@ -89,4 +89,6 @@ def test_durations_read_as_people_say_them(seconds, text):
 def test_axis_labels_carry_units_from_the_file_or_from_the_name():
     assert label("f", {"f": "Hz"}) == "f (Hz)"
     assert label("angle_deg", {}) == "angle (deg)"
+    assert label("history_s", {"history_s": "s"}) == "history (s)"
+    assert label("wait_s", {"wait_s": "ms"}) == "wait s (ms)"
     assert label("release", {}) == "release"

@@ -31,6 +31,7 @@ YIELDING = (
 JOINT = (*YIELDING, "quadratic-drag", "cogging")
 DRIVEN = ("delay", "lag", "saturation", "rate-limit", "dead-band")
 READ = ("lag", "delay", "drift", "saturation")
+ALL_READ = (*READ, "bias", "gain-error", "cross-talk")
 """Effects of the library that most joints, inputs and outputs may have; an order that seeds rely on."""
 
 

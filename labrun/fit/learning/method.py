@@ -293,11 +293,17 @@ def _summary(
         data=samples.data,
         parameters={},
         tables=(TextTable(f"mean absolute error, {unit}; {samples.told}", head, tuple(rows)),),
-        findings=(*findings, "a controller loads a network by its TOML file; the npz beside it goes with it"),
+        findings=(*findings, _TAKEN_OVER),
         details={"errors": {name: {**one.errors, "training_s": one.took_s} for name, one in fitted.items()}},
         files=files,
         figure_data=lambda: _figure(settings, samples, fitted),
     )
+
+
+_TAKEN_OVER = (
+    'to let a loop take a network, copy its TOML file and the npz beside it to where model = "..." of the controller '
+    "points"
+)
 
 
 def _figure(settings: MlpSettings, samples: TrainingSamples, fitted: Mapping[str, Fitted]) -> FigureData:
@@ -310,8 +316,8 @@ def _figure(settings: MlpSettings, samples: TrainingSamples, fitted: Mapping[str
         for output, measured, found in zip(settings.outputs, wanted.T, one.network(inputs).T, strict=True):
             above = Panel(
                 (Curve(time_s, measured, "measured", "withheld data"), Curve(time_s, found, "fitted", "network")),
-                title=f"{name}: {output}" + (f" less {inverse}" if inverse else ""),
-                y_label=f"{output}, {unit}", height=2.0,
+                title=f"{name}: {output}",
+                y_label=f"{output}{' less inverse' if inverse else ''}, {unit}", height=2.0,
             )  # fmt: skip
             below = Panel(
                 (Curve(time_s, measured - found, "residual"),), x_label="time of the withheld data, s",
@@ -319,4 +325,6 @@ def _figure(settings: MlpSettings, samples: TrainingSamples, fitted: Mapping[str
             )  # fmt: skip
             stacks.append(Stack((above, below)))
         rows.append(tuple(stacks))
-    return FigureData("networks on data they were not trained with", tuple(rows), row_height_in=4.2)
+    return FigureData(
+        "networks on data they were not trained with", tuple(rows), legend="top", row_height_in=4.2
+    )

@@ -152,14 +152,8 @@ def sample_plant(
 ) -> SampledPlant:
     """Return a plant whose drive is held for `step_s` and whose output is sampled as often.
 
-    Parameters
-    ----------
-    plant
-        Proper; its dead time is kept as it is.
-    extra_s
-        From sample to drive: computation, age of the sample.
-    average_s
-        The sample is the output's mean over so long; 0 takes the output itself.
+    `plant`: proper; its dead time is kept as it is. `extra_s`: from sample to drive: computation, age of the sample.
+    `average_s`: the sample is the output's mean over so long; 0 takes the output itself.
     """
     system = StateSpace(plant.numerator, plant.denominator, 1.0)
     size = system.size

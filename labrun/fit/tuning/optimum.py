@@ -9,14 +9,7 @@ import numpy as np
 from labrun.arrays import FloatArray
 from labrun.errors import FitError
 from labrun.fit.transfer import TransferFunction
-from labrun.fit.tuning.loop import (
-    ComplexArray,
-    Gains,
-    OpenLoop,
-    allowed_gain,
-    horizon_s,
-    margins,
-)
+from labrun.fit.tuning.loop import ComplexArray, Gains, OpenLoop, allowed_gain, horizon_s, margins
 from labrun.fit.tuning.settings import PidFitSettings
 
 Structure = Literal["P", "PI", "PID"]

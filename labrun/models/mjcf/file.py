@@ -63,10 +63,7 @@ class States:
 def mujoco_model(file: ModelFile) -> MujocoModel:
     """Return the model of a file with a ``mujoco`` key.
 
-    Raises
-    ------
-    ModelError
-        MuJoCo is not installed, the MJCF file does not compile, or lines of the table do not fit it.
+    Raises ModelError: MuJoCo is not installed, the MJCF file does not compile, or lines of the table do not fit it.
     """
     given = file.read(MujocoFile)
     native = _compiled(file, given.mujoco)

@@ -112,13 +112,7 @@ class MjcfLayout:
 
 
 def imported() -> Any:
-    """Return the module `mujoco`.
-
-    Raises
-    ------
-    ModelError
-        It is not installed, with the line that installs it.
-    """
+    """Return the module `mujoco`. Raises ModelError: it is not installed, with the line that installs it."""
     try:
         import mujoco
     except ImportError as error:

@@ -217,10 +217,7 @@ def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | N
 def robot_spec(path: Path) -> tuple[Any, list[str]]:
     """Return what a file describes, without its meshes and textures if some are missing, and what was left out.
 
-    Raises
-    ------
-    ModelError
-        There is no such file, MuJoCo cannot read it, or MuJoCo is too old to edit it.
+    Raises ModelError: there is no such file, MuJoCo cannot read it, or MuJoCo is too old to edit it.
     """
     mujoco = imported()
     if tuple(int(part) for part in mujoco.__version__.split(".")[:2]) < EDITS_ROBOTS:
@@ -259,10 +256,7 @@ def _is_missing(spec: Any, path: Path, folder: str, file: str) -> bool:
 def _without_assets(spec: Any, path: Path, missing: Collection[str]) -> list[str]:
     """Take out meshes, height fields, skins and textures; what meshes that are there weigh stays, as inertials.
 
-    Raises
-    ------
-    ModelError
-        A moving body's mass would have come from a mesh that is missing.
+    Raises ModelError: a moving body's mass would have come from a mesh that is missing.
     """
     for material in spec.materials:
         material.textures = [""] * len(material.textures)

@@ -23,14 +23,7 @@ _LETTER_MM = 2.3
 def draw_design(drawing: Drawing, units: Mapping[str, str], title: str) -> Figure:
     """Draw the parts so that a millimetre is a millimetre, or the half, fifth, ... of one that is said.
 
-    Parameters
-    ----------
-    drawing
-        Parts and dimensions.
-    units
-        Of the dimensions, by name.
-    title
-        Over the drawing.
+    `drawing`: parts and dimensions. `units`: of the dimensions, by name. `title`: over the drawing.
     """
     left, right, low, high = drawing.extent_mm
     scale = next((one for one in _SCALES if max(right - left, high - low) / one <= _LARGEST_MM), _SCALES[-1])

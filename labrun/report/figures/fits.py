@@ -18,7 +18,10 @@ _STACK_WIDTH_IN, _NARROWEST_IN = 3.7, 6.0
 _LEFT_IN, _RIGHT_IN, _ABOVE_IN, _BELOW_IN, _BELOW_TICKS_IN = 0.78, 0.14, 0.34, 0.5, 1.15
 """Room for labels around the panels of a stack."""
 _SHARED_GAP_IN, _GAP_IN = 0.24, 0.46
-_LEGEND_IN = 0.3
+_LEGEND_IN, _LEGEND_LINE_IN = 0.3, 0.17
+_LEGEND_CHARACTERS_PER_IN = 15.0
+_SAMPLE_CHARACTERS = 7
+"""What the line before a label of the legend takes, and the space after it."""
 _CHARACTERS_PER_IN = 12.0
 _COLOURS = {
     "measured": "#9aa5b1", "fitted": "#c2410c", "residual": "#1d4e89", "alternative": "#0072B2",
@@ -73,7 +76,18 @@ def drawn(described: FigureData) -> Figure:
     across = max(sum(stack.width for stack in row) for row in described.rows)
     width_in = max(_STACK_WIDTH_IN * across, _NARROWEST_IN)
     title, _, subtitle = described.title.partition("\n")
-    legend_in = _LEGEND_IN if described.legend == "top" else 0.0
+    labels = {
+        curve.label: None
+        for row in described.rows
+        for stack in row
+        for panel in stack.panels
+        for curve in panel.curves
+        if curve.label
+    }
+    longest = max(map(len, labels), default=0) + _SAMPLE_CHARACTERS
+    a_line = max(int(_LEGEND_CHARACTERS_PER_IN * width_in) // longest, 1)
+    lines = -(-len(labels) // a_line)
+    legend_in = _LEGEND_IN + _LEGEND_LINE_IN * (lines - 1) if labels and described.legend == "top" else 0.0
     head_in = style.heading_height_in(width_in, subtitle)
     height_in = described.row_height_in * len(described.rows) + head_in + legend_in
     with style.new_figure(width_in, height_in) as figure:
@@ -97,7 +111,7 @@ def drawn(described: FigureData) -> Figure:
                 list(handles),
                 loc="upper left",
                 bbox_to_anchor=anchor,
-                ncols=len(handles),
+                ncols=-(-len(handles) // lines),
             )
     return figure
 

@@ -74,7 +74,8 @@ def draw_track(view: RunView) -> Figure:
             for axes, objective in zip(panels, objectives, strict=True):
                 width = width_in / len(objectives)
                 objective_panel(axes, view, view.points(objective), objective=objective, width_in=width)
-            panels[0].set_title(PANEL_TITLE)
+            # over all of them: over the first one alone it would push the second away
+            parts[-1][0].suptitle(PANEL_TITLE, x=0.01, ha="left", size="medium")
             for axes in panels[1:]:  # all have the first one's conditions
                 axes.set_xlabel("")
         heading(figure, view.experiment.title, _subtitle(view, len(groups), len(shown)))

@@ -3,13 +3,7 @@
 from collections.abc import Mapping
 from typing import ClassVar
 
-from labrun.devices import (
-    DeviceContext,
-    DeviceSettings,
-    Identity,
-    Pacing,
-    Trajectory,
-)
+from labrun.devices import DeviceContext, DeviceSettings, Identity, Pacing, Trajectory
 from labrun_plugins.arduino_servo.servo_board import BoardDevice, ServoBoard
 from labrun_plugins.arduino_servo.settings import KIND, ArduinoServoSettings, Joint, Pulses, channels_of
 

@@ -15,6 +15,7 @@ from labrun.devices import (
     Pacing,
     Remark,
     Trajectory,
+    opened,
 )
 from labrun_plugins.arduino_servo.settings import BoardSettings
 from labrun_plugins.labline.handshake import probe, stop_from_scratch
@@ -116,9 +117,7 @@ class ServoBoard:
     @property
     def hello(self) -> Hello:
         """What the board said first; DeviceError if it is not open."""
-        if self._hello is None:
-            raise DeviceError(self._device, "is not open", hint="open() comes before any other call")
-        return self._hello
+        return opened(self._device, self._hello)
 
     @property
     def channels_needed(self) -> int:
@@ -137,10 +136,7 @@ class ServoBoard:
     def open(self) -> None:
         """Connect; no servo gets a pulse yet.
 
-        Raises
-        ------
-        DeviceError
-            As of `LineSession.open`; too few channels; or a watchdog that cannot be armed.
+        Raises DeviceError: as of `LineSession.open`; too few channels; or a watchdog that cannot be armed.
         """
         self.close()
         hello = self.session.open(self._kind)
@@ -197,10 +193,7 @@ class ServoBoard:
     def follow(self, trajectory: Trajectory, start_s: float, token: int) -> None:
         """Send a motion that was checked, from the clock's `start_s` on; then hold its last point.
 
-        Raises
-        ------
-        DeviceError
-            No answer, the watchdog expired, or the first point must not be sent.
+        Raises DeviceError: no answer, the watchdog expired, or the first point must not be sent.
         """
         self.hello  # noqa: B018 -- raises if it is not open
         self.check()
@@ -332,16 +325,15 @@ def _firmware(name: str, hello: Hello) -> Remark:
 
 def _channels(name: str, hello: Hello, needed: int) -> Remark:
     found = f"{hello.channels} channels, {needed} needed"
-    if hello.channels < needed:
-        return Remark("problem", name, found, f"add the pins to PINS and {_FLASH}")
-    return Remark("ok", name, found)
+    return Remark.judged(
+        hello.channels >= needed, name, found, f"add the pins to PINS and {_FLASH}", "problem"
+    )
 
 
 def _rate(name: str, hello: Hello, rate_hz: float) -> Remark:
     found = f"takes {hello.max_rate_hz:g} set-points/s, {rate_hz:g} are sent"
-    if hello.max_rate_hz < rate_hz:
-        return Remark("problem", name, found, f"set rate_hz = {hello.max_rate_hz:g}")
-    return Remark("ok", name, found)
+    advice = f"set rate_hz = {hello.max_rate_hz:g}"
+    return Remark.judged(hello.max_rate_hz >= rate_hz, name, found, advice, "problem")
 
 
 def _watchdog(name: str, session: LineSession, watchdog_ms: int) -> Remark:
@@ -367,10 +359,7 @@ class BoardDevice:
     def open(self) -> None:
         """Connect; no servo gets a pulse yet.
 
-        Raises
-        ------
-        DeviceError
-            No port, no answer, other firmware, or fewer channels than are needed.
+        Raises DeviceError: no port, no answer, other firmware, or fewer channels than are needed.
         """
         self._board.open()
 

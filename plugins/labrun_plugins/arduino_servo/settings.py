@@ -130,10 +130,7 @@ limits = { angle_deg = [-60, 60], speed_deg_s = 400 }"""
 def channels_of(joints: Mapping[str, Joint], pins: tuple[int, ...]) -> dict[str, int]:
     """Return the firmware's channel of each joint: by its pin, or by its place if no joint names a pin.
 
-    Raises
-    ------
-    ValueError
-        A pin the firmware does not drive, one of two joints, or more joints than channels.
+    Raises ValueError: a pin the firmware does not drive, one of two joints, or more joints than channels.
     """
     named = {joint: table.pin for joint, table in joints.items() if table.pin is not None}
     if not named:
@@ -215,10 +212,7 @@ class Pulses:
     def of(self, angle_rad: FloatArray) -> dict[str, int]:
         """Return the pulse width of each joint for one set-point (rad, in the order of `joints`), us.
 
-        Raises
-        ------
-        LimitExceededError
-            One of them is outside its limits, or not a number: the set-point must not be sent.
+        Raises LimitExceededError: one of them is outside its limits, or not a number: the set-point must not be sent.
         """
         pulses: dict[str, int] = {}
         for joint, angle in zip(self.joints, np.degrees(angle_rad), strict=True):

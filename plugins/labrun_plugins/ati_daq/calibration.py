@@ -70,10 +70,8 @@ def read(path: Path) -> Calibration:
 def parse(data: bytes) -> Calibration:
     """Return the calibration in the bytes of a ``.cal`` file.
 
-    Raises
-    ------
-    CalibrationError
-        It is no such file, an axis or a unit is missing or given twice, or a number makes no sense.
+    Raises CalibrationError: it is no such file, an axis or a unit is missing or given twice, or a number makes no
+    sense.
     """
     try:
         root = strict_xml.parse(data, MOST_BYTES)

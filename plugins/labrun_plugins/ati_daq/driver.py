@@ -17,7 +17,9 @@ from labrun.devices import (
     SampleBuffer,
     Samples,
     listened,
-)  # fmt: skip
+    opened,
+    streaming,
+)
 from labrun_plugins.ati_daq import calibration
 from labrun_plugins.ati_daq.calibration import Calibration
 from labrun_plugins.ati_daq.reader import Card, NidaqmxReader, SocketReader, VoltageReader
@@ -68,10 +70,7 @@ class Reception:
     def receive(self) -> None:
         """Take the next block, waiting a moment for it.
 
-        Raises
-        ------
-        DeviceError
-            Nothing comes any more, or voltages that cannot be.
+        Raises DeviceError: nothing comes any more, or voltages that cannot be.
         """
         looked_s = self._clock.now()
         block = self._reader.read()
@@ -139,27 +138,17 @@ _NEAR_RAIL = 0.9
 def examine(
     reception: Reception, calibration: Calibration, settings: AtiDaqSettings, rate_hz: float
 ) -> list[Remark]:
-    """Judge what has been sampled for a while.
-
-    Parameters
-    ----------
-    rate_hz
-        What the card says.
-    """
+    """Judge what has been sampled for a while. `rate_hz`: what the card says."""
     return [*_stream(reception, settings, rate_hz), *_calibration(calibration, settings)]
 
 
 def _stream(reception: Reception, settings: AtiDaqSettings, rate_hz: float) -> Iterator[Remark]:
     measured = reception.rate_hz()
-    if abs(measured / rate_hz - 1.0) > _RATE_TOLERANCE:
-        advice = "this computer cannot keep up, or the card has another clock: lower rate_hz"
-        yield Remark("warning", "rate", f"{measured:.5g} samples/s, the card says {rate_hz:.5g}", advice)
-    else:
-        yield Remark("ok", "rate", f"{measured:.5g} samples/s, the card says {rate_hz:.5g}")
-    verdict = f"{reception.lost} of {reception.received + reception.lost} samples lost"
-    yield Remark(
-        "warning" if reception.lost else "ok", "losses", verdict, "lower rate_hz" if reception.lost else ""
-    )
+    message = f"{measured:.5g} samples/s, the card says {rate_hz:.5g}"
+    advice = "this computer cannot keep up, or the card has another clock: lower rate_hz"
+    yield Remark.judged(abs(measured / rate_hz - 1.0) <= _RATE_TOLERANCE, "rate", message, advice)
+    message = f"{reception.lost} of {reception.received + reception.lost} samples lost"
+    yield Remark.judged(not reception.lost, "losses", message, "lower rate_hz")
     gauge = int(np.argmax(reception.peak_v))
     message = f"the greatest is {reception.peak_v[gauge]:.3g} V, of gauge {gauge + 1}"
     if reception.peak_v[gauge] > _NEAR_RAIL * settings.range_v:
@@ -214,9 +203,7 @@ class AtiDaq:
     @property
     def calibration(self) -> calibration.Calibration:
         """The sensor's; DeviceError before `open`."""
-        if self._calibration is None:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
-        return self._calibration
+        return opened(self.name, self._calibration)
 
     @property
     def reception(self) -> Reception | None:
@@ -226,10 +213,7 @@ class AtiDaq:
     def open(self) -> None:
         """Read the calibration file and connect to the card.
 
-        Raises
-        ------
-        DeviceError
-            The file cannot be used, NI's driver or library is missing, or the card does not answer.
+        Raises DeviceError: the file cannot be used, NI's driver or library is missing, or the card does not answer.
         """
         self.close()
         path = self.settings.calibration_file
@@ -285,13 +269,7 @@ class AtiDaq:
         return Health(notes=tuple(notes))
 
     def start(self) -> None:
-        """Begin to sample; samples from before are dropped.
-
-        Raises
-        ------
-        DeviceError
-            Not open, or the card refuses.
-        """
+        """Begin to sample; samples from before are dropped. Raises DeviceError: not open, or the card refuses."""
         read = self.calibration
         self.stop()
         self._buffer.clear()
@@ -306,14 +284,9 @@ class AtiDaq:
     def read(self) -> Samples:
         """Return all samples since the last call; does not wait.
 
-        Raises
-        ------
-        DeviceError
-            Not started; or, once everything that came has been handed over, the stream is lost.
+        Raises DeviceError: not started; or, once everything that came has been handed over, the stream is lost.
         """
-        if self._listener is None:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
-        return self._listener.deliver(self._buffer)
+        return streaming(self.name, self._listener).deliver(self._buffer)
 
     def stop(self) -> None:
         """End sampling; harmless if it does not."""

@@ -23,7 +23,9 @@ from labrun.devices import (
     SampleBuffer,
     Samples,
     listened,
-)  # fmt: skip
+    opened,
+    streaming,
+)
 from labrun_plugins.ati_netft import codec, network, units
 from labrun_plugins.ati_netft.network import BoxInfo, ask_status, box_rate
 from labrun_plugins.ati_netft.reception import CHANNELS, Reception
@@ -39,12 +41,7 @@ def stream(
 ) -> Iterator[Remark]:
     """Judge what has been heard for a while.
 
-    Parameters
-    ----------
-    counted
-        What is said about the records.
-    rate_hz
-        Of the samples that are handed over.
+    `counted`: what is said about the records. `rate_hz`: of the samples that are handed over.
     """
     counts, measured, told = reception.sequencer.counts, reception.rate_hz(), info.rate_hz
     if abs(measured / told - 1.0) > _RATE_TOLERANCE:
@@ -52,21 +49,17 @@ def stream(
         yield Remark("warning", "rate", f"says {told:g} samples/s, sends {measured:.5g}", advice)
     else:
         yield Remark("ok", "rate", f"{measured:.5g} records/s; {rate_hz:g} samples/s are handed over")
-    if counts.lost or counts.restarts:
-        advice = (
-            'a network port of its own for the box, without a switch shared with others; or mode = "buffered"'
-        )
-        yield Remark("warning", "losses", counted, advice)
-    else:
-        yield Remark("ok", "losses", counted)
+    advice = (
+        'a network port of its own for the box, without a switch shared with others; or mode = "buffered"'
+    )
+    yield Remark.judged(not (counts.lost or counts.restarts), "losses", counted, advice)
     word = reception.last_status
     if word & codec.CONDITION:
         advice = f"clear it on http://{settings.host}/moncon.htm, or switch monitor conditions off"
         yield Remark("warning", "status", codec.words(word), advice)
-    elif word:
-        yield Remark("problem", "status", codec.words(word), "unload the sensor; check its cable to the box")
     else:
-        yield Remark("ok", "status", codec.words(word))
+        advice = "unload the sensor; check its cable to the box"
+        yield Remark.judged(not word, "status", codec.words(word), advice, "problem")
 
 
 def box(name: str, clock: Clock, info: BoxInfo, settings: AtiNetFtSettings, own: str) -> Iterator[Remark]:
@@ -81,9 +74,7 @@ def _buffer(name: str, clock: Clock, info: BoxInfo, settings: AtiNetFtSettings, 
     holds_s = socket.capacity() / info.rate_hz
     socket.close()
     message = f"the system holds {holds_s:.2g} s of records while this program is busy"
-    if holds_s < _ENOUGH_S:
-        return Remark("warning", "buffer", message, "sudo sysctl -w net.core.rmem_max=4194304")
-    return Remark("ok", "buffer", message)
+    return Remark.judged(holds_s >= _ENOUGH_S, "buffer", message, "sudo sysctl -w net.core.rmem_max=4194304")
 
 
 def _units(info: BoxInfo, settings: AtiNetFtSettings) -> Remark:
@@ -118,13 +109,8 @@ def _tcp(info: BoxInfo, settings: AtiNetFtSettings, own: str) -> Iterator[Remark
     )
     said = f"{calibration.counts_per_force} counts per {force or 'unknown unit'}, "
     said += f"{calibration.counts_per_torque} per {torque or 'unknown unit'}; {codec.words(decoded.status)}"
-    if agrees:
-        yield Remark("ok", where, said)
-    else:
-        advice = (
-            "its web page and its TCP port disagree about units: choose the calibration again and restart it"
-        )
-        yield Remark("problem", where, said, advice)
+    advice = "its web page and its TCP port disagree about units: choose the calibration again and restart it"
+    yield Remark.judged(agrees, where, said, advice, "problem")
 
 
 _NEAR_END = 0.9
@@ -158,9 +144,7 @@ class AtiNetFt:
     @property
     def info(self) -> BoxInfo:
         """What the box said about itself at `open`; DeviceError before."""
-        if self._info is None:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
-        return self._info
+        return opened(self.name, self._info)
 
     @property
     def reception(self) -> Reception | None:
@@ -170,10 +154,8 @@ class AtiNetFt:
     def open(self) -> None:
         """Connect: read the box's units and rate, set the rate if the file says so, and ask for one sample.
 
-        Raises
-        ------
-        DeviceError
-            No way to it, no answer, an answer that makes no sense, a rate below the one wanted, or an error it reports.
+        Raises DeviceError: no way to it, no answer, an answer that makes no sense, a rate below the one wanted, or an
+        error it reports.
         """
         self.close()
         own = network.own_address(self.name, self.settings)
@@ -219,10 +201,7 @@ class AtiNetFt:
     def health(self) -> Health:
         """Report on the stream; if there is none, ask for one sample, to see that the box answers and is well.
 
-        Raises
-        ------
-        DeviceError
-            The stream is lost, or it does not answer.
+        Raises DeviceError: the stream is lost, or it does not answer.
         """
         if self._info is None:
             return Health(ok=False, notes=("not connected",))
@@ -254,10 +233,7 @@ class AtiNetFt:
     def start(self) -> None:
         """Begin to stream; samples from before are dropped.
 
-        Raises
-        ------
-        DeviceError
-            Not open, or the box cannot be reached.
+        Raises DeviceError: not open, or the box cannot be reached.
         """
         info = self.info
         self.stop()
@@ -278,14 +254,10 @@ class AtiNetFt:
     def read(self) -> Samples:
         """Return all samples since the last call; does not wait.
 
-        Raises
-        ------
-        DeviceError
-            Not started; or, once everything that came has been handed over, the stream is lost or the box not well.
+        Raises DeviceError: not started; or, once everything that came has been handed over, the stream is lost or the
+        box not well.
         """
-        if self._listener is None:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
-        return self._listener.deliver(self._buffer)
+        return streaming(self.name, self._listener).deliver(self._buffer)
 
     def stop(self) -> None:
         """End the stream; harmless if there is none."""

@@ -19,6 +19,7 @@ Faults of the wire come from its endpoints (silence, late, drop, duplicate, reor
 
 import math
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -55,8 +56,8 @@ class BoxState:
     last_values: FloatArray = field(default_factory=lambda: np.zeros(6))
 
 
-class WebDoor:
-    """Serves ``/netftapi2.xml``, and takes settings by ``/comm.cgi?name=value``; unknown names are ignored."""
+class Door(ABC):
+    """One of the box's ports: answers what clients ask, whole request by whole request."""
 
     def __init__(self, context: EmulatorContext, host: str, state: BoxState) -> None:
         self._context = context
@@ -80,18 +81,32 @@ class WebDoor:
         self._endpoint.accept()
         for client, data in self._endpoint.receive():
             asked = self._asked.pop(client, b"") + data
-            if not data or len(asked) > _LONGEST_REQUEST:
-                self._endpoint.drop(client)
-            elif b"\r\n\r\n" in asked:
-                self._endpoint.send(client, self.answer(asked.partition(b"\r\n")[0]))
-            else:
-                self._asked[client] = asked
+            rest = self._answered(client, asked) if data else b""
+            if rest:
+                self._asked[client] = rest
         return self._endpoint.flush(self._context.clock.now())
 
     def close(self) -> None:
         """Close it."""
         self._asked.clear()
         self._endpoint.close()
+
+    @abstractmethod
+    def _answered(self, client: int, asked: bytes) -> bytes:
+        """Answer all requests that are whole; return what is left."""
+
+
+class WebDoor(Door):
+    """Serves ``/netftapi2.xml``, and takes settings by ``/comm.cgi?name=value``; unknown names are ignored."""
+
+    def _answered(self, client: int, asked: bytes) -> bytes:
+        if len(asked) > _LONGEST_REQUEST:
+            self._endpoint.drop(client)
+        elif b"\r\n\r\n" in asked:
+            self._endpoint.send(client, self.answer(asked.partition(b"\r\n")[0]))
+        else:
+            return asked
+        return b""
 
     def answer(self, line: bytes) -> bytes:
         """Return the answer to a request that begins with this line."""
@@ -139,45 +154,15 @@ class WebDoor:
         return f'<?xml version="1.0" encoding="ISO-8859-1"?><netft>{body}</netft>'
 
 
-class TcpDoor:
+class TcpDoor(Door):
     """Answers READFT (0) and READCALINFO (1)."""
 
-    def __init__(self, context: EmulatorContext, host: str, state: BoxState) -> None:
-        self._context = context
-        self._host = host
-        self._state = state
-        self._endpoint = TcpEndpoint(context, host)
-        self._asked: dict[int, bytes] = {}
-
-    @property
-    def fds(self) -> list[int]:
-        """What to wait on."""
-        return self._endpoint.fds
-
-    def open(self, port: int) -> int:
-        """Open it at this port, or a free one for 0; return the port."""
-        self._endpoint = TcpEndpoint(self._context, self._host, port)
-        return self._endpoint.open()
-
-    def step(self) -> float:
-        """Answer what was asked; return when the next answer is due."""
-        self._endpoint.accept()
-        for client, data in self._endpoint.receive():
-            asked = self._asked.pop(client, b"") + data
-            if not data:
-                continue
-            while len(asked) >= _TCP_REQUEST:
-                request, asked = asked[:_TCP_REQUEST], asked[_TCP_REQUEST:]
-                answer = self.answer(request)
-                if answer:
-                    self._endpoint.send(client, answer)
-            self._asked[client] = asked
-        return self._endpoint.flush(self._context.clock.now())
-
-    def close(self) -> None:
-        """Close it."""
-        self._asked.clear()
-        self._endpoint.close()
+    def _answered(self, client: int, asked: bytes) -> bytes:
+        while len(asked) >= _TCP_REQUEST:
+            request, asked = asked[:_TCP_REQUEST], asked[_TCP_REQUEST:]
+            if answer := self.answer(request):
+                self._endpoint.send(client, answer)
+        return asked
 
     def answer(self, request: bytes) -> bytes:
         """Return the answer to a request of 20 bytes; nothing to one that is not known."""

@@ -72,10 +72,7 @@ def box_rate(wanted_hz: float) -> float:
 def parse(data: bytes) -> BoxInfo:
     """Return what a box's XML says.
 
-    Raises
-    ------
-    BoxInfoError
-        It is no such XML, or a part of it is missing, given twice, or makes no sense.
+    Raises BoxInfoError: it is no such XML, or a part of it is missing, given twice, or makes no sense.
     """
     try:
         root = strict_xml.parse(data, MOST_XML_BYTES)
@@ -148,10 +145,7 @@ _CABLE = "check its power and network cable, and `host`: it should answer ping, 
 def own_address(device: str, settings: AtiNetFtSettings) -> str:
     """Return the address of this computer to bind to: that of `interface`, else of the one that leads to the box.
 
-    Raises
-    ------
-    DeviceError
-        There is no such interface, or no way to the box.
+    Raises DeviceError: there is no such interface, or no way to the box.
     """
     wanted = settings.interface
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as asking:
@@ -191,10 +185,7 @@ def own_address(device: str, settings: AtiNetFtSettings) -> str:
 def fetch(device: str, settings: AtiNetFtSettings, own: str, path: str) -> bytes:
     """Return one of the box's web pages, no more of it than makes sense.
 
-    Raises
-    ------
-    DeviceError
-        No answer, or not the page.
+    Raises DeviceError: no answer, or not the page.
     """
     where = f"http://{settings.host}:{settings.http_port}{path.partition('?')[0]}"
     connection = http.client.HTTPConnection(
@@ -234,10 +225,8 @@ def ask_info(device: str, settings: AtiNetFtSettings, own: str) -> BoxInfo:
 def set_rate(device: str, settings: AtiNetFtSettings, own: str) -> BoxInfo:
     """Have the box send at the wanted rate; return its set-up as it is then.
 
-    Raises
-    ------
-    DeviceError
-        It does not answer, or still has another rate afterwards: it ignores what it does not understand.
+    Raises DeviceError: it does not answer, or still has another rate afterwards: it ignores what it does not
+    understand.
     """
     wanted = round(box_rate(settings.rate_hz))
     fetch(device, settings, own, f"/comm.cgi?comrdtrate={wanted}")
@@ -287,10 +276,7 @@ _LOOK_EVERY_S = 0.002
 def ask_status(device: str, settings: AtiNetFtSettings, clock: Clock, own: str) -> int:
     """Return the status that comes with one sample.
 
-    Raises
-    ------
-    DeviceError
-        No answer to any of a few requests: a datagram may get lost, four do not.
+    Raises DeviceError: no answer to any of a few requests: a datagram may get lost, four do not.
     """
     box = DatagramSocket(device, clock, own, (settings.host, settings.rdt_port))
     malformed = 0

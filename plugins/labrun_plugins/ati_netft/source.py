@@ -133,10 +133,7 @@ class DatagramSocket:
     def take(self) -> Datagrams:
         """Return what has come, 512 datagrams at most; does not wait. The slots hold until the next call.
 
-        Raises
-        ------
-        DeviceError
-            The box's computer says that nobody listens there, or the network is gone.
+        Raises DeviceError: the box's computer says that nobody listens there, or the network is gone.
         """
         looked_s = self._clock.now()
         count = self._receive(self._socket.fileno(), self._messages, _SLOTS, socket.MSG_DONTWAIT, None)
@@ -270,9 +267,7 @@ class PynetftSource:
         if settings.mode == "buffered" or settings.interface is not None:
             what = 'mode = "buffered"' if settings.mode == "buffered" else "an interface"
             raise DeviceError(
-                device,
-                f"pynetft cannot use {what}",
-                hint='leave client out: client = "labrun" can',
+                device, f"pynetft cannot use {what}", hint='leave client out: client = "labrun" can'
             )
         self._device = device
         self._clock = clock

@@ -21,10 +21,7 @@ class _Plain(ElementTree.TreeBuilder):
 def parse(data: bytes, most_bytes: int) -> Element:
     """Return the root of an XML document.
 
-    Raises
-    ------
-    XmlRefusedError
-        Too long, not well-formed, or with a document type, an entity or a processing instruction.
+    Raises XmlRefusedError: too long, not well-formed, or with a document type, an entity or a processing instruction.
     """
     if len(data) > most_bytes:
         raise XmlRefusedError(f"longer than {most_bytes} bytes")

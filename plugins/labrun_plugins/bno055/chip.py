@@ -123,10 +123,7 @@ class Chip:
     def wake(self) -> bytes:
         """Wait until it answers, and return its four ids, two bytes of firmware, and its boot loader's revision.
 
-        Raises
-        ------
-        DeviceError
-            No answer within the time a chip takes to boot, or another chip.
+        Raises DeviceError: no answer within the time a chip takes to boot, or another chip.
         """
         deadline_s = self._clock.now() + _BOOT_S
         while True:
@@ -150,10 +147,7 @@ class Chip:
     def set_up(self, settings: Bno055Settings) -> bytes:
         """Bring it from whatever it did into its fusion mode; return the calibration offsets it works with.
 
-        Raises
-        ------
-        DeviceError
-            It refused a step, or its fusion does not run.
+        Raises DeviceError: it refused a step, or its fusion does not run.
         """
         try:
             self.write(codec.MODE, bytes((codec.CONFIG_MODE,)))
@@ -179,10 +173,7 @@ class Chip:
     def read_offsets(self, settings: Bno055Settings) -> bytes:
         """Return the calibration as it is now; leaves the fusion for a moment, because it can only be read outside.
 
-        Raises
-        ------
-        Refused, DeviceError
-            As of `read`; the fusion may not run then.
+        Raises Refused, DeviceError: as of `read`; the fusion may not run then.
         """
         self.write(codec.MODE, bytes((codec.CONFIG_MODE,)))
         self._clock.sleep(_TO_CONFIG_S)

@@ -17,6 +17,8 @@ from labrun.devices import (
     SampleBuffer,
     Samples,
     SerialPort,
+    opened,
+    streaming,
 )
 from labrun.devices.clock import RealClock
 from labrun_plugins.bno055 import codec
@@ -50,16 +52,10 @@ def identity(ids: bytes, settings: Bno055Settings | None, offsets: bytes) -> Ide
 
 def of_identity(ids: bytes) -> Remark:
     """Judge the four ids."""
+    known = ids[:4] == _KNOWN_IDS
     message = f"ids {ids[:4].hex(' ').upper()}, firmware {ids[5]:02X}.{ids[4]:02X}"
-    if ids[:4] == _KNOWN_IDS:
-        return Remark("ok", "identity", message)
-    expected = _KNOWN_IDS.hex(" ").upper()
-    return Remark(
-        "warning",
-        "identity",
-        f"{message}; {expected} expected",
-        "one of its sensors may be broken: self-test it",
-    )
+    message += "" if known else f"; {_KNOWN_IDS.hex(' ').upper()} expected"
+    return Remark.judged(known, "identity", message, "one of its sensors may be broken: self-test it")
 
 
 def of_readings(sampling: Sampling, chip: Chip, now_s: float) -> Iterator[Remark]:
@@ -67,21 +63,14 @@ def of_readings(sampling: Sampling, chip: Chip, now_s: float) -> Iterator[Remark
     due = sampling.readings + sampling.lost
     rate_hz = sampling.readings / max(now_s - sampling.began_s, 1e-9)
     message = f"{rate_hz:.4g} readings a second, {sampling.lost} of {due} lost"
-    if sampling.readings < _RATE_SHARE * due:
-        yield Remark(
-            "warning",
-            "rate",
-            message,
-            "set the adapter's latency timer to 1 ms, or choose a smaller rate_hz; the chip makes 100 a second",
-        )
-    else:
-        yield Remark("ok", "rate", message)
+    advice = (
+        "set the adapter's latency timer to 1 ms, or choose a smaller rate_hz; the chip makes 100 a second"
+    )
+    yield Remark.judged(sampling.readings >= _RATE_SHARE * due, "rate", message, advice)
     share = chip.overruns / max(chip.requests, 1)
     busy = f"{chip.overruns} of {chip.requests} requests met a bus over-run"
-    if share > _OVERRUN_SHARE:
-        yield Remark("warning", "over-runs", busy, "some are normal; so many cost readings: lower rate_hz")
-    else:
-        yield Remark("ok", "over-runs", busy)
+    advice = "some are normal; so many cost readings: lower rate_hz"
+    yield Remark.judged(share <= _OVERRUN_SHARE, "over-runs", busy, advice)
     if sampling.last_block is not None:
         yield from of_numbers(sampling.last_block)
 
@@ -96,24 +85,15 @@ def of_numbers(block: codec.Block) -> Iterator[Remark]:
     else:
         off_rad = float(np.arccos(np.clip(block.gravity_m_s2 @ up_in_body(q) / gravity, -1.0, 1.0)))
         text = f"{message}, {np.degrees(off_rad):.1f} deg off the vertical of its quaternion"
-        if off_rad > _AGREES_RAD:
-            advice = "tip it by hand and watch tilt, roll and pitch: axes may be remapped in this chip"
-            yield Remark("warning", "gravity", text, advice)
-        else:
-            yield Remark("ok", "gravity", text)
+        advice = "tip it by hand and watch tilt, roll and pitch: axes may be remapped in this chip"
+        yield Remark.judged(off_rad <= _AGREES_RAD, "gravity", text, advice)
     heading, roll, pitch = angles(q)
     off = np.abs(np.angle(np.exp(1j * (block.euler_rad - np.array([heading, roll, pitch])))))
     own = ", ".join(f"{angle:.1f}" for angle in np.degrees(block.euler_rad))
+    agree = "agree with its quaternion"
     if off.max() > _AGREES_RAD:
-        yield Remark(
-            "ok",
-            "angles",
-            f"the chip's own heading, roll, pitch ({own} deg) have other conventions; labrun uses its quaternion",
-        )
-    else:
-        yield Remark(
-            "ok", "angles", f"the chip's own heading, roll, pitch ({own} deg) agree with its quaternion"
-        )
+        agree = "have other conventions; labrun uses its quaternion"
+    yield Remark("ok", "angles", f"the chip's own heading, roll, pitch ({own} deg) {agree}")
 
 
 def of_calibration(chip: Chip, settings: Bno055Settings) -> Iterator[Remark]:
@@ -198,11 +178,8 @@ class Bno055:
     def open(self) -> None:
         """Connect, wait for the chip to boot if need be, and set it up.
 
-        Raises
-        ------
-        DeviceError
-            No such port, no right to use it, held by another program, no answer, another chip, or a fusion that does
-            not run.
+        Raises DeviceError: no such port, no right to use it, held by another program, no answer, another chip, or a
+        fusion that does not run.
         """
         self.close()
         self._port.open()
@@ -224,10 +201,7 @@ class Bno055:
     def health(self) -> Health:
         """Report its temperature and its calibration, 0 (none) to 3 (full), two seconds old at most while it measures.
 
-        Raises
-        ------
-        DeviceError
-            Its readings failed, or it does not answer.
+        Raises DeviceError: its readings failed, or it does not answer.
         """
         if self._chip is None:
             return Health(ok=False, notes=("not connected",))
@@ -265,10 +239,7 @@ class Bno055:
     def start(self) -> None:
         """Begin to measure; samples from before are dropped. A chip that was reset meanwhile is set up again.
 
-        Raises
-        ------
-        DeviceError
-            It does not answer, or the port is gone.
+        Raises DeviceError: it does not answer, or the port is gone.
         """
         chip = self._opened()
         self.stop()
@@ -286,14 +257,11 @@ class Bno055:
     def read(self) -> Samples:
         """Return all samples since the last call; does not wait.
 
-        Raises
-        ------
-        DeviceError
-            Not started; or, once everything that came has been handed over, its readings fail or the port is gone.
+        Raises DeviceError: not started; or, once everything that came has been handed over, its readings fail or the
+        port is gone.
         """
         self._opened()
-        if self._sampling is None:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
+        streaming(self.name, self._sampling)
         return self._hearing().deliver(self._buffer)
 
     def stop(self) -> None:
@@ -342,9 +310,7 @@ class Bno055:
         self._state = state
 
     def _opened(self) -> Chip:
-        if self._chip is None:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
-        return self._chip
+        return opened(self.name, self._chip)
 
     def _hearing(self) -> Listener:
         assert self._listener is not None  # noqa: S101  made with every sampling

@@ -176,10 +176,8 @@ class Sampling:
     def receive(self) -> None:
         """Wait for the next reading's time, a little at a time, and take it.
 
-        Raises
-        ------
-        DeviceError
-            Five readings in a row failed, or the quaternion was no unit quaternion for 0.1 s; or the port is gone.
+        Raises DeviceError: five readings in a row failed, or the quaternion was no unit quaternion for 0.1 s; or the
+        port is gone.
         """
         left_s = self._due_s - self._clock.now()
         if left_s > 0.0:

@@ -75,10 +75,7 @@ class TableError(Exception):
 def read_table(path: Path, columns: Sequence[str], time: str | None) -> tuple[FloatArray, FloatArray | None]:
     """Return the wanted columns, shape (n, columns), and the times from the first row on, shape (n,), if it has any.
 
-    Raises
-    ------
-    TableError
-        There is no such file, column or number; times that do not increase; no row.
+    Raises TableError: there is no such file, column or number; times that do not increase; no row.
     """
     try:
         with path.open(encoding="utf-8", newline="") as file:
@@ -164,13 +161,7 @@ class Command:
         self._played = 0
 
     def open(self) -> None:
-        """See that the program is there.
-
-        Raises
-        ------
-        DeviceError
-            It is not.
-        """
+        """See that the program is there. Raises DeviceError: it is not."""
         program = self._settings.run[0]
         if shutil.which(program) is None:
             raise DeviceError(
@@ -189,10 +180,7 @@ class Command:
     def arrange(self, condition: Mapping[str, float | str]) -> None:
         """Start the program for a condition, unless that was computed before; returns at once.
 
-        Raises
-        ------
-        DeviceError
-            The command names what the condition does not have, or cannot be started.
+        Raises DeviceError: the command names what the condition does not have, or cannot be started.
         """
         self._rows = np.empty((0, len(self.channels)))
         words = {
@@ -234,10 +222,7 @@ class Command:
     def arrived(self) -> bool:
         """Tell whether the program is done; waits a twentieth of a second for it at most.
 
-        Raises
-        ------
-        DeviceError
-            It failed, took too long, was stopped, or wrote what is no table.
+        Raises DeviceError: it failed, took too long, was stopped, or wrote what is no table.
         """
         process = self._process
         if process is None:

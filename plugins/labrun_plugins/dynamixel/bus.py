@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from labrun.devices import Clock, DeviceError
+from labrun.devices import Clock, DeviceError, opened
 from labrun.devices.serial_port import SerialPort
 from labrun_plugins.dynamixel.codec import (
     BROADCAST,
@@ -33,12 +33,7 @@ class Complaints:
     def silent(self, ids: Sequence[int], *, damaged: bool, strangers: Collection[int]) -> DeviceError:
         """Return the error for servos that do not answer, or only with noise.
 
-        Parameters
-        ----------
-        damaged
-            Whether something came that was no answer.
-        strangers
-            Ids that answered without having been asked.
+        `damaged`: whether something came that was no answer. `strangers`: ids that answered without having been asked.
         """
         who = self.who(ids)
         if damaged:
@@ -135,13 +130,7 @@ class Bus:
         return gap_s
 
     def open(self) -> None:
-        """Open the port.
-
-        Raises
-        ------
-        DeviceError
-            The vendor's library is missing, or the port cannot be opened.
-        """
+        """Open the port. Raises DeviceError: the vendor's library is missing, or the port cannot be opened."""
         try:
             from labrun_plugins.dynamixel.sdk import HardenedHandler, HardenedPort
         except ImportError as error:
@@ -188,13 +177,7 @@ class Bus:
         return found
 
     def read(self, identity: int, register: Register) -> int:
-        """Return a register's value.
-
-        Raises
-        ------
-        DeviceError
-            No answer, or a refusal.
-        """
+        """Return a register's value. Raises DeviceError: no answer, or a refusal."""
         return register.decode(self.read_bytes(identity, Block(register.address, register.size)))
 
     def read_bytes(self, identity: int, block: Block) -> bytes:
@@ -216,13 +199,7 @@ class Bus:
         raise self.silent([identity], damaged=handler.noise > noise)
 
     def write(self, identity: int, register: Register, value: int) -> None:
-        """Write a register.
-
-        Raises
-        ------
-        DeviceError
-            No answer, or a refusal.
-        """
+        """Write a register. Raises DeviceError: no answer, or a refusal."""
         port, handler = self._parts()
         noise = handler.noise
         for _ in range(TRIES):
@@ -347,10 +324,7 @@ class Bus:
     def hear(self, ids: Sequence[int], block: Block) -> dict[int, Status]:
         """Return the answers to a `question`, of all servos, that come next; none if they do not come soon.
 
-        Raises
-        ------
-        DeviceError
-            The port is gone.
+        Raises DeviceError: the port is gone.
         """
         port, handler = self._parts()
         self._give_way()
@@ -374,23 +348,11 @@ class Bus:
 
     @property
     def file(self) -> int:
-        """The port's file descriptor, which does not block.
-
-        Raises
-        ------
-        DeviceError
-            The port is gone.
-        """
+        """The port's file descriptor, which does not block. Raises DeviceError: the port is gone."""
         return self._serial.file
 
     def require(self, ids: Sequence[int], block: Block) -> dict[int, Status]:
-        """Read a block of several servos, all of them.
-
-        Raises
-        ------
-        DeviceError
-            One of them does not answer, or refuses.
-        """
+        """Read a block of several servos, all of them. Raises DeviceError: one of them does not answer, or refuses."""
         found: dict[int, Status] = {}
         for _ in range(TRIES):
             found |= self.group_read([identity for identity in ids if identity not in found], block)
@@ -466,6 +428,4 @@ class Bus:
         return status
 
     def _parts(self) -> "tuple[HardenedPort, HardenedHandler]":
-        if self._port is None or self._handler is None:
-            raise DeviceError(self.device, "is not open", hint="open() comes before any other call")
-        return self._port, self._handler
+        return opened(self.device, self._port), opened(self.device, self._handler)

@@ -93,10 +93,7 @@ class CommandCheck:
     def beginning(self, joints: tuple[str, ...], first_rad: FloatArray, here_rad: FloatArray) -> None:
         """Refuse a motion from rest that does not begin where the joints are.
 
-        Raises
-        ------
-        LimitExceededError
-            The first set-point would make one jump.
+        Raises LimitExceededError: the first set-point would make one jump.
         """
         ways = np.abs(first_rad - here_rad)
         worst = int(np.argmax(ways))
@@ -111,10 +108,8 @@ class CommandCheck:
     def set_point(self, angles_rad: FloatArray, now_s: float) -> FloatArray:
         """Return a set-point that may be sent now.
 
-        Raises
-        ------
-        LimitExceededError
-            It leaves the angle limit, or the way from those before is too long for the time since.
+        Raises LimitExceededError: it leaves the angle limit, or the way from those before is too long for the time
+        since.
         """
         if not np.isfinite(angles_rad).all():
             raise LimitExceededError(
@@ -207,10 +202,7 @@ STOP_PATIENCE_S = 0.025
 def goals_here(bus: Bus, scales: Mapping[int, Scale], counts: Mapping[int, int]) -> dict[int, int]:
     """Return the goals at which the joints stay where they are, id -> count, inside their limits.
 
-    Raises
-    ------
-    DeviceError
-        A joint stands so far outside that it would jump back.
+    Raises DeviceError: a joint stands so far outside that it would jump back.
     """
     goals = {}
     for identity, count in counts.items():
@@ -229,10 +221,7 @@ def goals_here(bus: Bus, scales: Mapping[int, Scale], counts: Mapping[int, int])
 def switch_on(bus: Bus, goals: Mapping[int, int], guarded: Sequence[int], watchdog_steps: int) -> None:
     """Give every servo its goal and its torque, then arm the watchdogs, and read back.
 
-    Raises
-    ------
-    DeviceError
-        A servo does not answer, has shut down, or does not do what it was told.
+    Raises DeviceError: a servo does not answer, has shut down, or does not do what it was told.
     """
     ids = list(goals)
     bus.group_write(GOAL_POSITION, goals)
@@ -262,10 +251,7 @@ def switch_on(bus: Bus, goals: Mapping[int, int], guarded: Sequence[int], watchd
 def check_watchdogs(bus: Bus, guarded: Sequence[int], gap_s: float) -> None:
     """After a pause that was too long, see whether servos have stopped themselves: they would not say so.
 
-    Raises
-    ------
-    DeviceError
-        One has.
+    Raises DeviceError: one has.
     """
     answers = bus.group_read(guarded, whole(BUS_WATCHDOG))
     tripped = [i for i, status in answers.items() if BUS_WATCHDOG.decode(status.data) == TRIPPED]

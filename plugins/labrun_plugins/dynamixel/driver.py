@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from labrun.devices import DeviceContext, DeviceError, FloatArray, Health, Samples
+from labrun.devices import DeviceContext, FloatArray, Health, Samples, streaming
 from labrun.devices.compiled_wire import BUSY, HALT, CompiledWire
 from labrun.devices.listening import Listener, Newest, SampleBuffer
 from labrun_plugins.dynamixel.codec import Status
@@ -65,14 +65,10 @@ class DynamixelWithFeedback(DynamixelServos):
     def read(self) -> Samples:
         """Return all samples since the last call.
 
-        Raises
-        ------
-        DeviceError
-            Not streaming, a servo fell silent or has shut down, or the port is gone.
+        Raises DeviceError: not streaming, a servo fell silent or has shut down, or the port is gone.
         """
         self._listener.check()
-        if not self._listener.running:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
+        streaming(self.name, self._listener.running)
         return self._buffer.take()
 
     def stop(self) -> None:

@@ -124,13 +124,7 @@ class Table:
                 self.set(line.address, line.start)
 
     def read(self, address: int, length: int) -> bytes:
-        """Return bytes.
-
-        Raises
-        ------
-        Refusal
-            There is nothing at one of these addresses.
-        """
+        """Return bytes. Raises Refusal: there is nothing at one of these addresses."""
         found = bytearray()
         for place in range(address, address + length):
             target = self._target(place)
@@ -142,10 +136,7 @@ class Table:
     def check(self, address: int, data: bytes) -> list[tuple[Entry, int]]:
         """Return the lines that data would write, and their new values.
 
-        Raises
-        ------
-        Refusal
-            Read-only, no such address, half a line, EEPROM while the torque is on, or out of range.
+        Raises Refusal: read-only, no such address, half a line, EEPROM while the torque is on, or out of range.
         """
         changed = dict(zip((self._target(address + n) for n in range(len(data))), data, strict=True))
         touched: list[Entry] = []

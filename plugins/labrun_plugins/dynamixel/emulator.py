@@ -45,10 +45,7 @@ class DynamixelEmulator:
     def open(self) -> Mapping[str, Any]:
         """Switch the servos on; return the port by which they are reached.
 
-        Raises
-        ------
-        DeviceError
-            The bench has no joint of that name.
+        Raises DeviceError: the bench has no joint of that name.
         """
         if self._context.scene is not None:
             require_joints(self._name, tuple(self._settings.joints), self._context.scene)

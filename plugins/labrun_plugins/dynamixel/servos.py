@@ -17,6 +17,7 @@ from labrun.devices import (
     Health,
     Identity,
     Trajectory,
+    opened,
 )
 from labrun.devices.pacing import CommandStream, Pacing
 from labrun.devices.protocols import Remark
@@ -116,10 +117,7 @@ class Measurement:
     def counts(self) -> Mapping[int, int]:
         """Return where every servo stands, id -> count, asked for unless it was asked a moment ago.
 
-        Raises
-        ------
-        DeviceError
-            A servo does not answer, or has shut down.
+        Raises DeviceError: a servo does not answer, or has shut down.
         """
         begin_s = self._clock.now()
         if min(self._heard_s.values()) > begin_s - _FRESH_S:
@@ -218,10 +216,7 @@ class DynamixelServos:
     def open(self) -> None:
         """Connect, find every servo and set it up; torque stays as it was, so that joints may be turned by hand.
 
-        Raises
-        ------
-        DeviceError
-            The port, a servo or its set-up is not what the file says.
+        Raises DeviceError: the port, a servo or its set-up is not what the file says.
         """
         self.close()
         self._bus.open()
@@ -251,10 +246,7 @@ class DynamixelServos:
     def health(self) -> Health:
         """Ask every servo for temperature, voltage, errors, torque and watchdog.
 
-        Raises
-        ------
-        DeviceError
-            One does not answer, or the command stream has failed.
+        Raises DeviceError: one does not answer, or the command stream has failed.
         """
         self._require_open()
         self._check_threads()
@@ -263,10 +255,7 @@ class DynamixelServos:
     def pose(self) -> Mapping[str, float]:
         """Return the measured angles, rad.
 
-        Raises
-        ------
-        DeviceError
-            A servo does not answer, has shut down, or the command stream has failed.
+        Raises DeviceError: a servo does not answer, has shut down, or the command stream has failed.
         """
         self._require_open()
         self._check_threads()
@@ -431,5 +420,4 @@ class DynamixelServos:
         self._stream.check()
 
     def _require_open(self) -> None:
-        if not self._bus.is_open:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
+        opened(self.name, self._bus.is_open)

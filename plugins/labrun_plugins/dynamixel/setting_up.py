@@ -84,10 +84,8 @@ class Servo:
 def find_servos(bus: Bus, settings: DynamixelSettings) -> list[Servo]:
     """Return all servos of the file.
 
-    Raises
-    ------
-    DeviceError
-        One does not answer (says who does), is of an unknown model, or cannot measure what the stream shall hold.
+    Raises DeviceError: one does not answer (says who does), is of an unknown model, or cannot measure what the stream
+    shall hold.
     """
     found = {joint: bus.ping(table.id) for joint, table in settings.joints.items()}
     if None in found.values():
@@ -113,10 +111,8 @@ def find_servos(bus: Bus, settings: DynamixelSettings) -> list[Servo]:
 def set_up(bus: Bus, servo: Servo, scale: Scale, settings: DynamixelSettings, clock: Clock) -> None:
     """Write what differs from the file and read it back; torque stays as it is unless EEPROM has to be written.
 
-    Raises
-    ------
-    DeviceError
-        No answer, a refusal, a hardware error that a restart does not clear, or a value that does not stay.
+    Raises DeviceError: no answer, a refusal, a hardware error that a restart does not clear, or a value that does not
+    stay.
     """
     _listen_to(bus, servo)
     _clear_errors(bus, servo, clock)
@@ -254,15 +250,7 @@ def identity(servos: Sequence[Servo], settings: DynamixelSettings) -> Identity:
 def health(bus: Bus, servos: Sequence[Servo], *, energised: bool) -> Health:
     """Ask all servos how they are.
 
-    Parameters
-    ----------
-    energised
-        Whether their torque should be on.
-
-    Raises
-    ------
-    DeviceError
-        One does not answer.
+    `energised`: whether their torque should be on. Raises DeviceError: one does not answer.
     """
     ids = [servo.id for servo in servos]
     guarded = [servo.id for servo in servos if servo.firmware >= WATCHDOG_FIRMWARE]
@@ -335,13 +323,7 @@ def probe(port: str, clock: Clock) -> Identity | None:
 
 
 def remarks(bus: Bus, servos: Sequence[Servo], settings: DynamixelSettings, clock: Clock) -> list[Remark]:
-    """Look at an opened bus.
-
-    Raises
-    ------
-    DeviceError
-        A servo does not answer.
-    """
+    """Look at an opened bus. Raises DeviceError: a servo does not answer."""
     found = [remark for servo in servos for remark in _of_servo(bus, servo)]
     return [*found, *_of_bus(bus, servos, settings, clock)]
 
@@ -353,12 +335,9 @@ def _of_servo(bus: Bus, servo: Servo) -> Iterator[Remark]:
     now_us = 2 * servo.now[RETURN_DELAY.name]
     if delay_us != now_us:
         yield Remark("ok", who, f"return delay was {delay_us} us; labrun has set it to {now_us} us")
-    elif now_us > 100:
-        yield Remark(
-            "warning", who, f"return delay {now_us} us: each answer waits for it", "return_delay_us = 0"
-        )
     else:
-        yield Remark("ok", who, f"return delay {now_us} us")
+        waits = ": each answer waits for it" if now_us > 100 else ""
+        yield Remark.judged(not waits, who, f"return delay {now_us} us{waits}", "return_delay_us = 0")
     if servo.firmware < WATCHDOG_FIRMWARE:
         yield Remark(
             "problem",
@@ -367,11 +346,7 @@ def _of_servo(bus: Bus, servo: Servo) -> Iterator[Remark]:
             f"update it to {WATCHDOG_FIRMWARE} or later with Dynamixel Wizard",
         )
     elif servo.firmware < FAST_FIRMWARE:
-        yield Remark(
-            "ok",
-            who,
-            f"firmware {servo.firmware} knows no fast reads, {FAST_FIRMWARE} does",
-        )
+        yield Remark("ok", who, f"firmware {servo.firmware} knows no fast reads, {FAST_FIRMWARE} does")
     if servo.now[DRIVE_MODE.name] & _REVERSE:
         yield Remark(
             "warning",
@@ -398,10 +373,7 @@ def _of_servo(bus: Bus, servo: Servo) -> Iterator[Remark]:
     temperature, limit = TEMPERATURE.within(CLIMATE, climate), servo.now[TEMPERATURE_LIMIT.name]
     voltage = VOLTAGE_UNIT_V * INPUT_VOLTAGE.within(CLIMATE, climate)
     state = f"{temperature} degC (shuts down at {limit}), {voltage:.1f} V"
-    if temperature > limit - _WARM_C:
-        yield Remark("warning", who, state, "let it cool down before a long run")
-    else:
-        yield Remark("ok", who, state)
+    yield Remark.judged(temperature <= limit - _WARM_C, who, state, "let it cool down before a long run")
     low, high = servo.now[MIN_POSITION.name], servo.now[MAX_POSITION.name]
     yield Remark("ok", who, f"position limits in the servo: counts {low} to {high}")
 
@@ -423,12 +395,8 @@ def _of_bus(bus: Bus, servos: Sequence[Servo], settings: DynamixelSettings, cloc
             f"{failed} of {_MEASUREMENTS} reads were not answered",
             "check cable, plugs and ids",
         )
-    if median_s > _SLOW_S:
-        yield Remark(
-            "warning", "bus", text, "set the adapter's latency timer to 1 ms, and raise baud to 1000000"
-        )
-    else:
-        yield Remark("ok", "bus", text)
+    advice = "set the adapter's latency timer to 1 ms, and raise baud to 1000000"
+    yield Remark.judged(median_s <= _SLOW_S, "bus", text, advice)
     rate_hz = settings.feedback_hz
     if rate_hz and rate_hz * median_s > 0.7:
         yield Remark(

@@ -43,10 +43,8 @@ def checksum(body: bytes) -> int:
 def encode(seq: int, *fields: str | int) -> bytes:
     """Return the line of a message, newline included.
 
-    Raises
-    ------
-    ValueError
-        A sequence number out of range, a field that cannot stand on a line, or a line of more than 96 bytes.
+    Raises ValueError: a sequence number out of range, a field that cannot stand on a line, or a line of more than 96
+    bytes.
     """
     if not 0 <= seq <= LAST_SEQ:
         raise ValueError(f"sequence number {seq} is not in 0 ... {LAST_SEQ}")

@@ -235,10 +235,7 @@ class LineSession:
     def open(self, kind: str) -> Hello:
         """Open the port, wait for the board to come up, and ask what it is.
 
-        Raises
-        ------
-        DeviceError
-            No port, no answer, or a board of another kind; the port is closed again.
+        Raises DeviceError: no port, no answer, or a board of another kind; the port is closed again.
         """
         self.close()
         self.counts.reset()
@@ -343,10 +340,7 @@ class LineSession:
     def arm(self, watchdog_ms: int) -> None:
         """Set the board's watchdog: without a good line for so long it stops by itself; 0 turns it off.
 
-        Raises
-        ------
-        DeviceError
-            Refused (0 while something moves), or the board took another value.
+        Raises DeviceError: refused (0 while something moves), or the board took another value.
         """
         answer = self.request("WD", watchdog_ms)
         if answer != (str(watchdog_ms),):

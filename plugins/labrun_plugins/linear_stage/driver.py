@@ -17,6 +17,8 @@ from labrun.devices import (
     Remark,
     Samples,
     Trajectory,
+    opened,
+    streaming,
 )
 from labrun_plugins.labline.handshake import probe, stop_from_scratch
 from labrun_plugins.labline.session import Hello, LineSession
@@ -87,10 +89,8 @@ def examine(
 
 def _watchdog(settings: LinearStageSettings) -> Remark:
     message = f"stops by itself after {settings.watchdog_ms} ms of silence"
-    if settings.watchdog_ms > 100:
-        advice = "watchdog_ms = 100 keeps a stage whose runner died from pushing on"
-        return Remark("warning", "watchdog", message, advice)
-    return Remark("ok", "watchdog", message)
+    advice = "watchdog_ms = 100 keeps a stage whose runner died from pushing on"
+    return Remark.judged(settings.watchdog_ms <= 100, "watchdog", message, advice)
 
 
 def _state(state: StageState, settings: LinearStageSettings) -> list[Remark]:
@@ -202,20 +202,14 @@ class LinearStage:
     def open(self) -> None:
         """Connect, arm the watchdog, hand over the limits, and home the stage if the file asks for it.
 
-        Raises
-        ------
-        DeviceError
-            No port, no answer, a board of another kind, or a stage that does not find its end switch.
+        Raises DeviceError: no port, no answer, a board of another kind, or a stage that does not find its end switch.
         """
         self._open(home=self._settings.home_on_open)
 
     def open_at_rest(self) -> None:
         """Open it without homing it, for `labrun doctor`: who asks how a stage is does not expect it to move.
 
-        Raises
-        ------
-        DeviceError
-            As `open`.
+        Raises DeviceError: as `open`.
         """
         self._open(home=False)
 
@@ -245,10 +239,7 @@ class LinearStage:
     def home(self) -> None:
         """Seek the lower end switch, then go to zero; returns when it is there.
 
-        Raises
-        ------
-        DeviceError
-            It did not arrive in time, or a limit stopped it.
+        Raises DeviceError: it did not arrive in time, or a limit stopped it.
         """
         self._check()
         self._received.mind_limits(False)
@@ -286,10 +277,7 @@ class LinearStage:
     def health(self) -> Health:
         """Report what the board says about itself.
 
-        Raises
-        ------
-        DeviceError
-            It does not answer, it restarted, its watchdog expired, or a limit stopped it.
+        Raises DeviceError: it does not answer, it restarted, its watchdog expired, or a limit stopped it.
         """
         self._check()
         notes = complaints(self._state().flags, homes=self._settings.home_on_open)
@@ -352,13 +340,7 @@ class LinearStage:
         return self._motion.timing
 
     def start(self) -> None:
-        """Begin to stream; samples from before are dropped.
-
-        Raises
-        ------
-        DeviceError
-            Not open, or no answer.
-        """
+        """Begin to stream; samples from before are dropped. Raises DeviceError: not open, or no answer."""
         self._check()
         self._received.start()
         self._session.request("STR", _RATE.format(self.rate_hz))
@@ -367,14 +349,10 @@ class LinearStage:
     def read(self) -> Samples:
         """Return all samples since the last call; does not wait.
 
-        Raises
-        ------
-        DeviceError
-            Not streaming, the load cell's amplifier gives nothing, or what the listening thread met.
+        Raises DeviceError: not streaming, the load cell's amplifier gives nothing, or what the listening thread met.
         """
         self._check()
-        if not self._streaming:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
+        streaming(self.name, self._streaming)
         return self._received.take()
 
     def stop(self) -> None:
@@ -416,9 +394,7 @@ class LinearStage:
         threading.Thread(target=self.safe_stop, daemon=True, name=f"stop {self.name}").start()
 
     def _require_open(self) -> Hello:
-        if self._hello is None:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
-        return self._hello
+        return opened(self.name, self._hello)
 
     def _check(self) -> None:
         """Raise what any thread has met, and stop first."""

@@ -250,10 +250,7 @@ class Reception:
     def take(self) -> Samples:
         """Return the samples since the last call.
 
-        Raises
-        ------
-        DeviceError
-            The amplifier of the load cell has not been ready for long.
+        Raises DeviceError: the amplifier of the load cell has not been ready for long.
         """
         if self._not_ready_s > _NOT_READY_S:
             raise DeviceError(
@@ -340,12 +337,7 @@ def limit_error(device: str, which: str, force_n: float | None) -> LimitExceeded
 def complaints(flags: Flags, *, homes: bool = False) -> tuple[str, ...]:
     """Return what is not well by the board's flags, in words.
 
-    Parameters
-    ----------
-    flags
-        Of a sample or a state.
-    homes
-        Whether a run homes it anyway, so that a stage that is not homed is well.
+    `flags`: of a sample or a state. `homes`: whether a run homes it anyway, so that a stage that is not homed is well.
     """
     told = {
         Flags.FORCE_LIMIT: "the force limit has stopped it: relieve the beam",

@@ -18,6 +18,7 @@ from labrun.devices import (
     NoTerminalError,
     Terminal,
     Trajectory,
+    opened,
 )
 from labrun.errors import LimitExceededError
 
@@ -61,11 +62,7 @@ class Operator:
     Settings: ClassVar[type[DeviceSettings]] = OperatorSettings
 
     def __init__(
-        self,
-        name: str,
-        settings: OperatorSettings,
-        context: DeviceContext,
-        terminal: Terminal | None = None,
+        self, name: str, settings: OperatorSettings, context: DeviceContext, terminal: Terminal | None = None
     ) -> None:
         self.name = name
         self.joints = (name,)
@@ -80,13 +77,7 @@ class Operator:
         self._failure: NoTerminalError | None = None
 
     def open(self) -> None:
-        """See that there is a terminal.
-
-        Raises
-        ------
-        DeviceError
-            There is none: nobody could be asked.
-        """
+        """See that there is a terminal. Raises DeviceError: there is none: nobody could be asked."""
         try:
             self._terminal.require()
         except NoTerminalError as error:
@@ -155,10 +146,7 @@ class Operator:
     def arrived(self) -> bool:
         """Tell whether the person has done what was asked; does not wait.
 
-        Raises
-        ------
-        DeviceError
-            Stopped meanwhile, nobody answers, or the terminal is gone.
+        Raises DeviceError: stopped meanwhile, nobody answers, or the terminal is gone.
         """
         if self._asked_s is None:
             return True
@@ -235,5 +223,4 @@ class Operator:
         )
 
     def _require_open(self) -> None:
-        if not self._open:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
+        opened(self.name, self._open)

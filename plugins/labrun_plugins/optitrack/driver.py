@@ -12,6 +12,8 @@ from labrun.devices import (
     Listener,
     Remark,
     Samples,
+    opened,
+    streaming,
 )
 from labrun.devices.listening import Newest
 from labrun_plugins.optitrack.frame import BITSTREAM_CHANGED, EDIT_MODE, Frame
@@ -72,26 +74,14 @@ def _latency(device: str, session: Session, frame: Frame | None) -> list[Remark]
     found = []
     latency_s = None if frame is None else session.latency_s(frame)
     if latency_s is not None:
-        slow = latency_s > _SLOW_S
-        found.append(
-            Remark(
-                "warning" if slow else "ok",
-                device,
-                f"{1e3 * latency_s:.1f} ms from exposure to transmission",
-                "close views and programs on Motive's computer" if slow else "",
-            )
-        )
+        text = f"{1e3 * latency_s:.1f} ms from exposure to transmission"
+        advice = "close views and programs on Motive's computer"
+        found.append(Remark.judged(latency_s <= _SLOW_S, device, text, advice))
     offset = session.echoes.best()
     if offset is not None:
-        far = offset.round_trip_s > _FAR_S
-        found.append(
-            Remark(
-                "warning" if far else "ok",
-                device,
-                f"clock offset {offset.offset_s:.4f} s, known to {1e3 * offset.round_trip_s / 2:.2f} ms",
-                "connect by cable, not by wireless" if far else "",
-            )
-        )
+        text = f"clock offset {offset.offset_s:.4f} s, known to {1e3 * offset.round_trip_s / 2:.2f} ms"
+        near = offset.round_trip_s <= _FAR_S
+        found.append(Remark.judged(near, device, text, "connect by cable, not by wireless"))
     return found
 
 
@@ -138,10 +128,7 @@ class OptiTrack:
     def open(self) -> None:
         """Connect to Motive, and see that it streams the bodies of the file at their rate.
 
-        Raises
-        ------
-        DeviceError
-            No answer, another rate, a body that Motive does not stream, or no frames.
+        Raises DeviceError: no answer, another rate, a body that Motive does not stream, or no frames.
         """
         self.close()
         session = self._session = Session(self.name, self._settings, self._clock)
@@ -197,10 +184,7 @@ class OptiTrack:
     def start(self) -> None:
         """Begin to collect samples; frames from before are dropped.
 
-        Raises
-        ------
-        DeviceError
-            Not open, or the connection broke in the meantime.
+        Raises DeviceError: not open, or the connection broke in the meantime.
         """
         session = self._require_open()
         self._listener.check()
@@ -211,18 +195,14 @@ class OptiTrack:
     def read(self) -> Samples:
         """Return all samples since the last call; does not wait.
 
-        Raises
-        ------
-        DeviceError
-            Not streaming; or, once everything that came has been handed over: no frames, frames that are no
-            measurement, a body that is not tracked.
+        Raises DeviceError: not streaming; or, once everything that came has been handed over: no frames, frames that
+        are no measurement, a body that is not tracked.
         """
         self._require_open()
-        if self._stream is None:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
-        block = self._listener.deliver(self._stream.buffer)
+        stream = streaming(self.name, self._stream)
+        block = self._listener.deliver(stream.buffer)
         if not len(block):
-            self._stream.check()
+            stream.check()
         return block
 
     def show(self, newest: Newest | None) -> None:
@@ -314,9 +294,7 @@ class OptiTrack:
         )
 
     def _require_open(self) -> Session:
-        if self._session is None:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
-        return self._session
+        return opened(self.name, self._session)
 
     def _trouble(self) -> str:
         """Return why nothing that comes is a measurement; empty if it is."""

@@ -7,13 +7,7 @@ import numpy as np
 
 from labrun.devices import DeviceContext, FloatArray
 from labrun.devices.emulation import EmulatorContext
-from labrun_plugins.optitrack.emulator_wire import (
-    Analog,
-    BodyDescription,
-    Content,
-    LabelledMarker,
-    RigidBody,
-)
+from labrun_plugins.optitrack.emulator_wire import Analog, BodyDescription, Content, LabelledMarker, RigidBody
 from labrun_plugins.simulated.optitrack import SimulatedOptiTrack, SimulatedOptiTrackSettings, marker_places
 
 _MARKERS = 3

@@ -37,10 +37,7 @@ class Handshake:
     def perform(self) -> None:
         """Connect; afterwards the session knows all that its attributes tell.
 
-        Raises
-        ------
-        DeviceError
-            No answer, or one that cannot be worked with.
+        Raises DeviceError: no answer, or one that cannot be worked with.
         """
         self._session.link.open()
         info = self._ask(connect(), lambda: self._session.info)

@@ -46,10 +46,7 @@ def host_address(device: str, host: str) -> str:
 def local_address(device: str, address: str, interface: str) -> str:
     """Return the address of this computer's interface: the named one, else the one that routes to `address`.
 
-    Raises
-    ------
-    DeviceError
-        There is no such interface, or no way to the address.
+    Raises DeviceError: there is no such interface, or no way to the address.
     """
     if interface:
         with contextlib.suppress(ValueError):
@@ -196,13 +193,7 @@ class Link:
         self._sockets.append(open_multicast(self._device, self._local, group, port))
 
     def send(self, datagram: bytes) -> None:
-        """Send one datagram to the server.
-
-        Raises
-        ------
-        DeviceError
-            Not connected, or the network is gone.
-        """
+        """Send one datagram to the server. Raises DeviceError: not connected, or the network is gone."""
         if not self._sockets:
             raise DeviceError(self._device, "is not open", hint="open() comes before any other call")
         try:
@@ -347,10 +338,7 @@ class Session:
     def pump(self) -> list[tuple[Frame, float]]:
         """Take what has arrived, keep the session alive, and return the frames with their times of arrival.
 
-        Raises
-        ------
-        DeviceError
-            The server is no longer the one that was connected to.
+        Raises DeviceError: the server is no longer the one that was connected to.
         """
         frames: list[tuple[Frame, float]] = []
         for heard in self.link.receive():

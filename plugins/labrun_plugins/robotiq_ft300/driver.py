@@ -16,6 +16,8 @@ from labrun.devices import (
     SampleBuffer,
     Samples,
     SerialPort,
+    opened,
+    streaming,
 )
 from labrun.devices.clock import RealClock
 from labrun_plugins.robotiq_ft300 import codec
@@ -63,12 +65,9 @@ def of_stream(source: Reception, port: str) -> Iterator[Remark]:
             f"{message}, {codec.STREAM_HZ:g} Hz expected",
             f"62.5 Hz means a latency timer of 16 ms: {shorter}",
         )
-    elif lumpy:
-        yield Remark(
-            "warning", "rate", f"{message}: frames come in lumps, as with a latency timer of 16 ms", shorter
-        )
     else:
-        yield Remark("ok", "rate", message)
+        lumps = ": frames come in lumps, as with a latency timer of 16 ms" if lumpy else ""
+        yield Remark.judged(not lumpy, "rate", message + lumps, shorter)
     wrong = source.parser.crc_errors
     if wrong > _CRC_ERROR_SHARE * frames:
         yield Remark(
@@ -105,10 +104,7 @@ def of_nameplate(plate: Nameplate, jams: int) -> Iterator[Remark]:
 def probe(port: str) -> Identity | None:
     """Ask what is at a port whether it is an FT300 with the settings of delivery; None if it is not.
 
-    Raises
-    ------
-    DeviceError
-        pymodbus is not installed: nobody can be asked.
+    Raises DeviceError: pymodbus is not installed: nobody can be asked.
     """
     clock = RealClock()
     settings = RobotiqFt300Settings(port=port)
@@ -160,10 +156,8 @@ class RobotiqFt300:
     def open(self) -> None:
         """Connect: stop a stream that still runs, and ask the sensor what it is.
 
-        Raises
-        ------
-        DeviceError
-            No such port, no right to use it, held by another program, no answer, or another device answers.
+        Raises DeviceError: no such port, no right to use it, held by another program, no answer, or another device
+        answers.
         """
         self.close()
         self._port.open()
@@ -196,10 +190,7 @@ class RobotiqFt300:
     def health(self) -> Health:
         """Report on the stream; ask for the firmware if there is none, to see that it answers.
 
-        Raises
-        ------
-        DeviceError
-            The stream is lost, or it does not answer.
+        Raises DeviceError: the stream is lost, or it does not answer.
         """
         if self._link is None:
             return Health(ok=False, notes=("not connected",))
@@ -219,10 +210,7 @@ class RobotiqFt300:
     def start(self) -> None:
         """Begin to measure; samples from before are dropped.
 
-        Raises
-        ------
-        DeviceError
-            It does not answer, or the port is gone.
+        Raises DeviceError: it does not answer, or the port is gone.
         """
         link = self._opened()
         if self._source is not None:
@@ -243,14 +231,11 @@ class RobotiqFt300:
     def read(self) -> Samples:
         """Return all samples since the last call; does not wait. None any more after `safe_stop`.
 
-        Raises
-        ------
-        DeviceError
-            Not started; or, once everything that came has been handed over, the stream is lost or the port gone.
+        Raises DeviceError: not started; or, once everything that came has been handed over, the stream is lost or the
+        port gone.
         """
         self._opened()
-        if self._source is None:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
+        streaming(self.name, self._source)
         return self._hearing().deliver(self._buffer)
 
     def stop(self) -> None:
@@ -305,9 +290,7 @@ class RobotiqFt300:
         return probe(port)
 
     def _opened(self) -> Link:
-        if self._link is None:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
-        return self._link
+        return opened(self.name, self._link)
 
     def _hearing(self) -> Listener:
         assert self._listener is not None  # noqa: S101  made with every source

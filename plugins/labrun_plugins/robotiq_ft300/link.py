@@ -216,10 +216,7 @@ class Link:
     def wake(self) -> int:
         """Make sure that it listens: it may still stream from a run before. Returns how many jams it took.
 
-        Raises
-        ------
-        DeviceError
-            Something on this port goes on sending.
+        Raises DeviceError: something on this port goes on sending.
         """
         parser = codec.StreamParser()
         for jams in range(_JAMS):
@@ -250,13 +247,7 @@ class Link:
         self._port.discard_input()
 
     def nameplate(self) -> Nameplate:
-        """Ask what it is.
-
-        Raises
-        ------
-        DeviceError
-            No answer, or something answers that is no force/torque sensor.
-        """
+        """Ask what it is. Raises DeviceError: no answer, or something answers that is no force/torque sensor."""
         firmware = self.firmware()
         serial = codec.serial_text(self.registers.read(codec.SERIAL, 4))
         (year,) = self.registers.read(codec.YEAR, 1)
@@ -276,10 +267,7 @@ class Link:
     def start_stream(self) -> None:
         """Switch the stream on; from now on it answers nothing.
 
-        Raises
-        ------
-        DeviceError
-            It does not stream, whatever it answered.
+        Raises DeviceError: it does not stream, whatever it answered.
         """
         for attempt in range(_STARTS):
             try:

@@ -117,10 +117,7 @@ class Reception:
     def receive(self) -> None:
         """Take what has arrived, waiting briefly for it.
 
-        Raises
-        ------
-        DeviceError
-            Unplugged; or no good frame for too long.
+        Raises DeviceError: unplugged; or no good frame for too long.
         """
         data = self._port.read()
         if self.ended:
@@ -196,10 +193,7 @@ class Polling:
     def receive(self) -> None:
         """Wait for the next reading's time, a little at a time, and take it.
 
-        Raises
-        ------
-        DeviceError
-            It has not answered for half a second.
+        Raises DeviceError: it has not answered for half a second.
         """
         left_s = self._due_s - self._clock.now()
         if left_s > 0.0:

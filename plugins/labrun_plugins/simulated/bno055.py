@@ -5,14 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from labrun.devices import (
-    Channel,
-    DeviceContext,
-    DeviceError,
-    DeviceSettings,
-    FloatArray,
-    Health,
-)
+from labrun.devices import Channel, DeviceContext, DeviceError, DeviceSettings, FloatArray, Health
 from labrun_plugins.bno055.settings import Bno055Settings
 from labrun_plugins.simulated.device import SimulatedSettings
 from labrun_plugins.simulated.sensor import SimulatedSensor, Timing
@@ -77,13 +70,7 @@ class SimulatedBno055(SimulatedSensor):
         )  # fmt: skip
 
     def open(self) -> None:
-        """Connect.
-
-        Raises
-        ------
-        DeviceError
-            This bench has no such body to mount it on.
-        """
+        """Connect. Raises DeviceError: this bench has no such body to mount it on."""
         signals = self.scene.signals
         if not all(signal in signals for signal in self.feels):
             ends = f"_{_FELT[-1]}"

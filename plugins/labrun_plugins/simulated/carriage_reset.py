@@ -8,7 +8,7 @@ import numpy as np
 from labrun.devices import DeviceContext, DeviceSettings, Scene, Trajectory
 from labrun_plugins.carriage_reset.driver import LINE, check_move, line_motion
 from labrun_plugins.carriage_reset.settings import CarriageResetSettings
-from labrun_plugins.simulated.device import SimulatedDevice, SimulatedSettings
+from labrun_plugins.simulated.device import SimulatedCarriage, SimulatedDevice, SimulatedSettings
 
 _TAUT_M = 1e-6
 
@@ -17,7 +17,7 @@ class SimulatedCarriageResetSettings(CarriageResetSettings, SimulatedSettings):
     """Keys of the winch, and of every simulated device."""
 
 
-class SimulatedCarriageReset(SimulatedDevice):
+class SimulatedCarriageReset(SimulatedCarriage):
     """A line of commanded length: it pulls the bench's carriage once it is taut, and never pushes it."""
 
     Settings: ClassVar[type[DeviceSettings]] = SimulatedCarriageResetSettings
@@ -29,17 +29,6 @@ class SimulatedCarriageReset(SimulatedDevice):
         self._settings = settings
         self._line = Trajectory((LINE,), np.zeros(1), np.array([[self.travel_m[1]]]))
         self._start_s = 0.0
-
-    def open(self) -> None:
-        """Connect.
-
-        Raises
-        ------
-        DeviceError
-            This bench has no carriage.
-        """
-        self._require_signals(("position",))
-        super().open()
 
     def position_m(self) -> float:
         """Return the length of line, m."""
@@ -66,7 +55,7 @@ class SimulatedCarriageReset(SimulatedDevice):
 
     def safe_stop(self) -> None:
         """Hold the line, and with it the carriage that it pulls."""
-        super().safe_stop()
+        SimulatedDevice.safe_stop(self)
         if self.closed or self._scene is None:
             return
         now_s = self._clock.now()
@@ -89,11 +78,6 @@ class SimulatedCarriageReset(SimulatedDevice):
         self._start_s = float(snapshot["start_s"])
         lines_m = np.array(snapshot["line_m"], dtype=float)[:, None]
         self._line = Trajectory((LINE,), np.array(snapshot["time_s"], dtype=float), lines_m)
-
-    @classmethod
-    def emergency_stop(cls, name: str, settings: Any) -> None:
-        """Note the stop where `stop_log` asks for it: a simulated winch ends with its process."""
-        settings.log_stop(name, "emergency_stop")
 
     def _length_m(self, time_s: float) -> float:
         return float(self._line.at(time_s - self._start_s)[0, 0])

@@ -4,11 +4,13 @@ import math
 import os
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat
 
-from labrun.devices import DeviceContext, DeviceError, DeviceSettings, Health, Identity, Scene
+from labrun.devices import DeviceContext, DeviceError, DeviceSettings, Health, Identity, Scene, opened
+from labrun.errors import LimitExceededError
 
 
 class Faults(BaseModel):
@@ -82,13 +84,7 @@ class SimulatedDevice:
 
     @property
     def scene(self) -> Scene:
-        """The simulated bench.
-
-        Raises
-        ------
-        DeviceError
-            The experiment names none.
-        """
+        """The simulated bench. Raises DeviceError: the experiment names none."""
         if self._scene is None:
             raise DeviceError(
                 self.name,
@@ -124,9 +120,7 @@ class SimulatedDevice:
         self._opened_s = None
 
     def _require_open(self) -> float:
-        if self._opened_s is None:
-            raise DeviceError(self.name, "is not open", hint="open() comes before any other call")
-        return self._opened_s
+        return opened(self.name, self._opened_s)
 
     def _since_open_s(self) -> float:
         return self._clock.now() - self._require_open()
@@ -152,4 +146,50 @@ class SimulatedDevice:
                 self.name,
                 f"this bench has no {', '.join(missing)}",
                 hint=f"it shows {', '.join(sorted(self.scene.signals))}",
+            )
+
+
+class SimulatedCarriage(SimulatedDevice):
+    """What moves the carriage of the bench."""
+
+    needs: ClassVar[tuple[str, ...]] = ("position",)
+    """Signals of the bench without which there is nothing to move."""
+
+    def open(self) -> None:
+        """Connect. Raises DeviceError: this bench has no carriage."""
+        self._require_signals(self.needs)
+        super().open()
+
+    def position_m(self) -> float:
+        """Where the carriage is, m."""
+        self._require_answer()
+        return self._here_m(self.scene)
+
+    def safe_stop(self) -> None:
+        """Stop where it is."""
+        super().safe_stop()
+        if not self.closed and self._scene is not None:
+            here_m = self._here_m(self._scene)
+            self._scene.tow(here_m, here_m, 0.0, self._clock.now())
+
+    @classmethod
+    def emergency_stop(cls, name: str, settings: Any) -> None:
+        """Note the stop where `stop_log` asks for it: a simulated carriage ends with its process."""
+        settings.log_stop(name, "emergency_stop")
+
+    def _here_m(self, scene: Scene) -> float:
+        return float(scene.observe(("position",), np.array([self._clock.now()]))[0, 0])
+
+    def _check_travel(self, to_m: float, speed_m_s: float) -> None:
+        """Refuse a move without a speed, or beyond the limits of the experiment file."""
+        self._require_answer()
+        if not (np.isfinite(to_m) and np.isfinite(speed_m_s) and speed_m_s > 0):
+            raise DeviceError(
+                self.name, f"cannot travel to {to_m:g} m at {speed_m_s:g} m/s; the speed is above zero"
+            )
+        for excess in self._limits.travel_excess(to_m, speed_m_s):
+            raise LimitExceededError(
+                self.name,
+                f"{excess}; the move was not sent",
+                hint="change trial.carriage, or the device's limits",
             )

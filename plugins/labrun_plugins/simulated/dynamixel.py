@@ -7,11 +7,11 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, FloatArray, Health, Samples, Trajectory
-from labrun.devices.compiled_bench import Ahead, CompiledSensor
+from labrun.devices.compiled_bench import CompiledSensor
 from labrun.models import native
 from labrun_plugins.dynamixel.settings import DynamixelSettings
 from labrun_plugins.simulated.device import SimulatedSettings
-from labrun_plugins.simulated.sensor import Delivered, SampleStream, Timing
+from labrun_plugins.simulated.sensor import SimulatedSensor, Timing
 from labrun_plugins.simulated.servo import Shaft, SimulatedJoints
 
 COUNT_RAD = 2 * np.pi / 4096
@@ -70,11 +70,13 @@ class SimulatedDynamixel(SimulatedJoints):
             return object.__new__(SimulatedDynamixelWithFeedback)  # type: ignore[return-value]
         return object.__new__(cls)
 
-    def __init__(self, name: str, settings: SimulatedDynamixelSettings, context: DeviceContext) -> None:
+    def __init__(
+        self, name: str, settings: SimulatedDynamixelSettings, context: DeviceContext, **sensor: Any
+    ) -> None:
         signs = {joint: int(table.sign) for joint, table in settings.joints.items()}
         frames = max(1, round(1.0 / (settings.command_hz * _SUBSTEP_S)))
         shaft = replace(SHAFT, frame_s=frames * _SUBSTEP_S)
-        super().__init__(name, settings, context, signs, shaft)
+        super().__init__(name, settings, context, signs, shaft, **sensor)
         self._frame_s = 1.0 / settings.command_hz
         self._turn_rad = np.pi if settings.operating_mode == "position" else 256 * 2 * np.pi
         self._neutral_rad = {j: np.radians(table.neutral_deg) for j, table in settings.joints.items()}
@@ -106,78 +108,35 @@ class SimulatedDynamixel(SimulatedJoints):
                 )
 
 
-class SimulatedDynamixelWithFeedback(SimulatedDynamixel):
+class SimulatedDynamixelWithFeedback(SimulatedDynamixel, SimulatedSensor):
     """Measures angle, speed and current of each joint between the commands; see `motor_current_a` for the last."""
 
     def __init__(self, name: str, settings: SimulatedDynamixelSettings, context: DeviceContext) -> None:
-        super().__init__(name, settings, context)
-        self.channels = settings.channels()
-        self.rate_hz = settings.feedback_hz
+        channels = settings.channels()
+        super().__init__(
+            name, settings, context,
+            channels=channels, rate_hz=settings.feedback_hz, timing=_TIMING, full_scale=np.full(len(channels), np.inf),
+        )  # fmt: skip
         self._quantities = settings.feedback
-        self._stream = SampleStream(settings.feedback_hz, _TIMING)
-        self._streaming = False
-        self._delivered = Delivered()
-
-    def reseed(self, seed: np.random.SeedSequence) -> None:
-        """Take a new generator for jitter."""
-        self._rng = np.random.default_rng(seed)
-
-    def start(self) -> None:
-        """Begin to stream; samples from before are dropped."""
-        self._require_answer()
-        self._stream.start(self._clock.now())
-        self._streaming = True
-
-    def stop(self) -> None:
-        """End the stream."""
-        self._streaming = False
-
-    def close(self) -> None:
-        """Disconnect; the stream ends."""
-        self._streaming = False
-        super().close()
 
     def read(self) -> Samples:
-        """Return all samples since the last call.
-
-        Raises
-        ------
-        DeviceError
-            Not streaming, or no answer.
-        """
+        """Return all samples since the last call. Raises DeviceError: not streaming, or no answer."""
         self._require_answer()
-        if not self._streaming:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
-        if (block := self._delivered.take()) is not None:
-            return block
-        arrived = self._stream.arrived(self._clock.now(), self._rng, self._faults.drop_share)
-        values = np.empty((len(arrived), len(self.channels)))
-        column = 0
-        for joint in self.joints:
-            measured = self._measured(joint, arrived.taken_s)
-            for quantity in self._quantities:
-                values[:, column] = measured[quantity]
-                column += 1
-        return Samples(arrived.device_time_s, arrived.host_time_s, values, lost=arrived.lost)
+        return super().read()
 
     def compiled(self) -> CompiledSensor | str:
         """Return its compiled form; see `labrun.devices.compiled_bench.CompiledStandIn`."""
         if self._quantities != ("angle",):
             return f"{self.name} streams more than angles"
+        return super().compiled()
+
+    def _compiled(self) -> CompiledSensor:
         count = np.array([float(len(self.joints))])
         return CompiledSensor(_ANGLES.address, count, (), self.joints, len(self.joints), 0)
 
-    def ahead(self, until_s: float, draws: int) -> Ahead:
-        """Return the samples that arrive up to a time."""
-        return self._stream.ahead(until_s, self._rng, self._faults.drop_share, draws)
-
-    def completed(self, values: FloatArray) -> FloatArray:
-        """Return all channels: there are no others."""
-        return values
-
-    def deliver(self, block: Samples) -> None:
-        """Take what the next `read` returns."""
-        self._delivered.put(block)
+    def _measure(self, time_s: FloatArray) -> FloatArray:
+        measured = [self._measured(joint, time_s) for joint in self.joints]
+        return np.column_stack([of_joint[quantity] for of_joint in measured for quantity in self._quantities])
 
     def _measured(self, joint: str, time_s: FloatArray) -> dict[str, FloatArray]:
         """Return what one servo measures, in steps of its registers."""

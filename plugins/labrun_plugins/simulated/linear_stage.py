@@ -1,7 +1,7 @@
 """Stand-in for a stepper stage with a load cell on an HX711."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from labrun.devices import Channel, DeviceContext, DeviceError, DeviceSettings, FloatArray, Trajectory
 from labrun.errors import LimitExceededError
 from labrun_plugins.linear_stage.settings import FULL_SCALE_COUNTS, LEAST_COUNTS, Line, LinearStageSettings
-from labrun_plugins.simulated.device import SimulatedSettings
+from labrun_plugins.simulated.device import SimulatedCarriage, SimulatedSettings
 from labrun_plugins.simulated.sensor import SimulatedSensor, Timing
 
 _PLACES_M = 1e-8
@@ -38,7 +38,7 @@ class LoadCell:
         return np.clip(np.round(read), LEAST_COUNTS, FULL_SCALE_COUNTS).astype(np.int64)
 
 
-class SimulatedLinearStage(SimulatedSensor):
+class SimulatedLinearStage(SimulatedCarriage, SimulatedSensor):
     """Carriage; sensor of its own displacement, the force and the raw counts; and actuator of the joint it bends.
 
     A screw stage goes where its steps take it: it has no lag and no play. With `home_on_open` it goes to its end
@@ -49,6 +49,7 @@ class SimulatedLinearStage(SimulatedSensor):
 
     Settings: ClassVar[type[DeviceSettings]] = SimulatedLinearStageSettings
     model = "stepper stage with load cell (simulated)"
+    needs = ("force", "position")
 
     def __init__(self, name: str, settings: SimulatedLinearStageSettings, context: DeviceContext) -> None:
         timing = Timing(
@@ -70,25 +71,13 @@ class SimulatedLinearStage(SimulatedSensor):
         self._homing_to_m = settings.whole_travel_m[0] if settings.home_on_open else None
 
     def open(self) -> None:
-        """Connect.
-
-        Raises
-        ------
-        DeviceError
-            This bench has no pusher.
-        """
-        self._require_signals(("force", "position"))
+        """Connect. Raises DeviceError: this bench has no pusher."""
         super().open()
         if self._homing_to_m is not None:
             for to_m in (self._homing_to_m, 0.0):
-                here_m = self._position_m()
+                here_m = self._here_m(self.scene)
                 self.scene.tow(here_m, to_m, _HOMING_M_S, self._clock.now())
                 self._clock.sleep(abs(to_m - here_m) / _HOMING_M_S)
-
-    def position_m(self) -> float:
-        """Where the pusher is, m from zero."""
-        self._require_answer()
-        return self._position_m()
 
     def pose(self) -> Mapping[str, float]:
         """Return the equivalent angle, rad: displacement over lever."""
@@ -105,18 +94,9 @@ class SimulatedLinearStage(SimulatedSensor):
         DeviceError
             A speed that is not positive, or no answer.
         """
-        self._require_answer()
-        if not (np.isfinite(to_m) and np.isfinite(speed_m_s) and speed_m_s > 0):
-            raise DeviceError(
-                self.name, f"cannot travel to {to_m:g} m at {speed_m_s:g} m/s; the speed is above zero"
-            )
-        for excess in self._limits.travel_excess(to_m, speed_m_s):
-            raise LimitExceededError(
-                self.name, f"{excess}; the move was not sent",
-                hint="change trial.carriage, or the device's limits",
-            )  # fmt: skip
+        self._check_travel(to_m, speed_m_s)
         self._within(np.array([to_m]), "travel")
-        self.scene.tow(self._position_m(), to_m, speed_m_s, self._clock.now())
+        self.scene.tow(self._here_m(self.scene), to_m, speed_m_s, self._clock.now())
 
     def follow(self, trajectory: Trajectory, start_s: float) -> None:
         """Start following the joint's angle at the clock's `start_s`, then hold the last point.
@@ -145,22 +125,6 @@ class SimulatedLinearStage(SimulatedSensor):
         for excess in self._limits.travel_excess(float(path_m[-1, 0]), float(np.max(speed_m_s, initial=0.0))):
             raise LimitExceededError(self.name, f"{excess}; nothing was sent", hint="slow the gait down")
         self.scene.drive("pusher", Trajectory(("pusher",), trajectory.time_s, path_m), start_s)
-
-    def safe_stop(self) -> None:
-        """Stop where it is."""
-        super().safe_stop()
-        if self.closed or self._scene is None:
-            return
-        here = self._position_m()
-        self._scene.tow(here, here, 0.0, self._clock.now())
-
-    @classmethod
-    def emergency_stop(cls, name: str, settings: Any) -> None:
-        """Note the stop where `stop_log` asks for it: a simulated stage ends with its process."""
-        settings.log_stop(name, "emergency_stop")
-
-    def _position_m(self) -> float:
-        return float(self.scene.observe(("position",), np.array([self._clock.now()]))[0, 0])
 
     def _within(self, path_m: FloatArray, what: str) -> None:
         low, high = self.travel_m

@@ -68,13 +68,7 @@ class SimulatedOptiTrack(SimulatedSensor):
         )  # fmt: skip
 
     def open(self) -> None:
-        """Connect.
-
-        Raises
-        ------
-        DeviceError
-            A body is not to be seen on this bench.
-        """
+        """Connect. Raises DeviceError: a body is not to be seen on this bench."""
         self._require_signals(self.feels)
         super().open()
 
@@ -84,6 +78,9 @@ class SimulatedOptiTrack(SimulatedSensor):
 
     def _blind_from_s(self) -> float:
         return min(super()._blind_from_s(), self.loses_at_s())
+
+    def _falls_blind(self) -> bool:
+        return super()._falls_blind() or self._lose_after_s is not None
 
     def _nothing_heard(self, now_s: float) -> Samples:
         lost_s = now_s - self.loses_at_s()
@@ -126,11 +123,7 @@ def _noisy_poses(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None
         at, draw = 7 * body, 6 * body
         for i in range(3):
             out[at + i] = x[at + i] + p[1] * u[draw + i]
-        a, b, c = (
-            0.5 * p[2] * u[draw + 3],
-            0.5 * p[2] * u[draw + 4],
-            0.5 * p[2] * u[draw + 5],
-        )
+        a, b, c = (0.5 * p[2] * u[draw + 3], 0.5 * p[2] * u[draw + 4], 0.5 * p[2] * u[draw + 5])
         qx, qy, qz, qw = x[at + 3], x[at + 4], x[at + 5], x[at + 6]
         nx = qx + qw * a + b * qz - c * qy
         ny = qy + qw * b + c * qx - a * qz

@@ -1,13 +1,12 @@
 """A simulated sensor: when it takes samples, when they arrive, with noise, quantization, range, losses and latency."""
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.devices import Channel, DeviceContext, DeviceError, FloatArray, Samples
+from labrun.devices import Channel, DeviceContext, DeviceError, FloatArray, Samples, streaming
 from labrun.devices.compiled_bench import Ahead, CompiledSensor
 from labrun.models import kernel
 from labrun_plugins.simulated.device import SimulatedDevice, SimulatedSettings
@@ -108,22 +107,6 @@ class SampleStream:
         return Ahead(here.taken_s, here.device_time_s, here.host_time_s, noise, here.lost)
 
 
-class Delivered:
-    """A block that a compiled dry run has measured already, until it is read."""
-
-    def __init__(self) -> None:
-        self._block: Samples | None = None
-
-    def put(self, block: Samples) -> None:
-        """Keep a block for the next read."""
-        self._block = block
-
-    def take(self) -> Samples | None:
-        """Return it once; None if there is none."""
-        block, self._block = self._block, None
-        return block
-
-
 @kernel
 def _sent(
     numbers: IntArray, host_s: FloatArray, first: int, delay_s: FloatArray, latency_s: float, dice: FloatArray,
@@ -167,7 +150,8 @@ def _sent(
 
 
 _SILENCE_S = 0.5
-"""A driver takes a stream that is silent for this long as lost."""
+_SILENT_SAMPLES = 3
+"""A driver takes a stream that is silent for this long, and for so many samples, as lost."""
 
 
 class SimulatedSensor(SimulatedDevice, ABC):
@@ -213,7 +197,7 @@ class SimulatedSensor(SimulatedDevice, ABC):
         self._has_clock = has_clock
         self._streaming = False
         self._last_heard_s = 0.0
-        self._delivered = Delivered()
+        self._delivered: Samples | None = None  # a block that a compiled dry run has measured already
 
     def reseed(self, seed: np.random.SeedSequence) -> None:
         """Take a new generator for noise, jitter and losses."""
@@ -237,17 +221,11 @@ class SimulatedSensor(SimulatedDevice, ABC):
         super().close()
 
     def read(self) -> Samples:
-        """Return all samples since the last call.
-
-        Raises
-        ------
-        DeviceError
-            Not streaming, or silent for too long.
-        """
+        """Return all samples since the last call. Raises DeviceError: not streaming, or silent for too long."""
         self._require_open()
-        if not self._streaming:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
-        if (block := self._delivered.take()) is not None:
+        streaming(self.name, self._streaming)
+        if self._delivered is not None:
+            block, self._delivered = self._delivered, None
             return block
         now = self._clock.now()
         sent_until = min(now, self._blind_from_s())
@@ -260,7 +238,7 @@ class SimulatedSensor(SimulatedDevice, ABC):
 
     def compiled(self) -> CompiledSensor | str:
         """Return its compiled form, or why there is none; see `labrun.devices.compiled_bench.CompiledStandIn`."""
-        if self._disturbed or math.isfinite(self._blind_from_s()):
+        if self._disturbed or self._falls_blind():
             return f"{self.name} is to have faults"
         return self._compiled() or f"{self.name} ({self.model}) has no compiled form"
 
@@ -275,11 +253,15 @@ class SimulatedSensor(SimulatedDevice, ABC):
 
     def deliver(self, block: Samples) -> None:
         """Take what the next `read` returns."""
-        self._delivered.put(replace(block, saturated=self._clip(block.values)))
+        self._delivered = replace(block, saturated=self._clip(block.values))
 
     def _blind_from_s(self) -> float:
         """Return when its samples end, by the clock; inf if they never do."""
         return self._silent_from_s()
+
+    def _falls_blind(self) -> bool:
+        """Tell whether its samples are to end while it runs; it need not be open."""
+        return self._faults.stop_answering_after_s is not None
 
     def _compiled(self) -> CompiledSensor | None:
         """Return the compiled form of what `_measure` does; None if there is none."""
@@ -305,7 +287,7 @@ class SimulatedSensor(SimulatedDevice, ABC):
 
     def _nothing_heard(self, now_s: float) -> Samples:
         silence = now_s - self._last_heard_s
-        if silence > _SILENCE_S:
+        if silence > max(_SILENCE_S, _SILENT_SAMPLES / self.rate_hz):
             raise DeviceError(
                 self.name,
                 f"has sent nothing for {silence:.2g} s (expected {self.rate_hz:g} samples/s)",

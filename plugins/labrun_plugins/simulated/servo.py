@@ -142,6 +142,8 @@ class SimulatedJoints(SimulatedDevice):
         Joint -> +1 or -1: a servo with sign -1 turns its joint of the bench against the commanded sense.
     shaft
         What each servo is like.
+    sensor
+        What `SimulatedSensor` takes, for a servo that is one as well.
     """
 
     def __init__(
@@ -151,8 +153,9 @@ class SimulatedJoints(SimulatedDevice):
         context: DeviceContext,
         signs: Mapping[str, int],
         shaft: Shaft,
+        **sensor: Any,
     ) -> None:
-        super().__init__(name, settings, context)
+        super().__init__(name, settings, context, **sensor)
         self.joints = tuple(signs)
         self._signs = dict(signs)
         if getattr(context.scene, "smooth_drives", False):
@@ -163,13 +166,7 @@ class SimulatedJoints(SimulatedDevice):
         self._commanded: dict[str, tuple[float, Trajectory]] = {}
 
     def open(self) -> None:
-        """Connect.
-
-        Raises
-        ------
-        DeviceError
-            The bench has no joint of that name.
-        """
+        """Connect. Raises DeviceError: the bench has no joint of that name."""
         require_joints(self.name, self.joints, self.scene)
         super().open()
 
@@ -304,10 +301,7 @@ def _recalled(joint: str, stored: list[Any]) -> tuple[float, Trajectory]:
 def joints_or_own_name(name: str, context: DeviceContext) -> tuple[str, ...]:
     """Return the joint of a device whose table names none: the one of its name, else the only one.
 
-    Raises
-    ------
-    DeviceError
-        The bench has several joints, and none is called like the device.
+    Raises DeviceError: the bench has several joints, and none is called like the device.
     """
     on_bench = () if context.scene is None else context.scene.joints
     if name in on_bench or not on_bench:

@@ -31,13 +31,7 @@ class SimulatedTendonSlider(SimulatedDevice):
         self._start_s = 0.0
 
     def open(self) -> None:
-        """Connect.
-
-        Raises
-        ------
-        DeviceError
-            This bench has no slider.
-        """
+        """Connect. Raises DeviceError: this bench has no slider."""
         self._require_signals((SLIDER,))
         self._change.withdraw()
         super().open()

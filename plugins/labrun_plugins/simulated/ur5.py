@@ -1,12 +1,12 @@
 """Stand-in for a UR5 arm (CB3) that carries the specimen along a straight line."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from labrun.devices import DeviceContext, DeviceError, DeviceSettings, FloatArray
+from labrun.devices import DeviceContext, DeviceSettings, FloatArray
 from labrun.errors import LimitExceededError
-from labrun_plugins.simulated.device import SimulatedSettings
+from labrun_plugins.simulated.device import SimulatedCarriage, SimulatedSettings
 from labrun_plugins.simulated.sensor import SimulatedSensor, Timing
 from labrun_plugins.ur5.motion import Line
 from labrun_plugins.ur5.settings import ACCELERATION_M_S2, REACH_M, SPEED_SHARE, Ur5Settings, channels_of
@@ -25,7 +25,7 @@ class SimulatedUr5Settings(Ur5Settings, SimulatedSettings):
     """Keys of the arm; those of its network and its watchdog mean nothing here."""
 
 
-class SimulatedUr5(SimulatedSensor):
+class SimulatedUr5(SimulatedCarriage, SimulatedSensor):
     """Carriage, and sensor of its own position at 125 Hz with the controller's time stamps.
 
     125 Hz is the RTDE rate of a CB3 controller, which now and then skips a package (chosen: one in 5000); a
@@ -52,22 +52,6 @@ class SimulatedUr5(SimulatedSensor):
         self._tool_channels = settings.tool_channels
         self._speed_m_s = 0.0
 
-    def open(self) -> None:
-        """Connect.
-
-        Raises
-        ------
-        DeviceError
-            This bench has no carriage.
-        """
-        self._require_signals(("position",))
-        super().open()
-
-    def position_m(self) -> float:
-        """Where the carriage is."""
-        self._require_answer()
-        return float(self.scene.observe(("position",), np.array([self._clock.now()]))[0, 0])
-
     def travel(self, to_m: float, speed_m_s: float, acceleration_m_s2: float = ACCELERATION_M_S2) -> None:
         """Start a straight move at constant speed.
 
@@ -78,17 +62,7 @@ class SimulatedUr5(SimulatedSensor):
         DeviceError
             A speed that is not positive, or no answer.
         """
-        self._require_answer()
-        if not (np.isfinite(to_m) and np.isfinite(speed_m_s) and speed_m_s > 0):
-            raise DeviceError(
-                self.name, f"cannot travel to {to_m:g} m at {speed_m_s:g} m/s; the speed is above zero"
-            )
-        for excess in self._limits.travel_excess(to_m, speed_m_s):
-            raise LimitExceededError(
-                self.name,
-                f"{excess}; the move was not sent",
-                hint="change trial.carriage, or the device's limits",
-            )
+        self._check_travel(to_m, speed_m_s)
         low, high = self.travel_m
         if not low <= to_m <= high:
             raise LimitExceededError(
@@ -99,20 +73,6 @@ class SimulatedUr5(SimulatedSensor):
             () if acceleration_m_s2 == ACCELERATION_M_S2 else (acceleration_m_s2,)
         )  # what scenes have by themselves
         self.scene.tow(self.position_m(), to_m, speed_m_s, self._clock.now(), *ramps)
-
-    def safe_stop(self) -> None:
-        """Stop where it is."""
-        super().safe_stop()
-        if self.closed or self._scene is None:
-            return
-        now = self._clock.now()
-        here = float(self._scene.observe(("position",), np.array([now]))[0, 0])
-        self._scene.tow(here, here, 0.0, now)
-
-    @classmethod
-    def emergency_stop(cls, name: str, settings: Any) -> None:
-        """Note the stop where `stop_log` asks for it: a simulated arm ends with its process."""
-        settings.log_stop(name, "emergency_stop")
 
     def _measure(self, time_s: FloatArray) -> FloatArray:
         if not self._tool_channels:

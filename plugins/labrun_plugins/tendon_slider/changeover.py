@@ -50,10 +50,7 @@ class Changeover:
     def want(self, condition: Mapping[str, float | str]) -> bool:
         """Take a trial's condition; return whether the slider has to be moved for it.
 
-        Raises
-        ------
-        DeviceError
-            A state that it does not have.
+        Raises DeviceError: a state that it does not have.
         """
         keys = self._settings
         wanted = condition.get(keys.condition, keys.resting)
@@ -77,10 +74,7 @@ class Changeover:
     def arrived(self) -> bool:
         """Tell whether the switches have said for a while that it stands where it was asked to.
 
-        Raises
-        ------
-        DeviceError
-            They do not within the time that it may take: the servo was stopped first.
+        Raises DeviceError: they do not within the time that it may take: the servo was stopped first.
         """
         if self.wanted is None or self._verified:
             return True

@@ -42,10 +42,7 @@ class TendonSlider(BoardDevice):
     def open(self) -> None:
         """Connect; the servo gets no pulse yet.
 
-        Raises
-        ------
-        DeviceError
-            No port, no answer, other firmware, or a firmware without its two switches.
+        Raises DeviceError: no port, no answer, other firmware, or a firmware without its two switches.
         """
         self._change.withdraw()
         super().open()
@@ -74,10 +71,7 @@ class TendonSlider(BoardDevice):
     def arrange(self, condition: Mapping[str, float | str]) -> None:
         """Begin to move into the state that the coming trial's condition names; returns at once.
 
-        Raises
-        ------
-        DeviceError
-            No such state, no answer, or the watchdog expired.
+        Raises DeviceError: no such state, no answer, or the watchdog expired.
         """
         token = self._board.motion_token()
         from_pulled = self._settings.pulled(self._board.sent_us()[self._settings.channel])
@@ -106,11 +100,8 @@ class TendonSlider(BoardDevice):
             f"{name} {'closed' if one else 'open'}"
             for name, one in zip(self._settings.states, closed, strict=True)
         )
-        if sum(closed) == 1:
-            switches = Remark("ok", self.name, f"switches: {said}")
-        else:
-            advice = "exactly one is closed at rest: look at wiring and springs"
-            switches = Remark("problem", self.name, f"switches: {said}", advice)
+        advice = "exactly one is closed at rest: look at wiring and springs"
+        switches = Remark.judged(sum(closed) == 1, self.name, f"switches: {said}", advice, "problem")
         return [*super().examine(), switches]
 
     def _switches(self) -> Sequence[bool]:

@@ -45,13 +45,7 @@ class Connection:
         return self._socket is not None
 
     def open(self, timeout_s: float = _CONNECT_S) -> None:
-        """Connect.
-
-        Raises
-        ------
-        DeviceError
-            Nobody answers there, or the interface is not one of this computer.
-        """
+        """Connect. Raises DeviceError: nobody answers there, or the interface is not one of this computer."""
         self.close()
         source = None if self._interface is None else (self._interface, 0)
         try:
@@ -67,10 +61,7 @@ class Connection:
     def read(self) -> bytes:
         """Return what has arrived; waits `PATIENCE_S` at most, and returns nothing then.
 
-        Raises
-        ------
-        DeviceError
-            The controller has closed the connection, or it is gone.
+        Raises DeviceError: the controller has closed the connection, or it is gone.
         """
         connection = self._socket
         if connection is None:

@@ -14,6 +14,7 @@ from labrun.devices import (
     Remark,
     SampleBuffer,
     Samples,
+    streaming,
 )
 from labrun.devices.clock import RealClock
 from labrun_plugins.ur5.link import Link, Tracking, stop_from_scratch
@@ -71,47 +72,32 @@ def _mode(state: ArmState) -> Remark:
 def _rate(tracking: Tracking, rtde: RtdeClient) -> Remark:
     reached = tracking.rate_hz()
     text = f"{reached:.1f} of {rtde.rate_hz:g} packages/s (controller {rtde.version_text})"
-    if math.isfinite(reached) and abs(reached - rtde.rate_hz) <= _RATE_SHARE * rtde.rate_hz:
-        return Remark("ok", "RTDE rate", text)
-    return Remark(
-        "warning",
-        "RTDE rate",
-        text,
-        "close other RTDE clients, use a cable of its own, or ask for a lower rate_hz",
-    )
+    good = math.isfinite(reached) and abs(reached - rtde.rate_hz) <= _RATE_SHARE * rtde.rate_hz
+    advice = "close other RTDE clients, use a cable of its own, or ask for a lower rate_hz"
+    return Remark.judged(good, "RTDE rate", text, advice)
 
 
 def _losses(tracking: Tracking) -> Remark:
     made = tracking.received + tracking.lost
     text = f"{tracking.lost} of {made} packages lost, {tracking.stale} repeated"
-    if tracking.lost <= max(1.0, _LOST_SHARE * made):
-        return Remark("ok", "RTDE packages", text)
-    return Remark(
-        "warning",
-        "RTDE packages",
-        text,
-        "the controller skips packages when it is busy: end URCaps and other clients",
-    )
+    advice = "the controller skips packages when it is busy: end URCaps and other clients"
+    return Remark.judged(tracking.lost <= max(1.0, _LOST_SHARE * made), "RTDE packages", text, advice)
 
 
 def _remote(remote: bool | None) -> Remark:
     if remote is None:
         return Remark("ok", "remote control", "not told by this controller (a CB3 always takes programs)")
-    if remote:
-        return Remark("ok", "remote control", "on")
-    return Remark(
-        "problem",
-        "remote control",
-        "off: the arm takes no programs",
+    text, advice = (
+        "on" if remote else "off: the arm takes no programs",
         "switch to Remote Control on the pendant",
     )
+    return Remark.judged(remote, "remote control", text, advice, "problem")
 
 
 def _slider(state: ArmState) -> Remark:
     text = f"{100 * state.slider:.0f} %, speed scaling {100 * state.speed_scaling:.0f} %"
-    if state.slider >= 1.0:
-        return Remark("ok", "speed slider", text)
-    return Remark("problem", "speed slider", text, "set it to 100 %: moves are slower than the file says")
+    advice = "set it to 100 %: moves are slower than the file says"
+    return Remark.judged(state.slider >= 1.0, "speed slider", text, advice, "problem")
 
 
 def _payload(state: ArmState) -> Remark:
@@ -187,10 +173,7 @@ class Ur5:
     def open(self) -> None:
         """Connect to all services and wait for the first state; the line is taken from it where the file has none.
 
-        Raises
-        ------
-        DeviceError
-            A service that does not answer, an old controller, or a register that is taken.
+        Raises DeviceError: a service that does not answer, an old controller, or a register that is taken.
         """
         self._link.open()
         self.rate_hz = self._link.rtde.rate_hz
@@ -223,10 +206,7 @@ class Ur5:
     def health(self) -> Health:
         """Tell how the arm is.
 
-        Raises
-        ------
-        DeviceError
-            It cannot move, its last move failed, it does not answer, or it is under local control.
+        Raises DeviceError: it cannot move, its last move failed, it does not answer, or it is under local control.
         """
         self._sound_state()
         try:
@@ -302,13 +282,9 @@ class Ur5:
     def read(self) -> Samples:
         """Return the samples since the last call.
 
-        Raises
-        ------
-        DeviceError
-            Not streaming, the arm cannot move, its move failed, or it has fallen silent.
+        Raises DeviceError: not streaming, the arm cannot move, its move failed, or it has fallen silent.
         """
-        if not self._link.tracking.streaming:
-            raise DeviceError(self.name, "is not streaming", hint="start() comes before read()")
+        streaming(self.name, self._link.tracking.streaming)
         self._sound_state()
         return self._buffer.take()
 
@@ -324,10 +300,7 @@ class Ur5:
     def emergency_stop(cls, name: str, settings: Ur5Settings) -> None:
         """Connect from scratch and stop; the runner is dead.
 
-        Raises
-        ------
-        DeviceError
-            Neither the script port nor the dashboard could be reached.
+        Raises DeviceError: neither the script port nor the dashboard could be reached.
         """
         if not stop_from_scratch(name, settings, RealClock(), _LOOK_S):
             raise DeviceError(

@@ -319,13 +319,7 @@ class Ur5Emulator:
         self._was_protective = False
 
     def open(self) -> Mapping[str, Any]:
-        """Open the four services.
-
-        Raises
-        ------
-        DeviceError
-            This bench has no carriage.
-        """
+        """Open the four services. Raises DeviceError: this bench has no carriage."""
         scene, now_s = self._context.scene, self._context.clock.now()
         if scene is not None:
             if "position" not in scene.signals:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from labrun.devices import Clock, DeviceError, FloatArray, Listener, SampleBuffer
+from labrun.devices import Clock, DeviceError, FloatArray, Listener, SampleBuffer, opened
 from labrun_plugins.ur5.connection import REOPEN_HINT
 from labrun_plugins.ur5.motion import Line, Move
 from labrun_plugins.ur5.programs import Dashboard, Programs
@@ -66,10 +66,7 @@ class Tracking:
     def receive(self) -> None:
         """Take what has arrived; waits briefly.
 
-        Raises
-        ------
-        DeviceError
-            The connection is lost, sends nonsense, or the controller was restarted.
+        Raises DeviceError: the connection is lost, sends nonsense, or the controller was restarted.
         """
         found, host_s = self._rtde.receive()
         times: list[float] = []
@@ -211,13 +208,9 @@ class Link:
     def state(self) -> ArmState:
         """Return the latest state.
 
-        Raises
-        ------
-        DeviceError
-            Not open, a connection is lost, nonsense was heard, or nothing for too long.
+        Raises DeviceError: not open, a connection is lost, nonsense was heard, or nothing for too long.
         """
-        if not self._is_open:
-            raise DeviceError(self._device, "is not open", hint="open() comes before any other call")
+        opened(self._device, self._is_open)
         self._listener.check()
         self._heart.check()
         state = self.tracking.state

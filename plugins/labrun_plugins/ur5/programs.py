@@ -59,10 +59,7 @@ class Dashboard:
     def ask(self, command: str) -> str:
         """Send one command, and return the reply.
 
-        Raises
-        ------
-        DeviceError
-            No reply within a second, or the connection is lost.
+        Raises DeviceError: no reply within a second, or the connection is lost.
         """
         with self._lock:
             if self._owes_reply:  # which may come yet, and would be taken for that to the next question
@@ -216,15 +213,8 @@ class Programs:
     def send(self, program: str, wanted: Callable[[], bool]) -> bool:
         """Send a program, which takes the place of the one that runs; tell whether it was.
 
-        Parameters
-        ----------
-        wanted
-            Asked right before the text leaves: a stop that came in between wins.
-
-        Raises
-        ------
-        DeviceError
-            It cannot be sent.
+        `wanted`: asked right before the text leaves: a stop that came in between wins. Raises DeviceError: it cannot be
+        sent.
         """
         with self._lock:
             self._complaints = []

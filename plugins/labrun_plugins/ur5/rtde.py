@@ -269,10 +269,8 @@ class RtdeClient:
     def open(self) -> None:
         """Connect, agree, and start the stream.
 
-        Raises
-        ------
-        DeviceError
-            Not reached, no or a wrong answer, a variable that the controller lacks, or a register that is taken.
+        Raises DeviceError: not reached, no or a wrong answer, a variable that the controller lacks, or a register that
+        is taken.
         """
         self._connection.open()
         self._stream = PackageStream()
@@ -287,10 +285,7 @@ class RtdeClient:
     def receive(self) -> tuple[list[Mapping[str, Any]], float]:
         """Return the data packages that have arrived, waiting briefly for the first, and the host's time of receipt.
 
-        Raises
-        ------
-        DeviceError
-            The connection is lost, or what arrives is no data of this stream.
+        Raises DeviceError: the connection is lost, or what arrives is no data of this stream.
         """
         data = self._connection.read() if not self._waiting else b""
         host_s = self._clock.now()

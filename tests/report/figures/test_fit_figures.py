@@ -77,3 +77,27 @@ def test_what_a_fit_describes_as_data_is_drawn_with_nothing_cut() -> None:
     assert len(figure.axes) == 3
     assert [len(axes.lines) for axes in figure.axes[:2]] != [0, 0]
     everything_is_on_the_page(figure)
+
+
+def test_a_legend_of_many_entries_takes_more_lines_and_stays_within_the_figure() -> None:
+    names = [f"activation {number}, lbfgs" for number in range(9)]
+    x = np.arange(3.0)
+    panel = Panel(tuple(Curve(x, x + number, number, name) for number, name in enumerate(names)))
+    figure = drawn(FigureData("many", ((Stack((panel,)),),), legend="top", row_height_in=3.0))
+    (legend,) = figure.legends
+    figure.draw_without_rendering()
+    around = legend.get_window_extent()
+    assert around.x1 <= figure.bbox.width
+    assert around.y0 >= figure.axes[0].get_window_extent().y1
+    assert [text.get_text() for text in legend.get_texts()] == names
+
+
+def test_a_logarithmic_axis_within_a_decade_has_numbers() -> None:
+    x = np.array([1.0, 10.0, 100.0])
+    panel = Panel((Curve(x, np.array([1.7, 3.0, 4.4])),), log="xy")
+    figure = drawn(FigureData("narrow", ((Stack((panel,)),),), row_height_in=3.0))
+    figure.draw_without_rendering()
+    axes = figure.axes[0]
+    written = {tick.get_text() for tick in axes.yaxis.get_ticklabels(which="both")} - {""}
+    assert {"2", "3", "4"} <= written
+    assert {tick.get_text() for tick in axes.xaxis.get_ticklabels(which="both")} >= {"1", "10", "100"}

@@ -123,6 +123,14 @@ def test_a_network_that_returns_no_number_ends_the_run_by_the_name_of_its_drive_
         run(file, dry_run=True, seed=1, overrides=overrides, results=tmp_path / "results")
 
 
+@pytest.mark.parametrize("fault", ["lose_after_s", "stop_answering_after_s"])
+def test_cameras_that_are_to_fail_are_no_part_of_a_compiled_dry_run_and_it_says_so(tmp_path, fault):
+    changes = ["track.compiled=true", "track.rate_hz=125", f"rig.devices.cameras.faults={{ {fault} = 2 }}"]
+    with pytest.raises(LabrunError, match="cameras is to have faults"):
+        run(TRANSFER, dry_run=True, seed=1, overrides=[CONDITION, *changes], results=tmp_path)
+    assert not list(tmp_path.rglob("journal.jsonl"))
+
+
 def test_cameras_that_lose_the_body_end_the_run_safely_and_the_data_stay(tmp_path):
     lost = "rig.devices.cameras.faults={ lose_after_s = 2 }"
     changes = ["trial.duration_s=3", "objectives={}", CONDITION, lost]

@@ -30,8 +30,12 @@ class ServoFin(Plant):
     def __init__(self, rng: np.random.Generator) -> None:
         inertia, self.natural_hz = near(rng, 8e-4, 1.6), rng.uniform(2.0, 4.5)
         spring = four_digits(inertia * (2 * np.pi * self.natural_hz) ** 2)
-        known = rng.random() < 0.5
-        drag = rng.random() < 0.4
+        known, drag = rng.random() < 0.5, rng.random() < 0.4
+        resisted = "damping*rate" + (" - drag*abs(rate)*rate" if drag else "")
+        hidden = (
+            *YIELDING, "constant-force", *only_if(not drag, "quadratic-drag"), *only_if(known, "added-inertia"),
+        )  # fmt: skip
+        seen = (*READ, "gain-error", "bias", "cross-talk")
         super().__init__(
             name="servo-fin",
             states=("angle", "rate"),
@@ -49,30 +53,12 @@ class ServoFin(Plant):
             ),
             equations={
                 "angle": "rate",
-                "rate": "(stiffness*(command - angle) - damping*rate"
-                + (" - drag*abs(rate)*rate" if drag else "")
-                + " + force.fin) / inertia",
+                "rate": f"(stiffness*(command - angle) - {resisted} + force.fin) / inertia",
             },
-            sites=(
-                Site(
-                    "fin",
-                    "joint",
-                    "angle",
-                    "rate",
-                    effects=(
-                        *YIELDING,
-                        "constant-force",
-                        *only_if(not drag, "quadratic-drag"),
-                        *only_if(known, "added-inertia"),
-                    ),
-                ),
-            ),
+            sites=(Site("fin", "joint", "angle", "rate", effects=hidden),),
             initial={"angle": "first" if rng.random() < 0.3 else 0.0, "rate": 0.0},
             input_effects={"command": (*DRIVEN, "gain-error", "bias")},
-            output_effects={
-                "angle": (*READ, "gain-error", "bias", "cross-talk"),
-                "horn_force": (*READ, "gain-error", "bias", "cross-talk"),
-            },
+            output_effects={"angle": seen, "horn_force": seen},
         )
 
     def programme(self, rng: np.random.Generator, trials: int) -> Programme:
@@ -87,10 +73,8 @@ class Swimmer(Plant):
     """A body pushed along by a beating tail: free, with a speed sensor; or on a tether that measures the pull."""
 
     def __init__(self, rng: np.random.Generator) -> None:
-        mass = near(rng, 2.5, 1.6)
-        self.tether = rng.random() < 0.5
-        quadratic = rng.random() < 0.6
-        self.mass = mass
+        self.mass = mass = near(rng, 2.5, 1.6)
+        self.tether, quadratic = rng.random() < 0.5, rng.random() < 0.6
         self.natural_hz = rng.uniform(0.3, 0.7)
         spring = four_digits(mass * (2 * np.pi * self.natural_hz) ** 2)
         drag = four_digits(mass * rng.uniform(2.0, 5.0))
@@ -100,25 +84,29 @@ class Swimmer(Plant):
         pull = " - tether*position" if self.tether else ""
         law = "drag*abs(speed)*speed" if quadratic else "damping*speed"
         exact = quadratic and drag_known
-        effects = [
-            "reynolds-dependent-drag",
-            "wall-echo",
-            "mean-current",
-            *only_if(exact or not quadratic, "drag-error"),
-            *only_if(exact or self.tether, "added-mass"),
-        ]
+        hidden = (
+            "reynolds-dependent-drag", "wall-echo", "mean-current",
+            *only_if(exact or not quadratic, "drag-error"), *only_if(exact or self.tether, "added-mass"),
+        )  # fmt: skip
+        if self.tether:
+            outputs: tuple[Signal, ...] = (
+                Signal("position", "m", equation="position"),
+                Signal("tension", "N", equation="tether*position"),
+            )
+            pushed: tuple[str, ...] = ("lag", "delay", "saturation", "dead-band", "rate-limit")
+            seen = {
+                "tension": ("lag", "delay", "drift", "bias", "saturation"),
+                "position": ("lag", "delay", "drift", "bias"),
+            }
+        else:
+            outputs = (Signal("speed_log", "m/s", equation="speed"),)
+            pushed = ("saturation", "dead-band")
+            seen = {"speed_log": ("drift", "bias", "saturation")}
         super().__init__(
             name="tethered-swimmer" if self.tether else "free-swimmer",
             states=("position", "speed"),
             inputs=(Signal("thrust", "N"),),
-            outputs=(
-                (
-                    Signal("position", "m", equation="position"),
-                    Signal("tension", "N", equation="tether*position"),
-                )
-                if self.tether
-                else (Signal("speed_log", "m/s", equation="speed"),)
-            ),
+            outputs=outputs,
             parameters=(
                 Parameter("mass", mass, 0.0, "kg"),
                 Parameter("thrust_share", near(rng, 0.8, 1.15), "free", "1"),
@@ -132,21 +120,10 @@ class Swimmer(Plant):
                 "speed": f"(thrust_share*thrust - {law}{pull} + force.hull) / mass",
             },
             returns=self.tether,
-            sites=(Site("hull", "body", "position", "speed", effects=tuple(effects)),),
+            sites=(Site("hull", "body", "position", "speed", effects=hidden),),
             initial={"position": 0.0, "speed": 0.0},
-            input_effects={
-                "thrust": ("lag", "delay", "saturation", "dead-band", "rate-limit")
-                if self.tether
-                else ("saturation", "dead-band")
-            },
-            output_effects=(
-                {
-                    "tension": ("lag", "delay", "drift", "bias", "saturation"),
-                    "position": ("lag", "delay", "drift", "bias"),
-                }
-                if self.tether
-                else {"speed_log": ("drift", "bias", "saturation")}
-            ),
+            input_effects={"thrust": pushed},
+            output_effects=seen,
         )
 
     def programme(self, rng: np.random.Generator, trials: int) -> Programme:
@@ -176,15 +153,18 @@ class StaticFin(Plant):
     def __init__(self, rng: np.random.Generator) -> None:
         stiffness = near(rng, 0.3, 1.6)
         side = rng.random() < 0.6
+        law = "stiffness*angle + damping*rate + lift*stream_m_s^2*sin(2*angle) - force.root"
+        hidden = (
+            "coulomb-friction", "stribeck-friction", "presliding-friction", "cubic-stiffness",
+            "asymmetric-friction", "asymmetric-stiffness", "hysteresis", "viscoelastic-creep", "quadratic-drag",
+            "end-stop", "constant-force",
+        )  # fmt: skip
+        seen = ("lag", "delay", "drift", "bias", "saturation")
         super().__init__(
             name="static-fin",
             inputs=(Signal("angle", "rad"), Signal("rate", "rad/s")),
             outputs=(
-                Signal(
-                    "torque",
-                    "N m",
-                    equation="stiffness*angle + damping*rate + lift*stream_m_s^2*sin(2*angle) - force.root",
-                ),
+                Signal("torque", "N m", equation=law),
                 *only_if(side, Signal("side_force", "N", equation="slope*sin(angle)*(0.2 + stream_m_s^2)")),
             ),
             parameters=(
@@ -193,33 +173,11 @@ class StaticFin(Plant):
                 Parameter("lift", near(rng, stiffness * 0.5, 1.4), 0.05, "N m s^2/m^2"),
                 *only_if(side, Parameter("slope", near(rng, 2.0), "free", "N")),
             ),
-            sites=(
-                Site(
-                    "root",
-                    "joint",
-                    "angle",
-                    "rate",
-                    effects=(
-                        "coulomb-friction",
-                        "stribeck-friction",
-                        "presliding-friction",
-                        "cubic-stiffness",
-                        "asymmetric-friction",
-                        "asymmetric-stiffness",
-                        "hysteresis",
-                        "viscoelastic-creep",
-                        "quadratic-drag",
-                        "end-stop",
-                        "constant-force",
-                    ),
-                ),
-            ),
+            sites=(Site("root", "joint", "angle", "rate", effects=hidden),),
             conditions=("stream_m_s",),
             input_effects={"angle": only_if(side, "delay", "lag", "saturation")},
-            output_effects={
-                "torque": ("lag", "delay", "drift", "bias", "saturation", *only_if(side, "cross-talk"))
-            }
-            | ({"side_force": ("lag", "delay", "drift", "bias", "saturation", "cross-talk")} if side else {}),
+            output_effects={"torque": (*seen, *only_if(side, "cross-talk"))}
+            | ({"side_force": (*seen, "cross-talk")} if side else {}),
         )
 
     def programme(self, rng: np.random.Generator, trials: int) -> Programme:

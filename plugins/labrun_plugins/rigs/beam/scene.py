@@ -15,13 +15,14 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from labrun.devices import FloatArray
 from labrun.effects import Scale, load_effect
-from labrun.errors import ExperimentError, SpecError
+from labrun.errors import SpecError
 from labrun.models import Input, Model, Output, Parameter, Site, Stepper, kernel, native
 from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
     described,
     hidden_effects,
+    require_finite,
     unpacked,
 )
 
@@ -83,13 +84,8 @@ def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> No
 def beam_model(beam: Beam, lever_m: float) -> Model:
     """Return the model of one of the source's beams.
 
-    Parameters
-    ----------
-    beam
-        "long" (31.75 mm) or "short" (3.6 mm) of section 7.5.1: 25.4 mm wide, curved by 180 degrees; "polyester" or
-        "steel" of section 7.2.
-    lever_m
-        From where the beam is clamped to where the pusher touches the arm on it, m.
+    `beam`: "long" (31.75 mm) or "short" (3.6 mm) of section 7.5.1: 25.4 mm wide, curved by 180 degrees; "polyester" or
+    "steel" of section 7.2. `lever_m`: from where the beam is clamped to where the pusher touches the arm on it, m.
     """
     stiffness, (equal, opposite) = STIFFNESS_N_M[beam], LIMITS_N_M[beam]
     return Model(
@@ -209,17 +205,8 @@ class BeamBench(Bench):
 
     def truth(self) -> dict[str, Any]:
         """Return the mounted beam, parameters as they are on the bench, and hidden effects."""
-        names = (one.name for one in self._model.parameters)
-        return {
-            "beam": self._beam,
-            "damaged": self._damaged,
-            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
-            "parameter_errors": dict(self._settings.parameters),
-            "built_in": [described(self._loop)],
-            "hidden": [
-                described(effect) for effect in (*self._hidden, *self._pusher.effects, *self._cell.effects)
-            ],
-        }
+        hidden = (*self._hidden, *self._pusher.effects, *self._cell.effects)
+        return self._truth(hidden, beam=self._beam, damaged=self._damaged, built_in=[described(self._loop)])
 
     def _mounted(self) -> FloatArray:
         """Return the factors on stiffness and limits that one mounting has."""
@@ -252,8 +239,7 @@ class BeamBench(Bench):
         force = self._stepper.advance(inputs)[:, 0]
         self._inputs_before = inputs[-1:].copy()
         felt = self._cell(force)
-        if not self._stepper.finite:
-            raise ExperimentError("the simulated beam bench blew up", hint="hide a weaker effect, or none")
+        require_finite(self._stepper, "beam bench")
         return np.column_stack([felt, moved, moved / (1e-3 * self._settings.lever_mm)])
 
     def _driven(self, moved: FloatArray) -> FloatArray:

@@ -32,6 +32,7 @@ from labrun.fit import (
     Panel,
     Stack,
     TextTable,
+    WithSettings,
     load_dataset,
     student,
 )
@@ -182,22 +183,13 @@ class _Measured:
         return Estimate(mean, (mean - half, mean + half), "N m")
 
 
-class TapeSpringFit:
+class TapeSpringFit(WithSettings[TapeSpringSettings]):
     """Equal limit gives the sheet's effective thickness; with it the theory says what the opposite limit must be."""
 
     Settings: ClassVar[type[BaseModel]] = TapeSpringSettings
 
-    def __init__(self, settings: TapeSpringSettings) -> None:
-        self._settings = settings
-
     def __call__(self, job: FitJob) -> FitSummary:
-        """Fit.
-
-        Raises
-        ------
-        FitError
-            No trial of the beam buckled in equal sense.
-        """
+        """Fit. Raises FitError: no trial of the beam buckled in equal sense."""
         keys = self._settings
         data = load_dataset(job.target, _MEASURED, job.signals)
         found = [

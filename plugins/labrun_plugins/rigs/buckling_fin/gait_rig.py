@@ -8,18 +8,10 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from labrun.devices import FloatArray
 from labrun.effects import Scale
-from labrun.errors import ExperimentError
 from labrun.models import Model, Stepper
 from labrun_plugins.rigs.buckling_fin.model import fin_model
 from labrun_plugins.rigs.buckling_fin.wings import SHORT_BEAM
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    described,
-    hidden_effects,
-    joint_model,
-    joint_stepper,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite, unpacked
 
 _SCALE = Scale(coordinate=0.5, rate=0.4, acceleration=10.0, force=0.2, signal=0.5, time_s=2.0)
 _FELT = ("force_x", "force_y", "torque_z")
@@ -83,29 +75,22 @@ class GaitRig(Bench):
     scale = _SCALE
     joints = (*_FINS, "slider")
     sensed = _FELT
+    remembered = ("factors", "short", "shaft_before", "servo", "stepper")
     signals: Mapping[str, str] = {
         "force_x": "N", "force_y": "N", "torque_z": "N m", "fin_1": "rad", "fin_2": "rad", "slider": "1",
     }  # fmt: skip
 
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
-        at_servo = [one for one in self._settings.hide if one.site in _FINS]
-        self._at_servo = hidden_effects(at_servo, joint_model(_FINS), _SCALE)
-        self._servo = joint_stepper(_FINS, self.step_s, self._at_servo) if at_servo else None
-        self._told_before = np.zeros((1, 2))
+        self._servo = self._passage(_FINS)
         self._shaft_before = np.zeros((1, 2))
         spread = 0.0 if self._settings.as_modelled else self._settings.scatter * self._settings.noise
         self._set_up(1.0 + spread * np.array(_BETWEEN_RUNS) * rng.standard_normal(2), short=False)
 
     def truth(self) -> dict[str, Any]:
         """Return parameters as they are on the bench, which beam it stands on, and hidden effects."""
-        names = (one.name for one in self._model.parameters)
-        return {
-            "beam": "short" if self._short else "long",
-            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
-            "parameter_errors": dict(self._settings.parameters),
-            "hidden": [described(effect) for effect in (*self._at_fins, *self._at_servo)],
-        }
+        beam = "short" if self._short else "long"
+        return self._truth((*self._at_fins, *self._servo.effects), beam=beam)
 
     def _set_up(self, factors: FloatArray, *, short: bool) -> None:
         self._factors, self._short = factors, short
@@ -122,12 +107,8 @@ class GaitRig(Bench):
         self._outputs = [names.index(name) for name in _FELT]
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
-        told = np.column_stack([self._drives[fin].angles(time_s) for fin in _FINS])
+        shaft = self._servo(np.column_stack([self._drives[fin].angles(time_s) for fin in _FINS]))
         slider = np.minimum(self._drives["slider"].angles(time_s), self._settings.slider_stuck_at)
-        shaft = told
-        if self._servo is not None:
-            shaft = self._servo.advance(np.concatenate([self._told_before, told]))
-        self._told_before = told[-1:].copy()
         short = slider > 0.5
         turns = np.flatnonzero(np.diff(short, prepend=self._short))
         loads = []
@@ -138,8 +119,7 @@ class GaitRig(Bench):
             edges = np.concatenate([self._shaft_before, shaft[begin:end]])
             self._shaft_before = shaft[end - 1 : end].copy()
             loads.append(self._stepper.advance(edges)[:, self._outputs])
-        if not self._stepper.finite:
-            raise ExperimentError("the simulated swimmer blew up", hint="hide a weaker effect, or none")
+        require_finite(self._stepper, "swimmer")
         return np.column_stack([np.concatenate(loads), shaft, slider])
 
     def _slide(self, *, short: bool) -> None:
@@ -149,34 +129,15 @@ class GaitRig(Bench):
             self._set_up(self._factors, short=short)
             self._stepper.restore(before)
 
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "factors": self._factors.tolist(),
-            "short": self._short,
-            "told_before": self._told_before.tolist(),
-            "shaft_before": self._shaft_before.tolist(),
-            "servo": None if self._servo is None else self._servo.snapshot(),
-            "stepper": self._stepper.snapshot(),
-        }
-
     def _recall(self, memory: Mapping[str, Any]) -> None:
-        self._set_up(np.array(memory["factors"]), short=bool(memory["short"]))
-        self._told_before = np.array(memory["told_before"])
-        self._shaft_before = np.array(memory["shaft_before"])
-        if self._servo is not None:
-            self._servo.restore(memory["servo"])
-        self._stepper.restore(memory["stepper"])
+        self._set_up(unpacked(memory["factors"]), short=memory["short"])
+        super()._recall(memory)
 
 
 def swimmer(settings: GaitRigSettings, *, short: bool) -> Model:
     """Return the model of the swimmer on its arm, behind servos that follow their shafts at 30 Hz (chosen).
 
-    Parameters
-    ----------
-    settings
-        Its dimensions, masses and mount.
-    short
-        Whether the tendon has made the beams short.
+    `settings`: its dimensions, masses and mount. `short`: whether the tendon has made the beams short.
     """
     keys = settings
     links_m = 1e-3 * (keys.d1_mm + keys.d2_mm)

@@ -9,13 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from labrun.models import Input, Model, Output, Site, native
-from labrun_plugins.rigs.buckling_fin.equations import (
-    PARAMETERS,
-    STATES,
-    base_torque,
-    hinge_torque,
-    motion,
-)
+from labrun_plugins.rigs.buckling_fin.equations import PARAMETERS, STATES, base_torque, hinge_torque, motion
 
 Free = Literal["x", "y", "yaw"]
 OUTPUTS = (

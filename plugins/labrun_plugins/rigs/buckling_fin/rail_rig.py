@@ -5,7 +5,7 @@ The rail holds the swimmer on its course; along it nothing does but friction. A 
 measures then).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -13,21 +13,10 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from labrun.devices import FloatArray
 from labrun.effects import Scale
-from labrun.errors import ExperimentError
 from labrun.models import Model, Stepper
 from labrun_plugins.rigs.buckling_fin.swimmers import LINK_DAMPING, LINK_HZ, two_fin_swimmer
 from labrun_plugins.rigs.buckling_fin.wing_scene import POSE, poses
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    HiddenEffect,
-    described,
-    hidden_effects,
-    joint_model,
-    joint_stepper,
-    packed,
-    unpacked,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, HiddenEffect, hidden_effects, require_finite
 
 _SCALE = Scale(coordinate=0.5, rate=0.3, acceleration=3.0, force=1.0, signal=0.5, time_s=2.0)
 _X, _SPEED = 0, 3
@@ -91,6 +80,7 @@ class RailRig(Bench):
     scale = _SCALE
     joints = ("left", "right")
     sensed = ("x",)
+    remembered = ("pull", "servo_before", "servo", "free", "held")
     signals: Mapping[str, str] = {
         **{f"force_{axis}": "N" for axis in "xyz"}, **{f"torque_{axis}": "N m" for axis in "xyz"},
         **{f"{part}_{one}": "m" if one in "xyz" else "1" for part in ("swimmer", "link", "plate") for one in POSE},
@@ -101,14 +91,12 @@ class RailRig(Bench):
         super().__init__(settings, rng)
         keys = self._settings
         self._model: Model = self._with_errors(two_fin_swimmer().with_values({**_LINKS, **keys.design}))
-        on_joints = [one for one in keys.hide if one.site in self.joints]
         on_swimmer = [one for one in keys.hide if one.site not in self.joints]
-        joint_effects = hidden_effects(on_joints, joint_model(self.joints), _SCALE)
+        self._servo = self._passage(self.joints)
         rubs = keys.rail_at_rest_n > 0 and not keys.as_modelled
         self._rail = hidden_effects([_friction(keys)], self._model, _SCALE) if rubs else []
         swimmer_effects = hidden_effects(on_swimmer, self._model, _SCALE)
-        self._hidden = swimmer_effects + joint_effects
-        self._servo = joint_stepper(self.joints, self.step_s, joint_effects) if joint_effects else None
+        self._hidden = swimmer_effects + self._servo.effects
         self._free = Stepper(self._model, effects=[*self._rail, *swimmer_effects], step_s=self.step_s)
         values = {one.name: one.value for one in self._model.parameters}
         held = two_fin_swimmer(held=True).with_values(values)
@@ -118,7 +106,6 @@ class RailRig(Bench):
         self._lengths_m = (values["link"], values["arm"])
         self._spacing_m = values["motor_spacing"]
         self._pull: tuple[float, float, float] | None = None  # to_m, speed_m_s, start_s
-        self._told_before = np.zeros((1, 2))
         self._servo_before = np.zeros((1, 2))
 
     def tow(self, from_m: float, to_m: float, speed_m_s: float, start_s: float) -> None:  # noqa: ARG002
@@ -127,27 +114,17 @@ class RailRig(Bench):
 
     def truth(self) -> dict[str, Any]:
         """Return parameters as they are on the bench, and hidden effects, of which the rail's friction is one."""
-        names = (one.name for one in self._model.parameters)
-        return {
-            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
-            "parameter_errors": dict(self._settings.parameters),
-            "hidden": [described(effect) for effect in (*self._rail, *self._hidden)],
-        }
+        return self._truth((*self._rail, *self._hidden))
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
         told = np.column_stack([self._drives[joint].angles(time_s) for joint in self.joints])
-        servo = told
-        if self._servo is not None:
-            servo = self._servo.advance(np.concatenate([self._told_before, told]))
-        self._told_before = told[-1:].copy()
-        edges = np.concatenate([self._servo_before, servo])
+        edges = np.concatenate([self._servo_before, self._servo(told)])
         self._servo_before = edges[-1:].copy()
         rows = np.empty((len(time_s), len(self._outputs)))
         first = 0
         while first < len(time_s):
             first = self._stretch(time_s, edges, first, rows)
-        if not self._free.finite:
-            raise ExperimentError("the simulated swimmer blew up", hint="hide a weaker effect, or none")
+        require_finite(self._free, "swimmer")
         return self._signals(rows, told)
 
     def _stretch(self, time_s: FloatArray, edges: FloatArray, first: int, rows: FloatArray) -> int:
@@ -219,26 +196,6 @@ class RailRig(Bench):
             x, zero, zero, zero, zero, zero, np.ones(len(rows)), link, plate,
             x, told,
         ])  # fmt: skip
-
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "pull": None if self._pull is None else list(self._pull),
-            "told_before": packed(self._told_before),
-            "servo_before": packed(self._servo_before),
-            "servo": None if self._servo is None else self._servo.snapshot(),
-            "free": self._free.snapshot(),
-            "held": self._held.snapshot(),
-        }
-
-    def _recall(self, memory: Mapping[str, Any]) -> None:
-        pull: Sequence[float] | None = memory["pull"]
-        self._pull = None if pull is None else (pull[0], pull[1], pull[2])
-        self._told_before = unpacked(memory["told_before"])
-        self._servo_before = unpacked(memory["servo_before"])
-        if self._servo is not None:
-            self._servo.restore(memory["servo"])
-        self._free.restore(memory["free"])
-        self._held.restore(memory["held"])
 
 
 def _friction(settings: RailRigSettings) -> HiddenEffect:

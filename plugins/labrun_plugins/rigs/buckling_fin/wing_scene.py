@@ -8,17 +8,10 @@ from pydantic import NonNegativeFloat, PositiveFloat
 
 from labrun.devices import FloatArray
 from labrun.effects import Scale
-from labrun.errors import ExperimentError, SpecError
+from labrun.errors import SpecError
 from labrun.models import Model, Stepper
 from labrun_plugins.rigs.buckling_fin.wings import CONDITIONS, OF_THE_BEAM, Medium, wing
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    described,
-    hidden_effects,
-    joint_model,
-    joint_stepper,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite, unpacked
 
 _SCALE = Scale(coordinate=0.5, rate=0.4, acceleration=10.0, force=0.2, signal=0.5, time_s=2.0)
 _KNOWN: Mapping[str, tuple[float, ...]] = {"beams": (1.0, 2.0), "wings": (1.0, 2.0), "short": (0.0, 1.0)}
@@ -77,6 +70,7 @@ class FlappingWing(Bench):
     scale = _SCALE
     joints = ("wing",)
     sensed = _FELT
+    remembered = ("mounted", "factors", "shaft_before", "servo", "stepper")
     signals: Mapping[str, str] = {
         "force_x": "N", "force_y": "N", "torque_z": "N m",
         **{f"{part}_{axis}": "m" if axis in "xyz" else "1" for part in ("link", "plate") for axis in POSE},
@@ -85,10 +79,7 @@ class FlappingWing(Bench):
 
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
-        at_servo = [one for one in self._settings.hide if one.site in self.joints]
-        self._at_servo = hidden_effects(at_servo, joint_model(self.joints), _SCALE)
-        self._servo = joint_stepper(self.joints, self.step_s, self._at_servo) if at_servo else None
-        self._told_before = np.zeros(1)
+        self._servo = self._passage(self.joints)
         self._shaft_before = np.zeros((1, 1))
         spread = 0.0 if self._settings.as_modelled else self._settings.scatter * self._settings.noise
         self._spread = spread * np.array(_BETWEEN_MOUNTINGS)
@@ -115,13 +106,7 @@ class FlappingWing(Bench):
 
     def truth(self) -> dict[str, Any]:
         """Return what is mounted, parameters as they are on the bench, and hidden effects."""
-        names = (one.name for one in self._model.parameters)
-        return {
-            "mounted": dict(self._mounted),
-            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
-            "parameter_errors": dict(self._settings.parameters),
-            "hidden": [described(effect) for effect in (*self._at_wing, *self._at_servo)],
-        }
+        return self._truth((*self._at_wing, *self._servo.effects), mounted=dict(self._mounted))
 
     def _scattered(self) -> FloatArray:
         """Return the factors on slopes and limits that one mounting has."""
@@ -154,37 +139,17 @@ class FlappingWing(Bench):
         )
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
-        told = self._drives["wing"].angles(time_s)
-        shaft = told
-        if self._servo is not None:
-            shaft = self._servo.advance(np.append(self._told_before, told)[:, None])[:, 0]
-        self._told_before = told[-1:].copy()
+        shaft = self._servo(self._drives["wing"].angles(time_s))
         driven = np.concatenate([self._shaft_before, shaft[:, None]])
         self._shaft_before = driven[-1:].copy()
         found = self._stepper.advance(driven)
-        if not self._stepper.finite:
-            raise ExperimentError("the simulated wing blew up", hint="hide a weaker effect, or none")
+        require_finite(self._stepper, "wing")
         return np.column_stack([found[:, :3], *poses(found[:, 3], found[:, 4], *self._lengths_m), shaft])
 
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "mounted": dict(self._mounted),
-            "factors": self._factors.tolist(),
-            "told_before": self._told_before.tolist(),
-            "shaft_before": self._shaft_before.tolist(),
-            "servo": None if self._servo is None else self._servo.snapshot(),
-            "stepper": self._stepper.snapshot(),
-        }
-
     def _recall(self, memory: Mapping[str, Any]) -> None:
-        self._shaft_before = np.array(memory["shaft_before"])
-        self._told_before = np.array(memory["told_before"])
-        self._put(
-            {name: float(value) for name, value in memory["mounted"].items()}, np.array(memory["factors"])
-        )
-        if self._servo is not None:
-            self._servo.restore(memory["servo"])
-        self._stepper.restore(memory["stepper"])
+        self._shaft_before = unpacked(memory["shaft_before"])
+        self._put(memory["mounted"], unpacked(memory["factors"]))
+        super()._recall(memory)
 
 
 def poses(link: FloatArray, plate: FloatArray, link_m: float, arm_m: float) -> tuple[FloatArray, FloatArray]:

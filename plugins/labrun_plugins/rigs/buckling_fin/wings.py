@@ -87,10 +87,7 @@ def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> No
 def wing(medium: Medium) -> Model:
     """Return the model of a wing on its mount, or of two mirrored ones; what is mounted is its condition.
 
-    Parameters
-    ----------
-    medium
-        What it flaps in.
+    `medium`: what it flaps in.
     """
     model = Model(
         name=f"wing-{medium}",

@@ -32,10 +32,7 @@ ACRYLIC_MM, ACRYLIC_N = 6.35, 0.1983
 def thrust_n(material: str, thickness_mm: float, fin: str) -> float:
     """Return the mean thrust of a fin at 60 deg and 1.4 Hz, N; straight in thickness between the rows of Table 5.2.
 
-    Raises
-    ------
-    SpecError
-        A fin that the table does not reach.
+    Raises SpecError: a fin that the table does not reach.
     """
     if fin not in POLYESTER_N:
         raise SpecError(f"this tank has no {fin!r} fin", hint="it has small and large ones")

@@ -9,7 +9,6 @@ from pydantic import PositiveFloat
 
 from labrun.devices import FloatArray
 from labrun.effects import Scale
-from labrun.errors import ExperimentError
 from labrun.models import Stepper, kernel
 from labrun_plugins.rigs.caudal_fin.model import (
     AMPLITUDE_DEAD_S,
@@ -24,9 +23,9 @@ from labrun_plugins.rigs.caudal_fin.model import (
 from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
-    described,
     hidden_effects,
     packed,
+    require_finite,
     unpacked,
 )
 
@@ -142,15 +141,8 @@ class CaudalTank(Bench):
 
     def truth(self) -> dict[str, Any]:
         """Return the fin, parameters as they are on the bench, and hidden effects."""
-        return {
-            "fin": dict(zip(("material", "thickness_mm", "fin"), self._fin, strict=True)),
-            "parameters": dict(
-                zip((one.name for one in self._model.parameters), self._model.values.tolist(), strict=True)
-            ),
-            "parameter_errors": dict(self._settings.parameters),
-            "bar_length_m": self._settings.bar_length_m,
-            "hidden": [described(effect) for effect in self._hidden],
-        }
+        fin = dict(zip(("material", "thickness_mm", "fin"), self._fin, strict=True))
+        return self._truth(self._hidden, fin=fin, bar_length_m=self._settings.bar_length_m)
 
     def _put(self, fin: tuple[str, float, str]) -> None:
         share = thrust_n(*fin) / BEST_N
@@ -178,8 +170,7 @@ class CaudalTank(Bench):
         inputs[1:, -2:] = noise
         force = self._stepper.advance(inputs)
         self._inputs_before = inputs[-1:].copy()
-        if not self._stepper.finite:
-            raise ExperimentError("the simulated caudal tank blew up", hint="hide a weaker effect, or none")
+        require_finite(self._stepper, "caudal tank")
         bar = self._settings.bar_length_m
         rows = np.zeros((len(time_s), len(self.signals)))
         rows[:, :2] = force

@@ -18,14 +18,9 @@ from pydantic import Field, NonNegativeFloat
 
 from labrun.devices import FloatArray
 from labrun.effects import Scale
-from labrun.errors import ExperimentError, SpecError
+from labrun.errors import SpecError
 from labrun.models import Input, Model, Output, Parameter, Site, Stepper, native
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    hidden_effects,
-    unpacked,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite, unpacked
 
 
 def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
@@ -71,12 +66,7 @@ def driven_joint_model(*, friction_n_m: float, drag: float) -> Model:
     return Model(
         name="driven-joint",
         states=("angle", "swing"),
-        inputs=(
-            Input("base", "rad"),
-            Input("up"),
-            Input("payload", "kg"),
-            Input("strip"),
-        ),
+        inputs=(Input("base", "rad"), Input("up"), Input("payload", "kg"), Input("strip")),
         outputs=(Output("angle", "rad"), Output("horn", "rad")),
         parameters=(
             Parameter("stiffness", 0.3, unit="N m/rad", lower=1e-3),
@@ -228,8 +218,7 @@ class DrivenJoint(Bench):
         self._base_before = base[-1:].copy()
         steady = np.broadcast_to(self._set, (len(edges), len(self._set)))
         true = self._stepper.advance(np.column_stack([edges, steady]))
-        if not self._stepper.finite:
-            raise ExperimentError("the simulated driven joint blew up", hint="hide a weaker effect, or none")
+        require_finite(self._stepper, "driven joint")
         seen = self._sight(true)
         return np.column_stack([_pose(seen[:, 0], _LEVER_M), _pose(seen[:, 1], _HORN_M), seen, base])
 

@@ -123,10 +123,7 @@ def link_axes(theta_1: float, theta_2: float, axes: FloatArray) -> None:
 def hinge_axes(theta_1: float, theta_2: float) -> FloatArray:
     """Return servo 1, link 1, meeting axis, link 2 and servo 2: the loop in its order, shape (5, 3).
 
-    Raises
-    ------
-    ValueError
-        No loop closes at these servo angles.
+    Raises ValueError: no loop closes at these servo angles.
     """
     if abs(theta_1 - theta_2) > greatest_difference(theta_1 + theta_2) + 1e-12:
         raise ValueError(

@@ -25,11 +25,7 @@ from labrun.effects import Scale
 from labrun.errors import ExperimentError, SpecError
 from labrun.models import Input, Model, Output, Parameter, Site, Stepper, native
 from labrun_plugins.rigs.fish.fins import ATTACHMENTS, JOINTS, WATERS, AttachmentName, fin_loads, motion_at
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    hidden_effects,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite
 
 REAR_FINS_YAW_DRAG = 0.041
 """What a tail at rest and the dorsal fin add to the yaw drag, N m s^2."""
@@ -156,17 +152,8 @@ class Watch:
     def read(self, what: str, thumb: float) -> float | str:
         """Return what a person would type.
 
-        Parameters
-        ----------
-        what
-            One of `ANSWERS`.
-        thumb
-            How late the watch is stopped, in standard deviations.
-
-        Raises
-        ------
-        ExperimentError
-            Something else is asked for, or nothing was seen.
+        `what`: one of `ANSWERS`. `thumb`: how late the watch is stopped, in standard deviations. Raises
+        ExperimentError: something else is asked for, or nothing was seen.
         """
         if what not in ANSWERS:
             raise ExperimentError(
@@ -203,10 +190,7 @@ def chosen_by_hand(
 ) -> str:
     """Return which kind of `name` a condition asks for; `otherwise` where it does not say.
 
-    Raises
-    ------
-    SpecError
-        There is no such kind.
+    Raises SpecError: there is no such kind.
     """
     wanted = condition.get(name, otherwise)
     known = list(kinds)
@@ -329,8 +313,7 @@ class FireFree(Bench):
             self._inputs_before = inputs[1].copy()
         beating = (joints[:, :4] != np.vstack([before, joints[:-1, :4]])).any(axis=1)
         self._watch.look(time_s, rows[:, :3], beating)
-        if not self._stepper.finite:
-            raise ExperimentError("the simulated free fish blew up", hint="hide a weaker effect, or none")
+        require_finite(self._stepper, "free fish")
         return rows
 
     def _recall(self, memory: Mapping[str, Any]) -> None:

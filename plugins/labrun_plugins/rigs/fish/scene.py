@@ -14,17 +14,10 @@ from pydantic import PositiveFloat
 
 from labrun.devices import FloatArray
 from labrun.effects import Scale
-from labrun.errors import ExperimentError
 from labrun.models import Input, Model, Output, Parameter, Site, Stepper, native
 from labrun_plugins.rigs.fish.fins import ATTACHMENTS, JOINTS, WATERS, AttachmentName, fin_loads, motion_at
 from labrun_plugins.rigs.fish.free_scene import chosen_by_hand
-from labrun_plugins.simulated.bench import (
-    ACCELERATION_M_S2,
-    Bench,
-    BenchSettings,
-    Carriage,
-    hidden_effects,
-)
+from labrun_plugins.simulated.bench import BenchSettings, TowedBench, hidden_effects, require_finite
 
 # First sloshing modes of water 0.5 m deep in the 1.22 x 0.61 m tank: omega^2 = g k tanh(k h), k = pi / length.
 _ALONG = 4.66
@@ -137,7 +130,7 @@ class FireTankSettings(BenchSettings):
     attachment: AttachmentName = "broad"
 
 
-class FireTank(Bench):
+class FireTank(TowedBench):
     """Six-axis load on the five-jointed fish.
 
     Physics and sources: see `five_bar`, `fins` and `model`.
@@ -172,7 +165,6 @@ class FireTank(Bench):
         self._servo = self._passage(self.joints)
         self._hidden = water_effects + self._servo.effects
         self._stepper = Stepper(self._model, effects=water_effects, step_s=self.step_s)
-        self._carriage = Carriage()
         self._motion = motion_at(np.zeros(len(JOINTS)))
         self._wake = np.zeros((WATERS, 3))
         self._attachment: str = self._settings.attachment
@@ -181,17 +173,6 @@ class FireTank(Bench):
     def arrange(self, condition: Mapping[str, float | str]) -> None:
         """Put on the blades of the condition."""
         self._attachment = chosen_by_hand(condition, "attachment", ATTACHMENTS, self._attachment)
-
-    def tow(
-        self,
-        from_m: float,
-        to_m: float,
-        speed_m_s: float,
-        start_s: float,
-        acceleration_m_s2: float = ACCELERATION_M_S2,
-    ) -> None:
-        """Move the carriage from `start_s` on."""
-        self._carriage.move(from_m, to_m, speed_m_s, start_s, acceleration_m_s2)
 
     def observe(self, signals: Sequence[str], time_s: FloatArray) -> FloatArray:
         """Return the true signals at ascending times, shape (n, signals)."""
@@ -221,8 +202,7 @@ class FireTank(Bench):
         inputs[1:, :7], inputs[1:, 7], inputs[1:, 8], inputs[1:, 9:] = loads, speed, acceleration, noise
         wrench = self._stepper.advance(inputs)
         self._inputs_before = inputs[-1:].copy()
-        if not self._stepper.finite:
-            raise ExperimentError("the simulated fire tank blew up", hint="hide a weaker effect, or none")
+        require_finite(self._stepper, "fire tank")
         rows = np.empty((count, len(self.signals)))
         rows[:, :6], rows[:, 6], rows[:, 7:] = wrench, position, joints
         return rows

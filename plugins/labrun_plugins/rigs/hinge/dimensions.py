@@ -27,10 +27,7 @@ class HingeMapWarning(UserWarning):
 def stiffness(width_m: float, length_m: float) -> float:
     """Return k by (3.12), N m/rad.
 
-    Raises
-    ------
-    ModelError
-        The map is not positive there, as for narrow hinges longer than 1 mm.
+    Raises ModelError: the map is not positive there, as for narrow hinges longer than 1 mm.
     """
     return _stiffness(w=width_m, l=length_m)
 

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, PositiveFloat
 
 from labrun.errors import FitError
-from labrun.fit import FitJob, FitSummary, FittedData
+from labrun.fit import FitJob, FitSummary, FittedData, WithSettings
 from labrun_plugins.rigs.hinge.body import FOUND
 from labrun_plugins.rigs.hinge.map_findings import (
     coefficient_table,
@@ -45,13 +45,10 @@ class HingeMapsSettings(BaseModel):
     way: Literal["simulation", "fourier"] = "simulation"
 
 
-class HingeMapsFit:
+class HingeMapsFit(WithSettings[HingeMapsSettings]):
     """k and b of every specimen from its releases, then the polynomials (3.6) to (3.12) through them."""
 
     Settings: ClassVar[type[BaseModel]] = HingeMapsSettings
-
-    def __init__(self, settings: HingeMapsSettings) -> None:
-        self._settings = settings
 
     def __call__(self, job: FitJob) -> FitSummary:
         """Fit; see `fit_hinge_maps`."""

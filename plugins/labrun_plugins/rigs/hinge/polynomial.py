@@ -293,11 +293,7 @@ class FittedMap:
 
 
 def fit_polynomial(
-    form: Form,
-    sizes: Mapping[str, FloatArray],
-    releases: Sequence[FloatArray],
-    *,
-    rng: np.random.Generator,
+    form: Form, sizes: Mapping[str, FloatArray], releases: Sequence[FloatArray], *, rng: np.random.Generator
 ) -> FittedMap:
     """Fit a form to the means of specimens by least squares, every specimen counting once, as in the source.
 

@@ -198,10 +198,7 @@ class Release:
 def fit_release(model: Model, dataset: Dataset, trial: FitTrial, swing: FourierSwing, body: Body) -> Release:
     """Fit one release both ways; the body is taken as stated.
 
-    Raises
-    ------
-    FitError
-        No simulation of eq. (3.5) comes near this release.
+    Raises FitError: no simulation of eq. (3.5) comes near this release.
     """
     fourier = fourier_values([swing], body)
     # whatever the series says, a spring and a damper are what the first guess is made of

@@ -18,12 +18,7 @@ from labrun.effects import Scale, load_effect
 from labrun.errors import ExperimentError
 from labrun.models import Input, Model, Output, Parameter, Site, Stepper, load_model, native
 from labrun_plugins.rigs.hinge.dimensions import damping, stiffness
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    described,
-    hidden_effects,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, described, hidden_effects, require_finite
 
 
 def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
@@ -295,8 +290,7 @@ class HingeBench(Bench):
                 inputs = np.broadcast_to(scales, (last - first + 1, len(scales)))
                 angle[first:last] = self._stepper.advance(inputs)[:, 0]
             self._held = bool(held[last - 1])
-        if not self._stepper.finite:
-            raise ExperimentError("the simulated hinge bench blew up", hint="hide a weaker effect, or none")
+        require_finite(self._stepper, "hinge bench")
         return self._rows(self._sight(angle))
 
     def _rows(self, angle: FloatArray) -> FloatArray:

@@ -15,14 +15,9 @@ from pydantic import PositiveFloat
 
 from labrun.devices import FloatArray
 from labrun.effects import Scale
-from labrun.errors import ExperimentError, SpecError
+from labrun.errors import SpecError
 from labrun.models import Input, Model, Output, Parameter, Site, Stepper, native
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    Passage,
-    hidden_effects,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, Passage, hidden_effects, require_finite
 
 LAG_S = 0.02
 """Of sensor and mount (chosen)."""
@@ -183,8 +178,7 @@ class LifeBench(Bench):
         torque = self._stepper.advance(np.concatenate([self._inputs_before, inputs]))[:, 0]
         felt = self._sensor(torque)
         self._inputs_before, self._cycles, self._side = inputs[-1:].copy(), int(cycles[-1]), int(sides[-1])
-        if not self._stepper.finite:
-            raise ExperimentError("the simulated life bench blew up", hint="hide a weaker effect, or none")
+        require_finite(self._stepper, "life bench")
         return np.column_stack([felt, turned])
 
     def _left(self, cycles: NDArray[np.int64]) -> FloatArray:

@@ -13,14 +13,7 @@ from labrun.effects import Scale
 from labrun.errors import SpecError
 from labrun.models import kernel
 from labrun_plugins.rigs.beam.tape_spring_fit import TapeSpring, Width
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    described,
-    hidden_effects,
-    joint_model,
-    joint_stepper,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, Passage, described, joint_model
 
 _SCALE = Scale(signal=0.5, time_s=2.0)
 _MIL_M = 25.4e-6
@@ -79,6 +72,7 @@ class PegRobot(Bench):
     scale = _SCALE
     joints = ("arm",)
     sensed = ("position",)
+    remembered = ("thickness_mil", "factor", "body", "servo", "sight")
     signals: Mapping[str, str] = {
         **{f"robot_{axis}": "m" if axis in "xyz" else "1" for axis in _POSE}, "position": "m", "arm": "rad",
     }  # fmt: skip
@@ -87,13 +81,9 @@ class PegRobot(Bench):
         super().__init__(settings, rng)
         self._model = joint_model(self.joints)
         keys = self._settings
-        at_arm = [one for one in keys.hide if one.site in self.joints]
         in_sight = [one for one in keys.hide if one.site not in self.joints]
-        self._at_arm = hidden_effects(at_arm, joint_model(self.joints), _SCALE)
-        self._in_sight = hidden_effects(in_sight, joint_model(self.sensed), _SCALE)
-        self._servo = joint_stepper(self.joints, self.step_s, self._at_arm) if at_arm else None
-        self._sight = joint_stepper(self.sensed, self.step_s, self._in_sight) if in_sight else None
-        self._told_before, self._seen_before = np.zeros((1, 1)), np.zeros((1, 1))
+        self._servo = self._passage(self.joints)
+        self._sight = Passage(self.sensed, in_sight, _SCALE, self.step_s)
         self._spread = 0.0 if keys.as_modelled else keys.scatter * keys.noise * _BETWEEN_MOUNTINGS
         # body, and the peg behind the arm's tip, as a number of pitches: the tip begins in the middle of a gap
         self._body = np.array([0.5e-3 * keys.pitch_mm, 0.0])
@@ -125,7 +115,7 @@ class PegRobot(Bench):
                 "friction": 1e-3 * self._settings.friction_mn_m,
             },
             "parameter_errors": {},
-            "hidden": [described(effect) for effect in (*self._at_arm, *self._in_sight)],
+            "hidden": [described(effect) for effect in (*self._servo.effects, *self._sight.effects)],
         }
 
     def _strip(self) -> TapeSpring:
@@ -143,39 +133,14 @@ class PegRobot(Bench):
         ])  # fmt: skip
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
-        told = self._drives["arm"].angles(time_s)
-        arm = told
-        if self._servo is not None:
-            arm = self._servo.advance(np.concatenate([self._told_before, told[:, None]]))[:, 0]
-        self._told_before = told[-1:, None].copy()
-        position = _crawl(arm, self._body, self._torques, self._numbers)
-        seen = position
-        if self._sight is not None:
-            seen = self._sight.advance(np.concatenate([self._seen_before, position[:, None]]))[:, 0]
-        self._seen_before = position[-1:, None].copy()
+        arm = self._servo(self._drives["arm"].angles(time_s))
+        seen = self._sight(_crawl(arm, self._body, self._torques, self._numbers))
         zero = np.zeros_like(seen)
         return np.column_stack([seen, zero, zero, zero, zero, zero, zero + 1.0, seen, arm])
 
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "thickness_mil": self._thickness_mil,
-            "factor": self._factor,
-            "body": self._body.tolist(),
-            "told_before": self._told_before.tolist(),
-            "seen_before": self._seen_before.tolist(),
-            "servo": None if self._servo is None else self._servo.snapshot(),
-            "sight": None if self._sight is None else self._sight.snapshot(),
-        }
-
     def _recall(self, memory: Mapping[str, Any]) -> None:
-        self._put(float(memory["thickness_mil"]), float(memory["factor"]))
-        self._body = np.array(memory["body"])
-        self._told_before = np.array(memory["told_before"])
-        self._seen_before = np.array(memory["seen_before"])
-        if self._servo is not None:
-            self._servo.restore(memory["servo"])
-        if self._sight is not None:
-            self._sight.restore(memory["sight"])
+        self._put(memory["thickness_mil"], memory["factor"])
+        super()._recall(memory)
 
 
 @functools.cache

@@ -11,7 +11,7 @@ from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import ExperimentError, ModelError, SpecError
 from labrun.models import Model, Robot, Stepper, parse_model, read_robot
-from labrun_plugins.simulated.bench import Bench, BenchSettings, described, hidden_effects, packed, unpacked
+from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects
 
 _AXES = ("x", "y", "z")
 _POSE = (*((axis, f"position[{index}]", "m") for index, axis in enumerate(_AXES)),
@@ -44,16 +44,14 @@ class RobotBench(Bench):
 
     Settings: ClassVar[type[BenchSettings]] = RobotSettings
     step_s = 0.001
+    remembered = ("before", "stepper")
     scale = Scale(coordinate=0.5, rate=2.0, acceleration=20.0, force=1.0, signal=0.5, time_s=1.0)
 
     @classmethod
     def embed(cls, keys: Mapping[str, Any], find: Callable[[str], Path]) -> dict[str, Any]:
         """Return the settings with the robot itself in the place of its file's name.
 
-        Raises
-        ------
-        SpecError
-            The file is not there, or MuJoCo cannot read it.
+        Raises SpecError: the file is not there, or MuJoCo cannot read it.
         """
         model = keys.get("model", "")
         if not isinstance(model, str) or model.lstrip().startswith("<"):
@@ -83,12 +81,7 @@ class RobotBench(Bench):
 
     def truth(self) -> dict[str, Any]:
         """Return parameters as they are on the bench, and hidden effects."""
-        names = (one.name for one in self._model.parameters)
-        return {
-            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
-            "parameter_errors": dict(self._settings.parameters),
-            "hidden": [described(effect) for effect in self._hidden],
-        }
+        return self._truth(self._hidden)
 
     def _begin(self, time_s: float) -> None:
         # several sensors look at it, and whose clock begins first is open
@@ -106,13 +99,6 @@ class RobotBench(Bench):
                 "the simulated robot blew up", hint="look at its gains and inertias, or hide a weaker effect"
             )
         return rows
-
-    def _memory(self) -> dict[str, Any]:
-        return {"before": packed(self._before), "stepper": self._stepper.snapshot()}
-
-    def _recall(self, memory: Mapping[str, Any]) -> None:
-        self._before = unpacked(memory["before"])
-        self._stepper.restore(memory["stepper"])
 
 
 def _stable_step_s(model: Model) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from labrun.devices import FloatArray
-from labrun_plugins.simulated.bench import ACCELERATION_M_S2, Bench, BenchSettings, Carriage
+from labrun_plugins.simulated.bench import BenchSettings, TowedBench
 
 _FELT = {
     **{f"force_{axis}": "N" for axis in "xyz"}, **{f"torque_{axis}": "N m" for axis in "xyz"}, "force": "N",
@@ -30,7 +30,7 @@ class PlainSettings(BenchSettings):
     feels: tuple[str, ...] = ()
 
 
-class PlainBench(Bench):
+class PlainBench(TowedBench):
     """Joints follow their commands within their limits, the carriage travels, everything else is zero.
 
     Besides the devices' joints there is ``pusher`` (m), what a linear stage drives: the carriage's position as well.
@@ -40,6 +40,7 @@ class PlainBench(Bench):
     """
 
     Settings: ClassVar[type[BenchSettings]] = PlainSettings
+    remembered = ("carriage",)
 
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         table = PlainSettings.model_validate(dict(settings))
@@ -48,18 +49,6 @@ class PlainBench(Bench):
         self.signals = {**_FELT, **still, "position": "m", **dict.fromkeys(table.joints_deg, "rad")}
         super().__init__(settings, rng)
         self._ends = {joint: np.radians(ends) for joint, ends in table.joints_deg.items()}
-        self._carriage = Carriage()
-
-    def tow(
-        self,
-        from_m: float,
-        to_m: float,
-        speed_m_s: float,
-        start_s: float,
-        acceleration_m_s2: float = ACCELERATION_M_S2,
-    ) -> None:
-        """Move the carriage from `start_s` on."""
-        self._carriage.move(from_m, to_m, speed_m_s, start_s, acceleration_m_s2)
 
     def truth(self) -> dict[str, Any]:
         """Return that there is nothing to be found."""
@@ -77,9 +66,3 @@ class PlainBench(Bench):
             elif name.endswith("_qw"):
                 rows[:, column] = 1.0
         return rows
-
-    def _memory(self) -> dict[str, Any]:
-        return {"carriage": self._carriage.snapshot()}
-
-    def _recall(self, memory: Mapping[str, Any]) -> None:
-        self._carriage.restore(memory["carriage"])

@@ -22,6 +22,7 @@ from labrun.fit import (
     OutputsAlone,
     Panel,
     Stack,
+    WithSettings,
     load_dataset,
     student,
 )
@@ -58,13 +59,10 @@ class Swing:
     period: float
 
 
-class RestFit:
+class RestFit(WithSettings[RestSettings]):
     """Each trial by itself; estimates are means over trials with t-intervals."""
 
     Settings: ClassVar[type[BaseModel]] = RestSettings
-
-    def __init__(self, settings: RestSettings) -> None:
-        self._settings = settings
 
     def __call__(self, job: FitJob) -> FitSummary:
         """Fit.
@@ -105,13 +103,7 @@ class RestFit:
 
 
 def swing(time_s: FloatArray, angle: FloatArray) -> Swing:
-    """Return rest, decay and period of a decaying oscillation.
-
-    Raises
-    ------
-    FitError
-        There is none.
-    """
+    """Return rest, decay and period of a decaying oscillation. Raises FitError: there is none."""
     middle = angle - angle.mean()
     spectrum = np.abs(np.fft.rfft(middle * np.hanning(len(middle))))
     frequencies = np.fft.rfftfreq(len(middle), float(np.mean(np.diff(time_s))))

@@ -13,14 +13,7 @@ from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import ExperimentError
 from labrun.models import ClosedChain, Site, Stepper, load_model, parse_model, shipped_models
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    described,
-    hidden_effects,
-    joint_model,
-    joint_stepper,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, Passage, hidden_effects, unpacked
 
 _MODEL = "six-bar"
 _HELD = "theta_5"
@@ -79,6 +72,7 @@ class SixBar(Bench):
     scale = _SCALE
     joints = (_HELD,)
     sensed = _JOINTS
+    remembered = ("factors", "hand_before", "sight", "stepper")
     signals: Mapping[str, str] = {
         **{f"{body}_{axis}": "m" if axis in "xyz" else "1"
            for body in _BODIES for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")},
@@ -95,11 +89,9 @@ class SixBar(Bench):
         loaded = load_model(_MODEL)
         self._rest = loaded.initial_state({})
         in_sight = [one for one in self._settings.hide if one.site in self.sensed and one.kind == "output"]
-        self._in_sight = hidden_effects(in_sight, joint_model(self.sensed), _SCALE)
-        self._sight = joint_stepper(self.sensed, self.step_s, self._in_sight) if self._in_sight else None
+        self._sight = Passage(self.sensed, in_sight, _SCALE, self.step_s, self._rest[self._column])
         spread = self._settings.scatter * self._settings.noise * np.array(_BETWEEN_SETUPS)
         self._hand_before = np.array([[0.0, 0.0]])
-        self._seen_before = self._rest[self._column][None, :]
         self._set_up(np.maximum(1.0 + spread * rng.standard_normal(2), 0.1))
 
     @property
@@ -110,12 +102,7 @@ class SixBar(Bench):
     def truth(self) -> dict[str, Any]:
         """Return parameters as they are on the bench, where it rests, and hidden effects."""
         rest = {joint: float(self._rest[column]) for joint, column in zip(_JOINTS, self._column, strict=True)}
-        return {
-            "parameters": dict(self._values),
-            "rest_as_documented_rad": rest,
-            "parameter_errors": dict(self._settings.parameters),
-            "hidden": [described(effect) for effect in (*self._at_hinges, *self._in_sight)],
-        }
+        return self._truth((*self._at_hinges, *self._sight.effects), rest_as_documented_rad=rest)
 
     def _set_up(self, factors: FloatArray) -> None:
         """Take a setup, whose factors on stiffness and damping these are."""
@@ -124,7 +111,6 @@ class SixBar(Bench):
         scattered = {name: values[name] * factors[k] for k, name in enumerate(("stiffness", "damping"))}
         self._factors = factors
         self._model = self._with_errors(self._nominal.with_values(scattered))
-        self._values = dict(zip(names, self._model.values.tolist(), strict=True))
         at_hinges = [
             one for one in self._settings.hide if not (one.site in self.sensed and one.kind == "output")
         ]
@@ -149,10 +135,7 @@ class SixBar(Bench):
                 "the simulated six-bar linkage blew up: it came too close to the flat sheet, where it is singular",
                 hint="release it nearer to its rest (theta_5 = -9 deg), or hide a weaker effect",
             )
-        seen = true
-        if self._sight is not None:
-            seen = self._sight.advance(np.concatenate([self._seen_before, true]))
-            self._seen_before = true[-1:].copy()
+        seen = self._sight(true)
         return np.column_stack([self._poses(seen), seen])
 
     def _poses(self, seen: FloatArray) -> FloatArray:
@@ -167,19 +150,6 @@ class SixBar(Bench):
             poses += [_CENTRE_M + outward, Rotation.from_matrix(turn).as_quat()]
         return np.column_stack(poses)
 
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "factors": self._factors.tolist(),
-            "hand_before": self._hand_before.tolist(),
-            "seen_before": self._seen_before.tolist(),
-            "sight": None if self._sight is None else self._sight.snapshot(),
-            "stepper": self._stepper.snapshot(),
-        }
-
     def _recall(self, memory: Mapping[str, Any]) -> None:
-        self._set_up(np.array(memory["factors"]))
-        self._hand_before = np.array(memory["hand_before"])
-        self._seen_before = np.array(memory["seen_before"])
-        if self._sight is not None:
-            self._sight.restore(memory["sight"])
-        self._stepper.restore(memory["stepper"])
+        self._set_up(unpacked(memory["factors"]))
+        super()._recall(memory)

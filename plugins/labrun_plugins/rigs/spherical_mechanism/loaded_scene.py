@@ -13,16 +13,7 @@ from labrun.effects import Scale
 from labrun.errors import ExperimentError, SpecError
 from labrun.models import Stepper, kernel, native
 from labrun_plugins.rigs.spherical_mechanism.loaded_model import OUTPUTS, loaded_model
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    described,
-    hidden_effects,
-    joint_model,
-    joint_stepper,
-    packed,
-    unpacked,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects
 
 _SCALE = Scale(coordinate=0.05, rate=1.0, acceleration=10.0, force=0.03, signal=0.4, time_s=0.5)
 _STOP_RAD = math.radians(80.0)
@@ -73,6 +64,7 @@ class SpmLoad(Bench):
     scale = _SCALE
     joints = _SERVOS
     sensed = OUTPUTS
+    remembered = ("mounted", "start_s", "phase", "horn", "inputs_before", "servo", "sight", "stepper")
     signals: Mapping[str, str] = {
         **{
             f"effector_{axis}": "m" if axis in "xyz" else "1"
@@ -86,15 +78,10 @@ class SpmLoad(Bench):
         super().__init__(settings, rng)
         self._model = self._with_errors(loaded_model())
         hide = self._settings.hide
-        at_servo = hidden_effects(
-            [one for one in hide if one.site in self.joints], joint_model(_SERVOS), _SCALE
-        )
-        in_sight = hidden_effects([one for one in hide if one.site in OUTPUTS], joint_model(OUTPUTS), _SCALE)
+        self._servo, self._sight = self._passage(_SERVOS), self._passage(OUTPUTS)
         inside = [one for one in hide if one.site not in (*self.joints, *OUTPUTS)]
         in_model = hidden_effects(inside, self._model, _SCALE)
-        self._hidden = [*in_model, *at_servo, *in_sight]
-        self._servo = joint_stepper(_SERVOS, self.step_s, at_servo) if at_servo else None
-        self._sight = joint_stepper(OUTPUTS, self.step_s, in_sight) if in_sight else None
+        self._hidden = [*in_model, *self._servo.effects, *self._sight.effects]
         self._stepper = Stepper(self._model, effects=in_model, step_s=self.step_s)
         plain = self._settings.as_modelled
         self._play = 0.0 if plain else math.radians(self._settings.play_deg)
@@ -103,11 +90,10 @@ class SpmLoad(Bench):
         )
         held = 1.0 - values["gravity_torque"] / values["stiffness"]
         self._offset = np.zeros(2) if plain else held * np.radians(self._settings.offset_deg)
-        self._servos_before, self._seen_before = np.zeros((1, 2)), np.zeros((1, 2))
         self._horn = self._offset.copy()
         self._inputs_before = np.array([[*self._horn, 0.0, 1.0, 1.0]])
         self._phase = rng.uniform(0.0, 2.0 * math.pi, 2)
-        self._start_s = math.inf
+        self._start_s: float | None = None
         self._mounted = {name: float(getattr(self._settings, name)) for name in _MOUNTED}
 
     def arrange(self, condition: Mapping[str, float | str]) -> None:
@@ -117,7 +103,7 @@ class SpmLoad(Bench):
             raise SpecError(
                 f"load_g = {wanted['load_g']:g} is not to be had on this bench", hint=f"0 to {_MOST_G:g} g"
             )
-        self._mounted, self._start_s = wanted, math.inf
+        self._mounted, self._start_s = wanted, None
 
     def begin(self, start_s: float) -> None:
         """Count the load's times from the beginning of a recording."""
@@ -125,25 +111,23 @@ class SpmLoad(Bench):
 
     def truth(self) -> dict[str, Any]:
         """Return what is mounted, parameters as they are on the bench, and hidden effects."""
-        names = (one.name for one in self._model.parameters)
-        return {
-            "mounted": dict(self._mounted),
-            "play_deg": math.degrees(self._play),
-            "offset_deg": np.degrees(self._offset).tolist(),
-            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
-            "parameter_errors": dict(self._settings.parameters),
-            "hidden": [described(effect) for effect in self._hidden],
-        }
+        offset_deg = np.degrees(self._offset).tolist()
+        return self._truth(
+            self._hidden,
+            mounted=dict(self._mounted),
+            play_deg=math.degrees(self._play),
+            offset_deg=offset_deg,
+        )
 
     def compiled(self) -> CompiledScene | str:
         """Return the bench from the last known point of its grid on; see `labrun.devices.compiled_bench`."""
         if self._hidden:
             return "effects that are hidden in this scene have no compiled form"
-        mounted = self._mounted
+        mounted, start_s = self._mounted, math.inf if self._start_s is None else self._start_s
         wander = _WANDER if mounted["moving"] and self._settings.noise else 0.0
         numbers = [
             self.step_s, *self._model.values, self._play, *self._offset, 1e-3 * mounted["load_g"],
-            mounted["load_from_s"], mounted["load_to_s"], self._start_s, wander, *self._phase,
+            mounted["load_from_s"], mounted["load_to_s"], start_s, wander, *self._phase,
         ]  # fmt: skip
         state = np.concatenate([self._stepper.state, self._horn, self._inputs_before[0]])
         first = self._history.end - 1
@@ -152,14 +136,9 @@ class SpmLoad(Bench):
     def _adopt(self, state: FloatArray) -> None:
         self._stepper.state = state[:4]
         self._horn, self._inputs_before = state[4:6].copy(), state[6:11].copy()[None, :]
-        self._servos_before = np.array([self._history.newest[[9, 10]]])
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
-        told = np.column_stack([self._drives[joint].angles(time_s) for joint in self.joints])
-        servos = told
-        if self._servo is not None:
-            servos = self._servo.advance(np.concatenate([self._servos_before, told]))
-        self._servos_before = told[-1:].copy()
+        servos = self._servo(np.column_stack([self._drives[joint].angles(time_s) for joint in self.joints]))
         horns = _with_play(servos + self._offset, self._horn, self._play)
         load_kg = self._load(time_s)
         pulls = np.ones((len(time_s), 2))
@@ -174,10 +153,7 @@ class SpmLoad(Bench):
                 "the simulated mechanism toppled over: its end-effector passed 80 deg",
                 hint="a smaller path, a lighter load, or a weaker hidden effect",
             )
-        seen = true
-        if self._sight is not None:
-            seen = self._sight.advance(np.concatenate([self._seen_before, true]))
-            self._seen_before = true[-1:].copy()
+        seen = self._sight(true)
         return np.column_stack([_poses(seen), seen, servos, load_kg])
 
     def _load(self, time_s: FloatArray) -> FloatArray:
@@ -187,37 +163,8 @@ class SpmLoad(Bench):
             self._mounted["load_to_s"],
             1e-3 * self._mounted["load_g"],
         )
-        since_s = time_s - self._start_s if math.isfinite(self._start_s) else np.zeros(len(time_s))
+        since_s = np.zeros(len(time_s)) if self._start_s is None else time_s - self._start_s
         return np.where((since_s >= begin_s) & (since_s < end_s), kg, 0.0)
-
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "mounted": dict(self._mounted),
-            "start_s": self._start_s if math.isfinite(self._start_s) else None,
-            "phase": self._phase.tolist(),
-            "horn": self._horn.tolist(),
-            "servos_before": packed(self._servos_before),
-            "seen_before": packed(self._seen_before),
-            "inputs_before": packed(self._inputs_before),
-            "servo": None if self._servo is None else self._servo.snapshot(),
-            "sight": None if self._sight is None else self._sight.snapshot(),
-            "stepper": self._stepper.snapshot(),
-        }
-
-    def _recall(self, memory: Mapping[str, Any]) -> None:
-        self._mounted = {name: float(value) for name, value in memory["mounted"].items()}
-        self._start_s = math.inf if memory["start_s"] is None else float(memory["start_s"])
-        self._phase, self._horn = np.array(memory["phase"]), np.array(memory["horn"])
-        self._servos_before, self._seen_before = (
-            unpacked(memory["servos_before"]),
-            unpacked(memory["seen_before"]),
-        )
-        self._inputs_before = unpacked(memory["inputs_before"])
-        if self._servo is not None:
-            self._servo.restore(memory["servo"])
-        if self._sight is not None:
-            self._sight.restore(memory["sight"])
-        self._stepper.restore(memory["stepper"])
 
 
 def _advanced(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None:  # noqa: ARG001

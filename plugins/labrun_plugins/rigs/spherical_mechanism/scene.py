@@ -9,11 +9,10 @@ from pydantic import Field, PositiveFloat
 
 from labrun.devices import FloatArray
 from labrun.effects import Scale
-from labrun.errors import ExperimentError
 from labrun.models import Stepper
 from labrun_plugins.rigs.spherical_mechanism.bodies import BODIES, SIGNALS, orientations
 from labrun_plugins.rigs.spherical_mechanism.model import spm_model
-from labrun_plugins.simulated.bench import Bench, BenchSettings, described, hidden_effects, packed, unpacked
+from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite
 
 _STOP_RAD = math.radians(85.0)
 _LEVEL = np.array([[1.0, 0.0, 0.0, 0.0]] * len(BODIES))
@@ -53,6 +52,7 @@ class SpmStabiliser(Bench):
     step_s = 0.005
     scale = _SCALE
     joints = ("servo_1", "servo_2")
+    remembered = ("servos_before", "bodies", "stepper")
     signals: Mapping[str, str] = {
         **{f"{body}_{signal}": unit for body in BODIES for signal, unit in SIGNALS},
         **dict.fromkeys(("servo_1", "servo_2", "theta_1", "theta_2", "base_x", "base_y"), "rad"),
@@ -69,12 +69,7 @@ class SpmStabiliser(Bench):
 
     def truth(self) -> dict[str, Any]:
         """Return parameters as they are on the bench, and hidden effects."""
-        names = (one.name for one in self._model.parameters)
-        return {
-            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
-            "parameter_errors": dict(self._settings.parameters),
-            "hidden": [described(effect) for effect in self._hidden],
-        }
+        return self._truth(self._hidden)
 
     def _advance(self, time_s: FloatArray) -> FloatArray:
         count = len(time_s)
@@ -89,21 +84,8 @@ class SpmStabiliser(Bench):
         # White noise, held over a step: one number for its start, middle and end.
         inputs[:, :, 2:] = self._rng.standard_normal((count, 1, 2)) / math.sqrt(self.step_s)
         angles = self._stepper.advance(inputs)
-        if not self._stepper.finite:
-            raise ExperimentError("the simulated stabiliser blew up", hint="hide a weaker effect, or none")
+        require_finite(self._stepper, "stabiliser")
         rows = np.empty((count, len(self.signals)))
         rows[:, :16] = orientations(angles, self._bodies, self.step_s, _STOP_RAD)
         rows[:, 16:18], rows[:, 18:] = servos[1:], angles
         return rows
-
-    def _memory(self) -> dict[str, Any]:
-        return {
-            "stepper": self._stepper.snapshot(),
-            "servos_before": packed(self._servos_before),
-            "bodies": packed(self._bodies),
-        }
-
-    def _recall(self, memory: Mapping[str, Any]) -> None:
-        self._stepper.restore(memory["stepper"])
-        self._servos_before = unpacked(memory["servos_before"])
-        self._bodies = unpacked(memory["bodies"])

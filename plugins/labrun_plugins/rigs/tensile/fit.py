@@ -31,6 +31,7 @@ from labrun.fit import (
     Panel,
     Stack,
     TextTable,
+    WithSettings,
     load_dataset,
     student,
 )
@@ -214,22 +215,13 @@ class TensileSettings(BaseModel):
 _MEASURED = OutputsAlone((Output("force", "N"), Output("displacement", "m")))
 
 
-class TensileFit:
+class TensileFit(WithSettings[TensileSettings]):
     """Each test by itself; estimates are means over specimens with t-intervals."""
 
     Settings: ClassVar[type[BaseModel]] = TensileSettings
 
-    def __init__(self, settings: TensileSettings) -> None:
-        self._settings = settings
-
     def __call__(self, job: FitJob) -> FitSummary:
-        """Fit.
-
-        Raises
-        ------
-        FitError
-            No test can be read: strain that runs backwards, a load cell beyond its range.
-        """
+        """Fit. Raises FitError: no test can be read: strain that runs backwards, a load cell beyond its range."""
         data = load_dataset(job.target, _MEASURED, job.signals)
         keys = self._settings
         area_m2 = 1e-6 * keys.thickness_mm * keys.width_mm

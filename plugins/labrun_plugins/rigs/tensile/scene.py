@@ -15,13 +15,9 @@ from pydantic import NonNegativeFloat, PositiveFloat
 
 from labrun.devices import FloatArray
 from labrun.effects import Scale
-from labrun.errors import ExperimentError, SpecError
+from labrun.errors import SpecError
 from labrun.models import Input, Model, Output, Parameter, Site, Stepper, kernel, native
-from labrun_plugins.simulated.bench import (
-    Bench,
-    BenchSettings,
-    hidden_effects,
-)
+from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite
 
 LAG_S = 0.02
 """Of load cell and amplifier behind the grip (chosen)."""
@@ -245,8 +241,7 @@ class TensileBench(Bench):
             force[breaks[0] :] = 0.0
         felt = self._cell(force)
         self._told_before = told[-1:].copy()
-        if not self._stepper.finite:
-            raise ExperimentError("the simulated tensile bench blew up", hint="hide a weaker effect, or none")
+        require_finite(self._stepper, "tensile bench")
         return np.column_stack([felt, moved])
 
     def _clamps_at(self, told: FloatArray) -> int:

@@ -16,6 +16,8 @@ from labrun.errors import ExperimentError, SpecError
 from labrun.models import Model, Site
 from labrun_plugins.simulated.bench.hidden import Passage, described
 from labrun_plugins.simulated.bench.history import (
+    ACCELERATION_M_S2,
+    Carriage,
     History,
     JointDrive,
     generator_state,
@@ -229,6 +231,21 @@ class Bench(ABC):
         for drive in self._drives.values():
             drive.forget_before(self._history.end * self.step_s)
         return self._drives
+
+
+class TowedBench(Bench):
+    """A bench with a carriage, which goes along a line with ramps."""
+
+    def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
+        super().__init__(settings, rng)
+        self._carriage = Carriage()
+
+    def tow(
+        self, from_m: float, to_m: float, speed_m_s: float, start_s: float,
+        acceleration_m_s2: float = ACCELERATION_M_S2,
+    ) -> None:  # fmt: skip
+        """Move the carriage from `start_s` on."""
+        self._carriage.move(from_m, to_m, speed_m_s, start_s, acceleration_m_s2)
 
 
 def _kept(value: Any) -> Any:

@@ -8,7 +8,7 @@ import numpy as np
 
 from labrun.devices import FloatArray
 from labrun.effects import AttachedEffect, Scale, load_effect
-from labrun.errors import ModelError, PluginError, SpecError
+from labrun.errors import ExperimentError, ModelError, PluginError, SpecError
 from labrun.models import Input, Model, Output, Stepper, native
 from labrun_plugins.simulated.bench.history import packed, unpacked
 from labrun_plugins.simulated.bench.settings import HiddenEffect
@@ -17,12 +17,15 @@ from labrun_plugins.simulated.bench.settings import HiddenEffect
 def hidden_effects(wanted: Iterable[HiddenEffect], model: Model, scale: Scale) -> list[AttachedEffect]:
     """Return the effects at their sites of the model; values not given take their first start.
 
-    Raises
-    ------
-    SpecError
-        No such site, or no such effect for its kind of site.
+    Raises SpecError: no such site, or no such effect for its kind of site.
     """
     return [_attached(one, model, scale) for one in wanted]
+
+
+def require_finite(stepper: Stepper, bench: str) -> None:
+    """Raise ExperimentError where a bench, named in words, has left the finite numbers."""
+    if not stepper.finite:
+        raise ExperimentError(f"the simulated {bench} blew up", hint="hide a weaker effect, or none")
 
 
 def described(effect: AttachedEffect) -> dict[str, Any]:
@@ -96,14 +99,17 @@ class Passage:
         Of the signals: joints or what is sensed.
     wanted
         The effects that hide at these names.
+    before : (signals,)
+        Where the signals are before the first; zero if None.
     """
 
     def __init__(
-        self, names: tuple[str, ...], wanted: Sequence[HiddenEffect], scale: Scale, step_s: float
-    ) -> None:
+        self, names: tuple[str, ...], wanted: Sequence[HiddenEffect], scale: Scale, step_s: float,
+        before: FloatArray | None = None,
+    ) -> None:  # fmt: skip
         self.effects = hidden_effects(wanted, joint_model(names), scale)
         self._stepper = joint_stepper(names, step_s, self.effects) if self.effects else None
-        self._before = np.zeros((1, len(names)))
+        self._before = np.zeros((1, len(names))) if before is None else before[None, :]
 
     def __call__(self, values: FloatArray) -> FloatArray:
         """Return the next values, (n,) of one signal or (n, signals), after the effects."""

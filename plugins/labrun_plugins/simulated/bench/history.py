@@ -68,10 +68,7 @@ class History:
     def at(self, columns: IntArray, time_s: FloatArray) -> FloatArray:
         """Return the signals at these times, linear between grid points, shape (n, columns).
 
-        Raises
-        ------
-        ExperimentError
-            A time that is no longer, or not yet, known.
+        Raises ExperimentError: a time that is no longer, or not yet, known.
         """
         found = np.empty((len(time_s), len(columns)))
         known_rows = self._rows[: self._count]

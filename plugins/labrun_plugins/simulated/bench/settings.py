@@ -52,13 +52,7 @@ class BenchSettings(BaseModel):
 
 
 def checked(model: type[Settings], settings: Mapping[str, Any]) -> Settings:
-    """Return the settings of a bench.
-
-    Raises
-    ------
-    SpecError
-        All keys that do not hold, at once.
-    """
+    """Return the settings of a bench. Raises SpecError: all keys that do not hold, at once."""
     try:
         return model.model_validate(dict(settings))
     except ValidationError as error:
