@@ -38,6 +38,7 @@ from labrun.fit.uncertainty import (
     by_mounting,
     correlation_length,
     divergence_warnings,
+    mean_estimate,
     resample_trials,
     student,
 )
@@ -50,7 +51,7 @@ __all__ = [
     "FitMethod", "FitPlan", "FitPlugin", "FitResult", "FitSummary", "FitTrial", "FittedData", "Jacobian",
     "NoSettings", "NormalEquations", "Note", "OutputNoise", "OutputsAlone", "Pair", "Panel", "Problem", "Stack",
     "TextTable", "WithSettings", "by_mounting", "compared", "correlation_length", "divergence_warnings", "fit_model",
-    "is_method", "is_recording", "load_dataset", "make_method", "minimise", "one_by_one", "paired",
+    "is_method", "is_recording", "load_dataset", "make_method", "mean_estimate", "minimise", "one_by_one", "paired",
     "predicted_numbers", "predictions", "resample_trials", "rounded", "search", "silent", "student", "thinned",
     "told_apart", "until_peak", "workers",
 ]  # fmt: skip

@@ -143,6 +143,13 @@ def student(freedom: int, quantile: float = 0.5 * (1.0 + LEVEL)) -> float:
     return float(stdtrit(freedom, quantile))
 
 
+def mean_estimate(values: Sequence[float] | FloatArray, unit: str) -> Estimate:
+    """Return the mean of independent values with its 95 % t-interval; of a single one without."""
+    mean, count = float(np.mean(values)), len(values)
+    half = student(count - 1) * float(np.std(values, ddof=1)) / np.sqrt(count) if count > 1 else 0.0
+    return Estimate(mean, (mean - half, mean + half), unit)
+
+
 def correlation_length(parts: Sequence[FloatArray]) -> float:
     """Return the integrated autocorrelation of pieces of one signal, in samples: 1 + 2 sum of correlations.
 

@@ -10,7 +10,7 @@ from labrun.models.layout import Drive
 from labrun.models.mjcf.exporting import Exported, MjcfRange, mjcf_of, mjcf_ranges
 from labrun.models.mjcf.inverse import Carried, RobotTerms, TipLoad, carried, robot_terms
 from labrun.models.mjcf.robot import Robot, RobotActuator, RobotJoint, identifier, is_robot, read_robot
-from labrun.models.model import Between, Condition, Input, Model, Origin, Output, Parameter
+from labrun.models.model import Between, Condition, Input, Model, Origin, Output, Parameter, natives
 from labrun.models.observed import measured_name, observed
 from labrun.models.simulation import (
     Simulation,
@@ -29,6 +29,6 @@ __all__ = [
     "Model", "NativeFunction", "Origin", "Output", "Parameter", "Pointer", "Robot", "RobotActuator",
     "RobotJoint", "RobotTerms", "Simulation", "Site", "SiteKind", "Stepper", "TipLoad", "Unfiltered", "carried",
     "corrected_model_text", "filtered", "identifier", "is_robot", "kernel", "load_model", "measured_name",
-    "mjcf_of", "mjcf_ranges", "native", "observed", "parse_model", "prepare", "python_model", "read_robot",
+    "mjcf_of", "mjcf_ranges", "native", "natives", "observed", "parse_model", "prepare", "python_model", "read_robot",
     "robot_terms", "shipped_models", "simulate", "simulate_unfiltered", "site_course", "suggest_substeps",
 ]  # fmt: skip

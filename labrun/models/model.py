@@ -1,15 +1,15 @@
 """What a model is: parameters, inputs, outputs, sites, and three compiled functions."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.compiled import NativeFunction
+from labrun.compiled import NativeFunction, native
 from labrun.effects import AttachedEffect, Site, SiteKind
 from labrun.errors import ModelError
 from labrun.toml import suggest
@@ -111,6 +111,25 @@ class Origin:
     data: str = ""
 
 
+class Natives(TypedDict):
+    """The compiled functions of a model, as `Model` takes them."""
+
+    derivative: NativeFunction
+    output: NativeFunction
+    site_values: NativeFunction
+
+
+def natives(
+    derivative: Callable[..., None], output: Callable[..., None], site_values: Callable[..., None]
+) -> Natives:
+    """Return what `Model` takes for three module-level functions that numba compiles, see `Model` and `native`."""
+    return {
+        "derivative": native("model", derivative),
+        "output": native("model", output),
+        "site_values": native("model", site_values),
+    }
+
+
 @dataclass(frozen=True)
 class Model:
     """A simulator: ``dx/dt = derivative(t, x, u, p, force)``, ``y = output(t, x, u, p, force)``.
@@ -150,12 +169,12 @@ class Model:
     inputs: tuple[Input, ...]
     outputs: tuple[Output, ...]
     parameters: tuple[Parameter, ...]
-    conditions: tuple[str, ...]
     sites: tuple[Site, ...]
     initial: Mapping[str, float | str]
     derivative: NativeFunction
     output: NativeFunction
     site_values: NativeFunction
+    conditions: tuple[str, ...] = ()
     meanings: Mapping[str, Meaning] = field(default_factory=dict)
     constants: FloatArray = field(default_factory=lambda: np.empty(0), compare=False)
     source: str = ""

@@ -16,7 +16,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 from labrun.devices import FloatArray
 from labrun.effects import Scale, load_effect
 from labrun.errors import SpecError
-from labrun.models import Input, Model, Output, Parameter, Site, Stepper, kernel, native
+from labrun.models import Input, Model, Output, Parameter, Site, Stepper, kernel, natives
 from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
@@ -102,12 +102,9 @@ def beam_model(beam: Beam, lever_m: float) -> Model:
             Parameter("lag", LAG_S, 0.0, unit="s", lower=1e-3),
             Parameter("lever", lever_m, 0.0, unit="m", lower=1e-3),
         ),
-        conditions=(),
         sites=(Site("beam", "joint", "angle", "rate", load="torque", stiffness="stiffness"),),
         initial={"angle": 0.0},
-        derivative=native("model", derivative),
-        output=native("model", output),
-        site_values=native("model", site_values),
+        **natives(derivative, output, site_values),
         source="simulated beam bench",
     )
 

@@ -34,7 +34,7 @@ from labrun.fit import (
     TextTable,
     WithSettings,
     load_dataset,
-    student,
+    mean_estimate,
 )
 from labrun.models import Output
 from labrun_plugins.rigs.beam.limits import BucklingLimit, buckling_limit
@@ -176,11 +176,7 @@ class _Measured:
 
     @property
     def estimate(self) -> Estimate | None:
-        if not len(self.values):
-            return None
-        mean, count = float(self.values.mean()), len(self.values)
-        half = student(count - 1) * float(self.values.std(ddof=1)) / math.sqrt(count) if count > 1 else 0.0
-        return Estimate(mean, (mean - half, mean + half), "N m")
+        return mean_estimate(self.values, "N m") if len(self.values) else None
 
 
 class TapeSpringFit(WithSettings[TapeSpringSettings]):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from labrun.models import Model, Output, kernel, native
+from labrun.models import Model, Output, kernel, natives
 from labrun_plugins.rigs.buckling_fin.equations import PARAMETERS, base_torque, fin
 
 _OF_A_WING = 13
@@ -94,9 +94,7 @@ def wing_extremes() -> Model:
         conditions=("frequency_hz",),
         sites=(),
         initial={},
-        derivative=native("model", derivative),
-        output=native("model", output),
-        site_values=native("model", site_values),
+        **natives(derivative, output, site_values),
         constants=np.array([one.value for one in PARAMETERS[:_OF_A_WING]]),
         source="cycles of a wing on a buckling hinge in water",
     )

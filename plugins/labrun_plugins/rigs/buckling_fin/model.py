@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from labrun.models import Input, Model, Output, Site, native
+from labrun.models import Input, Model, Output, Site, natives
 from labrun_plugins.rigs.buckling_fin.equations import PARAMETERS, STATES, base_torque, hinge_torque, motion
 
 Free = Literal["x", "y", "yaw"]
@@ -86,12 +86,9 @@ def fin_model(name: str, *, fins: int, free: Sequence[Free] = ()) -> Model:
         inputs=(Input("told_1", "rad"), Input("told_2", "rad")),
         outputs=OUTPUTS,
         parameters=PARAMETERS,
-        conditions=(),
         sites=SITES,
         initial=dict.fromkeys(STATES, 0.0),
-        derivative=native("model", derivative),
-        output=native("model", output),
-        site_values=native("model", site_values),
+        **natives(derivative, output, site_values),
         constants=np.array([*ways, float(fins)]),
         source="fins on buckling hinges",
     )

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from labrun.effects import Scale, load_effect
-from labrun.models import Input, Model, Output, Parameter, Site, kernel, native
+from labrun.models import Input, Model, Output, Parameter, Site, kernel, natives
 from labrun_plugins.rigs.buckling_fin import model
 from labrun_plugins.rigs.buckling_fin.equations import PARAMETERS, fin, hinge_torque, plate_speed
 from labrun_plugins.rigs.buckling_fin.model import fin_model
@@ -75,9 +75,7 @@ def two_fin_swimmer(*, held: bool = False) -> Model:
         made,
         outputs=(*made.outputs, Output("rail_force", "N")),
         sites=SITES,
-        derivative=native("model", derivative),
-        output=native("model", output),
-        site_values=native("model", site_values),
+        **natives(derivative, output, site_values),
         source="a swimmer of two fins on buckling hinges",
     )
 
@@ -142,12 +140,9 @@ def swimmer_on_rail() -> Model:
             *(replace(one, tolerance=0.0) if one.name in (*_ASIDE, *_BUILT) else one for one in PARAMETERS),
             _CARRIAGE,
         ),
-        conditions=(),
         sites=SITES,
         initial={**dict.fromkeys(states, 0.0), "x": "first", "base": "told", "shaft": "told"},
-        derivative=native("model", course),
-        output=native("model", seen),
-        site_values=native("model", seen_sites),
+        **natives(course, seen, seen_sites),
         constants=np.empty(0),
         source="a swimmer of two fins under a carriage",
     )

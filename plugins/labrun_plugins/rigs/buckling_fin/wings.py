@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from labrun.models import Input, Model, Output, Site, kernel, native
+from labrun.models import Input, Model, Output, Site, kernel, native, natives
 from labrun_plugins.rigs.buckling_fin.equations import PARAMETERS, base_torque, fin, hinge_torque, plate_speed
 
 Medium = Literal["water", "air"]
@@ -101,9 +101,7 @@ def wing(medium: Medium) -> Model:
             Site("plate", "body", "way of the plate along its normal", "speed of the plate along its normal"),
         ),
         initial=dict.fromkeys(("link", "link_rate", "bend", "bend_rate"), 0.0),
-        derivative=native("model", derivative),
-        output=native("model", output),
-        site_values=native("model", site_values),
+        **natives(derivative, output, site_values),
         constants=np.array([float(medium == "air"), *SHORT_BEAM]),
         source="a wing on a buckling hinge",
     )

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from labrun.errors import SpecError
-from labrun.models import Input, Model, Output, Parameter, Site, native
+from labrun.models import Input, Model, Output, Parameter, Site, natives
 
 BEST_N = 0.551
 """Mean thrust of the fin the source took, large, 1.016 mm of polyester, at 60 deg and 1.4 Hz: the tank's own gain."""
@@ -217,14 +217,11 @@ def caudal_model() -> Model:
             Parameter("vortices", 0.035, unit="N/rad"),
             Parameter("bend", _BEND_RAD, unit="rad"),
         ),
-        conditions=(),
         sites=(
             Site("fish", "body", coordinate="0", rate="left_over"),
             Site("fin", "body", coordinate="tip_angle", rate="tip_rate", unit="rad"),
         ),
         initial=dict.fromkeys(STATES, 0.0),
-        derivative=native("model", derivative),
-        output=native("model", output),
-        site_values=native("model", site_values),
+        **natives(derivative, output, site_values),
         source="simulated caudal tank",
     )

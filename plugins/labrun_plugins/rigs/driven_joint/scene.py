@@ -19,7 +19,7 @@ from pydantic import Field, NonNegativeFloat
 from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import SpecError
-from labrun.models import Input, Model, Output, Parameter, Site, Stepper, native
+from labrun.models import Input, Model, Output, Parameter, Site, Stepper, natives
 from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite, unpacked
 
 
@@ -80,12 +80,9 @@ def driven_joint_model(*, friction_n_m: float, drag: float) -> Model:
             Parameter("drag", drag, unit="N m s^2/rad^2", lower=0.0),
             Parameter("mass", 0.06, unit="kg", lower=0.0),
         ),
-        conditions=(),
         sites=(Site("hinge", "joint", "angle", "rate", load="weight on the pin", stiffness="stiffness"),),
         initial={"angle": 0.0, "swing": 0.0},
-        derivative=native("model", derivative),
-        output=native("model", output),
-        site_values=native("model", site_values),
+        **natives(derivative, output, site_values),
         source="simulated driven joint",
     )
 

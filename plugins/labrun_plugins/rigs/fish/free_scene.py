@@ -23,7 +23,7 @@ import numpy as np
 from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import ExperimentError, SpecError
-from labrun.models import Input, Model, Output, Parameter, Site, Stepper, native
+from labrun.models import Input, Model, Output, Parameter, Site, Stepper, natives
 from labrun_plugins.rigs.fish.fins import ATTACHMENTS, JOINTS, WATERS, AttachmentName, fin_loads, motion_at
 from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite
 
@@ -110,15 +110,12 @@ def free_model() -> Model:
             Parameter("vortices", 0.04),
             Parameter("yaw_vortices", 0.0045, unit="m"),
         ),
-        conditions=(),
         sites=(
             Site("fish", "body", coordinate="x", rate="ahead"),
             Site("turn", "joint", coordinate="heading", rate="turning"),
         ),
         initial=dict.fromkeys(STATES, 0.0),
-        derivative=native("model", derivative),
-        output=native("model", output),
-        site_values=native("model", site_values),
+        **natives(derivative, output, site_values),
         source="simulated free fish",
     )
 

@@ -14,7 +14,7 @@ from pydantic import PositiveFloat
 
 from labrun.devices import FloatArray
 from labrun.effects import Scale
-from labrun.models import Input, Model, Output, Parameter, Site, Stepper, native
+from labrun.models import Input, Model, Output, Parameter, Site, Stepper, natives
 from labrun_plugins.rigs.fish.fins import ATTACHMENTS, JOINTS, WATERS, AttachmentName, fin_loads, motion_at
 from labrun_plugins.rigs.fish.free_scene import chosen_by_hand
 from labrun_plugins.simulated.bench import BenchSettings, TowedBench, hidden_effects, require_finite
@@ -107,12 +107,9 @@ def fire_model(mount_height_m: float) -> Model:
             Parameter("yaw_vortices", 0.0045, unit="m"),
             Parameter("mount_height", mount_height_m, unit="m"),
         ),
-        conditions=(),
         sites=(Site("fish", "body", coordinate="0", rate="going"),),
         initial=dict.fromkeys(STATES, 0.0),
-        derivative=native("model", derivative),
-        output=native("model", output),
-        site_values=native("model", site_values),
+        **natives(derivative, output, site_values),
         source="simulated fire tank",
     )
 

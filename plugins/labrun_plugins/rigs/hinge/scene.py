@@ -16,7 +16,7 @@ from pydantic import NonNegativeFloat, PositiveFloat
 from labrun.devices import FloatArray
 from labrun.effects import Scale, load_effect
 from labrun.errors import ExperimentError
-from labrun.models import Input, Model, Output, Parameter, Site, Stepper, load_model, native
+from labrun.models import Input, Model, Output, Parameter, Site, Stepper, load_model, natives
 from labrun_plugins.rigs.hinge.dimensions import damping, stiffness
 from labrun_plugins.simulated.bench import Bench, BenchSettings, described, hidden_effects, require_finite
 
@@ -53,14 +53,11 @@ def hinge_model(stiffness: float, damping: float, inertia: float, gravity_torque
             Parameter("inertia", inertia, 0.03, unit="kg m^2", lower=0.0),
             Parameter("gravity_torque", gravity_torque, 0.03, unit="N m", lower=0.0),
         ),
-        conditions=(),
         sites=(
             Site("hinge", "joint", "angle", "rate", load="gravity_torque*sin(angle)", stiffness="stiffness"),
         ),
         initial={"angle": 0.0, "rate": 0.0},
-        derivative=native("model", derivative),
-        output=native("model", output),
-        site_values=native("model", site_values),
+        **natives(derivative, output, site_values),
         source="simulated hinge bench",
     )
 

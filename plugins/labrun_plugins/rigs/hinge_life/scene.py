@@ -16,7 +16,7 @@ from pydantic import PositiveFloat
 from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import SpecError
-from labrun.models import Input, Model, Output, Parameter, Site, Stepper, native
+from labrun.models import Input, Model, Output, Parameter, Site, Stepper, natives
 from labrun_plugins.simulated.bench import Bench, BenchSettings, Passage, hidden_effects, require_finite
 
 LAG_S = 0.02
@@ -55,12 +55,9 @@ def turned_hinge() -> Model:
             Parameter("damping", DAMPING, unit="N m s/rad", lower=0.0),
             Parameter("lag", LAG_S, 0.0, unit="s", lower=1e-3),
         ),
-        conditions=(),
         sites=(Site("hinge", "joint", "angle", "rate", load="load", stiffness="stiffness"),),
         initial={"angle": 0.0},
-        derivative=native("model", derivative),
-        output=native("model", output),
-        site_values=native("model", site_values),
+        **natives(derivative, output, site_values),
         source="simulated life bench",
     )
 

@@ -1,6 +1,5 @@
 """The fit ``six-bar-rest``: where the linkage rests, period and decay of its swing, and how well its loop closes."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -13,7 +12,6 @@ from labrun.errors import FitError, RequestError
 from labrun.fit import (
     Curve,
     Dataset,
-    Estimate,
     FigureData,
     FitJob,
     FitSummary,
@@ -24,7 +22,7 @@ from labrun.fit import (
     Stack,
     WithSettings,
     load_dataset,
-    student,
+    mean_estimate,
 )
 from labrun.models import ClosedChain, Output, load_model, simulate
 
@@ -85,12 +83,12 @@ class RestFit(WithSettings[RestSettings]):
         swings = [_swings(trial, self._settings.skip_s) for trial in data.trials]
         rest = np.array([[one.rest for one in own] for own in swings])
         parameters = {
-            f"rest_{joint}": _estimate(rest[:, column], "rad") for column, joint in enumerate(_JOINTS)
+            f"rest_{joint}": mean_estimate(rest[:, column], "rad") for column, joint in enumerate(_JOINTS)
         }
         for joint in _SWINGING:
             own = [one[_JOINTS.index(joint)] for one in swings]
-            parameters[f"period_{joint}"] = _estimate([one.period for one in own], "s")
-            parameters[f"decay_{joint}"] = _estimate([one.decay for one in own], "1/s")
+            parameters[f"period_{joint}"] = mean_estimate([one.period for one in own], "s")
+            parameters[f"decay_{joint}"] = mean_estimate([one.decay for one in own], "1/s")
         job.note("simulating the swing")
         return FitSummary(
             method="six-bar-rest",
@@ -130,12 +128,6 @@ def _swings(trial: FitTrial, skip_s: float) -> list[Swing]:
             hint="record longer, or set skip_s",
         )
     return [swing(trial.time_s[late], trial.outputs[late, column]) for column in range(len(_JOINTS))]
-
-
-def _estimate(values: Sequence[float] | FloatArray, unit: str) -> Estimate:
-    mean, count = float(np.mean(values)), len(values)
-    half = student(count - 1) * float(np.std(values, ddof=1)) / np.sqrt(count) if count > 1 else 0.0
-    return Estimate(mean, (mean - half, mean + half), unit)
 
 
 def _closures(model: ClosedChain, data: Dataset, rest: FloatArray) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ hangs to the side, ``pull`` 1 but for a load that moves. Functions of the model 
 import math
 from typing import Any
 
-from labrun.models import Input, Model, Output, Parameter, Site, native
+from labrun.models import Input, Model, Output, Parameter, Site, natives
 
 STATES = ("theta_1", "theta_1_rate", "theta_2", "theta_2_rate")
 INPUTS = ("servo_1", "servo_2", "load", "pull_1", "pull_2")
@@ -79,7 +79,6 @@ def loaded_model() -> Model:
             Parameter("load_height", per_newton * (used_loaded - used), unit="m"),
             Parameter("load_lever", per_newton * _ASIDE_RAD * (1.0 - used_loaded), unit="m", lower=0.0),
         ),
-        conditions=(),
         sites=tuple(
             Site(
                 f"axis_{n}", "joint", coordinate=f"bending_{n}", rate=f"theta_{n}_rate", stiffness="stiffness"
@@ -87,8 +86,6 @@ def loaded_model() -> Model:
             for n in (1, 2)
         ),
         initial=dict.fromkeys(STATES, 0.0),
-        derivative=native("model", derivative),
-        output=native("model", output),
-        site_values=native("model", site_values),
+        **natives(derivative, output, site_values),
         source="simulated mechanism under load",
     )

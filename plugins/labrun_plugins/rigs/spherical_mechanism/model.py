@@ -15,7 +15,7 @@ Butterworth low pass of fourth order, a stand-in for a hand that shakes it at ra
 import math
 from typing import Any
 
-from labrun.models import Input, Model, Output, Parameter, Site, native
+from labrun.models import Input, Model, Output, Parameter, Site, natives
 
 _SLOW = 2.0 * math.cos(math.pi / 8.0)
 _SHARP = 2.0 * math.sin(math.pi / 8.0)
@@ -91,14 +91,11 @@ def spm_model(base_tilt_rad: float, base_bandwidth_hz: float) -> Model:
             Parameter("base_tilt", base_tilt_rad, unit="rad", lower=0.0),
             Parameter("base_bandwidth", 2.0 * math.pi * base_bandwidth_hz, unit="rad/s", lower=0.0),
         ),
-        conditions=(),
         sites=(
             Site("axis_1", "joint", coordinate="theta_1", rate="theta_1_rate", stiffness="stiffness"),
             Site("axis_2", "joint", coordinate="theta_2", rate="theta_2_rate", stiffness="stiffness"),
         ),
         initial=dict.fromkeys(STATES, 0.0),
-        derivative=native("model", derivative),
-        output=native("model", output),
-        site_values=native("model", site_values),
+        **natives(derivative, output, site_values),
         source="simulated stabiliser",
     )

@@ -33,7 +33,7 @@ from labrun.fit import (
     TextTable,
     WithSettings,
     load_dataset,
-    student,
+    mean_estimate,
 )
 from labrun.models import Output
 
@@ -293,11 +293,7 @@ def _word(value: float | str) -> str:
 def _estimate(by_specimen: Sequence[Sequence[float]], unit: str) -> Estimate | None:
     """Return the mean over specimens, each the mean of its tests, with a t-interval; None if none has a value."""
     means = [float(np.mean(own)) for own in by_specimen if np.all(np.isfinite(own))]
-    if not means:
-        return None
-    mean, count = float(np.mean(means)), len(means)
-    half = student(count - 1) * float(np.std(means, ddof=1)) / math.sqrt(count) if count > 1 else 0.0
-    return Estimate(mean, (mean - half, mean + half), unit)
+    return mean_estimate(means, unit) if means else None
 
 
 def _table(groups: Groups) -> TextTable:

@@ -16,7 +16,7 @@ from pydantic import NonNegativeFloat, PositiveFloat
 from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import SpecError
-from labrun.models import Input, Model, Output, Parameter, Site, Stepper, kernel, native
+from labrun.models import Input, Model, Output, Parameter, Site, Stepper, kernel, natives
 from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite
 
 LAG_S = 0.02
@@ -85,12 +85,9 @@ def strip_model(young_pa: float, yield_pa: float, hardening: float, area_m2: flo
             Parameter("area", area_m2, 0.0, unit="m^2", lower=1e-12),
             Parameter("lag", LAG_S, 0.0, unit="s", lower=1e-3),
         ),
-        conditions=(),
         sites=(Site("strip", "joint", "elongation", "rate", load="load", stiffness="stiffness", unit="m"),),
         initial={"elongation": 0.0, "longest": 0.0},
-        derivative=native("model", derivative),
-        output=native("model", output),
-        site_values=native("model", site_values),
+        **natives(derivative, output, site_values),
         source="simulated tensile bench",
     )
 

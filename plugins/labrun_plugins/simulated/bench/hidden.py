@@ -9,7 +9,7 @@ import numpy as np
 from labrun.devices import FloatArray
 from labrun.effects import AttachedEffect, Scale, load_effect
 from labrun.errors import ExperimentError, ModelError, PluginError, SpecError
-from labrun.models import Input, Model, Output, Stepper, native
+from labrun.models import Input, Model, Output, Stepper, natives
 from labrun_plugins.simulated.bench.history import packed, unpacked
 from labrun_plugins.simulated.bench.settings import HiddenEffect
 
@@ -52,12 +52,9 @@ def joint_model(joints: tuple[str, ...]) -> Model:
         inputs=tuple(Input(joint, "rad") for joint in joints),
         outputs=tuple(Output(joint, "rad") for joint in joints),
         parameters=(),
-        conditions=(),
         sites=(),
         initial={},
-        derivative=native("model", _nothing),
-        output=native("model", _pass_on),
-        site_values=native("model", _nothing),
+        **natives(_nothing, _pass_on, _nothing),
         constants=np.array([float(len(joints))]),
         source="joints of a simulated bench",
     )
