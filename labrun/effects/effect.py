@@ -223,6 +223,9 @@ class Effect:
         Internal states of a force law, integrated with the model's.
     memory
         Numbers a filter keeps: given its values and the shortest step in s.
+    ahead
+        Of a filter of outputs: the parameter that says how much later the signal is to be read. Where its whole course
+        is known that is done exactly; `function` is what a bench that goes step by step does instead.
     needs
         What a site must declare for it; `unless` what makes it needless there.
     needs_acceleration
@@ -251,6 +254,7 @@ class Effect:
     source: str
     states: int = 0
     memory: Callable[[Sequence[float], float], int] | None = None
+    ahead: str = ""
     needs: tuple[Need, ...] = ()
     unless: tuple[Need, ...] = ()
     needs_acceleration: bool = False

@@ -42,6 +42,7 @@ class _Entry(Table):
     states: dict[str, Expression] | int = Field(default_factory=dict)
     function: str = ""
     memory: str = ""
+    ahead: str = ""
     form: str = ""
     remark: str = ""
     source: str
@@ -178,6 +179,7 @@ def _effects(id_: str, entry: _Entry, origin: str) -> Iterator[Effect]:
             source=entry.source,
             states=entry.states if isinstance(entry.states, int) else len(entry.states),
             memory=_imported(entry.memory) if entry.memory else None,
+            ahead=entry.ahead if kind == "output" else "",
             needs=needs,
             unless=entry.unless,
             needs_acceleration="acceleration" in used,

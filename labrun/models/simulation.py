@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -141,16 +142,46 @@ def filtered(model: Model, before: Unfiltered, effects: Sequence[AttachedEffect]
     chosen = layout(model, effects).after
     finite = before.written == len(outputs)
     if chosen and finite:
-        from labrun.models.engine import filter_outputs
-
-        steps_s = driven.steps_s
-        after = filters(model, effects, chosen, float(steps_s.min()) if steps_s.size else 1.0)
         outputs = outputs.copy()
-        filter_outputs(outputs, np.empty((after.addresses.size, len(model.outputs))), steps_s, *after, False)
+        for ahead, group in groupby(chosen, lambda one: bool(effects[one].effect.ahead)):
+            if ahead:
+                _read_ahead(model, outputs, driven.steps_s, [effects[one] for one in group])
+            else:
+                _filter(model, outputs, driven.steps_s, effects, tuple(group))
         finite = bool(np.isfinite(outputs).all())
     if before.every != driven.substeps:
         states, outputs = states[:: driven.substeps], outputs[:: driven.substeps]
     return Simulation(outputs, states, finite, driven.substeps)
+
+
+def _filter(
+    model: Model,
+    outputs: FloatArray,
+    steps_s: FloatArray,
+    effects: Sequence[AttachedEffect],
+    chosen: tuple[int, ...],
+) -> None:
+    """Send outputs (steps + 1, outputs) through filters, in place."""
+    from labrun.models.engine import filter_outputs
+
+    after = filters(model, effects, chosen, float(steps_s.min()) if steps_s.size else 1.0)
+    filter_outputs(outputs, np.empty((after.addresses.size, len(model.outputs))), steps_s, *after, False)
+
+
+def _read_ahead(
+    model: Model, outputs: FloatArray, steps_s: FloatArray, effects: Sequence[AttachedEffect]
+) -> None:
+    """Put what an output is later in place of what it is, in place; after the last step it goes on straight."""
+    if not steps_s.size:
+        return
+    time_s = np.concatenate([[0.0], np.cumsum(steps_s)])
+    names = [one.name for one in model.outputs]
+    for one in effects:
+        place, lead_s = names.index(one.site), one.named_values[one.effect.ahead]
+        course = outputs[:, place].copy()
+        slope = (course[-1] - course[-2]) / steps_s[-1]
+        beyond_s = np.maximum(time_s + lead_s - time_s[-1], 0.0)
+        outputs[:, place] = np.interp(time_s + lead_s, time_s, course) + slope * beyond_s
 
 
 def prepare(model: Model, time_s: FloatArray, inputs: FloatArray, substeps: int) -> Drive:

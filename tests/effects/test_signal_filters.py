@@ -27,6 +27,35 @@ def test_a_delay_is_the_signal_some_time_ago(kind, site, delay):
     assert late == pytest.approx(exact, abs=tolerance)
 
 
+@settings(max_examples=25, deadline=None)
+@given(lead=st.floats(0.0, 0.1), substeps=st.integers(1, 4))
+def test_an_early_clock_shows_what_the_output_is_that_much_later(lead, substeps):
+    model = SUMMED.with_between({"u": "linear"})
+    start = np.array([-1.0 / 5.0])
+    effect = named("early-clock", "output", "y", lead=lead)
+    wave = WAVE[:, :1]
+    early = simulate(model, TIME, wave, effects=[effect], substeps=substeps, initial_state=start).outputs[
+        :, 0
+    ]
+    inside = TIME + lead < TIME[-1]
+    # the integral of sin 5t, of which the input is straight between samples; steps are straight as well
+    assert early[inside] == pytest.approx(-np.cos(5 * (TIME + lead))[inside] / 5, abs=1e-3)
+    last = (early[-1] - early[-3]) / (TIME[-1] - TIME[-3]) if lead >= 0.04 else np.sin(5 * TIME[-1])
+    assert last == pytest.approx(np.sin(5 * TIME[-1]), abs=0.06), "beyond the end it goes on straight"
+
+
+def test_filters_after_an_early_clock_see_what_it_makes():
+    early, gain = (
+        named("early-clock", "output", "y", lead=0.07),
+        named("gain-error", "output", "y", error=1.0),
+    )
+    clipped = named("saturation", "output", "y", level=0.5)
+    alone = simulate(THROUGH, TIME, WAVE, effects=[early], substeps=2).outputs[:, 0]
+    both = simulate(THROUGH, TIME, WAVE, effects=[gain, early, clipped], substeps=2).outputs
+    assert both[:, 0] == pytest.approx(np.clip(2 * alone, -0.5, 0.5))
+    assert np.array_equal(both[:, 1], WAVE[:, 1])
+
+
 def test_a_delayed_jump_stays_a_jump_to_within_half_a_step():
     held = np.column_stack([np.where(TIME >= 1.0, 1.0, 0.0), TIME])
     late = _through(named("delay", "input", "u", delay=0.1), between="hold", wave=held)
@@ -136,6 +165,10 @@ def test_a_single_sample_is_filtered_too():
         THROUGH, np.zeros(1), np.ones((1, 2)), effects=[named("bias", "input", "u", offset=0.5)], substeps=1
     )
     assert one.outputs[0] == pytest.approx([1.5, 1.0])
+    early = named("early-clock", "output", "y", lead=0.1)
+    assert simulate(THROUGH, np.zeros(1), np.ones((1, 2)), effects=[early], substeps=1).outputs[
+        0
+    ] == pytest.approx(1.0)
 
 
 def test_uneven_sampling_does_not_disturb_a_delay():
