@@ -368,9 +368,11 @@ def _sensor_sd(sequences: Sequence[FloatArray]) -> float:
     long = [one for one in sequences if len(one) >= criteria.FEWEST_WITNESS_SAMPLES]
     if not long or size == 0.0:
         return size
-    total = sum(map(len, long))
     innovation = size * float(_predictor([one / size for one in long]).deviation[-1])
-    difference = np.sqrt(sum(float(np.sum(np.square(np.diff(one, n=2)))) for one in long) / 6.0 / total)
+    # of most samples, not of all: where friction turns, a residual jumps, and that is no noise
+    steps = np.abs(np.concatenate([np.diff(one, n=2) for one in long]))
+    most, of_normal = criteria.MOST_STEPS
+    difference = float(np.percentile(steps, most)) / of_normal / np.sqrt(6.0)
     densities = np.concatenate([np.square(np.abs(np.fft.rfft(one)[1:])) / len(one) for one in long])
     spectrum = np.sqrt(float(np.median(densities)) / np.log(2.0))
     return float(min(size, innovation, difference, spectrum))

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labrun.arrays import FloatArray
 from labrun.fit import Each, Problem, one_by_one
@@ -73,18 +74,45 @@ def noise_draws(problem: Problem, noise: Noise, rng: np.random.Generator) -> lis
 
 
 def surrogate(base: Base, rng: np.random.Generator) -> list[FloatArray]:
-    """Return a base's residual with the spectrum of every trial and phases drawn at random, one set for all outputs."""
+    """Return a base's residual with the spectrum of every trial and phases drawn at random, one set for all outputs.
+
+    A mean over a trial has no phase. What the means of several trials have in common is chance once they are turned
+    all together by a random rotation (Langsrud, Statistics and Computing 15 (2005) 53), which for one constant offset
+    is Student's test; the mean of a single trial is drawn as large as its slowest waves are.
+    """
+    shapes = [trial.outputs.shape for trial in base.problem.data.trials]
+    pairs = list(zip(base.residual, shapes, strict=True))
+    spectra = [np.fft.rfft(one[: n * m].reshape(n, m), axis=0) for one, (n, m) in pairs]
+    means = means_by_chance(spectra, np.array([float(n) for n, _ in shapes]), rng)
     found = []
-    for trial, residual in zip(base.problem.data.trials, base.residual, strict=True):
-        samples, channels = trial.outputs.shape
-        spectrum = np.fft.rfft(residual[: samples * channels].reshape(samples, channels), axis=0)
-        turned = np.exp(2j * np.pi * rng.random(len(spectrum)))
-        turned[0] = rng.choice([-1.0, 1.0])
+    for (residual, (samples, _)), spectrum, mean in zip(pairs, spectra, means, strict=True):
+        turned = spectrum * np.exp(2j * np.pi * rng.random(len(spectrum)))[:, None]
+        turned[0] = mean
         if samples % 2 == 0:
-            turned[-1] = rng.choice([-1.0, 1.0])
-        drawn = np.fft.irfft(spectrum * turned[:, None], n=samples, axis=0).ravel()
+            turned[-1] = spectrum[-1] * rng.choice([-1.0, 1.0])
+        drawn = np.fft.irfft(turned, n=samples, axis=0).ravel()
         found.append(np.concatenate([drawn, np.zeros(len(residual) - len(drawn))]))
     return found
+
+
+def means_by_chance(
+    spectra: Sequence[NDArray[np.complex128]], samples: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return the values of spectra (n/2 + 1, m) at zero frequency as chance would have them, (trials, m).
+
+    Parameters
+    ----------
+    samples : (trials,)
+        How many each spectrum is of.
+    """
+    if len(spectra) == 1:
+        slowest = spectra[0][1 : 1 + criteria.SLOWEST_WAVES]
+        size = np.sqrt(np.mean(np.square(np.abs(slowest)), axis=0)) if len(slowest) else np.abs(spectra[0][0])
+        return np.asarray(rng.standard_normal() * size)[None, :]
+    means = np.array([one[0].real for one in spectra]) / np.sqrt(samples)[:, None]
+    inside, outside = np.linalg.qr(means)
+    frame = np.linalg.qr(rng.standard_normal(inside.shape))[0] * rng.choice([-1.0, 1.0], inside.shape[1])
+    return np.asarray(frame @ outside * np.sqrt(samples)[:, None])
 
 
 def independent_share(residual: Sequence[FloatArray]) -> float:

@@ -275,14 +275,15 @@ def _richer(one: Rated, other: Rated) -> bool:
 def more_common(best: Rated, rated: Sequence[Rated], *, relative: bool) -> Rated:
     """Return the most common of those that explain as much as the best does.
 
-    Where noise is told by repeats, these are what is the same to the data: a sensor's bias and a constant force.
+    These are what is the same to the data: a sensor's bias and a constant force. Without repeats also what does hardly
+    worse on conditions like the withheld ones, of which one or two tell nothing.
     """
     alike = [
         one
         for one in rated
         if one.evidence > 1.0
         and one.share >= best.share - criteria.SIMPLER_SHARE
-        and (as_good(best, one) >= criteria.AS_GOOD if relative else _the_same(best, one))
+        and (_the_same(best, one) or (relative and as_good(best, one) >= criteria.AS_GOOD))
     ]
     return min([best, *alike], key=lambda one: rank(one.candidate.name))
 

@@ -208,9 +208,9 @@ def found_alone(
     Returns
     -------
     list
-        What it may be. First a set, each of it the largest in what those before it leave; then every kind alone. Of
-        `ALSO_SHAPES`, which only a fit decides on, also those that blocks of a trial do not agree on: where friction
-        holds a joint still, a gain shows nothing.
+        What it may be. First a set, each of it the largest in what those before it leave, an output's own before an
+        input's that is as large; then every kind alone. Of `ALSO_SHAPES`, which only a fit decides on, also those that
+        blocks of a trial do not agree on: where friction holds a joint still, a gain shows nothing.
     """
     outputs = range(units.trials[0].outputs.shape[1])
     kinds = [(kind, output) for kind in _KINDS for output in (outputs if kind != "start time" else (None,))]
@@ -228,9 +228,11 @@ def found_alone(
         looked = [got for one in rest if (got := _looked_at_alone(left, shapes[one], *one)) is not None]
         if not found:
             alone = [one.deviation for one in looked if one.steady or one.deviation.kind in ALSO_SHAPES]
-        best = max((one for one in looked if one.steady), key=lambda one: one.share, default=None)
-        if best is None:
+        steady = [one for one in looked if one.steady]
+        if not steady:
             break
+        most = max(one.share for one in steady)
+        best = next(one for one in steady if one.share >= most - criteria.SIMPLER_SHARE)
         left = best.residual
         found.append(best.deviation)
     sets = [tuple(found)] if found else []

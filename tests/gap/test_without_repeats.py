@@ -13,7 +13,7 @@ from scipy.signal import butter, filtfilt, lfilter
 from labrun.fit.dataset import Dataset, FitTrial
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.noise import of_sensor
-from labrun.gap.noise_threshold import NoiseThreshold, chance_of_lines, independent_share
+from labrun.gap.noise_threshold import NoiseThreshold, chance_of_lines, independent_share, means_by_chance
 from labrun.models import parse_model
 from labrun.store import SignalInfo
 
@@ -101,6 +101,47 @@ def test_the_noise_of_a_sensor_is_seen_beside_a_slow_gap(slow: float) -> None:
         for one in data.trials
     ]
     assert of_sensor(data, residual).sd[0] == pytest.approx(0.004, rel=0.1)
+
+
+def test_jumps_where_friction_turns_are_no_noise_of_a_sensor() -> None:
+    data = recorded(repeats=1, noise=0.004)
+    data = replace(data, trials=tuple(replace(one, members=(one.outputs,)) for one in data.trials))
+    rng = np.random.default_rng(1)
+    residual = [
+        0.004 * rng.standard_normal(one.outputs.shape) + 0.2 * np.sign(np.sin(7 * one.time_s))[:, None]
+        for one in data.trials
+    ]
+    assert of_sensor(data, residual).sd[0] == pytest.approx(0.004, rel=0.2)
+
+
+@given(st.integers(0, 10**6), st.integers(2, 9), st.integers(1, 3))
+def test_means_by_chance_are_as_large_and_as_far_tied_to_each_other_as_those_that_were_seen(
+    seed: int, trials: int, channels: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    samples = rng.integers(20, 90, trials).astype(float)
+    spectra = [np.fft.rfft(rng.standard_normal((int(n), channels)) + 1.0, axis=0) for n in samples]
+    seen = np.array([one[0].real for one in spectra]) / np.sqrt(samples)[:, None]
+    drawn = means_by_chance(spectra, samples, rng) / np.sqrt(samples)[:, None]
+    assert drawn.T @ drawn == pytest.approx(seen.T @ seen, rel=1e-9, abs=1e-9)
+
+
+def test_the_mean_of_one_trial_is_by_chance_as_large_as_its_slowest_waves() -> None:
+    rng = np.random.default_rng(3)
+    noise = rng.standard_normal((4000, 1))
+    spectrum = np.fft.rfft(noise + 50.0, axis=0)
+    drawn = np.array([means_by_chance([spectrum], np.array([4000.0]), rng)[0, 0] for _ in range(300)])
+    slowest = np.sqrt(np.mean(np.square(np.abs(spectrum[1:4]))))
+    assert np.std(drawn) == pytest.approx(slowest, rel=0.15)
+
+
+def test_an_offset_that_four_trials_share_is_told_though_it_has_no_phase() -> None:
+    found = diagnose_dataset(
+        recorded(repeats=1, conditions=CONDITIONS[:4], seen=lambda angle: angle + 0.02), pendulum(), QUICK
+    )
+    assert [str(one.name) for one in found.causes] == ["bias at angle"]
+    assert found.causes[0].values["offset"].value == pytest.approx(0.02, rel=0.1)
+    assert found.causes[0].confidence > 0.7
 
 
 def test_friction_is_named_from_trials_that_were_never_repeated() -> None:
