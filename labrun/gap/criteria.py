@@ -49,8 +49,9 @@ PROBED_UNITS = 3
 SAME_COURSE, NEAR_FACTOR = 0.95, 0.15
 """Correlation of an output with the stated model from which only a factor is between them, and how near that is to the
 factor of a common mistake: parameters are not right to better than that."""
-REWEIGHED = 2
-"""How often a fit without repeats is repeated in units of what it left."""
+REWEIGHED, UNITS_SETTLED = 8, 0.02
+"""How often at most a fit without repeats is repeated in units of what it left, and by which part these may still
+change. After two fits, zeros by trial of eight times the noise were not gone, and a control was blamed (192, 0005)."""
 MODEL_ROUNDING = 5e-4
 """Part of an output's spread below which no model is believed: integrators and sampling differ by as much."""
 INTEGRATION_ERROR = 1.0
@@ -142,8 +143,6 @@ ROUGH_TOLERANCE, ROUGH_EVALUATIONS = 1e-2, 12
 """Of rough fits: relative fall of the sum of squares at which they end, and most evaluations."""
 FIT_TOLERANCE, FIT_EVALUATIONS = 1e-4, 30
 """The same of fits that are followed to their ends."""
-SHAPE_REMAINDER = 0.004
-"""Part of what a candidate explains that has to be left over (beyond noise) before its shape is looked at."""
 WIDENINGS, WIDER = 3, 5.0
 """How often, and by which factor, the range of a size is widened that a fit ended at the far end of."""
 FINER, FINEST, STEPS_DO = 4, 16, 0.005
@@ -156,7 +155,8 @@ what backlash did, and with a sharper sign 0.95 (a position servo, six motions).
 SHAPE_PRICE = 5.0
 """Log likelihood that every shape that is fitted must earn ..."""
 SHAPE_EARNS = 0.002
-"""... and by which part of what the candidate explains."""
+"""... and by which part of what the candidate explains, unless it removes half of what is left: of a hysteresis
+(Bouc-Wen, gamma 0.8 of beta) the usual shape left 0.002 of the gap, for which drag and cogging were named beside it."""
 
 OTHER_SHAPE_LEAVES = 0.4
 """Of what the usual shape leaves beyond noise, the most that a shape in its place may: friction that yields before it
@@ -205,7 +205,9 @@ ANOTHER_SHARE = 0.08
 NOTICED_SHARE, NOTICED_OF_LEFT = 0.04, 0.5
 """The same of a cause that removes at least this part of what is left."""
 SMALL_SHARE, SMALL_OF_LEFT, SMALL_GAP = 5e-4, 0.8, 1.0
-"""The same of one beside a far larger one, if it removes nearly all of what is plainly left (in units of the noise)."""
+"""The same of one beside a far larger one, if it removes nearly all of what is plainly left (in units of the noise).
+And the part of what a candidate explains that has to be left over, beyond noise, before its shape is looked at: what
+another cause may explain, a shape may as well."""
 ONE_CAUSE_GAP = 0.5
 """A smaller gap, in units of a noise that no repeats tell, is no place to look for a second cause."""
 LEAST_SHARE = 0.3

@@ -98,13 +98,13 @@ def _ended(base: Base, screened: Screened, problem: Problem, start: FloatArray) 
 def shaped(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screened:
     """Return the candidate with its shape fitted, if that explains clearly more; else as it was."""
     left = screened.squares - threshold.floor
-    if screened.gain < threshold.gain or left < criteria.SHAPE_REMAINDER * screened.gain:
+    if screened.gain < threshold.gain or left < criteria.SMALL_SHARE * screened.gain:
         return screened
     end = _shape_fitted(base, screened, threshold.floor)
     earned = threshold.log_likelihood(end.gain) - threshold.log_likelihood(screened.gain)
     needed = criteria.SHAPE_PRICE * (end.candidate.variables - screened.candidate.variables)
-    enough = earned >= needed and end.gain - screened.gain >= criteria.SHAPE_EARNS * screened.gain
-    return end if enough else screened
+    least = min(criteria.SHAPE_EARNS * screened.gain, criteria.AS_GOOD * left)
+    return end if earned >= needed and end.gain - screened.gain >= least else screened
 
 
 def sharpened(base: Base, chosen: Screened, threshold: NoiseThreshold, noise_share: float) -> Screened:

@@ -19,14 +19,14 @@ from labrun.gap.on_course import kept_in_wells, kept_on_course
 from labrun.gap.recalibration import (
     Recalibrated,
     bound_remarks,
+    fitted_in_own_units,
     in_noise,
-    in_units_of,
     recalibrate,
     unit_remarks,
     unsearched,
     with_deviations,
 )
-from labrun.gap.screening import Base, refit, survey
+from labrun.gap.screening import Base, survey
 from labrun.gap.selection import Selection, Selector
 from labrun.gap.trial_wise import ALSO_SHAPES, found_alone, set_anew, simulated_changes
 from labrun.models import Model
@@ -217,10 +217,7 @@ def _fitted_to_motion(search: Search, noise: Noise) -> Search:
     What its own past does not predict tells which causes there are; of their sizes it says less than the motion.
     """
     final = search.selection.final
-    problem, z = final.problem, final.z
-    for _ in range(criteria.REWEIGHED):
-        problem = in_units_of(noise, problem, z)
-        z = refit(problem, z)
+    problem, z = fitted_in_own_units(noise, final.problem, final.z)
     final = Base.of(problem, z, final.added, brisk=final.brisk)
     selection = replace(search.selection, final=final, held_out=held_out_excess(problem, z, noise))
     return replace(search, selection=selection)

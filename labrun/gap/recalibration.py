@@ -71,15 +71,25 @@ def with_deviations(
 
 def in_noise(problem: Problem, noise: Noise, z: FloatArray) -> Recalibrated:
     """Fit once more in units of a noise."""
-    measured = in_units_of(noise, problem, z)
-    z = refit(measured, z)
-    for _ in range(0 if noise.known else criteria.REWEIGHED):  # what is left tells its own size
-        measured = in_units_of(noise, problem, z)
-        z = refit(measured, z)
+    measured, z = fitted_in_own_units(noise, problem, z)
     finer = with_shorter_steps(measured, z)
     if finer is not measured:
         z = refit(finer, z)
     return Recalibrated(finer, noise, stated(finer, z), z)
+
+
+def fitted_in_own_units(noise: Noise, problem: Problem, z: FloatArray) -> tuple[Problem, FloatArray]:
+    """Fit in units of the noise; where nothing was repeated, of what the fit leaves, until these have settled.
+
+    Zeros by trial are as large as a hundred times the noise: what is left shrinks with each fit, until they are gone.
+    """
+    measured = in_units_of(noise, problem, z)
+    for _ in range(1 if noise.known else criteria.REWEIGHED):
+        z = refit(measured, z)
+        before, measured = measured, measured if noise.known else in_units_of(noise, problem, z)
+        if np.allclose(measured.noise.weights, before.noise.weights, rtol=criteria.UNITS_SETTLED):
+            break
+    return measured, z
 
 
 def stated_problem(model: Model, data: Dataset) -> Problem:

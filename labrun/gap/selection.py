@@ -24,7 +24,7 @@ from labrun.gap.rating import (
     rivals_of,
     room_for_more,
 )
-from labrun.gap.recalibration import in_units_of
+from labrun.gap.recalibration import fitted_in_own_units, in_units_of
 from labrun.gap.screening import (
     Base,
     Screened,
@@ -356,10 +356,7 @@ class Selector:
     def _taken(self, best: Rated, current: Round) -> Chosen:
         """Return a candidate as a cause: with its rivals, and fitted in units of what it leaves."""
         rivals, weight = rivals_of(best, current.rated, relative=self.null.relative)
-        problem, z = best.screened.problem, best.screened.z
-        for _ in range(criteria.REWEIGHED if self.null.relative else 1):
-            problem = in_units_of(self.noise, problem, z)
-            z = refit(problem, z)
+        problem, z = fitted_in_own_units(self.noise, best.screened.problem, best.screened.z)
         fitted = replace(best.screened, problem=problem, z=z, squares=problem.squares(z))
         noise_share = min(current.threshold.floor / best.screened.squares, 1.0)
         sharp = sharpened(current.base, fitted, current.threshold, noise_share)
