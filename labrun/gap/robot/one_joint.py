@@ -288,8 +288,8 @@ def _lines(
     forces = [
         f"force.{q}",
         f"force.{q}_link",
-        *(["force.base"] if tilted else []),
-        *(["force.tip"] if loaded else []),
+        *([f"force.{_whole_site('base', joint)}"] if tilted else []),
+        *([f"force.{_whole_site('tip', joint)}"] if loaded else []),
     ]
     yield "[equations]"
     yield f'{q} = "{rate}"'
@@ -345,9 +345,16 @@ def _sites(joint: RobotJoint, effort: str, *, driven: bool, tilted: bool, loaded
         yield f'stiffness = "{q}_stiffness"'
     yield f'[sites.{q}_link]\nkind = "link"\ncoordinate = "given_way"\nrate = "{rate}"\nunit = "{joint.unit}"'
     if tilted:
-        yield '[sites.base]\nkind = "base"\ncoordinate = "roll_torque"\nrate = "pitch_torque"'
+        yield f"[sites.{_whole_site('base', joint)}]"
+        yield 'kind = "base"\ncoordinate = "roll_torque"\nrate = "pitch_torque"'
     if loaded:
-        yield '[sites.tip]\nkind = "tip"\ncoordinate = "load_torque"\nrate = "load_torque"'
+        yield f"[sites.{_whole_site('tip', joint)}]"
+        yield 'kind = "tip"\ncoordinate = "load_torque"\nrate = "load_torque"'
+
+
+def _whole_site(kind: str, joint: RobotJoint) -> str:
+    """Return what the site of the robot as a whole is called: its kind, unless the joint itself is called that."""
+    return f"robot_{kind}" if joint.output == kind else kind
 
 
 def _gain(joint: RobotJoint, drive: RobotActuator | None) -> str:

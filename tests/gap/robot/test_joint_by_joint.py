@@ -115,6 +115,16 @@ def test_prescribed_motion_is_no_site(tmp_path):
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize("name", ["base", "tip"])
+def test_a_joint_may_be_called_as_the_robots_own_places_are(tmp_path, monkeypatch, name):
+    monkeypatch.setattr(f"{__name__}.XML", XML.replace('"shoulder"', f'"{name}"'))
+    robot, model, dataset = arm(tmp_path)
+    places = one_joint(prescribed(robot, model, dataset), 0).model.places
+    other = {"base": "tip", "tip": "base"}[name]
+    found = {one.kind: one.name for one in places if one.kind in ("joint", "base", "tip")}
+    assert found == {"joint": name, name: f"robot_{name}", other: other}
+
+
 def test_a_joint_moves_as_in_the_robot_once_the_play_of_the_encoder_before_it_is_known(tmp_path):
     robot, model, clean = arm(tmp_path)
     width = 0.02
