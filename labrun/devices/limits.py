@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from labrun.arrays import FloatArray
 from labrun.devices.samples import Channel
 from labrun.devices.trajectory import Trajectory
+from labrun.errors import DeviceError, LimitExceededError
 
 _TOLERANCE = 1e-9
 """Relative: a command of exactly 60 deg is inside a limit of 60 deg after conversion to radians."""
@@ -70,6 +71,15 @@ class Limits(BaseModel):
                 bounds = (-self.speed_deg_s, self.speed_deg_s)
                 yield from _outside(f"speed of {joint}", speed, bounds, "deg/s", trajectory.time_s[:-1])
 
+    def require_motion(self, device: str, trajectory: Trajectory) -> None:
+        """Refuse a motion that leaves a limit. Raises LimitExceededError: nothing of it may be sent."""
+        for excess in self.trajectory_excess(trajectory):
+            raise LimitExceededError(
+                device,
+                f"{excess} at {excess.time_s:.3g} s of the motion; nothing was sent",
+                hint="change the gait, or the device's limits in the experiment file",
+            )
+
     def _inside(self, trajectory: Trajectory) -> bool:
         """Tell whether a motion surely keeps every limit; nearly all do, and need no look at each joint."""
         angle_deg = np.degrees(trajectory.angle_rad)
@@ -104,6 +114,29 @@ class Limits(BaseModel):
         if self.speed_m_s is not None:
             yield from _outside(
                 "speed", np.array([speed_m_s]), (-self.speed_m_s, self.speed_m_s), "m/s", np.zeros(1)
+            )
+
+    def require_move(self, device: str, to_m: float, speed_m_s: float) -> None:
+        """Refuse a carriage's move that must not be sent.
+
+        Raises
+        ------
+        LimitExceededError
+            It leaves a limit.
+        DeviceError
+            Not numbers, or a speed that is not positive.
+        """
+        if not (math.isfinite(to_m) and math.isfinite(speed_m_s) and speed_m_s > 0):
+            raise DeviceError(
+                device,
+                f"cannot travel to {to_m:g} m at {speed_m_s:g} m/s; the speed is above zero",
+                hint="change trial.carriage",
+            )
+        for excess in self.travel_excess(to_m, speed_m_s):
+            raise LimitExceededError(
+                device,
+                f"{excess}; the move was not sent",
+                hint="change trial.carriage, or the device's limits",
             )
 
 

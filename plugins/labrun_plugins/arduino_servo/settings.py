@@ -192,12 +192,7 @@ class Pulses:
                 self._device,
                 f"got a motion of {', '.join(trajectory.joints)}, but drives {', '.join(self.joints)}",
             )
-        for excess in self._limits.trajectory_excess(trajectory):
-            raise LimitExceededError(
-                self._device,
-                f"{excess} at {excess.time_s:.3g} s of the motion; nothing was sent",
-                hint="change the gait, or the device's limits in the experiment file",
-            )
+        self._limits.require_motion(self._device, trajectory)
         for joint, angle_rad in zip(self.joints, trajectory.angle_rad.T, strict=True):
             pulse_us = self._tables[joint].exact_pulse_us(np.degrees(angle_rad))
             low_us, high_us = self._tables[joint].pulse_us

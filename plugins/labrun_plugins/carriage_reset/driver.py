@@ -7,7 +7,6 @@ import numpy as np
 
 from labrun.devices import (
     DeviceContext,
-    DeviceError,
     DeviceSettings,
     FloatArray,
     Identity,
@@ -34,14 +33,7 @@ def check_move(device: str, settings: CarriageResetSettings, to_m: float, speed_
     DeviceError
         Not numbers, or a speed that is not positive.
     """
-    if not (np.isfinite(to_m) and np.isfinite(speed_m_s) and speed_m_s > 0):
-        raise DeviceError(
-            device, f"cannot travel to {to_m:g} m at {speed_m_s:g} m/s; the speed is above zero"
-        )
-    for excess in settings.limits.travel_excess(to_m, speed_m_s):
-        raise LimitExceededError(
-            device, f"{excess}; the move was not sent", hint="change trial.carriage, or the device's limits"
-        )
+    settings.limits.require_move(device, to_m, speed_m_s)
     low_m, high_m = settings.travel_m
     if not low_m - _SLACK <= to_m <= high_m + _SLACK:
         raise LimitExceededError(

@@ -76,12 +76,7 @@ class CommandCheck:
                 self._name, f"got a motion of {', '.join(trajectory.joints)}, but drives {', '.join(joints)}"
             )
         motion = self._led_back(trajectory.only(joints))
-        for excess in self._limits.trajectory_excess(motion):
-            raise LimitExceededError(
-                self._name,
-                f"{excess} at {excess.time_s:.3g} s of the motion; nothing was sent",
-                hint="change the gait, or the device's limits in the experiment file",
-            )
+        self._limits.require_motion(self._name, motion)
         for scale, angles in zip(self._scales, motion.angle_rad.T, strict=True):
             if (
                 max(scale.turns(float(angles.min())), scale.turns(float(angles.max())))

@@ -106,11 +106,7 @@ class StageMotion:
                 f"got a motion of {', '.join(trajectory.joints)}, "
                 f"but bends {', '.join(self._joints) or 'no joint: name one in joints'}",
             )
-        for excess in self._limits.trajectory_excess(trajectory):
-            raise LimitExceededError(
-                self._device, f"{excess} at {excess.time_s:.3g} s of the motion; nothing was sent",
-                hint="change the gait, or the device's limits in the experiment file",
-            )  # fmt: skip
+        self._limits.require_motion(self._device, trajectory)
         path_m = self._lever_m * trajectory.angle_rad[:, 0]
         self._require_inside(float(path_m.min()), float(path_m.max()), "the motion")
         self._require_speed(float(np.max(np.abs(np.diff(path_m)) / np.diff(trajectory.time_s), initial=0.0)))

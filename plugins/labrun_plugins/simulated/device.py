@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, Health, Identity, Scene, opened
-from labrun.errors import LimitExceededError
 
 
 class Faults(BaseModel):
@@ -183,13 +182,4 @@ class SimulatedCarriage(SimulatedDevice):
     def _check_travel(self, to_m: float, speed_m_s: float) -> None:
         """Refuse a move without a speed, or beyond the limits of the experiment file."""
         self._require_answer()
-        if not (np.isfinite(to_m) and np.isfinite(speed_m_s) and speed_m_s > 0):
-            raise DeviceError(
-                self.name, f"cannot travel to {to_m:g} m at {speed_m_s:g} m/s; the speed is above zero"
-            )
-        for excess in self._limits.travel_excess(to_m, speed_m_s):
-            raise LimitExceededError(
-                self.name,
-                f"{excess}; the move was not sent",
-                hint="change trial.carriage, or the device's limits",
-            )
+        self._limits.require_move(self.name, to_m, speed_m_s)

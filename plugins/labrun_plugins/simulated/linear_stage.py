@@ -114,11 +114,7 @@ class SimulatedLinearStage(SimulatedCarriage, SimulatedSensor):
                 self.name,
                 f"got a motion of {', '.join(trajectory.joints)}, but bends {', '.join(self.joints) or 'no joint'}",
             )
-        for excess in self._limits.trajectory_excess(trajectory):
-            raise LimitExceededError(
-                self.name, f"{excess} at {excess.time_s:.3g} s of the motion; nothing was sent",
-                hint="change the gait, or the device's limits in the experiment file",
-            )  # fmt: skip
+        self._limits.require_motion(self.name, trajectory)
         path_m = self._levers_m[self.joints[0]] * trajectory.angle_rad
         self._within(path_m, "the motion")
         speed_m_s = np.abs(np.diff(path_m[:, 0])) / np.diff(trajectory.time_s)

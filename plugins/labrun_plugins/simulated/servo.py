@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, FloatArray, Scene, Trajectory
-from labrun.errors import LimitExceededError
 from labrun.models import kernel
 from labrun_plugins.simulated.bench import packed, unpacked
 from labrun_plugins.simulated.device import SimulatedDevice, SimulatedSettings
@@ -258,12 +257,7 @@ class SimulatedJoints(SimulatedDevice):
             )
         if not np.isfinite(trajectory.angle_rad).all():
             raise DeviceError(self.name, "got a motion with angles that are not numbers; nothing was sent")
-        for excess in self._limits.trajectory_excess(trajectory):
-            raise LimitExceededError(
-                self.name,
-                f"{excess} at {excess.time_s:.3g} s of the motion; nothing was sent",
-                hint="change the gait, or the device's limits in the experiment file",
-            )
+        self._limits.require_motion(self.name, trajectory)
 
     def _move(self, joint: str, motion: Trajectory, start_s: float) -> None:
         self._motion[joint] = (start_s, motion)

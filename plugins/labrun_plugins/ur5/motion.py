@@ -245,16 +245,7 @@ def check_order(
     device: str, settings: Ur5Settings, travel_m: tuple[float, float], to_m: float, speed_m_s: float
 ) -> None:
     """Check a move against the limits; DeviceError or LimitExceededError: it must not be sent."""
-    if not (math.isfinite(to_m) and math.isfinite(speed_m_s) and speed_m_s > 0):
-        raise DeviceError(
-            device,
-            f"cannot travel to {to_m:g} m at {speed_m_s:g} m/s; the speed is above zero",
-            hint="change trial.carriage",
-        )
-    for excess in settings.limits.travel_excess(to_m, speed_m_s):
-        raise LimitExceededError(
-            device, f"{excess}; the move was not sent", hint="change trial.carriage, or the device's limits"
-        )
+    settings.limits.require_move(device, to_m, speed_m_s)
     low, high = travel_m
     if not low <= to_m <= high:
         raise LimitExceededError(
