@@ -6,7 +6,7 @@ from pathlib import Path
 
 from labrun.app.leaders import with_leaders
 from labrun.errors import PlanError, RequestError, SpecError
-from labrun.runner import ConditionExcess, MotionMaker, Plan, Planner, Rig
+from labrun.runner import ConditionExcess, MotionMaker, Plan, Planner, Rig, SimulatedClock
 from labrun.search import (
     ConstraintError,
     allowed_points,
@@ -54,7 +54,7 @@ def check(
     experiment
         Its name, the path of its file, or one that is loaded already.
     dry_run
-        Check as well that there is a bench to simulate.
+        Check as well that there is a bench to simulate, and that it has the joints and signals of the devices.
     overrides
         Keys of the file to replace, such as ``trial.repeats=5``.
     seed
@@ -71,6 +71,8 @@ def check(
         plan; `Plan.require_feasible` makes an error of them.
     SpecError
         The file names what the rig does not have.
+    DeviceError
+        A dry run's bench lacks what a device moves or measures.
     """
     if isinstance(experiment, LoadedExperiment):
         loaded = experiment
@@ -82,9 +84,12 @@ def check(
         return design_plan(loaded)
     loaded = with_leaders(loaded, Path(results), planned=True)
     plan = whole_plan(loaded, seed, None)
-    if dry_run and loaded.experiment.rig.scene is None:
+    if not dry_run:
+        return plan
+    if loaded.experiment.rig.scene is None:
         return replace(plan, notes=(*plan.notes, NO_SCENE))
-    return plan
+    with Rig.build(loaded.experiment, clock=SimulatedClock(), seed=seed, dry_run=True):
+        return plan  # every device found what it needs on the bench
 
 
 def is_meant_as_recording(target: str) -> bool:
