@@ -54,7 +54,7 @@ class NewestView(NamedTuple):
 
 
 class Bell:
-    """Wakes compiled code that sleeps until a sample comes (`labrun.devices.compiled_wire.sleep_until_rung`); Linux.
+    """Wakes compiled code that sleeps until a sample comes (`labrun.devices.system_calls.sleep_until_rung`); Linux.
 
     Attributes
     ----------

@@ -22,9 +22,9 @@ class BlockBench(NamedTuple):
     step_s
         Of its time grid.
     advance, state, parameters
-        See `labrun.devices.compiled_bench.CompiledScene`.
+        See `labrun.devices.compiled.CompiledScene`.
     servos : (joints, 9)
-        See `labrun.devices.compiled_bench.CompiledJoints`.
+        See `labrun.devices.compiled.CompiledJoints`.
     shafts : (joints, 3)
         Goal, angle (rad) and speed (rad/s) of each, changed in place.
     measure : (sensors,)

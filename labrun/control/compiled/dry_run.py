@@ -12,7 +12,7 @@ from labrun.control.compiled.blocks import ANGLE, Arriving, BlockBench, run_bloc
 from labrun.control.compiled.law import refusal
 from labrun.control.compiled.stepping import Law
 from labrun.devices import Samples
-from labrun.devices.compiled_bench import (
+from labrun.devices.compiled import (
     Ahead,
     CompiledJoints,
     CompiledScene,

@@ -20,7 +20,7 @@ from labrun.arrays import FloatArray, IntArray
 from labrun.compiled import kernel
 from labrun.control.compiled.law import refusal
 from labrun.control.compiled.stepping import FULL, GOOD, STOPPED, UNSENT, UNWATCHED, Law, take_step
-from labrun.devices.compiled_wire import FREE_S, HALT, NOT_TAKEN, SENT, CompiledWire, HandingOver, Showing
+from labrun.devices.compiled import FREE_S, HALT, NOT_TAKEN, SENT, CompiledWire, HandingOver, Showing
 from labrun.devices.listening import SLOTS, Bell, Newest
 from labrun.devices.system_calls import clock_s, sleep_until_rung, wait_until
 from labrun.models.engine import call_model
@@ -66,7 +66,7 @@ class LiveBench(NamedTuple):
     bell
         Descriptor of the `labrun.devices.listening.Bell` that the sensors of the feedback ring.
     send, state, parameters
-        See `labrun.devices.compiled_wire.CompiledWire`.
+        See `labrun.devices.compiled.CompiledWire`.
     """
 
     number: tuple[IntArray, ...]

@@ -23,7 +23,7 @@ from labrun.control.compiled.stepping import (
 from labrun.control.loop import Loop
 from labrun.control.protocol import Condition
 from labrun.devices import Samples, Trajectory
-from labrun.devices.compiled_wire import BEYOND, GONE, HALTED, TOO_LATE
+from labrun.devices.compiled import BEYOND, GONE, HALTED, TOO_LATE
 from labrun.errors import DeviceError, ExperimentError, SpecError
 from labrun.gaits import steering_of
 from labrun.runner import LEAD_S, TAIL_S, Bench, Rig, TrialRecording

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from labrun.devices import FloatArray
-from labrun.devices.compiled_wire import (
+from labrun.devices.compiled import (
     BEYOND,
     BUSY,
     FREE_S,

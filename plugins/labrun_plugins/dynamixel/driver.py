@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from labrun.devices import DeviceContext, FloatArray, Health, Samples, streaming
-from labrun.devices.compiled_wire import BUSY, HALT, CompiledWire
+from labrun.devices.compiled import BUSY, HALT, CompiledWire
 from labrun.devices.listening import Listener, Newest, SampleBuffer
 from labrun_plugins.dynamixel.codec import Status
 from labrun_plugins.dynamixel.control_table import (

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, FloatArray, Health, Samples, Trajectory
-from labrun.devices.compiled_bench import CompiledSensor
+from labrun.devices.compiled import CompiledSensor
 from labrun.models import native
 from labrun_plugins.dynamixel.settings import DynamixelSettings
 from labrun_plugins.simulated.device import SimulatedSettings
@@ -125,7 +125,7 @@ class SimulatedDynamixelWithFeedback(SimulatedDynamixel, SimulatedSensor):
         return super().read()
 
     def compiled(self) -> CompiledSensor | str:
-        """Return its compiled form; see `labrun.devices.compiled_bench.CompiledStandIn`."""
+        """Return its compiled form; see `labrun.devices.compiled.CompiledStandIn`."""
         if self._quantities != ("angle",):
             return f"{self.name} streams more than angles"
         return super().compiled()

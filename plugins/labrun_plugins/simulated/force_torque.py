@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.devices import Channel, DeviceContext, FloatArray
-from labrun.devices.compiled_bench import CompiledSensor
+from labrun.devices.compiled import CompiledSensor
 from labrun.models import kernel, native
 from labrun_plugins.simulated.device import SimulatedSettings
 from labrun_plugins.simulated.sensor import SimulatedSensor, Timing

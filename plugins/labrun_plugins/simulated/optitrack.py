@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import NonNegativeFloat
 
 from labrun.devices import DeviceContext, DeviceError, DeviceSettings, FloatArray, Samples
-from labrun.devices.compiled_bench import CompiledSensor
+from labrun.devices.compiled import CompiledSensor
 from labrun.models import native
 from labrun_plugins.optitrack.settings import OptiTrackSettings
 from labrun_plugins.optitrack.stream import SEE_MARKERS, BodyAngles, channels_of

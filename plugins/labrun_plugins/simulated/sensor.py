@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.devices import Channel, DeviceContext, DeviceError, FloatArray, Samples, streaming
-from labrun.devices.compiled_bench import Ahead, CompiledSensor
+from labrun.devices.compiled import Ahead, CompiledSensor
 from labrun.models import kernel
 from labrun_plugins.simulated.device import SimulatedDevice, SimulatedSettings
 
@@ -237,7 +237,7 @@ class SimulatedSensor(SimulatedDevice, ABC):
         return self._samples(arrivals, values, saturated)
 
     def compiled(self) -> CompiledSensor | str:
-        """Return its compiled form, or why there is none; see `labrun.devices.compiled_bench.CompiledStandIn`."""
+        """Return its compiled form, or why there is none; see `labrun.devices.compiled.CompiledStandIn`."""
         if self._disturbed or self._falls_blind():
             return f"{self.name} is to have faults"
         return self._compiled() or f"{self.name} ({self.model}) has no compiled form"

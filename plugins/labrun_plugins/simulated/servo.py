@@ -51,7 +51,7 @@ class Shaft:
         return replace(self, step_rad=_NO_STEP_RAD, dead_band_rad=0.0, smooth=True)
 
     def row(self, step_s: float, hold: int, sign: int) -> FloatArray:
-        """Return what a compiled dry run knows of it, see `labrun.devices.compiled_bench.CompiledJoints`."""
+        """Return what a compiled dry run knows of it, see `labrun.devices.compiled.CompiledJoints`."""
         numbers = [self.step_rad, self.dead_band_rad, self.speed_rad_s, float(hold), float(sign)]
         return np.array([*transition(self.natural_hz, self.damping, step_s).ravel(), *numbers])
 
@@ -194,7 +194,7 @@ class SimulatedJoints(SimulatedDevice):
             self._move(joint, motion, start_s)
 
     def compiled_joints(self, step_s: float) -> FloatArray:
-        """Return the shafts' numbers; see `labrun.devices.compiled_bench.CompiledJoints`."""
+        """Return the shafts' numbers; see `labrun.devices.compiled.CompiledJoints`."""
         hold = max(1, round(self._frame_s / step_s))
         return np.array([self._shaft.row(step_s, hold, self._signs[joint]) for joint in self.joints])
 

@@ -10,7 +10,7 @@ from labrun_plugins.dynamixel.control_table import CENTRE, COUNT_RAD, Scale
 from labrun_plugins.dynamixel.emulated_packets import SYNC_READ, SYNC_WRITE, InstructionReader
 from labrun_plugins.dynamixel.settings import DynamixelSettings
 
-from labrun.devices.compiled_wire import BEYOND, GONE, HALT, HALTED, SENT, TOO_LATE
+from labrun.devices.compiled import BEYOND, GONE, HALT, HALTED, SENT, TOO_LATE
 
 QUESTION = instruction(0xFE, SYNC_READ, bytes([120, 0, 16, 0, 1, 7]))
 

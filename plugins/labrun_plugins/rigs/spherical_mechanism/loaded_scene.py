@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat
 
 from labrun.devices import FloatArray
-from labrun.devices.compiled_bench import CompiledScene
+from labrun.devices.compiled import CompiledScene
 from labrun.effects import Scale
 from labrun.errors import ExperimentError, SpecError
 from labrun.models import Stepper, kernel, native
@@ -120,7 +120,7 @@ class SpmLoad(Bench):
         )
 
     def compiled(self) -> CompiledScene | str:
-        """Return the bench from the last known point of its grid on; see `labrun.devices.compiled_bench`."""
+        """Return the bench from the last known point of its grid on; see `labrun.devices.compiled`."""
         if self._hidden:
             return "effects that are hidden in this scene have no compiled form"
         mounted, start_s = self._mounted, math.inf if self._start_s is None else self._start_s

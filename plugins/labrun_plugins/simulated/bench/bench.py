@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labrun.devices import FloatArray, Trajectory
-from labrun.devices.compiled_bench import CompiledScene
+from labrun.devices.compiled import CompiledScene
 from labrun.effects import AttachedEffect, Scale
 from labrun.errors import ExperimentError, SpecError
 from labrun.models import Model, Site
