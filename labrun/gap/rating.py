@@ -129,7 +129,7 @@ def preferred(
     left: ExcessResidual,
     reference: ExcessResidual,
     *,
-    further: bool,
+    beside: int,
     relative: bool = False,
 ) -> Rated | None:
     """Return the candidate to take in; the simplest of those that do as well as the best. None if none is needed.
@@ -138,12 +138,14 @@ def preferred(
     ----------
     left
         Held-out excess without it.
+    beside
+        How many causes there are already.
     relative
         Whether nothing was repeated.
     """
     passing = [one for one in rated if one.evidence > (_needed(one, left) if relative else 1.0)]
-    if further and reference.total > 0:
-        passing = [one for one in passing if _earns_its_place(one, left, reference)]
+    if beside and reference.total > 0:
+        passing = [one for one in passing if _earns_its_place(one, left, reference, beside)]
     if not passing:
         return None
     most = max(one.share for one in passing)
@@ -172,25 +174,33 @@ def _needed(one: Rated, left: ExcessResidual) -> float:
     return criteria.EVIDENCE_ALONE if alone else 1.0
 
 
-def least_to_remove(left: ExcessResidual, reference: ExcessResidual) -> float:
-    """Return the part of what is left that a further cause has to remove to earn its place; above 1, none can."""
+def least_to_remove(left: ExcessResidual, reference: ExcessResidual, beside: int = 1) -> float:
+    """Return the part of what is left that a further cause has to remove to earn its place; above 1, none can.
+
+    Parameters
+    ----------
+    beside
+        How many causes there are already: what two leave is less often a third than what is wrong with their forms.
+    """
     if left.total <= 0.0 or reference.total <= 0.0:
         return float("inf")
     whole = reference.total / left.total
-    ways = [criteria.ANOTHER_SHARE * whole, max(criteria.NOTICED_SHARE * whole, criteria.NOTICED_OF_LEFT)]
+    ways = [criteria.ANOTHER_SHARE * whole]
+    if beside == 1:
+        ways.append(max(criteria.NOTICED_SHARE * whole, criteria.NOTICED_OF_LEFT))
     if left.gap >= criteria.SMALL_GAP:
         ways.append(max(criteria.SMALL_SHARE * whole, criteria.SMALL_OF_LEFT))
     return min(ways)
 
 
-def room_for_more(left: ExcessResidual, reference: ExcessResidual) -> bool:
+def room_for_more(left: ExcessResidual, reference: ExcessResidual, beside: int = 1) -> bool:
     """Tell whether a further cause could earn its place at all: by removing everything that is left."""
-    return least_to_remove(left, reference) <= 1.0
+    return least_to_remove(left, reference, beside) <= 1.0
 
 
-def _earns_its_place(one: Rated, left: ExcessResidual, reference: ExcessResidual) -> bool:
+def _earns_its_place(one: Rated, left: ExcessResidual, reference: ExcessResidual, beside: int) -> bool:
     """Tell whether a further cause removes enough on withheld conditions, of the whole gap or of what is left of it."""
-    least = least_to_remove(left, reference)
+    least = least_to_remove(left, reference, beside)
     return least <= 1.0 and left.total - one.held_out.total >= least * left.total
 
 

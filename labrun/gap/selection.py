@@ -239,14 +239,14 @@ class Selector:
             return [], rounds  # no more than noise makes: a cause would explain all of nothing
         while len(chosen) < criteria.MOST_CAUSES:
             left = chosen[-1].held_out if chosen else self.reference
-            one = self._choose(rounds[-1], left, further=bool(chosen))
+            one = self._choose(rounds[-1], left)
             if one is None and not chosen:
                 one = self._half_of_two(rounds[-1])
             if one is None:
                 break
             self.note(f"found {one.name}; looking whether there is more")
             chosen.append(one)
-            room = self._room(one.held_out)
+            room = self._room(one.held_out, len(chosen))
             if len(chosen) < criteria.MOST_CAUSES and (
                 room or len(chosen) == 1
             ):  # of several, `_exchanged` asks again
@@ -262,14 +262,14 @@ class Selector:
             return None
         return self._taken(max(likely, key=lambda one: one.score), first)
 
-    def _room(self, left: ExcessResidual) -> bool:
+    def _room(self, left: ExcessResidual, beside: int = 1) -> bool:
         if self.null.relative and self.reference.gap < criteria.ONE_CAUSE_GAP:
             return False
-        return room_for_more(left, self.reference)
+        return room_for_more(left, self.reference, beside)
 
     def _beyond(self, last: Chosen) -> list[Round]:
         """Try every candidate beside all causes: closely only where there is room for one more."""
-        if _forms(last.base.added) in self._rounds or self._room(last.held_out):
+        if _forms(last.base.added) in self._rounds or self._room(last.held_out, len(last.base.added)):
             return [self._round(last.base)]
         return [] if self.base.brisk else [self._tried(last.base, self._others(last.base), closely=False)]
 
@@ -280,7 +280,7 @@ class Selector:
             for _ in range(len(chosen) if len(chosen) > 1 else 0):
                 self.note(f"checking {chosen[0].name} again beside the others")
                 beside, left = self._beside(chosen, chosen[1:])
-                one = self._choose(beside, left, further=True)
+                one = self._choose(beside, left)
                 if one is None and self._needed(left, chosen[-1].held_out):
                     one = replace(chosen[0], base=chosen[-1].base, held_out=chosen[-1].held_out)
                 if one is None:  # the others do without it
@@ -335,7 +335,7 @@ class Selector:
         pair: list[Chosen] = []
         for one in chosen:
             beside, left = self._beside(chosen, [one])
-            other = self._choose(beside, left, further=True)
+            other = self._choose(beside, left)
             if other is not None and other.held_out.total < enough:
                 pair, enough = [one, other], other.held_out.total
         return self._exchanged(pair) if pair else (chosen, rounds)
@@ -347,8 +347,9 @@ class Selector:
         found = self._rounds.get(forms) or self._round(self._refitted(chosen[-1].base, names))
         return found, held_out_excess(found.base.problem, found.base.z, self.noise)
 
-    def _choose(self, current: Round, left: ExcessResidual, *, further: bool) -> Chosen | None:
-        best = preferred(current.rated, left, self.reference, further=further, relative=self.null.relative)
+    def _choose(self, current: Round, left: ExcessResidual) -> Chosen | None:
+        beside = len(current.base.added)
+        best = preferred(current.rated, left, self.reference, beside=beside, relative=self.null.relative)
         if best is None:
             return None
         return self._taken(more_common(best, current.rated, relative=self.null.relative), current)
@@ -422,7 +423,7 @@ class Selector:
         if not base.brisk or not base.added:
             return 0.0
         left = fitted_excess(base.problem, base.z, self.noise)
-        least = least_to_remove(left, self.reference)
+        least = least_to_remove(left, self.reference, len(base.added))
         return min(least, 1.0) * base.squares * left.total / (1.0 + left.total) if left.total > 0.0 else 0.0
 
     def _known(self) -> dict[Name, FloatArray]:
