@@ -143,6 +143,8 @@ ROUGH_TOLERANCE, ROUGH_EVALUATIONS = 1e-2, 12
 """Of rough fits: relative fall of the sum of squares at which they end, and most evaluations."""
 FIT_TOLERANCE, FIT_EVALUATIONS = 1e-4, 30
 """The same of fits that are followed to their ends."""
+SHAPE_REMAINDER = 5e-4
+"""Part of what a candidate explains that has to be left over (beyond noise) before its shape is looked at."""
 WIDENINGS, WIDER = 3, 5.0
 """How often, and by which factor, the range of a size is widened that a fit ended at the far end of."""
 FINER, FINEST, STEPS_DO = 4, 16, 0.005
@@ -205,10 +207,9 @@ ANOTHER_SHARE = 0.08
 NOTICED_SHARE, NOTICED_OF_LEFT = 0.04, 0.5
 """The same of a second cause that removes at least this part of what is left. Not of a third: beside friction and drag
 of a swinging arm, cogging removed 0.06 of the gap, half of what was left, with evidence of 1.0."""
-SMALL_SHARE, SMALL_OF_LEFT, SMALL_GAP = 5e-4, 0.8, 1.0
-"""The same of one beside a far larger one, if it removes nearly all of what is plainly left (in units of the noise).
-And the part of what a candidate explains that has to be left over, beyond noise, before its shape is looked at: what
-another cause may explain, a shape may as well."""
+SMALL_OF_LEFT, SMALL_GAP = 0.8, 1.0
+"""The same of one beside a far larger one, if it removes nearly all of what is plainly left (in units of the noise),
+however little of the whole that is: a clock 5.9 ms off beside dry friction that lets a drive drift made 0.0002 of it."""
 ONE_CAUSE_GAP = 0.5
 """A smaller gap, in units of a noise that no repeats tell, is no place to look for a second cause."""
 LEAST_SHARE = 0.3

@@ -98,7 +98,7 @@ def _ended(base: Base, screened: Screened, problem: Problem, start: FloatArray) 
 def shaped(base: Base, screened: Screened, threshold: NoiseThreshold) -> Screened:
     """Return the candidate with its shape fitted, if that explains clearly more; else as it was."""
     left = screened.squares - threshold.floor
-    if screened.gain < threshold.gain or left < criteria.SMALL_SHARE * screened.gain:
+    if screened.gain < threshold.gain or left < criteria.SHAPE_REMAINDER * screened.gain:
         return screened
     end = _shape_fitted(base, screened, threshold.floor)
     earned = threshold.log_likelihood(end.gain) - threshold.log_likelihood(screened.gain)

@@ -189,7 +189,7 @@ def least_to_remove(left: ExcessResidual, reference: ExcessResidual, beside: int
     if beside == 1:
         ways.append(max(criteria.NOTICED_SHARE * whole, criteria.NOTICED_OF_LEFT))
     if left.gap >= criteria.SMALL_GAP:
-        ways.append(max(criteria.SMALL_SHARE * whole, criteria.SMALL_OF_LEFT))
+        ways.append(criteria.SMALL_OF_LEFT)
     return min(ways)
 
 
