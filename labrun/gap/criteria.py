@@ -209,7 +209,7 @@ NOTICED_SHARE, NOTICED_OF_LEFT = 0.04, 0.5
 of a swinging arm, cogging removed 0.06 of the gap, half of what was left, with evidence of 1.0."""
 SMALL_OF_LEFT, SMALL_GAP = 0.8, 1.0
 """The same of one beside a far larger one, if it removes nearly all of what is plainly left (in units of the noise),
-however little of the whole that is: a clock 5.9 ms off beside dry friction that lets a drive drift made 0.0002 of it."""
+however little of the whole that is: a clock 5.9 ms off, beside dry friction that a drive lacks, made 0.0002 of it."""
 ONE_CAUSE_GAP = 0.5
 """A smaller gap, in units of a noise that no repeats tell, is no place to look for a second cause."""
 LEAST_SHARE = 0.3

@@ -2,9 +2,13 @@
 
 from types import SimpleNamespace
 
+import numpy as np
+import pytest
+
 from labrun.effects import Scale, load_effect
 from labrun.gap.diagnosis import Name
-from labrun.gap.rating import more_common, rivals_of
+from labrun.gap.held_out import ExcessResidual
+from labrun.gap.rating import least_to_remove, more_common, rivals_of
 
 SCALE = Scale(coordinate=1.0, rate=1.0, acceleration=1.0, force=1.0, signal=1.0, time_s=1.0)
 
@@ -54,3 +58,18 @@ def test_a_gears_efficiency_and_friction_under_load_are_told_beside_each_other()
     level, gear = rated("load-dependent-friction", 1330.0), rated("gear-efficiency", 1471.0)
     assert names(gear, [level]) == ["load-dependent-friction"]
     assert names(level, [gear]) == ["gear-efficiency"]
+
+
+def excess(total: float) -> ExcessResidual:
+    return ExcessResidual(np.array([[total]]), np.ones(1), ())
+
+
+def test_a_second_cause_may_be_half_of_what_the_first_leaves_and_a_third_may_not():
+    whole, left = excess(900.0), excess(63.0)
+    assert least_to_remove(left, whole) == pytest.approx(0.04 * 900 / 63)
+    assert least_to_remove(left, whole, beside=2) == pytest.approx(0.8)
+
+
+def test_however_little_of_the_whole_is_left_what_removes_nearly_all_of_it_is_a_cause():
+    assert least_to_remove(excess(250.0), excess(1.2e6)) == pytest.approx(0.8)
+    assert least_to_remove(excess(0.5), excess(1.2e6)) > 1.0  # no more than a sensor's noise

@@ -43,6 +43,19 @@ stiffness = "stiffness"
 position = "first"
 speed = 0.0
 """
+SPRING = """
+name = "spring"
+inputs = ["position", "speed"]
+[parameters]
+stiffness = { value = 1000.0, tolerance = "free", unit = "N/m" }
+[outputs]
+force = { equation = "stiffness*position - force.spring", unit = "N" }
+[sites.spring]
+kind = "joint"
+coordinate = "position"
+rate = "speed"
+stiffness = "stiffness"
+"""
 
 
 @given(st.floats(0.01, 0.98), st.floats(1e-6, 1e6))
@@ -219,6 +232,34 @@ def test_dry_friction_behind_a_lag_is_not_taken_for_play() -> None:
     assert sizes["coulomb-friction"]["presliding"].value == pytest.approx(4.0 / 8000.0, rel=0.02)
     assert sizes["lag"]["time_constant"].value == pytest.approx(0.06, rel=0.02)
     assert len(sizes) == 2
+
+
+def test_a_loop_of_another_shape_is_one_hysteresis_and_no_second_cause_beside_it() -> None:
+    """A spring pulled to and fro, with a Bouc-Wen loop of exponent 1 whose gamma is 0.8 of beta."""
+    rng = np.random.default_rng(5)
+    time_s = np.arange(0.0, 12.0, 0.02)
+    trials = []
+    for group, amplitude_m in enumerate((2e-3, 4e-3, 8e-3, 12e-3)):
+        position = amplitude_m * np.sin(time_s * (1.0 + 0.1 * time_s))
+        loop = np.zeros_like(time_s)
+        steps = np.diff(np.interp(np.arange(0.0, 12.0, 1e-4), time_s, position))
+        z, fine = 0.0, [0.0]
+        for step in steps.tolist():
+            z += (step - (abs(step) * z + 0.8 * step * abs(z)) / 1.8) / 1e-3
+            fine.append(z)
+        loop = np.interp(time_s, np.arange(len(fine)) * 1e-4, fine)
+        force = 900.0 * position + 2.5 * loop + 1e-3 * rng.standard_normal(len(time_s))
+        inputs = np.column_stack([position, np.gradient(position, time_s)])
+        trials.append(FitTrial(f"{group}", {"test": group}, group + 1, time_s, inputs, force[:, None]))
+    channels = SignalInfo("position", "m", "linear"), SignalInfo("speed", "m/s", "linear")
+    data = Dataset(
+        "spring", Path("spring"), "recording", channels, (SignalInfo("force", "N", "linear"),), tuple(trials)
+    )
+    found = diagnose_dataset(data, parse_model(SPRING, "spring.toml"), QUICK)
+    assert [one.name.effect for one in found.causes] == ["hysteresis"]
+    # the library's loop reaches 2/(1 + gamma) in units of its force
+    assert found.causes[0].values["force"].value == pytest.approx(2.5 * 1.8 / 2, rel=0.03)
+    assert found.causes[0].values["gamma_over_beta"].value == pytest.approx(0.8, abs=0.1)
 
 
 @pytest.mark.slow
