@@ -216,7 +216,7 @@ class OrientationFeedback:
     several: ClassVar[bool] = True
 
     def __init__(self, settings: Mapping[str, Any], units: Mapping[str, str]) -> None:
-        body = checked(OrientationSettings, settings).body
+        self._body = body = checked(OrientationSettings, settings).body
         self.channels: tuple[str, ...] = tuple(f"{body}_{name}" for name in COMPONENTS)
         self.unit = "1"
         missing = [channel for channel in self.channels if channel not in units]
@@ -238,18 +238,18 @@ class OrientationFeedback:
     def __call__(self, history: History, period_s: float | None) -> Numbers:  # noqa: ARG002
         """Return the quaternion. Raises ExperimentError: it has no length."""
         w, x, y, z = [history.newest(channel)[1] for channel in self.channels]
-        return unit_quaternion(w, x, y, z)
+        return unit_quaternion(w, x, y, z, body=self._body)
 
 
-def unit_quaternion(w: float, x: float, y: float, z: float) -> Numbers:
-    """Return the unit quaternion of an orientation, qw >= 0.
+def unit_quaternion(w: float, x: float, y: float, z: float, *, body: str) -> Numbers:
+    """Return the unit quaternion of a body's orientation, qw >= 0.
 
     Raises ExperimentError: no orientation: all four are next to nothing, or one is no number.
     """
     length = (w * w + x * x + y * y + z * z) ** 0.5
     if not length > _LEAST:
         raise ExperimentError(
-            f"the tracker gives no orientation: ({w:g}, {x:g}, {y:g}, {z:g}); it lost the body",
+            f"the tracker lost the body {body}: ({w:g}, {x:g}, {y:g}, {z:g}) is no orientation",
             hint="let it be seen again, then labrun resume",
         )
     length = -length if w < 0.0 else length

@@ -126,8 +126,9 @@ class InlineLearner(Learner):
         if self._due and self._due[0][0] <= now_s:
             _, sample_s, network = self._due.popleft()
             found = self._accepted(network)
-            self.lag_s, self.training_s = now_s - sample_s, self._takes_s
-            self.trainings += 1
+            if found is not None:
+                self.lag_s, self.training_s = now_s - sample_s, self._takes_s
+                self.trainings += 1
         if not self._due and self._waiting and self.alive:
             inputs, outputs = zip(*self._waiting, strict=True)
             self._waiting.clear()

@@ -59,9 +59,10 @@ class Loop:
         self.reference: Callable[[float], Numbers] = make_references(
             name, table.references, condition, len(context.components)
         )
-        controller = controller_of(name, table, condition)
+        self.in_charge = controller_of(name, table, condition)
+        """Name of its controller."""
         self.controller = make_controllers(
-            name, controller, table.controllers[controller], condition, context
+            name, self.in_charge, table.controllers[self.in_charge], condition, context
         )
         self._more = tuple(table.shape.more)
         self.channels = tuple(channel for one in self.feedbacks for channel in one.channels)
@@ -125,7 +126,7 @@ class Loop:
         for variable, value in zip(self.variables, requested, strict=True):
             if not math.isfinite(value):
                 raise ExperimentError(
-                    f"loop {self.name}: its controller asks for {variable} = {value} at {time_s:.3f} s",
+                    f"loop {self.name}: controller {self.in_charge} asks for {variable} = {value} at {time_s:.3f} s",
                     hint="look at its gains or weights, and at the feedback recorded so far",
                 )
         low, high, most = self._low, self._high, self._most

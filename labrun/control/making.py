@@ -18,7 +18,7 @@ from labrun.control.protocol import (
     VectorController,
     VectorStep,
 )
-from labrun.errors import SpecError
+from labrun.errors import PluginError, SpecError
 from labrun.spec import LoopTable, named_channels, resolved_settings
 from labrun.toml import PluginTable, suggest
 
@@ -150,7 +150,7 @@ def _resolved(plugin: Any, table: PluginTable, condition: Condition) -> dict[str
 def _made(what: str, table: PluginTable, make: Any) -> Any:
     try:
         return make()
-    except SpecError as error:
+    except (SpecError, PluginError) as error:
         raise SpecError(f"{what}: {error}") from error
     except (TypeError, ValueError) as error:  # a third party's own way of refusing its keys
         raise SpecError(f'{what}: "{table.plugin}" refuses its keys: {error}') from error

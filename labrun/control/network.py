@@ -245,7 +245,7 @@ def _require_fit(model: LearnedModel, context: LoopContext) -> None:
     missing = [name for name in model.inputs if name not in context.components]
     if missing:
         have = [name for name in context.components if name]
-        near = suggest(missing[0], have, kind="numbers") if have else "its feedback is a single number"
+        near = suggest(missing[0], have, kind="its numbers") if have else "its feedback is a single number"
         raise SpecError(
             f"the loop has no {', '.join(missing)}, which the weights need: {', '.join(model.inputs)}",
             hint=f"choose a feedback with these numbers; {near}",

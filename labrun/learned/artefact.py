@@ -165,10 +165,11 @@ def _model(
         dict(table.get("origin", {})),
     )
     sizes = [len(model.inputs), *(len(bias) for bias in network.biases)]
-    wanted = list(pairwise(sizes))
-    if [one.shape for one in network.weights] != wanted or sizes[-1] != len(model.outputs):
+    shapes = [one.shape for one in network.weights]
+    if not shapes or shapes != list(pairwise(sizes)) or sizes[-1] != len(model.outputs):
+        layers = ", ".join(" x ".join(map(str, shape)) for shape in shapes) or "no layer"
         raise ValueError(
-            f"layers of {sizes} neurons do not lead from {len(model.inputs)} inputs to {len(model.outputs)}"
+            f"weights of {layers} do not lead from {len(model.inputs)} inputs to {len(model.outputs)} outputs"
         )
     scales = [
         len(network.inputs.mean),
@@ -179,9 +180,9 @@ def _model(
     if scales != [len(model.inputs)] * 2 + [len(model.outputs)] * 2:
         raise ValueError("its scaling is of another number of inputs or outputs")
     if not network.finite:
-        raise SpecError(
-            "weights of this learned model are not finite numbers", hint="its training failed: fit it again"
-        )
+        raise ValueError("its weights are not finite numbers: the training failed; fit it again")
+    if not (network.inputs.sound and network.outputs.sound):
+        raise ValueError("its scaling needs finite numbers, and scales above 0; fit it again")
     return model
 
 

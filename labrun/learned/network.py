@@ -41,6 +41,11 @@ class Scaling:
         """Return what `scaled` was given."""
         return scaled * self.scale + self.mean
 
+    @property
+    def sound(self) -> bool:
+        """Whether all its numbers are finite, and every scale above 0."""
+        return bool(np.isfinite(self.mean).all() and np.isfinite(self.scale).all() and (self.scale > 0).all())
+
 
 @dataclass(frozen=True, slots=True)
 class Network:

@@ -73,10 +73,12 @@ def test_numbers_that_do_not_match_are_refused_before_the_first_trial(tmp_path, 
 
 
 def test_an_orientation_is_of_length_one_and_on_one_side():
-    assert unit_quaternion(-2.0, 0.0, 2.0, 0.0) == pytest.approx((0.5**0.5, 0.0, -(0.5**0.5), 0.0))
+    assert unit_quaternion(-2.0, 0.0, 2.0, 0.0, body="eye.lens") == pytest.approx(
+        (0.5**0.5, 0.0, -(0.5**0.5), 0.0)
+    )
 
 
 @pytest.mark.parametrize("lost", [(0.0, 0.0, 0.0, 0.0), (float("nan"), 0.0, 0.0, 1.0)])
 def test_a_loop_on_a_tracker_that_lost_the_body_ends_the_run_and_says_so(lost):
-    with pytest.raises(ExperimentError, match="lost the body"):
-        unit_quaternion(*lost)
+    with pytest.raises(ExperimentError, match=r"lost the body eye\.lens"):
+        unit_quaternion(*lost, body="eye.lens")

@@ -92,7 +92,7 @@ def test_a_network_that_gives_no_number_ends_the_run_with_variable_and_time_name
         }
     )
     loop = Loop("pose", table, [], {}, context(), None)
-    with pytest.raises(ExperimentError, match=r"asks for u = nan at 0\.250 s"):
+    with pytest.raises(ExperimentError, match=r"controller net asks for u = nan at 0\.250 s"):
         loop._feedbacks = (lambda *_: (0.0, 0.0),)
         loop.step(0.25, 0.01, {"u": 0.0, "v": 0.0}, type("H", (), {"newest_s": lambda *_: 0.0})())
 
@@ -120,7 +120,7 @@ def test_weights_that_are_no_numbers_are_not_taken():
     learner.give(0.0, [1e200, 0.0], [0.0, 0.0])  # its square is no number any more
     learner.newest(0.0)
     assert learner.newest(0.02) is None
-    assert not learner.alive
+    assert (learner.alive, learner.trainings) == (False, 0)
     assert "those of the file" in learner.remarks[0]
 
 

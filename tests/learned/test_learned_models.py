@@ -1,6 +1,7 @@
 """Networks as plain arrays: what they compute, how they are stored, and what is refused."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -164,8 +165,18 @@ def test_weights_that_are_no_numbers_and_layers_that_do_not_fit_are_refused(tmp_
     with pytest.raises(SpecError, match="not finite numbers"):
         read_learned(written(tmp_path, model(broken)))
     table = to_table(model())
-    with pytest.raises(SpecError, match="does not hold"):
+    with pytest.raises(SpecError, match=r"weights of 3 x 4, .* do not lead from 1 inputs to 2 outputs"):
         from_table({**table, "inputs": {"a": "1"}})
+    with pytest.raises(SpecError, match="weights of no layer do not lead"):
+        from_table({**table, "weights": [], "biases": []})
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, np.inf, np.nan])
+def test_a_scale_that_cannot_be_divided_by_is_refused(tmp_path, scale):
+    good = deep()
+    broken = replace(good, inputs=replace(good.inputs, scale=np.full(3, scale)))
+    with pytest.raises(SpecError, match=r"net\.toml .* scaling needs finite numbers, and scales above 0"):
+        read_learned(written(tmp_path, model(broken)))
 
 
 def test_a_scaling_that_is_not_that_of_the_weights_is_refused(tmp_path):

@@ -263,12 +263,25 @@ def test_a_chain_can_be_pickled(parallelogram):
         ('"friction"', '"friction + force.left"', "labrun adds the force at every joint"),
         ('left = 0.6', 'lft = 0.6', "there is no state 'lft'"),
         ('left = 0.6', 'left_rate = "rest"', '"rest" is for angles'),
+        ("mass_kg = 0.5", "mass_kg = -0.5", "mass_kg = -0.5: -0.5 kg, and a mass is at least 0"),
+        ("[1e-5, 4e-3, 4e-3]", "[1e-5, 4e-3, 4e-3, 4e-3]", "has this inertia: about its principal axes it is -"),
+        ('axis = [0, 1, 0]\nat_m = [0, 0, "-crank"]', 'axis = [0, "crank - 0.2", 0]', "an axis needs a direction"),
+        ("[1e-5, 4e-3, 4e-3]", '["1e-5/(crank - 0.2)", 4e-3, 4e-3]', "bodies.coupler.inertia_kg_m2"),
     ],
 )  # fmt: skip
 def test_what_does_not_hold_is_told(old, new, said):
     assert old in PARALLELOGRAM
     with pytest.raises(ModelError, match=said.replace("[", r"\[").replace("(", r"\(")):
         parse_model(PARALLELOGRAM.replace(old, new), "chain.toml")
+
+
+def test_an_axis_that_a_condition_leaves_without_direction_is_told():
+    given, tilted = (f'axis = [0, {one}, 0]\nat_m = [0, 0, "-crank"]' for one in ("1", '"tilt"'))
+    assert given in PARALLELOGRAM
+    model = parse_model(PARALLELOGRAM.replace(given, tilted), "chain.toml")
+    assert np.isfinite(model.initial_state({"tilt": 1.0})).all()
+    with pytest.raises(ModelError, match="not determined where the bodies of model parallelogram are"):
+        model.initial_state({"tilt": 0.0})
 
 
 def test_a_joint_without_inertia_ends_the_simulation_and_not_the_process():

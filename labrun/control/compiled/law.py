@@ -19,7 +19,7 @@ from labrun.errors import SpecError
 from labrun.gaits import Steering
 
 _KEPT_SAMPLES = 64
-_HINT = "leave out track.compiled, and the loop is run by Python, which holds some 100 steps a second"
+_HINT = "leave out track.compiled, and the loop is run by Python, which holds some 160 steps a second"
 _ANTI_WINDUP = {"none": 0.0, "conditional": 1.0, "back-calculation": 2.0}
 
 

@@ -20,6 +20,7 @@ from labrun.control.compiled.stepping import (
     UNWATCHED,
     Law,
 )
+from labrun.control.feedbacks import COMPONENTS
 from labrun.control.loop import Loop
 from labrun.control.protocol import Condition
 from labrun.devices import Samples, Trajectory
@@ -288,14 +289,15 @@ def _joined(
 
 def _failure(loop: Loop, status: int | None, time_s: float) -> ExperimentError:
     if status == LOST_ORIENTATION:
+        body = loop.channels[0].removesuffix(f"_{COMPONENTS[0]}")
         return ExperimentError(
-            f"loop {loop.name}: the tracker gives no orientation; it lost the body",
+            f"loop {loop.name}: the tracker lost the body {body} at {time_s:.3f} s",
             hint="let it be seen again, then labrun resume",
         )
     if status is not None and NOT_FINITE <= status < STOPPED:
         variable = loop.variables[status - NOT_FINITE]
         return ExperimentError(
-            f"loop {loop.name}: its controller asks for {variable} = no finite number at {time_s:.3f} s",
+            f"loop {loop.name}: controller {loop.in_charge} asks for {variable} = no finite number at {time_s:.3f} s",
             hint="look at its gains or weights, and at the feedback recorded so far",
         )
     why, hint = _ENDED.get(status or 0, (f"it ended ({status})", "labrun resume goes on"))

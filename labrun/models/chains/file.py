@@ -6,8 +6,10 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Annotated
 
+import numpy as np
 from pydantic import BeforeValidator, Field
 
+from labrun.arrays import FloatArray
 from labrun.effects import Site
 from labrun.models.chains.model import AT_REST, ClosedChain
 from labrun.models.chains.tree import CLOSED, MEASURES, OPENINGS, Tree, functions
@@ -38,6 +40,8 @@ from labrun.models.tables import (
 from labrun.toml import Expression, ExpressionError, KeyPath, Table, suggest
 
 Vector = tuple[Equation, Equation, Equation]
+_ROUNDING = 1e-6
+"""Share of the largest principal moment of inertia by which rounded numbers may leave another below 0."""
 _NOTHING = (Expression.of(0.0),) * 3
 
 
@@ -151,6 +155,7 @@ def chain_model(file: ModelFile) -> ClosedChain:
     known = places | dict.fromkeys(MEASURES, "")
     conditions = conditions_of(file, expressions, known, given.conditions)
     _check_constant(file, settings, places)
+    _check_numbers(file, given, {one.name: one.value for one in parameters})
     file.refuse()
     refuse_unused(file, expressions, parameters, conditions)
 
@@ -317,6 +322,50 @@ def _check_forces(file: ModelFile, expressions: Expressions, joints: Sequence[st
             else:
                 continue
             file.note_in(path, ExpressionError(expression.text, reason, position))
+
+
+def _check_numbers(file: ModelFile, given: ChainFile, known: Mapping[str, float]) -> None:
+    """Note axes without direction and bodies that cannot be, as far as the parameters' values tell."""
+    for name, joint in given.joints.items():
+        for key in ("axis", "axis_in_to"):
+            vector: Vector | None = getattr(joint, key)
+            found = None if vector is None else _valued(file, ("joints", name, key), vector, known)
+            if found is not None and not np.linalg.norm(found) > 0:
+                file.note(("joints", name, key), "an axis needs a direction", "one number of it is not 0")
+    for name, body in given.bodies.items():
+        mass, inertia = body.mass_kg, body.inertia_kg_m2
+        mass_kg = None if mass is None else _valued(file, ("bodies", name, "mass_kg"), mass, known)
+        if mass_kg is not None and mass_kg[0] < 0:
+            file.note(("bodies", name, "mass_kg"), f"{mass_kg[0]:g} kg, and a mass is at least 0")
+        path = ("bodies", name, "inertia_kg_m2")
+        found = None if inertia is None else _valued(file, path, inertia, known)
+        if found is None:
+            continue
+        xx, yy, zz, xy, xz, yz = np.append(found, np.zeros(6 - len(found)))
+        principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if principal[0] < -_ROUNDING * principal[-1]:
+            moments = ", ".join(f"{one:.3g}" for one in principal)
+            hint = "none is below 0; the order is xx, yy, zz, xy, xz, yz"
+            file.note(
+                path, f"no body has this inertia: about its principal axes it is {moments} kg m^2", hint
+            )
+
+
+def _valued(
+    file: ModelFile, path: KeyPath, given: Expression | Sequence[Expression], known: Mapping[str, float]
+) -> FloatArray | None:
+    """Return the numbers of a key; None where they hang on more than is known, or one is none, which is noted."""
+    equations = {path: given} if isinstance(given, Expression) else dict(_vector(path, given))
+    if not known.keys() >= {name for one in equations.values() for name in one.names}:
+        return None
+    found = []
+    for place, one in equations.items():
+        try:
+            found.append(float(one(known)))
+        except ExpressionError as error:
+            file.note_in(place, error)
+            return None
+    return np.array(found)
 
 
 def _check_constant(

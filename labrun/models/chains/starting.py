@@ -71,9 +71,15 @@ def turns(tree: Tree, values: FloatArray, angles: FloatArray) -> FloatArray:
 def closed(tree: Tree, values: FloatArray, angles: FloatArray, held: IntArray) -> FloatArray:
     """Return angles near these at which the loop is closed; those of `held` stay.
 
-    Raises ModelError: the loop stays open.
+    Raises ModelError: the loop stays open, or it is not determined where its bodies are.
     """
-    if tree.first < 0 or np.max(opening(tree, values, angles)) < CLOSED:
+    apart_now = np.max(opening(tree, values, angles))
+    if not np.isfinite(apart_now):
+        raise ModelError(
+            f"it is not determined where the bodies of model {tree.model} are: an axis, a point or an angle is none",
+            hint="look at what [joints] makes of parameters and conditions: an axis needs a direction",
+        )
+    if tree.first < 0 or apart_now < CLOSED:
         return angles
     moving = np.setdiff1d(np.arange(len(angles)), held)
     found = angles.copy()

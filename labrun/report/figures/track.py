@@ -127,7 +127,12 @@ def _draw(view: RunView, panel: _Panel, above: Axes, below: Axes, *, first: bool
                 label=part,
             )
         if len(parts) > 1 and first:
-            axes.legend(loc="upper right", fontsize=6, ncols=len(parts), frameon=False)
+            over = (
+                {"loc": "lower right", "bbox_to_anchor": (1.0, 0.98)}
+                if axes is below
+                else {"loc": "upper right"}
+            )
+            axes.legend(fontsize=6, ncols=len(parts), frameon=False, borderpad=0.0, borderaxespad=0.0, **over)
     if streams:
         whole = streams[0]
         for part in shown:
@@ -204,4 +209,5 @@ def _subtitle(view: RunView, conditions: int, shown: int) -> str:
     text += "; error: angle between feedback and reference" * turned
     text += "; dashed: the reference" * any(tuple(shape.components) != _ORIENTATION for shape in shapes)
     text += ", colours: repeats" * single
+    text += "; ticks: new weights" * any("trainings" in shape.more for shape in shapes)
     return text + (f" (the first {shown} conditions are shown)" if shown < conditions else "")

@@ -4,12 +4,13 @@ import json
 
 import numpy as np
 import pytest
-from labrun_plugins.rigs.six_bar.rest_fit import swing
+from labrun_plugins.rigs.six_bar.rest_fit import swing, swings_of
 from labrun_plugins.rigs.six_bar.scene import SixBar
 
 import labrun
 from labrun.devices import HingeAngle, OrientationAngles, Trajectory
-from labrun.errors import SpecError
+from labrun.errors import FitError, SpecError
+from labrun.fit import FitTrial
 from labrun.models import load_model
 from labrun.spec import shipped_experiments
 
@@ -99,6 +100,17 @@ def test_rest_period_and_decay_of_a_known_swing_are_found():
     angle = -0.15 + 0.05 * np.exp(-0.3 * time_s) * np.cos(2 * np.pi * time_s / 0.42 + 0.7)
     found = swing(time_s, angle)
     assert (found.rest, found.decay, found.period) == pytest.approx((-0.15, 0.3, 0.42), rel=1e-6)
+    assert (found.amplitude, found.noise) == pytest.approx((0.05, 0.0), abs=1e-8)
+
+
+def test_a_trial_without_a_swing_is_no_period():
+    time_s = np.linspace(0.0, 8.0, 2000)
+    noise = np.random.default_rng(0).normal(0.0, 2e-3, (2000, 6))
+    trial = FitTrial("trial 3", {}, 0, time_s, np.empty((2000, 0)), noise)
+    with pytest.raises(
+        FitError, match=r"trial 3, theta_5: after 2 s it swings by .* lost in noise of 0\.002 rad"
+    ):
+        swings_of(trial, 2.0)
 
 
 def test_table_3_3_is_a_tenth_of_a_radian_away_and_joint_4_the_most(tmp_path):

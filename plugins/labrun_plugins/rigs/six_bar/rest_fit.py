@@ -1,5 +1,6 @@
 """The fit ``six-bar-rest``: where the linkage rests, period and decay of its swing, and how well its loop closes."""
 
+import warnings
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -45,16 +46,25 @@ class RestSettings(BaseModel):
     skip_s: NonNegativeFloat = 2.0
 
 
+_LOOK = "look at the trial with labrun show; release the hinge farther from its rest, or lower skip_s"
 _MEASURED = OutputsAlone(tuple(Output(joint, "rad") for joint in _JOINTS))
 
 
 @dataclass(frozen=True)
 class Swing:
-    """``rest + exp(-decay t) (a cos + b sin)(2 pi t / period)``: rad, 1/s, s."""
+    """``rest + exp(-decay t) (a cos + b sin)(2 pi t / period)``: rad, 1/s, s.
+
+    Attributes
+    ----------
+    amplitude, noise
+        At the beginning, and what is left beside the swing (root mean square), rad.
+    """
 
     rest: float
     decay: float
     period: float
+    amplitude: float
+    noise: float
 
 
 class RestFit(WithSettings[RestSettings]):
@@ -70,7 +80,7 @@ class RestFit(WithSettings[RestSettings]):
         RequestError
             A model that has no loop.
         FitError
-            No swing in the data.
+            A trial in which the end-effector does not swing, or by less than the noise.
         """
         data = load_dataset(job.target, _MEASURED, job.signals)
         model = job.model if job.model is not None else load_model("six-bar")
@@ -80,7 +90,7 @@ class RestFit(WithSettings[RestSettings]):
                 hint="experiments/models/six-bar.toml is one",
             )
         job.note("following the swing of every joint")
-        swings = [_swings(trial, self._settings.skip_s) for trial in data.trials]
+        swings = [swings_of(trial, self._settings.skip_s) for trial in data.trials]
         rest = np.array([[one.rest for one in own] for own in swings])
         parameters = {
             f"rest_{joint}": mean_estimate(rest[:, column], "rad") for column, joint in enumerate(_JOINTS)
@@ -107,27 +117,44 @@ def swing(time_s: FloatArray, angle: FloatArray) -> Swing:
     frequencies = np.fft.rfftfreq(len(middle), float(np.mean(np.diff(time_s))))
     begin = 2 * np.pi * frequencies[1 + int(np.argmax(spectrum[1:]))]
     t = time_s - time_s[0]
+    start = [float(angle.mean()), 0.3, begin, float(np.ptp(angle)) / 2, 0.0]
     try:
-        found, _ = curve_fit(
-            _decaying, t, angle, [float(angle.mean()), 0.3, begin, float(np.ptp(angle)) / 2, 0.0], maxfev=4000
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", OptimizeWarning)
+            found, _ = curve_fit(_decaying, t, angle, start, maxfev=4000)
     except (RuntimeError, OptimizeWarning) as error:
         raise FitError(f"no decaying oscillation is found: {error}") from error
-    return Swing(float(found[0]), float(found[1]), float(2 * np.pi / abs(found[2])))
+    rest, decay, speed, a, b = found.tolist()
+    noise = float(np.sqrt(np.mean((angle - _decaying(t, *found)) ** 2)))
+    return Swing(rest, decay, 2 * np.pi / abs(speed), float(np.hypot(a, b)), noise)
 
 
 def _decaying(t: FloatArray, rest: float, decay: float, speed: float, a: float, b: float) -> FloatArray:
     return np.asarray(rest + np.exp(-decay * t) * (a * np.cos(speed * t) + b * np.sin(speed * t)))
 
 
-def _swings(trial: FitTrial, skip_s: float) -> list[Swing]:
+def swings_of(trial: FitTrial, skip_s: float) -> list[Swing]:
+    """Return the swing of every joint after `skip_s`. Raises FitError: those of the end-effector cannot be told."""
     late = trial.time_s >= trial.time_s[0] + skip_s
     if np.count_nonzero(late) < 100:
         raise FitError(
             f"{trial.label} has nothing left after its first {skip_s:g} s",
             hint="record longer, or set skip_s",
         )
-    return [swing(trial.time_s[late], trial.outputs[late, column]) for column in range(len(_JOINTS))]
+    found = []
+    for joint, angle in zip(_JOINTS, trial.outputs[late].T, strict=True):
+        try:
+            own = swing(trial.time_s[late], angle)
+        except FitError as error:
+            raise FitError(f"{trial.label}, {joint}: {error}", hint=_LOOK) from error
+        if joint in _SWINGING and not own.amplitude > own.noise:
+            raise FitError(
+                f"{trial.label}, {joint}: after {skip_s:g} s it swings by {own.amplitude:.2g} rad, which is lost in "
+                f"noise of {own.noise:.2g} rad",
+                hint=_LOOK,
+            )
+        found.append(own)
+    return found
 
 
 def _closures(model: ClosedChain, data: Dataset, rest: FloatArray) -> tuple[str, ...]:
