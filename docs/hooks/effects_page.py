@@ -60,6 +60,7 @@ def entry(effect: Effect) -> str:
     if effect.signals > 1:
         needs.append(f"{effect.signals} {effect.kind}s")
     rows = "\n".join(_row(effect, one) for one in effect.parameters)
+    article = "an" if effect.kind[0] in "aeiou" else "a"
     return "\n\n".join(
         [
             heading,
@@ -68,7 +69,7 @@ def entry(effect: Effect) -> str:
             "| parameter | unit | bounds | times typical | neutral | starts |\n|---|---|---|---|---|---|\n"
             + rows,
             f"Source: {effect.source}.",
-            f"![{effect.id} at a {effect.kind} site: the output without it and at two sizes, and the change]"
+            f"![{effect.id} at {article} {effect.kind} site: the output without it and at two sizes, and the change]"
             f"(images/effects/{effect.kind}-{effect.id}.png)",
         ]
     )

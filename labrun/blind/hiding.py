@@ -224,6 +224,8 @@ def candidates(scene: HidingScene, model: Model, *, tared: bool) -> list[tuple[E
                 continue  # what the next signal is depends on the order of all
             if effect.needs_acceleration and site.rate not in model.states:
                 continue  # the model could not say what the acceleration is
+            if effect.ahead:
+                continue  # a bench goes step by step: it would hide the slope of what it cannot know yet
             if effect.id == "drift" and not tared:
                 continue  # it runs for as long as the run: without a tare it would be a step between trials
             found.append((effect, site))

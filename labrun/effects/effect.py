@@ -224,7 +224,7 @@ class Effect:
     memory
         Numbers a filter keeps: given its values and the shortest step in s.
     ahead
-        Of a filter of outputs: the parameter that says how much later the signal is to be read. Where its whole course
+        Of a filter: the parameter that says how much later the signal is to be read. Where its whole course
         is known that is done exactly; `function` is what a bench that goes step by step does instead.
     needs
         What a site must declare for it; `unless` what makes it needless there.

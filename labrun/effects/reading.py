@@ -179,7 +179,7 @@ def _effects(id_: str, entry: _Entry, origin: str) -> Iterator[Effect]:
             source=entry.source,
             states=entry.states if isinstance(entry.states, int) else len(entry.states),
             memory=_imported(entry.memory) if entry.memory else None,
-            ahead=entry.ahead if kind == "output" else "",
+            ahead=entry.ahead,
             needs=needs,
             unless=entry.unless,
             needs_acceleration="acceleration" in used,

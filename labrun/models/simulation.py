@@ -4,10 +4,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect
@@ -16,6 +16,8 @@ from labrun.models.layout import Drive, drive, filters, law_values, layout
 from labrun.models.model import Condition, Model
 
 _MOST_SUBSTEPS = 256
+_ROUNDING, _ROUNDING_S = 1e-9, 1e-10
+"""Shares of a signal, and times of its jumps, that are less apart are the same: areas and times are sums of many."""
 
 
 @dataclass(frozen=True)
@@ -261,15 +263,11 @@ def _integrated(
     found = layout(model, effects)
     laws, own = found.forces, len(model.states)
     u, u_last, steps_s = driven.u, driven.u_last, driven.steps_s
-    if found.before:
-        from labrun.models.engine import filter_inputs
-
-        shortest = float(steps_s.min()) if steps_s.size else 1.0
-        before = filters(model, effects, found.before, shortest / 2)
-        # one more step, over which the last sample is held, tells what the filters make of the last sample
-        u = np.concatenate([u, np.broadcast_to(u_last, (1, 3, u_last.size))])
-        filter_inputs(u, np.append(steps_s, shortest), *before, False)
-        u, u_last = u[:-1], u[-1, 0].copy()
+    for ahead, group in groupby(found.before, lambda one: bool(effects[one].effect.ahead)):
+        if ahead:
+            u = _inputs_ahead(model, u, u_last, steps_s, [effects[one] for one in group])
+        else:
+            u, u_last = _filter_inputs(model, u, u_last, steps_s, effects, tuple(group))
 
     rows = steps_s.size // every + 1
     states = np.empty((rows, own + laws.states))
@@ -284,6 +282,84 @@ def _integrated(
     if written < rows:
         states[written:], outputs[written:] = np.nan, np.nan
     return Unfiltered(driven, outputs, states[:, :own] if laws.states else states, written, every)
+
+
+def _filter_inputs(
+    model: Model,
+    u: FloatArray,
+    u_last: FloatArray,
+    steps_s: FloatArray,
+    effects: Sequence[AttachedEffect],
+    chosen: tuple[int, ...],
+) -> tuple[FloatArray, FloatArray]:
+    """Return inputs (steps, 3, inputs), and what they are at the last sample, behind filters."""
+    from labrun.models.engine import filter_inputs
+
+    shortest = float(steps_s.min()) if steps_s.size else 1.0
+    before = filters(model, effects, chosen, shortest / 2)
+    # one more step, over which the last sample is held, tells what the filters make of the last sample
+    u = np.concatenate([u, np.broadcast_to(u_last, (1, 3, u_last.size))])
+    filter_inputs(u, np.append(steps_s, shortest), *before, False)
+    return u[:-1], u[-1, 0].copy()
+
+
+def _inputs_ahead(
+    model: Model, u: FloatArray, u_last: FloatArray, steps_s: FloatArray, effects: Sequence[AttachedEffect]
+) -> FloatArray:
+    """Return inputs (steps, 3, inputs) that are what they were some time later; the last sample stands from then on.
+
+    As behind a filter, the middle of each step is moved so that the mean over it is right, by Simpson's rule: a jump
+    within a step is not lost.
+    """
+    if not steps_s.size:
+        return u
+    u = u.copy()
+    names = [one.name for one in model.inputs]
+    edges_s = np.concatenate([[0.0], np.cumsum(steps_s)])
+    for one in effects:
+        place, lead_s = names.index(one.site), one.named_values[one.effect.ahead]
+        course = _Pieces(u[:, :, place], float(u_last[place]), steps_s, lead_s)
+        begin, until_begin = course.at(edges_s[:-1] + lead_s, "right")
+        end, until_end = course.at(edges_s[1:] + lead_s, "left")
+        middle = course.at(edges_s[:-1] + 0.5 * steps_s + lead_s, "left")[0]
+        mean = (until_end - until_begin) / steps_s
+        jumps = course.jumps_within(edges_s[:-1] + lead_s, edges_s[1:] + lead_s)
+        moved = np.where(jumps, (6.0 * mean - begin - end) / 4.0, middle)
+        # the integrator takes two steps as one where the signal does not jump between them: to the last bit
+        rounding = _ROUNDING * np.max(np.abs(u[:, :, place]))
+        end[:-1] = np.where(np.abs(end[:-1] - begin[1:]) > rounding, end[:-1], begin[1:])
+        u[:, :, place] = np.column_stack([begin, moved, end])
+    return u
+
+
+class _Pieces:
+    """A signal of straight pieces, two to each step (steps, 3), which may jump between them; its last value stands."""
+
+    def __init__(self, u: FloatArray, last: float, steps_s: FloatArray, beyond_s: float) -> None:
+        self._begin = np.append(u[:, :2].ravel(), last)
+        self._end = np.append(u[:, 1:].ravel(), last)
+        self._long_s = np.append(np.repeat(0.5 * steps_s, 2), 2.0 * beyond_s + 1.0)
+        self._since_s = np.concatenate([[0.0], np.cumsum(self._long_s)[:-1]])
+        areas = 0.5 * (self._begin + self._end) * self._long_s
+        self._area = np.concatenate([[0.0], np.cumsum(areas)[:-1]])
+
+    def jumps_within(self, begin_s: FloatArray, end_s: FloatArray) -> NDArray[np.bool_]:
+        """Tell where it jumps between two times."""
+        jumps_s = self._since_s[1:][self._begin[1:] != self._end[:-1]]
+        before, until = (
+            np.searchsorted(jumps_s, one) for one in (begin_s + _ROUNDING_S, end_s - _ROUNDING_S)
+        )
+        return np.asarray(until > before)
+
+    def at(self, time_s: FloatArray, side: Literal["left", "right"]) -> tuple[FloatArray, FloatArray]:
+        """Return value and integral at some times; of a jump there the value before it ("left") or after it."""
+        near_s = time_s + (_ROUNDING_S if side == "right" else -_ROUNDING_S)
+        piece = np.clip(np.searchsorted(self._since_s, near_s, side=side) - 1, 0, len(self._begin) - 1)
+        share = (time_s - self._since_s[piece]) / self._long_s[piece]
+        rise = self._end[piece] - self._begin[piece]
+        value = self._begin[piece] + share * rise
+        area = share * (self._begin[piece] + 0.5 * share * rise) * self._long_s[piece]
+        return value, self._area[piece] + area
 
 
 def site_course(

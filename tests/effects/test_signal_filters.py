@@ -44,6 +44,31 @@ def test_an_early_clock_shows_what_the_output_is_that_much_later(lead, substeps)
     assert last == pytest.approx(np.sin(5 * TIME[-1]), abs=0.06), "beyond the end it goes on straight"
 
 
+@given(lead=st.floats(0.0, 0.1), substeps=st.integers(1, 4))
+@settings(max_examples=25, deadline=None)
+def test_a_held_signal_may_be_stamped_late_by_a_part_of_a_step(lead, substeps):
+    held = np.where(TIME >= 1.0, 1.0, 0.0)
+    found = _summed(named("late-clock", "input", "u", lead=lead), held, substeps)
+    tolerance = 1e-9 if substeps == 1 else 0.02 / 30  # as for a delay
+    assert found == pytest.approx(TIME[-1] - 1.0 + lead, abs=tolerance)
+
+
+@given(lead=st.floats(0.0, 0.1))
+@settings(max_examples=25, deadline=None)
+def test_a_late_clock_shows_what_the_input_is_that_much_later_and_its_last_value_stands(lead):
+    found = _through(named("late-clock", "input", "u", lead=lead))
+    assert found == pytest.approx(np.interp(TIME + lead, TIME, WAVE[:, 0]), abs=1e-9)
+
+
+def test_filters_around_a_late_clock_act_in_their_order():
+    late, delay = named("late-clock", "input", "u", lead=0.05), named("delay", "input", "u", delay=0.05)
+    bias = named("bias", "input", "u", offset=1.0)
+    found = simulate(THROUGH, TIME, WAVE, effects=[delay, bias, late], substeps=2).outputs
+    inside = TIME[-1] > TIME + 0.05
+    assert found[inside, 0] == pytest.approx(WAVE[inside, 0] + 1.0, abs=1e-9)
+    assert np.array_equal(found[:, 1], WAVE[:, 1])
+
+
 def test_filters_after_an_early_clock_see_what_it_makes():
     early, gain = (
         named("early-clock", "output", "y", lead=0.07),

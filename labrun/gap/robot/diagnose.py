@@ -28,6 +28,8 @@ IN_THE_ROBOT: Mapping[str, Mapping[str, str]] = {
     "payload": {"tip_load": "mass", "tip_load_x": "x", "tip_load_y": "y", "tip_load_z": "z"},
 }
 """Their parameters in the model of the whole robot, and what these are called in the effect."""
+_CLOCKS = ("early-clock", "late-clock")
+"""Of an encoder, and of its goals: beside the other, one is the other."""
 _MOST_SUBSTEPS = 16
 _HALF = 0.5
 
@@ -301,7 +303,7 @@ def _announced(answer: Diagnosis, smoothing: float, step_s: float) -> Diagnosis:
         )
         below = f"{answer.gap.recalibrated:.2g} of the noise: not announced below {least:.2g}"
     elif answer.causes and all(
-        cause.name.effect == "early-clock" and cause.values["lead"].value < step_s for cause in answer.causes
+        cause.name.effect in _CLOCKS and cause.values["lead"].value < step_s for cause in answer.causes
     ):
         sentence = "Recalibrated, the joint moves as measured, but for less than a time step of the file."
         below = (

@@ -470,8 +470,10 @@ def integrate(
         if step == count:
             break
         h = steps_s[step]
-        # inputs jump between samples only, unless a filter lets a jump through late
-        double = paired and _equal(offset(begin, 2 * inputs), offset(begin, 3 * inputs), inputs)
+        # inputs jump between samples only, unless a filter lets a jump through late; the step after it has no partner
+        double = (
+            paired and step % 2 == 0 and _equal(offset(begin, 2 * inputs), offset(begin, 3 * inputs), inputs)
+        )
         if total > 0 and double:
             fifth_order(t, 2.0 * h, begin, inputs, now, work, system, loaded)
         elif total > 0:
