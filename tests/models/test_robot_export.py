@@ -150,11 +150,13 @@ def test_what_has_no_word_in_mjcf_is_listed_with_its_law(tmp_path):
     (tmp_path / "corrected.toml").write_text(
         'base = "arm.xml"\n[[effects]]\neffect = "cubic-stiffness"\nsite = "shoulder"\nkind = "joint"\n'
         'values = { coefficient = 2.0 }\n[[effects]]\neffect = "delay"\nsite = "shoulder"\nkind = "output"\n'
-        "values = { delay = 0.01 }\n"
+        'values = { delay = 0.01 }\n[[effects]]\neffect = "late-clock"\nsite = "shoulder_command"\nkind = "input"\n'
+        "values = { lead = 0.03 }\n"
     )
-    law, sensor = mjcf_of(load_model(tmp_path / "corrected.toml")).left
+    law, sensor, clock = mjcf_of(load_model(tmp_path / "corrected.toml")).left
     assert "cubic-stiffness at shoulder has no word in MJCF: F = -coefficient*q^3 with coefficient = 2" in law
     assert "belongs to the sensor" in sensor
+    assert "late-clock at shoulder_command is a clock of the log, and no part of the robot" in clock
 
 
 def test_a_body_that_is_heavier_turns_less_easily_in_proportion_and_is_told_by_its_mass(tmp_path):

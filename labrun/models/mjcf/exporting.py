@@ -191,7 +191,11 @@ def _law(effect: AttachedEffect) -> str:
     values = ", ".join(f"{name} = {value:.6g}" for name, value in effect.named_values.items())
     form = getattr(effect.effect, "form", "")
     where = (
-        "belongs to the sensor, not to the robot" if effect.effect.kind == "output" else "has no word in MJCF"
+        "is a clock of the log, and no part of the robot"
+        if effect.effect.ahead
+        else "belongs to the sensor, not to the robot"
+        if effect.effect.kind == "output"
+        else "has no word in MJCF"
     )
     return f"{effect.effect.id} at {effect.site} {where}: {form}{' with ' if form else ''}{values}"
 
