@@ -13,7 +13,7 @@ from labrun.errors import SpecError
 from labrun.learned import LearnedModel, Network, from_table, load_inverse, read_learned, to_table
 from labrun.toml import Table, checked, suggest
 
-_KEPT_SAMPLES = 64
+KEPT_SAMPLES = 64
 """Newest samples of the measured drives, between which the moment of a feedback is found."""
 
 
@@ -165,7 +165,7 @@ class _Learning:
         self._order, self.every = order, table.every
         self._nominal = load_inverse(model.added_to) if model.added_to else None
         self._steps = 0
-        self._recent: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=_KEPT_SAMPLES)
+        self._recent: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=KEPT_SAMPLES)
         self.ridge, self.history_s = table.ridge, history_s
         self.window = max(8, round(history_s / (context.period_s * table.every))) if history_s else None
         task = LearnerTask(model.network, self.window, table.ridge)

@@ -110,6 +110,7 @@ def _written(figure: Figure, kind: str, metadata: dict[str, None]) -> bytes:
         engine = figure.get_layout_engine()
         if engine is not None:  # savefig would draw everything once more to lay it out
             engine.execute(figure)
+            engine.execute(figure)  # other heights have other ticks, whose numbers may be longer
             figure.set_layout_engine(None)
         figure.savefig(buffer, dpi=DPI, format=kind, metadata=metadata)
     return buffer.getvalue()

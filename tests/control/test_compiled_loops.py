@@ -161,7 +161,7 @@ def test_a_body_that_is_lost_leaves_the_command_where_it_is():
 
 def test_what_has_no_compiled_form_is_refused_in_words():
     with pytest.raises(SpecError, match="a gait that moves by itself, or bends"):
-        straight_gait(lambda t, values: np.sin(values["u"] + t)[:, None], ["u"])
+        straight_gait(lambda t, values: np.sin(values["u"] + t)[:, None], ["u"], (-1.0, 1.0))
     ahead = FeedforwardPid({"model": {"gain": 2.0}}, context())
     with pytest.raises(SpecError, match="network, inverse and pid have a compiled form"):
         law_of(OneForEach([ahead, ahead]), context(), wiring(), CHANNELS)
@@ -169,6 +169,21 @@ def test_what_has_no_compiled_form_is_refused_in_words():
         wiring_of([object()], context(), CHANNELS, {}, 1.0, np.eye(2, 3), NO_LIMITS)
 
 
+@pytest.mark.parametrize(
+    "angle",
+    [
+        lambda t, u: u + (t > 20.0),
+        lambda t, u: u * (1.0 + (t > 20.0)),
+        lambda t, u: np.clip(u, -10.0, 10.0),
+    ],
+)
+def test_a_gait_that_moves_late_or_bends_far_out_is_not_straight(angle):
+    with pytest.raises(SpecError, match="a gait that moves by itself, or bends"):
+        straight_gait(lambda t, v: angle(t, v["u"])[:, None], ["u"], (-60.0, 60.0))
+
+
 def test_a_straight_gait_is_its_slopes_and_its_constant():
-    found = straight_gait(lambda t, v: np.column_stack([0.1 + 2.0 * v["u"], v["v"] - v["u"]]), ["u", "v"])
+    found = straight_gait(
+        lambda t, v: np.column_stack([0.1 + 2.0 * v["u"], v["v"] - v["u"]]), ["u", "v"], (-60.0, 60.0)
+    )
     assert found == pytest.approx(np.array([[2.0, 0.0, 0.1], [-1.0, 1.0, 0.0]]))

@@ -11,14 +11,14 @@ from labrun.control.compiled.stepping import AFFINE, PID, Affine, Law, Pid, Wiri
 from labrun.control.feedbacks import LatestFeedback, OrientationFeedback
 from labrun.control.inverse import InverseController
 from labrun.control.making import OneForEach
-from labrun.control.network import NetworkController
+from labrun.control.network import KEPT_SAMPLES, NetworkController
 from labrun.control.pid import PidController
 from labrun.control.protocol import Feedback, LoopContext
 from labrun.devices import Limits
 from labrun.errors import SpecError
 from labrun.gaits import Steering
 
-_KEPT_SAMPLES = 64
+_LONGEST_S, _LOOK_S = 3600.0, 0.25
 _HINT = "leave out track.compiled, and the loop is run by Python, which holds some 160 steps a second"
 _ANTI_WINDUP = {"none": 0.0, "conditional": 1.0, "back-calculation": 2.0}
 
@@ -122,19 +122,21 @@ def wiring_of(
     )
 
 
-def straight_gait(steering: Steering, drives: Sequence[str]) -> FloatArray:
+def straight_gait(steering: Steering, drives: Sequence[str], within: tuple[float, float]) -> FloatArray:
     """Return the angles of a gait that is straight in its drives at all times, (joints, drives + 1), rad.
 
-    Raises SpecError: it is not: its angles depend on time, or bend.
+    Looked at every 0.25 s of an hour, with drives all over their range `within`. Raises SpecError: it is not: its
+    angles depend on time, or bend.
     """
-    probes = np.vstack([np.zeros(len(drives)), np.eye(len(drives)), np.full(len(drives), 0.37)])
-    times = np.linspace(0.0, 7.3, len(probes))
+    probes = np.vstack([np.zeros(len(drives)), np.eye(len(drives))])
     values = {name: probes[:, column] for column, name in enumerate(drives)}
-    found = np.array(steering(times, values), dtype=float)
-    constant, slopes = found[0], found[1:-1] - found[0]
-    other = np.array(steering(times[::-1].copy() + 0.9, values), dtype=float)
-    straight = np.allclose(found[-1], constant + probes[-1] @ slopes, atol=1e-9)
-    if not straight or not np.allclose(found, other, atol=1e-9):
+    found = np.array(steering(np.zeros(len(probes)), values), dtype=float)
+    constant, slopes = found[0], found[1:] - found[0]
+    later_s = np.arange(0.0, _LONGEST_S, _LOOK_S)
+    low, high = within
+    here = low + 0.5 * (high - low) * (1.0 + np.sin(np.outer(later_s, np.sqrt(1.0 + np.arange(len(drives))))))
+    later = np.array(steering(later_s, dict(zip(drives, here.T, strict=True))), dtype=float)
+    if not np.allclose(later, constant + here @ slopes, atol=1e-9):
         raise refusal("a gait that moves by itself, or bends: each joint is a sum of drives times a number")
     return np.column_stack([slopes.T, constant])
 
@@ -189,8 +191,8 @@ def _affine(weights: FloatArray, order: Sequence[int], places: Sequence[int], wi
         none,
         none.copy(),
         np.ones(outs),
-        np.zeros(_KEPT_SAMPLES),
-        np.zeros((_KEPT_SAMPLES, outs)),
+        np.zeros(KEPT_SAMPLES),
+        np.zeros((KEPT_SAMPLES, outs)),
         np.array([-math.inf, 0.0]),
         np.zeros(6, dtype=np.int64),
         0.0,

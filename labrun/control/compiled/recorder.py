@@ -1,4 +1,4 @@
-"""Records trials of a compiled loop: in simulated time, or in a process of its own on a bench."""
+"""Records trials of a compiled loop: in simulated time, or in a thread of its own on a bench."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -149,7 +149,7 @@ class CompiledLoopRecorder(ClosedLoopRecorder):
         wiring = wiring_of(
             loop.feedbacks, context, channels, tare,
             math.inf if table.slew_per_s is None else table.slew_per_s * period_s,
-            straight_gait(steering, list(track.steered)), limits,
+            straight_gait(steering, list(track.steered), (context.low, context.high)), limits,
         )  # fmt: skip
         return law_of(loop.controller, context, wiring, channels)
 
@@ -166,6 +166,7 @@ class CompiledLoopRecorder(ClosedLoopRecorder):
         recording.begin(start_s, lambda: _joined(sent, motion.trajectory, start_s))
         run.take_over()
         end_s = start_s + motion.duration_s + TAIL_S
+        taken = 0
         while run.now_s < end_s:
             result = run.block(end_s, loop.reference)
             sent.append((result.time_s, result.goals))
@@ -175,8 +176,9 @@ class CompiledLoopRecorder(ClosedLoopRecorder):
             none = np.zeros(len(records))
             timing = np.column_stack([records[:, 1], np.full(len(records), np.nan), none, none])
             self._keep(recording, loop, start_s + records[:, 0], records[:, 2:], timing)
+            taken += len(records)
             if result.status != GOOD:
-                raise _failure(loop, result.status, float(len(result.records)) * period_s)
+                raise _failure(loop, result.status, taken * period_s)
 
     def _in_real_time(self, recording: TrialRecording, loop: Loop, law: Law) -> None:
         bench, motion, clock = recording.bench, recording.motion, recording.bench.clock

@@ -9,12 +9,13 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from labrun_plugins.rigs.spherical_mechanism.spiral import Spiral
 from typer.testing import CliRunner
 
 from labrun.app.run import run
 from labrun.cli.app import app
 from labrun.errors import LabrunError
-from labrun.learned import files_of, read_learned
+from labrun.learned import Network, Scaling, files_of, read_learned
 from labrun.store import open_run
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
@@ -121,6 +122,34 @@ def test_a_network_that_returns_no_number_ends_the_run_by_the_name_of_its_drive_
     with warnings.catch_warnings(), pytest.raises(LabrunError, match="asks for theta_1 = "):
         warnings.simplefilter("error")
         run(file, dry_run=True, seed=1, overrides=overrides, results=tmp_path / "results")
+
+
+def test_a_loop_that_fails_later_says_when(tmp_path):
+    """Its blocks of 0.2 s are nobody's times: told is the time of the trial."""
+    shutil.copyfile(TRANSFER, tmp_path / "spm-transfer.toml")
+    shutil.copytree(EXPERIMENTS / "models", tmp_path / "models")
+    model = read_learned(EXPERIMENTS / "models" / "mlp-ik.toml")
+    weight, fine, most = np.zeros((4, 2)), 1e-3, 0.018
+    weight[1] = np.finfo(float).max * fine / most  # beyond what a float holds once qx leaves +-most
+    network = Network(
+        (weight,), (np.zeros(2),), "identity", Scaling(np.zeros(4), np.full(4, fine)), Scaling(np.zeros(2), np.ones(2))
+    )  # fmt: skip
+    for name, content in files_of(replace(model, network=network), "mlp-ik").items():
+        (tmp_path / "models" / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    time_s = np.arange(0, 3, 1 / 125)
+    qx = np.array([Spiral({}, {})(one)[1] for one in time_s])
+    expected = time_s[np.argmax(np.abs(qx) > most)]
+    assert expected > 0.4
+    changes = ["trial.duration_s=3", "objectives={}", "track.rate_hz=125", "track.compiled=true", CONDITION]
+    changes.append('track.loops.pose.controllers.mlp-ik={ plugin = "network", model = "models/mlp-ik.toml" }')
+    with pytest.raises(LabrunError, match=rf"controller mlp-ik asks for theta_1 = .* at {expected:.3f} s"):
+        run(
+            tmp_path / "spm-transfer.toml",
+            dry_run=True,
+            seed=1,
+            overrides=changes,
+            results=tmp_path / "results",
+        )
 
 
 @pytest.mark.parametrize("fault", ["lose_after_s", "stop_answering_after_s"])
