@@ -219,7 +219,8 @@ class FitSummary:
         for name, value in self.rmse.items():
             lines.append(f"    {name}: {value:.4g} {self.rmse_units.get(name, '')}".rstrip())
         for table in self.tables:
-            lines += table.lines()
+            block = table.lines()
+            lines += block[1:] if lines[-1] == block[0] == "" else block
         lines += _sentences(self.findings, self.warnings, width)
         if self.figure is not None:
             lines += ["", f"  figure: {self.figure}"]

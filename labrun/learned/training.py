@@ -59,7 +59,7 @@ class SlidingAffine:
         self._window = window
         size, out = self._w0.shape
         self._gram, self._moment = np.zeros((size, size)), np.zeros((size, out))
-        capacity = 1024 if window is None else window
+        capacity = window or 0  # what counts for ever is never taken out again
         self._z, self._e = np.empty((capacity, size)), np.empty((capacity, out))
         self.count = 0
         """Samples taken so far."""

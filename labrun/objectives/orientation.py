@@ -63,7 +63,7 @@ class EulerError:
 
 
 class RecoveryTimeSettings(EulerErrorSettings):
-    """Keys of `euler-recovery`: those of `euler-error`, and what counts as recovered.
+    """Keys of `recovery-time`: those of `euler-error`, and what counts as recovered.
 
     Attributes
     ----------

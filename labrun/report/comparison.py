@@ -49,12 +49,15 @@ def comparison_text(comparison: Comparison, width: int) -> str:
     lines += [f"  {line}" for line in aligned(rows, words=2 if several else 1)]
     if len(comparison.points) > len(shown):
         lines.append(f"  and {len(comparison.points) - len(shown)} more")
-    lines += ["", "  root mean square of measured - predicted"]
-    units = comparison.units()
-    for channel, value in comparison.rmse().items():
-        lines.append(
+    units, errors = comparison.units(), comparison.rmse()
+    if len(comparison.points) > len(errors) or len(comparison.points) > len(
+        shown
+    ):  # else they stand above already
+        lines += ["", "  root mean square of measured - predicted"]
+        lines += [
             f"    {channel}: {quantity_text(value, units[channel])}, {_at_worst(comparison, channel)}"
-        )
+            for channel, value in errors.items()
+        ]
     sentences = [_verdict(comparison), *_over_channels(comparison), *comparison.notes]
     lines.append("")
     for sentence in sentences:
