@@ -15,6 +15,7 @@ from labrun.report.text import (
     aligned,
     condition_text,
     counted,
+    label,
     percent,
     quantity_text,
     spaced,
@@ -205,6 +206,7 @@ def _condition_panel(pairs: Sequence[Pair]) -> Panel:
         ticks = tuple(told) if len(pairs) <= _MOST_TICKS else ()
     measured = np.array([float(pair.measured[0]) for pair in pairs])
     predicted = np.array([float(pair.predicted[0]) for pair in pairs])
+    named = [along] if along is not None else [] if names else list(first.condition)
     line = along is not None and all(after > before for before, after in pairwise(places))
     return Panel(
         (
@@ -212,7 +214,7 @@ def _condition_panel(pairs: Sequence[Pair]) -> Panel:
             Curve(places, predicted, "fitted", "predicted", kind="line" if line else "points"),
         ),
         title=first.channel,
-        x_label=spaced(along or "" if names else ", ".join(first.condition)),
+        x_label=", ".join(label(name, {}) for name in named),
         y_label=with_unit(first.channel, first.unit),
         zero=True,
         ticks=ticks,

@@ -218,6 +218,12 @@ def test_channels_with_a_point_each_stand_side_by_side_in_one_panel(tmp_path):
     assert predicted.y == pytest.approx([pair.predicted[0] for pair in found.pairs])
 
 
+def test_an_axis_of_conditions_has_the_unit_that_their_name_ends_with(tmp_path):
+    found = labrun.compare("table-7-2", "table-7-2-simulated", results=tmp_path).comparison
+    panels = [panel for row in comparison_figure(found).rows for stack in row for panel in stack.panels]
+    assert {panel.x_label for panel in panels} == {"frequency (Hz)"}
+
+
 def test_a_misspelt_recording_is_told_its_name():
     with pytest.raises(RequestError) as told:
         labrun.compare("tabel-5-2")
