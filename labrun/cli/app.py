@@ -2,14 +2,28 @@
 
 import gc
 import os
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from labrun.cli import data, experiment, fit, gap, workspace
 
+
+class _Commands(TyperGroup):
+    """All commands; what was typed wrong is told without the library's own words."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")  # of pydantic, which typer asks
+            raise
+
+
 app = typer.Typer(
     name="labrun",
+    cls=_Commands,
     help="Say why a simulation disagrees with a robot bench, and run the experiments that show it:\n"
     "settled, repeated trials by sweep or CMA-ES, every sample kept, models fitted with their uncertainty;\n"
     "on the bench, or without one (--dry-run).\n\n"

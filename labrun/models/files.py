@@ -18,7 +18,7 @@ from labrun.models.chains.file import chain_model
 from labrun.models.chains.model import AT_REST, ClosedChain
 from labrun.models.equations import equations_model, initial_of, read_effects
 from labrun.models.mjcf.file import mujoco_model
-from labrun.models.mjcf.robot import is_robot, read_robot
+from labrun.models.mjcf.robot import is_robot, model_files_like, read_robot
 from labrun.models.model import Model, Origin
 from labrun.models.tables import BasedFile, ModelFile
 from labrun.toml import KeyPath, locate, replaced, suggest
@@ -69,7 +69,8 @@ def load_model(source: str | Path, depth: int = 0) -> Model:
             f"a file of Python such as {name} holds many things", hint=_PYTHON.format(Path(name).stem)
         )
     known = [*shipped_models(), *registry.names(_GROUP)]
-    raise ModelError(f"there is no model {name!r}", hint=suggest(name, known))
+    files = model_files_like(Path(name))
+    raise ModelError(f"there is no model {name!r}", hint=suggest(name, files or known))
 
 
 def parse_model(text: str, name: str, depth: int = 0) -> Model:

@@ -115,3 +115,9 @@ def test_completion_offers_the_experiments_that_the_command_runs(
         check=False,
     )
     assert done.stdout.split() == offered
+
+
+def test_a_word_that_is_no_choice_is_told_with_the_choices_alone(tmp_path):
+    done = _labrun("new", "my-arm", "--devices", "dynamixel", "--kind", "swep", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "'--kind': 'swep' is not one of 'run', 'sweep'" in done.stderr

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from labrun.errors import ModelError
-from labrun.models import read_robot
+from labrun.models import load_model, read_robot
 
 XML = """<mujoco model="arm">
   <worldbody>
@@ -39,3 +39,12 @@ def test_a_typo_is_told_with_its_line_and_what_was_meant(tmp_path, wrong, told):
     with pytest.raises(ModelError) as error:
         read_robot(file)
     assert re.search(told, str(error.value))
+
+
+@pytest.mark.parametrize("typed", ["arm.xm", "arn.xml", "amr.toml"])
+def test_a_misspelled_file_is_told_with_the_file_that_is_there(tmp_path, monkeypatch, typed):
+    (tmp_path / "arm.xml").write_text(XML, encoding="utf-8")
+    (tmp_path / "log.csv").touch()
+    with pytest.raises(ModelError) as error:
+        load_model(tmp_path / typed)
+    assert "arm.xml" in error.value.hint

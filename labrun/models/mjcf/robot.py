@@ -13,6 +13,7 @@ from labrun.models.mjcf.around import around, heavy_bodies
 from labrun.models.mjcf.inverse import JointDrive, robot_terms
 from labrun.models.mjcf.plant import imported
 from labrun.models.mjcf.refusal import refusal
+from labrun.toml import nearest, suggest
 
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 """Files that are read as a robot."""
@@ -136,6 +137,15 @@ def is_robot(source: str | Path) -> bool:
     return Path(source).suffix.lower() in SUFFIXES
 
 
+def model_files_like(path: Path) -> list[str]:
+    """Return the files of models and robots that a misspelled one may be; none if it is not written like a file."""
+    if not path.suffix and len(path.parts) == 1:
+        return []
+    there = path.parent.glob("*") if path.parent.is_dir() else ()
+    files = [str(one) for one in sorted(there) if one.suffix == ".toml" or is_robot(one)]
+    return files if nearest(str(path), files) is not None else []
+
+
 def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | None = None) -> Robot:
     """Read an MJCF or URDF file.
 
@@ -226,7 +236,9 @@ def robot_spec(path: Path) -> tuple[Any, list[str]]:
             hint="pip install --upgrade mujoco",
         )
     if not path.is_file():
-        raise ModelError(f"there is no robot file {path}", hint=f"looked from {Path.cwd()}")
+        like = model_files_like(path)
+        hint = suggest(str(path), like) if like else f"looked from {Path.cwd()}"
+        raise ModelError(f"there is no robot file {path}", hint=hint)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
