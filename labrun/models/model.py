@@ -237,6 +237,11 @@ class Model:
         """Nominal parameter values, shape (parameters,)."""
         return np.array([parameter.value for parameter in self.parameters], dtype=float)
 
+    @property
+    def named_values(self) -> dict[str, float]:
+        """Nominal parameter values by name."""
+        return {parameter.name: float(parameter.value) for parameter in self.parameters}
+
     def vector(
         self, parameters: "FloatArray | Mapping[str, float] | None", condition: Condition
     ) -> FloatArray:

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
-from labrun_plugins.rigs.fish.free_scene import FireFree, free_model
+from labrun_plugins.rigs.fish import free_scene
+from labrun_plugins.rigs.fish.free_scene import FireFree
+from labrun_plugins.simulated.bench import model_beside
 from scipy.integrate import solve_ivp
 
 from labrun.devices import Trajectory
@@ -17,8 +19,9 @@ FREE = {"hull_drag": 0.0, "drag_aside": 0.0, "yaw_drag": 0.0}
 
 
 def _glide(state, parameters, duration_s, step_s=0.005):
-    stepper = Stepper(free_model(), parameters, step_s=step_s)
-    whole = np.zeros(len(free_model().states))
+    model = model_beside(free_scene.__file__, "free.toml")
+    stepper = Stepper(model, parameters, step_s=step_s)
+    whole = np.zeros(len(model.states))
     whole[:6] = state
     stepper.state = whole
     return stepper.advance(np.zeros((round(duration_s / step_s) + 1, 7)))

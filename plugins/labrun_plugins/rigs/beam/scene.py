@@ -214,14 +214,13 @@ class BeamBench(Bench):
         self._beam, self._factors = beam, factors
         self._snapped, self._damaged = False, False
         model = beam_model(beam, 1e-3 * self._settings.lever_mm)
-        names = [one.name for one in model.parameters]
-        nominal = dict(zip(names, model.values.tolist(), strict=True))
+        nominal = model.named_values
         mounted = {name: nominal[name] * factors[0] for name in ("stiffness", "buckled_stiffness")}
         mounted |= {name: nominal[name] * factors[1] for name in ("equal_limit", "opposite_limit")}
         self._model = self._with_errors(model.with_values(mounted))
         share = HYSTERESIS[beam] if self._settings.hysteresis is None else self._settings.hysteresis
         share = 0.0 if self._settings.as_modelled else share
-        limit = float(self._model.values[names.index("equal_limit")])
+        limit = self._model.named_values["equal_limit"]
         self._loop = load_effect("hysteresis").attach(
             "beam", force=share * limit, yield_displacement=_YIELD_RAD
         )

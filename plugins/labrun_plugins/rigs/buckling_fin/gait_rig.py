@@ -95,7 +95,7 @@ class GaitRig(Bench):
     def _set_up(self, factors: FloatArray, *, short: bool) -> None:
         self._factors, self._short = factors, short
         model = swimmer(self._settings, short=short)
-        nominal = {one.name: one.value for one in model.parameters}
+        nominal = model.named_values
         scattered = {
             name: nominal[name] * factors[1 if name.endswith("limit") else 0] for name in _OF_THE_BEAM
         }

@@ -98,7 +98,7 @@ class RailRig(Bench):
         swimmer_effects = hidden_effects(on_swimmer, self._model, _SCALE)
         self._hidden = swimmer_effects + self._servo.effects
         self._free = Stepper(self._model, effects=[*self._rail, *swimmer_effects], step_s=self.step_s)
-        values = {one.name: one.value for one in self._model.parameters}
+        values = self._model.named_values
         held = two_fin_swimmer(held=True).with_values(values)
         on_held = [one for one in swimmer_effects if one.site != "rail"]
         self._held = Stepper(held, effects=on_held, step_s=self.step_s)

@@ -117,7 +117,7 @@ class FlappingWing(Bench):
         """Mount a wing; whoever does it holds the plate where it hangs meanwhile."""
         self._mounted, self._factors = mounted, factors
         model = wing(self._settings.medium)
-        nominal = {one.name: one.value for one in model.parameters}
+        nominal = model.named_values
         scattered = {
             name: nominal[name] * factors[1 if name.endswith("limit") else 0] for name in OF_THE_BEAM
         }
@@ -126,9 +126,8 @@ class FlappingWing(Bench):
         self._model: Model = self._with_errors(model.with_values(scattered | coupling))
         at_wing = [one for one in keys.hide if one.site not in self.joints]
         self._at_wing = hidden_effects(at_wing, self._model, _SCALE)
-        self._lengths_m = tuple(
-            one.value for name in ("link", "arm") for one in self._model.parameters if one.name == name
-        )
+        values = self._model.named_values
+        self._lengths_m = (values["link"], values["arm"])
         here = float(self._shaft_before[0, 0])
         self._stepper = Stepper(
             self._model,

@@ -146,8 +146,7 @@ class CaudalTank(Bench):
 
     def _put(self, fin: tuple[str, float, str]) -> None:
         share = thrust_n(*fin) / BEST_N
-        names = [one.name for one in self._large.parameters]
-        large = dict(zip(names, self._large.values.tolist(), strict=True))
+        large = self._large.named_values
         self._fin: tuple[str, float, str] = fin
         self._model = self._large.with_values({name: share * large[name] for name in _OF_THE_FIN})
         self._stepper = Stepper(self._model, effects=self._water, step_s=self.step_s)

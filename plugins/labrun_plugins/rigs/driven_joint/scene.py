@@ -173,12 +173,11 @@ class DrivenJoint(Bench):
         """Take a setup, whose factors on stiffness and damping these are."""
         drag = 0.0 if self._settings.as_modelled else self._settings.drag_n_m_s2
         model = driven_joint_model(friction_n_m=1e-3 * self._settings.friction_mn_m, drag=drag)
-        names = [one.name for one in model.parameters]
-        nominal = dict(zip(names, model.values.tolist(), strict=True))
+        nominal = model.named_values
         scattered = {name: nominal[name] * factors[i] for i, name in enumerate(("stiffness", "damping"))}
         self._factors = factors
         self._model = self._with_errors(model.with_values(scattered))
-        self._values = dict(zip(names, self._model.values.tolist(), strict=True))
+        self._values = self._model.named_values
         at_hinge = [one for one in self._settings.hide if one.site not in (*self.joints, *self.sensed)]
         self._at_hinge = hidden_effects(at_hinge, self._model, _SCALE)
         self._stepper = Stepper(self._model, effects=self._at_hinge, step_s=self.step_s)

@@ -1,8 +1,6 @@
 """The fish with two pectoral five-bars and a tail, on an arm that can tow it (section 6 of the source work).
 
-What the water of the fish's tank adds to the loads on its fins: body drag, waves, vortices.
-
-Functions of the model signature ``(t, x, u, p, force, out)``; see `labrun.models`.
+What the water of the tank adds to the loads on its fins (body drag, waves, vortices) stands in ``tank.toml``.
 """
 
 import math
@@ -14,106 +12,18 @@ from pydantic import PositiveFloat
 
 from labrun.devices import FloatArray
 from labrun.effects import Scale
-from labrun.models import Input, Model, Output, Parameter, Site, Stepper, natives
+from labrun.models import Stepper
 from labrun_plugins.rigs.fish.fins import ATTACHMENTS, JOINTS, WATERS, AttachmentName, fin_loads, motion_at
 from labrun_plugins.rigs.fish.free_scene import chosen_by_hand
-from labrun_plugins.simulated.bench import BenchSettings, TowedBench, hidden_effects, require_finite
-
-# First sloshing modes of water 0.5 m deep in the 1.22 x 0.61 m tank: omega^2 = g k tanh(k h), k = pi / length.
-_ALONG = 4.66
-_ACROSS = 7.07
-_WAVE_DAMPING = 0.03
-_STIRRING_S = 2.0
-_VORTEX_S = 2.0
-_VORTEX_LONG_M = 0.15
-_FOLLOWS_S = 0.02
-
-STATES = (
-    "stirring",
-    "wave_x",
-    "wave_x_rate",
-    "wave_y",
-    "wave_y_rate",
-    "vortex_x",
-    "vortex_y",
-    "vortex_yaw",
-    "going",
+from labrun_plugins.simulated.bench import (
+    BenchSettings,
+    TowedBench,
+    hidden_effects,
+    model_beside,
+    require_finite,
 )
-_INPUTS = (
-    "fin_force_x", "fin_force_y", "fin_force_z", "fin_torque_x", "fin_torque_y", "fin_torque_z", "fin_size",
-    "speed", "acceleration", "noise_x", "noise_y", "noise_yaw",
-)  # fmt: skip
-OUTPUTS = (
-    Output("force_x", "N"), Output("force_y", "N"), Output("force_z", "N"),
-    Output("torque_x", "N m"), Output("torque_y", "N m"), Output("torque_z", "N m"),
-)  # fmt: skip
 
-
-def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
-    """Rates of the states: how much the water is stirred, waves along and across the tank, vortices, the speed."""
-    dx[0] = (u[6] - x[0]) / _STIRRING_S
-    dx[1] = x[2]
-    dx[2] = _ALONG * _ALONG * (u[0] - x[1]) - 2.0 * _WAVE_DAMPING * _ALONG * x[2]
-    dx[3] = x[4]
-    dx[4] = _ACROSS * _ACROSS * (u[1] - x[3]) - 2.0 * _WAVE_DAMPING * _ACROSS * x[4]
-    strength = math.sqrt(2.0 / _VORTEX_S) * x[0]
-    # Vortices die out, and a fish that is towed leaves them behind after the length of the water around its fins.
-    fading = 1.0 / _VORTEX_S + abs(u[7]) / _VORTEX_LONG_M
-    dx[5] = p[3] * strength * u[9] - fading * x[5]
-    dx[6] = p[3] * strength * u[10] - fading * x[6]
-    dx[7] = p[4] * strength * u[11] - fading * x[7]
-    # The carriage's speed as a state, so that what sits at the fish feels its acceleration; held to it against drift.
-    dx[8] = u[8] + (u[7] - x[8]) / _FOLLOWS_S
-
-
-def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
-    """Wrench at the sensor, which sits p[5] above the body's centre."""
-    drag = p[0] * u[7] * abs(u[7])
-    y[0] = u[0] - drag - p[1] * u[8] + p[2] * x[1] + x[5] + force[0]
-    y[1] = u[1] + p[2] * x[3] + x[6]
-    y[2] = u[2]
-    # From the body's origin to the sensor: r = (0, 0, -height), torque + r x force.
-    y[3] = u[3] + p[5] * y[1]
-    y[4] = u[4] - p[5] * y[0]
-    y[5] = u[5] + x[7]
-
-
-def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
-    """Site ``fish``: a body that moves through the water at the carriage's speed."""
-    values[0] = 0.0
-    values[1] = x[8]
-    values[2] = 0.0
-    values[3] = 0.0
-
-
-def fire_model(mount_height_m: float) -> Model:
-    """Return the model of the tank around the fins.
-
-    The drag of body and mount, 1.68 N s^2/m^2, is what is left of the 1.5 N that the source measured, summed over
-    0.1, 0.3 and 0.6 m/s, in the pose of least drag (E6.g), after that of the fins' edges and struts in it. The rest is
-    chosen: mass 2 kg with what water it drags along, waves that return 3 % of the force, vortices of 4 % of
-    the fins' mean force, and 4.5 mm times it in yaw.
-    """
-    return Model(
-        name="fire-tank",
-        states=STATES,
-        inputs=tuple(Input(name) for name in _INPUTS),
-        outputs=OUTPUTS,
-        parameters=(
-            Parameter("body_drag", 1.68, unit="N s^2/m^2"),
-            Parameter("mass", 2.0, unit="kg"),
-            Parameter("waves", 0.03),
-            Parameter("vortices", 0.04),
-            Parameter("yaw_vortices", 0.0045, unit="m"),
-            Parameter("mount_height", mount_height_m, unit="m"),
-        ),
-        sites=(Site("fish", "body", coordinate="0", rate="going"),),
-        initial=dict.fromkeys(STATES, 0.0),
-        **natives(derivative, output, site_values),
-        source="simulated fire tank",
-    )
-
-
+_FELT = {**{f"force_{axis}": "N" for axis in "xyz"}, **{f"torque_{axis}": "N m" for axis in "xyz"}}
 _SCALE = Scale(coordinate=0.5, rate=0.2, acceleration=1.0, force=0.3, signal=0.5, time_s=2.0)
 
 
@@ -130,7 +40,7 @@ class FireTankSettings(BenchSettings):
 class FireTank(TowedBench):
     """Six-axis load on the five-jointed fish.
 
-    Physics and sources: see `five_bar`, `fins` and `model`.
+    Physics and sources: see `five_bar`, `fins` and ``tank.toml``.
 
     With `as_modelled` it is integrated in finer steps: at 10 ms the loads are 5 ms old, which no model of it says.
 
@@ -151,12 +61,13 @@ class FireTank(TowedBench):
     joints = JOINTS
     remembered = ("attachment", "carriage", "motion", "wake", "inputs_before", "servo", "stepper")
     signals: Mapping[str, str] = {
-        **{one.name: one.unit for one in OUTPUTS}, "position": "m", **dict.fromkeys(JOINTS, "rad"),
+        **_FELT, "position": "m", **dict.fromkeys(JOINTS, "rad"),
     }  # fmt: skip
 
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
-        self._model = self._with_errors(fire_model(self._settings.mount_height_m))
+        model = model_beside(__file__, "tank.toml")
+        self._model = self._with_errors(model.with_values({"mount_height": self._settings.mount_height_m}))
         in_water = [one for one in self._settings.hide if one.site not in self.joints]
         water_effects = hidden_effects(in_water, self._model, _SCALE)
         self._servo = self._passage(self.joints)

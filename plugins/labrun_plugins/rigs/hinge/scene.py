@@ -1,9 +1,6 @@
 """A rigid body that swings on a polyester hinge, watched by motion capture (section 3 of the source work).
 
-The hinge pendulum's equation of motion, eq. (3.5) with its gravity term corrected.
-
-``(I_G + m r^2) theta'' = -k theta - b theta' - m g r sin(theta)``: the printed gravity term lacks the r.
-Functions of the model signature ``(t, x, u, p, force, out)``; see `labrun.models`.
+Its equation of motion, eq. (3.5) with the gravity term corrected, stands in ``bench.toml``.
 """
 
 import math
@@ -16,51 +13,16 @@ from pydantic import NonNegativeFloat, PositiveFloat
 from labrun.devices import FloatArray
 from labrun.effects import Scale, load_effect
 from labrun.errors import ExperimentError
-from labrun.models import Input, Model, Output, Parameter, Site, Stepper, load_model, natives
+from labrun.models import Model, Site, Stepper, load_model
 from labrun_plugins.rigs.hinge.dimensions import damping, stiffness
-from labrun_plugins.simulated.bench import Bench, BenchSettings, described, hidden_effects, require_finite
-
-
-def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
-    """State: angle (rad), rate (rad/s). Inputs: scale of stiffness and of damping in this release."""
-    dx[0] = x[1]
-    dx[1] = (force[0] - p[0] * u[0] * x[0] - p[1] * u[1] * x[1] - p[3] * math.sin(x[0])) / p[2]
-
-
-def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
-    """Output: angle (rad)."""
-    y[0] = x[0]
-
-
-def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
-    """Site ``hinge``: angle, rate, load (the weight's torque), stiffness in this release."""
-    values[0] = x[0]
-    values[1] = x[1]
-    values[2] = p[3] * math.sin(x[0])
-    values[3] = p[0] * u[0]
-
-
-def hinge_model(stiffness: float, damping: float, inertia: float, gravity_torque: float) -> Model:
-    """Return the pendulum with these parameters: N m/rad, N m s/rad, kg m^2, N m."""
-    return Model(
-        name="hinge-bench",
-        states=("angle", "rate"),
-        inputs=(Input("stiffness_scale"), Input("damping_scale")),
-        outputs=(Output("angle", "rad"),),
-        parameters=(
-            Parameter("stiffness", stiffness, unit="N m/rad", lower=0.0),
-            Parameter("damping", damping, unit="N m s/rad", lower=0.0),
-            Parameter("inertia", inertia, 0.03, unit="kg m^2", lower=0.0),
-            Parameter("gravity_torque", gravity_torque, 0.03, unit="N m", lower=0.0),
-        ),
-        sites=(
-            Site("hinge", "joint", "angle", "rate", load="gravity_torque*sin(angle)", stiffness="stiffness"),
-        ),
-        initial={"angle": 0.0, "rate": 0.0},
-        **natives(derivative, output, site_values),
-        source="simulated hinge bench",
-    )
-
+from labrun_plugins.simulated.bench import (
+    Bench,
+    BenchSettings,
+    described,
+    hidden_effects,
+    model_beside,
+    require_finite,
+)
 
 _PIVOT_M = (0.2, 0.0, 1.1)
 _GRAVITY_M_S2 = 9.81
@@ -210,7 +172,7 @@ class HingeBench(Bench):
         ``parameters`` are those of the present setup; ``releases`` gives time (s), stiffness and damping of each of
         the latest 200 releases, whatever specimen it was of.
         """
-        values = self._nominal()
+        values = self._model.named_values
         if self._settings.model is None:
             values["stiffness"] *= float(self._setup_scale[0])
             values["damping"] *= float(self._setup_scale[1])
@@ -233,11 +195,6 @@ class HingeBench(Bench):
         factors: FloatArray = 1.0 + self._setup_sd * rng.standard_normal(2)
         return factors
 
-    def _nominal(self) -> dict[str, float]:
-        """Return the parameters of the specimen before scatter."""
-        names = (one.name for one in self._model.parameters)
-        return dict(zip(names, self._model.values.tolist(), strict=True))
-
     def _put(self, specimen: dict[str, float]) -> None:
         width_m, length_m = specimen["width_mm"] * 1e-3, specimen["length_mm"] * 1e-3
         area_m2, body_width_m = specimen["area_cm2"] * 1e-4, self._settings.body_width_mm * 1e-3
@@ -251,12 +208,13 @@ class HingeBench(Bench):
         drag = 0.5 * _AIR_KG_M3 * coefficient * body_width_m * height_m**4 / 4
         speed_rad_s = math.sqrt((k + gravity) / inertia) * _ORDINARY_RAD
         total = self._settings.damping_n_m_s_rad or damping(area_m2, width_m, length_m)
-        model = hinge_model(
-            stiffness=k,
-            damping=max(0.0, total - 8.0 / (3.0 * math.pi) * drag * speed_rad_s),
-            inertia=inertia,
-            gravity_torque=gravity,
-        )
+        mounted = {
+            "stiffness": k,
+            "damping": max(0.0, total - 8.0 / (3.0 * math.pi) * drag * speed_rad_s),
+            "inertia": inertia,
+            "gravity_torque": gravity,
+        }
+        model = model_beside(__file__, "bench.toml").with_values(mounted)
         self._specimen = specimen
         if self._settings.model is not None:
             model, drag = _swinging(self._settings.model), 0.0
@@ -279,7 +237,7 @@ class HingeBench(Bench):
             else:
                 if self._held and self._settings.model is None:
                     self._scales = self._setup_scale * (1.0 + self._release_sd * self._rng.standard_normal(2))
-                    nominal = self._nominal()
+                    nominal = self._model.named_values
                     k, b = self._scales * (nominal["stiffness"], nominal["damping"])
                     self._releases.append([float(time_s[first]), float(k), float(b)])
                     del self._releases[:-_REMEMBERED_RELEASES]

@@ -1,8 +1,6 @@
 """A servo turns a hinge to and fro, a sensor under its mount feels the torque (section 2.1 of the source work).
 
-A hinge that is turned: torque of a spring and a damper, of which a share is left.
-
-Functions of the model signature ``(t, x, u, p, force, out)``; see `labrun.models`.
+The torque of a spring and a damper, of which a share is left: ``bench.toml``.
 """
 
 import math
@@ -16,51 +14,15 @@ from pydantic import PositiveFloat
 from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import SpecError
-from labrun.models import Input, Model, Output, Parameter, Site, Stepper, natives
-from labrun_plugins.simulated.bench import Bench, BenchSettings, Passage, hidden_effects, require_finite
-
-LAG_S = 0.02
-"""Of sensor and mount (chosen)."""
-STIFFNESS, DAMPING = 0.0686, 2.886e-4
-"""N m/rad and N m s/rad: the hinge of Table 3.2, for want of another."""
-
-
-def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
-    """State: angle (rad), which follows the servo. Inputs: angle of the servo (rad), share of torque that is left."""
-    dx[0] = (u[0] - x[0]) / p[2]
-
-
-def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
-    """Output: torque on the mount (N m)."""
-    y[0] = u[1] * (p[0] * x[0] + p[1] * (u[0] - x[0]) / p[2]) - force[0]
-
-
-def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
-    """Site ``hinge``: angle, rate, load (its torque), stiffness."""
-    values[0] = x[0]
-    values[1] = (u[0] - x[0]) / p[2]
-    values[2] = u[1] * p[0] * x[0]
-    values[3] = u[1] * p[0]
-
-
-def turned_hinge() -> Model:
-    """Return the model of a new hinge."""
-    return Model(
-        name="life-bench",
-        states=("angle",),
-        inputs=(Input("servo", "rad"), Input("left")),
-        outputs=(Output("torque_z", "N m"),),
-        parameters=(
-            Parameter("stiffness", STIFFNESS, unit="N m/rad", lower=0.0),
-            Parameter("damping", DAMPING, unit="N m s/rad", lower=0.0),
-            Parameter("lag", LAG_S, 0.0, unit="s", lower=1e-3),
-        ),
-        sites=(Site("hinge", "joint", "angle", "rate", load="load", stiffness="stiffness"),),
-        initial={"angle": 0.0},
-        **natives(derivative, output, site_values),
-        source="simulated life bench",
-    )
-
+from labrun.models import Stepper
+from labrun_plugins.simulated.bench import (
+    Bench,
+    BenchSettings,
+    Passage,
+    hidden_effects,
+    model_beside,
+    require_finite,
+)
 
 _SCALE = Scale(coordinate=1.5, rate=4.0, acceleration=10.0, force=0.02, signal=0.1, time_s=2.0)
 _JOINT_SCALE = Scale(signal=1.5, time_s=2.0)
@@ -121,7 +83,7 @@ class LifeBench(Bench):
         at_joint = [one for one in self._settings.hide if one.site in self.joints and one.kind == "input"]
         self._servo = Passage(self.joints, at_joint, _JOINT_SCALE, self.step_s)
         self._sensor = self._passage(self.sensed)
-        self._model = self._with_errors(turned_hinge())
+        self._model = self._with_errors(model_beside(__file__, "bench.toml"))
         in_hinge = [one for one in self._settings.hide if one not in at_joint and one.site not in self.sensed]
         in_model = hidden_effects(in_hinge, self._model, _SCALE)
         self._hidden = [*in_model, *self._servo.effects, *self._sensor.effects]

@@ -106,8 +106,7 @@ class SixBar(Bench):
 
     def _set_up(self, factors: FloatArray) -> None:
         """Take a setup, whose factors on stiffness and damping these are."""
-        names = [one.name for one in self._nominal.parameters]
-        values = dict(zip(names, self._nominal.values.tolist(), strict=True))
+        values = self._nominal.named_values
         scattered = {name: values[name] * factors[k] for k, name in enumerate(("stiffness", "damping"))}
         self._factors = factors
         self._model = self._with_errors(self._nominal.with_values(scattered))

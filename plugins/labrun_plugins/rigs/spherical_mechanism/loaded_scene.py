@@ -12,8 +12,7 @@ from labrun.devices.compiled import CompiledScene
 from labrun.effects import Scale
 from labrun.errors import ExperimentError, SpecError
 from labrun.models import Stepper, kernel, native
-from labrun_plugins.rigs.spherical_mechanism.loaded_model import OUTPUTS, loaded_model
-from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects
+from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, model_beside
 
 _SCALE = Scale(coordinate=0.05, rate=1.0, acceleration=10.0, force=0.03, signal=0.4, time_s=0.5)
 _STOP_RAD = math.radians(80.0)
@@ -23,6 +22,7 @@ _WANDER_HZ = 0.3
 _MOST_G = 500.0
 _MOUNTED = ("load_g", "moving", "load_from_s", "load_to_s")
 _SERVOS = ("servo_1", "servo_2")
+_ANGLES = ("theta_1", "theta_2")
 
 
 class SpmLoadSettings(BenchSettings):
@@ -51,8 +51,8 @@ class SpmLoad(Bench):
     """A two-axis spherical mechanism of laminate that bends under its own weight and under what hangs on it.
 
     Between a servo and the end-effector: the horn sits askew and has play, friction holds it within that play, then the
-    laminate, see `loaded_model`. The source gives none of these numbers; they are chosen. With `as_modelled` horns have
-    neither play nor offset.
+    laminate, see ``loaded.toml``. The source gives none of these numbers; they are chosen. With `as_modelled` horns
+    have neither play nor offset.
 
     Signals: ``effector_x`` ... ``effector_qw``, pose of the end-effector (at the centre of rotation; orientation
     ``Ry(theta_2) Rx(-phi)``, ``tan phi = tan theta_1 / cos theta_2``); ``theta_1``, ``theta_2``, its angles, and
@@ -63,31 +63,29 @@ class SpmLoad(Bench):
     step_s = 0.001
     scale = _SCALE
     joints = _SERVOS
-    sensed = OUTPUTS
+    sensed = _ANGLES
     remembered = ("mounted", "start_s", "phase", "horn", "inputs_before", "servo", "sight", "stepper")
     signals: Mapping[str, str] = {
         **{
             f"effector_{axis}": "m" if axis in "xyz" else "1"
             for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")
         },
-        **dict.fromkeys((*OUTPUTS, *_SERVOS), "rad"),
+        **dict.fromkeys((*_ANGLES, *_SERVOS), "rad"),
         "load": "kg",
     }
 
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
-        self._model = self._with_errors(loaded_model())
+        self._model = self._with_errors(model_beside(__file__, "loaded.toml"))
         hide = self._settings.hide
-        self._servo, self._sight = self._passage(_SERVOS), self._passage(OUTPUTS)
-        inside = [one for one in hide if one.site not in (*self.joints, *OUTPUTS)]
+        self._servo, self._sight = self._passage(_SERVOS), self._passage(_ANGLES)
+        inside = [one for one in hide if one.site not in (*self.joints, *_ANGLES)]
         in_model = hidden_effects(inside, self._model, _SCALE)
         self._hidden = [*in_model, *self._servo.effects, *self._sight.effects]
         self._stepper = Stepper(self._model, effects=in_model, step_s=self.step_s)
         plain = self._settings.as_modelled
         self._play = 0.0 if plain else math.radians(self._settings.play_deg)
-        values = dict(
-            zip((one.name for one in self._model.parameters), self._model.values.tolist(), strict=True)
-        )
+        values = self._model.named_values
         held = 1.0 - values["gravity_torque"] / values["stiffness"]
         self._offset = np.zeros(2) if plain else held * np.radians(self._settings.offset_deg)
         self._horn = self._offset.copy()

@@ -11,8 +11,7 @@ from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.models import Stepper
 from labrun_plugins.rigs.spherical_mechanism.bodies import BODIES, SIGNALS, orientations
-from labrun_plugins.rigs.spherical_mechanism.model import spm_model
-from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite
+from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, model_beside, require_finite
 
 _STOP_RAD = math.radians(85.0)
 _LEVEL = np.array([[1.0, 0.0, 0.0, 0.0]] * len(BODIES))
@@ -40,7 +39,7 @@ class SpmStabiliser(Bench):
 
     Joints ``servo_1`` and ``servo_2`` are the servos; a rising servo_1 turns the end-effector about the base's -x axis,
     a rising servo_2 about +y. Between a servo and the end-effector there is the laminate, with its lag and its sag
-    (see `spm_model`, where the chosen values stand); the links stop at 85 degrees.
+    (see ``stabiliser.toml``, where the chosen values stand); the links stop at 85 degrees.
 
     Signals, for each body (``base``, ``end_effector``): ``<body>_qw`` ... ``_qz``, its orientation in the room (z up;
     body to room), ``<body>_wx`` ... ``_wz``, its angular velocity in its own frame, and ``<body>_tilt``, how far its
@@ -60,8 +59,11 @@ class SpmStabiliser(Bench):
 
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
-        base_tilt_rad = math.radians(self._settings.base_tilt_deg) * self._settings.noise
-        self._model = self._with_errors(spm_model(base_tilt_rad, self._settings.base_bandwidth_hz))
+        moved = {
+            "base_tilt": math.radians(self._settings.base_tilt_deg) * self._settings.noise,
+            "base_bandwidth": 2.0 * math.pi * self._settings.base_bandwidth_hz,
+        }
+        self._model = self._with_errors(model_beside(__file__, "stabiliser.toml").with_values(moved))
         self._hidden = hidden_effects(self._settings.hide, self._model, _SCALE)
         self._stepper = Stepper(self._model, effects=self._hidden, step_s=self.step_s)
         self._servos_before = np.zeros(2)

@@ -7,6 +7,7 @@ from labrun_plugins.simulated.bench.hidden import (
     hidden_effects,
     joint_model,
     joint_stepper,
+    model_beside,
     require_finite,
 )
 from labrun_plugins.simulated.bench.history import ACCELERATION_M_S2, Carriage, packed, unpacked
@@ -24,6 +25,7 @@ __all__ = [
     "hidden_effects",
     "joint_model",
     "joint_stepper",
+    "model_beside",
     "packed",
     "require_finite",
     "unpacked",

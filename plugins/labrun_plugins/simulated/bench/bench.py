@@ -196,10 +196,9 @@ class Bench(ABC):
 
     def _truth(self, hidden: Iterable[AttachedEffect], **bench: Any) -> dict[str, Any]:
         """Return what stands on the bench, its parameters as they are, and hidden effects."""
-        names = (one.name for one in self._model.parameters)
         return {
             **bench,
-            "parameters": dict(zip(names, self._model.values.tolist(), strict=True)),
+            "parameters": self._model.named_values,
             "parameter_errors": dict(self._settings.parameters),
             "hidden": [described(effect) for effect in hidden],
         }
@@ -214,7 +213,7 @@ class Bench(ABC):
 
     def _with_errors(self, model: Model) -> Model:
         """Return the model with the parameter errors and values that the settings ask for."""
-        values = dict(zip((one.name for one in model.parameters), model.values.tolist(), strict=True))
+        values = model.named_values
         for key in ("parameters", "true_parameters"):
             for name in getattr(self._settings, key):
                 if name not in values:

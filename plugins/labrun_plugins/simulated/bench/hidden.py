@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from labrun.devices import FloatArray
 from labrun.effects import AttachedEffect, Scale, load_effect
 from labrun.errors import ExperimentError, ModelError, PluginError, SpecError
-from labrun.models import Input, Model, Output, Stepper, natives
+from labrun.models import Input, Model, Output, Stepper, load_model, natives
 from labrun_plugins.simulated.bench.history import packed, unpacked
 from labrun_plugins.simulated.bench.settings import HiddenEffect
 
@@ -31,6 +32,12 @@ def require_finite(stepper: Stepper, bench: str) -> None:
 def described(effect: AttachedEffect) -> dict[str, Any]:
     """Return an effect as JSON-ready values."""
     return {"effect": effect.effect.id, "site": effect.site, "values": dict(effect.named_values)}
+
+
+@functools.cache
+def model_beside(module_file: str, name: str) -> Model:
+    """Return the model of a file that stands beside a bench's module, whose ``__file__`` is given."""
+    return load_model(Path(module_file).with_name(name))
 
 
 def _nothing(t: float, x: Any, u: Any, p: Any, force: Any, out: Any) -> None:
