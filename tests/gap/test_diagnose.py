@@ -193,6 +193,7 @@ def test_a_delayed_sensor_is_told_from_everything_in_the_joint() -> None:
     assert named & {("delay", "angle"), ("delay", "torque")}
 
 
+@pytest.mark.slow
 def test_an_effect_taken_out_of_the_library_is_not_blamed_on_a_neighbour() -> None:
     stiffening = recorded(lambda t, q, v: -0.12 * q**3, noise=0.002, conditions=CONDITIONS[:3])
     known = diagnose_dataset(stiffening, pendulum(), QUICK)
