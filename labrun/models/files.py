@@ -169,7 +169,9 @@ def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise ModelError(f"there is no model file {path}", hint=f"looked from {Path.cwd()}") from None
+        like = model_files_like(path)
+        hint = suggest(str(path), like) if like else f"looked from {Path.cwd()}"
+        raise ModelError(f"there is no model file {path}", hint=hint) from None
     except (OSError, UnicodeDecodeError) as error:
         raise ModelError(f"{path} cannot be read: {error}") from None
 
