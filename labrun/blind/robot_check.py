@@ -157,8 +157,10 @@ def _said(folder: CheckFolder, name: str, seed: int, workers: int, note: Note) -
         dataset = load_dataset(Path(there), model)
         options = Options(seed=case_seed(seed, name), workers=workers)
         found = diagnose_robot(robot, model, dataset, options, note=lambda text: note(f"{name}: {text}"))
+    clock = [[found.clock]] if found.clock else []
     joints = {
         one.joint.name: [
+            *clock,
             *(_names(cause) for cause in one.diagnosis.to_json()["causes"]),
             *([f"{name} at {one.joint.name}"] for name in one.moved),
         ]

@@ -446,6 +446,12 @@ BY_HAND_S = 60.0
 
 LOAD_STEPS = 4
 """Steps to the place of a load, and of reweighing the joints that tell it: both settle within three."""
+CLOCK_STEPS, CLOCK_TOLD, CLOCK_ALIKE = 6, 3.0, 0.2
+"""Steps to the time by which a joint's goals are late; its standard deviations from which a joint tells it; and the
+part of it by which joints may differ that have the same: friction bends it by 0.1."""
+CLOCK_JOINTS, CLOCK_AGREED, CLOCK_LEAST = 2, 0.67, 0.25
+"""Joints, and part of those that would tell it, that have to agree on a clock of the whole log; and the part of a
+sample below which it is none: smoothing left 0.05 on twelve joints without any."""
 LEAST_JOINT_GAP = 0.3
 """Gap of a joint, in units of the noise, below which nothing is announced: what the smoothed motion of its neighbours
 gets wrong left 0.24 at a joint without any cause, and 0.18 where a tilted base was known to its third digit. Of

@@ -308,8 +308,9 @@ def _inputs_ahead(
 ) -> FloatArray:
     """Return inputs (steps, 3, inputs) that are what they were some time later; the last sample stands from then on.
 
-    As behind a filter, the middle of each step is moved so that the mean over it is right, by Simpson's rule: a jump
-    within a step is not lost.
+    In steps in which they jump, the middle and the end are moved so that a classical Runge-Kutta step is right to what
+    the input makes of rates (its mean, by Simpson's rule) and of coordinates (its first moment): steps need not be so
+    short that jumps stand between them.
     """
     if not steps_s.size:
         return u
@@ -319,16 +320,18 @@ def _inputs_ahead(
     for one in effects:
         place, lead_s = names.index(one.site), one.named_values[one.effect.ahead]
         course = _Pieces(u[:, :, place], float(u_last[place]), steps_s, lead_s)
-        begin, until_begin = course.at(edges_s[:-1] + lead_s, "right")
-        end, until_end = course.at(edges_s[1:] + lead_s, "left")
+        begin, until_begin, twice_begin = course.at(edges_s[:-1] + lead_s, "right")
+        end, until_end, twice_end = course.at(edges_s[1:] + lead_s, "left")
         middle = course.at(edges_s[:-1] + 0.5 * steps_s + lead_s, "left")[0]
         mean = (until_end - until_begin) / steps_s
+        moment = (twice_end - twice_begin - steps_s * until_begin) / steps_s**2
         jumps = course.jumps_within(edges_s[:-1] + lead_s, edges_s[1:] + lead_s)
-        moved = np.where(jumps, (6.0 * mean - begin - end) / 4.0, middle)
+        middle = np.where(jumps, 3.0 * moment - 0.5 * begin, middle)
         # the integrator takes two steps as one where the signal does not jump between them: to the last bit
         rounding = _ROUNDING * np.max(np.abs(u[:, :, place]))
         end[:-1] = np.where(np.abs(end[:-1] - begin[1:]) > rounding, end[:-1], begin[1:])
-        u[:, :, place] = np.column_stack([begin, moved, end])
+        end = np.where(jumps, 6.0 * mean - begin - 4.0 * middle, end)
+        u[:, :, place] = np.column_stack([begin, middle, end])
     return u
 
 
@@ -342,6 +345,8 @@ class _Pieces:
         self._since_s = np.concatenate([[0.0], np.cumsum(self._long_s)[:-1]])
         areas = 0.5 * (self._begin + self._end) * self._long_s
         self._area = np.concatenate([[0.0], np.cumsum(areas)[:-1]])
+        twice = (self._area + self._long_s * (self._begin / 3.0 + self._end / 6.0)) * self._long_s
+        self._twice = np.concatenate([[0.0], np.cumsum(twice)[:-1]])
 
     def jumps_within(self, begin_s: FloatArray, end_s: FloatArray) -> NDArray[np.bool_]:
         """Tell where it jumps between two times."""
@@ -351,15 +356,19 @@ class _Pieces:
         )
         return np.asarray(until > before)
 
-    def at(self, time_s: FloatArray, side: Literal["left", "right"]) -> tuple[FloatArray, FloatArray]:
-        """Return value and integral at some times; of a jump there the value before it ("left") or after it."""
+    def at(
+        self, time_s: FloatArray, side: Literal["left", "right"]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return value, integral and its integral at some times; of a jump the value before ("left") or after it."""
         near_s = time_s + (_ROUNDING_S if side == "right" else -_ROUNDING_S)
         piece = np.clip(np.searchsorted(self._since_s, near_s, side=side) - 1, 0, len(self._begin) - 1)
         share = (time_s - self._since_s[piece]) / self._long_s[piece]
         rise = self._end[piece] - self._begin[piece]
         value = self._begin[piece] + share * rise
-        area = share * (self._begin[piece] + 0.5 * share * rise) * self._long_s[piece]
-        return value, self._area[piece] + area
+        since_s = share * self._long_s[piece]
+        area = (self._begin[piece] + share * rise / 2.0) * since_s
+        twice = (self._area[piece] + (self._begin[piece] / 2.0 + share * rise / 6.0) * since_s) * since_s
+        return value, self._area[piece] + area, self._twice[piece] + twice
 
 
 def site_course(

@@ -53,6 +53,37 @@ def test_a_held_signal_may_be_stamped_late_by_a_part_of_a_step(lead, substeps):
     assert found == pytest.approx(TIME[-1] - 1.0 + lead, abs=tolerance)
 
 
+TWICE = parse_model(
+    """
+name = "twice"
+states = ["x", "v"]
+[inputs]
+u = { unit = "1", between = "hold" }
+[parameters]
+none = { value = 0.0, tolerance = 0.0 }
+[equations]
+x = "v"
+v = "u + none"
+[outputs]
+x = { equation = "x", unit = "1" }
+[initial]
+x = 0.0
+v = 0.0
+""",
+    "twice",
+)
+
+
+@given(lead=st.floats(0.0, 0.1), jump_s=st.sampled_from([0.5, 1.0, 1.5]))
+@settings(max_examples=25, deadline=None)
+def test_a_jump_within_a_step_pushes_a_mass_as_far_as_it_should(lead, jump_s):
+    held = np.where(jump_s - 1e-9 <= TIME, 1.0, 0.0)[:, None]
+    late = named("late-clock", "input", "u", lead=lead)
+    found = simulate(TWICE, TIME, held, effects=[late], substeps=1, initial_state=[0.0, 0.0]).outputs[:, 0]
+    begins = TIME[np.argmax(held[:, 0])] - lead
+    assert found == pytest.approx(0.5 * np.maximum(TIME - begins, 0.0) ** 2, abs=1e-9)
+
+
 @given(lead=st.floats(0.0, 0.1))
 @settings(max_examples=25, deadline=None)
 def test_a_late_clock_shows_what_the_input_is_that_much_later_and_its_last_value_stands(lead):

@@ -14,6 +14,7 @@ from labrun.fit import Dataset, FitTrial, Note, silent
 from labrun.gap import criteria
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Diagnosis, Verdict
+from labrun.gap.robot.clock import common_lead
 from labrun.gap.robot.one_joint import OneJoint, Prescribed, one_joint, prescribed
 from labrun.gap.robot.tip_load import place_of_load
 from labrun.models import Model, Robot, RobotJoint, identifier, simulate, suggest_substeps
@@ -28,6 +29,8 @@ IN_THE_ROBOT: Mapping[str, Mapping[str, str]] = {
     "payload": {"tip_load": "mass", "tip_load_x": "x", "tip_load_y": "y", "tip_load_z": "z"},
 }
 """Their parameters in the model of the whole robot, and what these are called in the effect."""
+OF_THE_LOG = ("late-clock", "delay")
+"""Of all goals at once: stamped late beside all angles, or followed late by them."""
 _CLOCKS = ("early-clock", "late-clock")
 """Of an encoder, and of its goals: beside the other, one is the other."""
 _MOST_SUBSTEPS = 16
@@ -78,7 +81,7 @@ class RobotDiagnosis:
     Attributes
     ----------
     whole
-        Causes of the robot as a whole (a tilted base, a load), with the joints that show each.
+        Causes of the robot as a whole (a tilted base, a load, a clock of all goals), with the joints that show each.
     effects, values
         All causes as they go into the model of the whole robot, and its parameters.
     remarks
@@ -101,6 +104,11 @@ class RobotDiagnosis:
         return tuple(one for one in self.joints if one.diagnosis.causes)
 
     @property
+    def clock(self) -> str:
+        """What the goals of all joints have in time beside the angles; "" if nothing."""
+        return next((name for name, _, _ in self.whole if name in OF_THE_LOG), "")
+
+    @property
     def sentence(self) -> str:
         """The answer, as a sentence."""
         found = [
@@ -108,11 +116,12 @@ class RobotDiagnosis:
             for one in self.named
         ]
         unexplained = [one.joint.name for one in self.joints if one.diagnosis.verdict == "not-in-library"]
+        found += [_clock_words(name, values) for name, _, values in self.whole if name in OF_THE_LOG]
         told = "; ".join(found) if found else "nothing but recalibration is asked for at any joint"
         far = [f"{name} {100 * (by - 1):+.2g} %" for one in self.joints for name, by in one.moved.items()]
         if far and not found:
             told = f"parameters are far from what is stated: {', '.join(far)}"
-        several = found and len(self.joints) > 1
+        several = self.named and len(self.joints) > 1
         count = f"{len(self.named)} of {len(self.joints)} joints lack physics: " if several else ""
         rest = f"; not in the library: {', '.join(unexplained)}" if unexplained else ""
         rest += f"; far from what is stated: {', '.join(far)}" if far and found else ""
@@ -120,7 +129,7 @@ class RobotDiagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``labrun gap diagnose --json`` prints, with what makes the corrected model."""
-        found = bool(self.named)
+        found = bool(self.named or self.whole)
         return {
             "verdict": "explained" if found else "no-gap",
             "sentence": self.sentence,
@@ -185,6 +194,9 @@ def diagnose_robot(
     start = time.perf_counter()
     note("finding what each joint carries along the measured motion")
     found = prescribed(robot, model, dataset)
+    note("asking all joints together for a clock of the log")
+    led = found.led(common_lead(found, np.random.default_rng(options.seed)))
+    found = led if led.clock not in options.withhold else found
     alone = replace(options, workers=1, places=False, brisk=True)
     every = range(len(robot.joints))
     # a process a joint: half of a diagnosis is Python, which threads would wait for in turn
@@ -211,6 +223,10 @@ def diagnose_robot(
             around = _among(found.with_links(beside) if beside else found, whole)
             second = dict(zip(again, _looked(around, again, alone, there, note), strict=True))
             answers = _explained_by_others(answers, second)
+    if found.lead_s:
+        driven = [one.joint.name for one, _ in answers if found.drive(one.joint) is not None]
+        (parameter,) = found.clock_at(found.robot.actuators[0].input).named_values
+        whole = (*whole, (found.clock, tuple(driven), {parameter: abs(found.lead_s)}))
     note("simulating the whole robot with what was found")
     return _together(found, answers, whole, start)
 
@@ -427,11 +443,14 @@ def _together(
             except Exception as error:
                 if one.effect.id not in OF_THE_WHOLE:
                     left.append(f"{one.effect.id} at {one.site} is not in the corrected model: {error}")
+    effects += [found.clock_at(one.input) for one in found.robot.actuators if found.lead_s]
     before, after, last = (
         _errors(found, model.with_values(values).with_effects(added))
         for values, added in (({}, ()), (recalibrated, ()), (corrected, tuple(effects)))
     )
     for name, told_by, values in whole:
+        if name in OF_THE_LOG:
+            continue
         put = {parameter: values[one] for parameter, one in IN_THE_ROBOT[name].items() if parameter in names}
         with_it = _errors(found, model.with_values(corrected | put).with_effects(effects))
         if len(put) == len(values) and np.sum(np.square(with_it / after)) < np.sum(np.square(last / after)):
@@ -484,7 +503,7 @@ def _into_damping(joint: str, values: dict[str, float], answer: Diagnosis) -> No
 def _of_the_whole(
     answers: Sequence[tuple[OneJoint, Diagnosis]], load_at: FloatArray
 ) -> tuple[OfTheWhole, ...]:
-    found = []
+    found: list[OfTheWhole] = []
     for effect in OF_THE_WHOLE:
         shown = [
             (one.joint.name, cause)
@@ -533,6 +552,13 @@ def _errors(found: Prescribed, model: Model) -> FloatArray:
         squares += np.sum((trial.outputs[:, columns] - made.outputs[:, columns]) ** 2, axis=0)
         count += len(trial.time_s)
     return np.sqrt(squares / max(count, 1))
+
+
+def _clock_words(effect: str, values: Mapping[str, float]) -> str:
+    (time_s,) = values.values()
+    if effect == "delay":
+        return f"all joints: goals are followed {1e3 * time_s:.3g} ms late"
+    return f"the log: goals are stamped {1e3 * time_s:.3g} ms late beside all angles"
 
 
 def _number(value: float) -> float | None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labrun.arrays import FloatArray
+from labrun.effects import AttachedEffect, load_effect
 from labrun.errors import RequestError
 from labrun.fit import Dataset
 from labrun.gap.motion import smoothed
@@ -59,6 +60,8 @@ class Prescribed:
         Of every trial: what the joints carry.
     around
         Of every trial, (n, joints): what a tilted base and a load ask of the joints more, where these are known.
+    lead_s
+        By how much all goals are stamped late beside all angles, where that is known; negative if angles follow late.
     """
 
     robot: Robot
@@ -68,6 +71,29 @@ class Prescribed:
     terms: tuple[Carried, ...]
     own: RobotTerms
     around: tuple[FloatArray, ...] = ()
+    lead_s: float = 0.0
+
+    @property
+    def sample_s(self) -> float:
+        """The usual time between samples."""
+        return float(np.median(np.concatenate([np.diff(one.time_s) for one in self.dataset.trials])))
+
+    def led(self, lead_s: float) -> "Prescribed":
+        """Return the same with goals that are stamped late by so much."""
+        return replace(self, lead_s=lead_s)
+
+    @property
+    def clock(self) -> str:
+        """What goals of that time are called in the library; "" if there is none."""
+        return "" if not self.lead_s else "late-clock" if self.lead_s > 0.0 else "delay"
+
+    def clock_at(self, channel: str) -> AttachedEffect:
+        """Return the effect of the log's clock at the goal of a joint."""
+        return AttachedEffect(load_effect(self.clock, "input"), channel, (abs(self.lead_s),))
+
+    def drive(self, joint: RobotJoint) -> RobotActuator | None:
+        """Return what drives a joint."""
+        return next((one for one in self.robot.actuators if one.joint == joint.name), None)
 
     def on_base(self, roll: float, pitch: float) -> "Prescribed":
         """Return the same with a base that is tilted by these angles (rad)."""
@@ -122,7 +148,7 @@ class Prescribed:
                 outputs[:, names.index(self.robot.joints[place].output)] += by[number]
             trials.append(replace(trial, outputs=outputs))
         moved = prescribed(self.robot, self.whole, replace(self.dataset, trials=tuple(trials)))
-        return replace(moved, dataset=self.dataset)
+        return replace(moved, dataset=self.dataset, lead_s=self.lead_s)
 
     def redrawn(self, rng: np.random.Generator) -> "Prescribed":
         """Return what would be prescribed if this motion were the true one, measured again with the same noise."""
@@ -137,7 +163,7 @@ class Prescribed:
             outputs[:, columns] = q + noise * rng.standard_normal(q.shape)
             trials.append(replace(trial, outputs=outputs))
         drawn = prescribed(self.robot, self.whole, replace(self.dataset, trials=tuple(trials)))
-        return replace(drawn, dataset=self.dataset, around=self.around)
+        return replace(drawn, dataset=self.dataset, around=self.around, lead_s=self.lead_s)
 
 
 def why_not(robot: Robot, dataset: Dataset) -> str:
@@ -199,7 +225,7 @@ def _parts(terms: Carried, lengths: Sequence[int]) -> Iterator[Carried]:
 def one_joint(found: Prescribed, place: int) -> OneJoint:
     """Return the model of a joint, and the trials as it sees them."""
     joint = found.robot.joints[place]
-    drive = next((one for one in found.robot.actuators if one.joint == joint.name), None)
+    drive = found.drive(joint)
     torque = np.concatenate([one.torque[:, place] for one in found.terms])
     inertia = np.concatenate([one.inertia[:, place] for one in found.terms])
     acceleration = np.concatenate([one[2][:, place] for one in found.motions])
@@ -212,6 +238,8 @@ def one_joint(found: Prescribed, place: int) -> OneJoint:
     bodies = [found.terms[0].bodies[k] for k in own]
     text = "\n".join(_lines(found, place, joint, drive, bodies, tilted=tilted, loaded=loaded))
     model = parse_model(text, f"{found.robot.name}: {joint.name}")
+    if drive is not None and found.lead_s:
+        model = model.with_effects([found.clock_at(drive.input)])
     return OneJoint(
         joint, model, _dataset(found, place, joint, drive, own, rest, model, tilted=tilted, loaded=loaded)
     )

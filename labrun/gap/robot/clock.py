@@ -1,0 +1,96 @@
+"""By how much the goals of a log are stamped late or early beside its angles, from all joints at once.
+
+One logger stamps all joints: a clock that all of them share is simpler than one of each. Alone, a joint can mistake it
+for damping, as a servo that knows its goal early lags less.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.errors import LabrunError
+from labrun.fit import silent
+from labrun.gap import criteria
+from labrun.gap.averaging import averaged
+from labrun.gap.recalibration import recalibrate
+from labrun.gap.robot.one_joint import MASS_TOLERANCE, Prescribed, one_joint
+from labrun.gap.robot.torques import NUMBERS_A_TRIAL, JointTorque
+from labrun.gap.screening import Base
+
+_FARTHEST_STEP_S, _NUDGE_S = 0.03, 1e-3
+"""Of a step to the time: goals are no straight lines for longer; and half of a step behind a slope of simulations."""
+
+
+def common_lead(found: Prescribed, rng: np.random.Generator) -> float:
+    """Return by how much all goals are stamped late beside all angles, s; negative if the angles follow late.
+
+    0.0 where joints tell no such time, or do not agree on one.
+    """
+    alone, deviations = _alone(found)
+    speaking = deviations < np.abs(alone) / criteria.CLOCK_TOLD
+    if speaking.sum() < criteria.CLOCK_JOINTS:
+        return 0.0
+    middle = float(np.median(alone[speaking]))
+    room = np.maximum(criteria.CLOCK_TOLD * deviations, criteria.CLOCK_ALIKE * abs(middle))
+    asked = deviations < abs(middle) / criteria.CLOCK_TOLD
+    told = asked & (np.abs(alone - middle) <= room)
+    if told.sum() < max(criteria.CLOCK_JOINTS, criteria.CLOCK_AGREED * asked.sum()):
+        return 0.0
+    lead_s = float(np.average(alone[told], weights=1.0 / np.square(deviations[told])))
+    if abs(lead_s) < criteria.CLOCK_LEAST * found.sample_s:
+        return 0.0
+    return lead_s + _left_over(found.led(lead_s), np.flatnonzero(told), rng)
+
+
+def _alone(found: Prescribed) -> tuple[FloatArray, FloatArray]:
+    """Return what each joint says by its torques, and its standard deviation, s; infinite where it says nothing."""
+    leads, deviations = [], []
+    share = min(NUMBERS_A_TRIAL * len(found.motions) / sum(len(one[0]) for one in found.motions), 1.0)
+    for place in range(len(found.robot.joints)):
+        lead_s, sd_s, deviation = 0.0, np.inf, 0.0
+        for _ in range(criteria.CLOCK_STEPS):
+            one = JointTorque.of(found.led(lead_s), place)
+            if not np.any(one.late):
+                break
+            deviation = deviation or max(float(np.std(one.left)), one.least)
+            columns = np.column_stack([one.late, one.columns, one.bodies])
+            spread = np.concatenate([[np.inf], one.spread, np.full(one.bodies.shape[1], MASS_TOLERANCE)])
+            normal = share * columns.T @ columns / deviation**2 + np.diag(1.0 / np.square(spread))
+            scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+            inverse = np.linalg.pinv(normal * scale * scale[:, None], rcond=1e-12, hermitian=True)
+            fitted = scale * (inverse @ (scale * (share * columns.T @ one.left / deviation**2)))
+            deviation = max(float(np.std(one.left - columns @ fitted)), one.least)
+            # what is left by goals at this time grows by `late` with every second that they are read further ahead
+            lead_s -= float(np.clip(fitted[0], -_FARTHEST_STEP_S, _FARTHEST_STEP_S))
+            sd_s = float(scale[0] * np.sqrt(inverse[0, 0]))
+        leads.append(lead_s)
+        deviations.append(sd_s)
+    return np.array(leads), np.array(deviations)
+
+
+def _left_over(found: Prescribed, places: Iterable[int], rng: np.random.Generator) -> float:
+    """Return what is missing of a time, from joints simulated with their parameters recalibrated.
+
+    Smoothing bends what inverse dynamics says of it, simulations do not. Each joint counts in units of what is left
+    at it.
+    """
+    along, weight = 0.0, 0.0
+    for place in places:
+        one, later = one_joint(found, int(place)), one_joint(found.led(found.lead_s + _NUDGE_S), int(place))
+        try:
+            fitted = recalibrate(one.model, averaged(one.dataset, one.model), rng, silent)
+            problem, z = fitted.problem, fitted.z
+            base = Base.of(problem, z)
+            nudged = replace(problem, model=later.model).residuals(z)
+        except LabrunError:
+            continue
+        changes = [after - now for after, now in zip(nudged, base.residual, strict=True)]
+        change = base.nuisance.remainder(changes) / _NUDGE_S
+        left = base.nuisance.remainder(base.residual, problem.priors.residual(z))
+        squares = max(float(left @ left), 1e-300)
+        if np.isfinite(change).all() and np.isfinite(squares):
+            along -= float(change @ left) / squares
+            weight += float(change @ change) / squares
+    return along / weight if weight > 0.0 else 0.0

@@ -1,0 +1,108 @@
+"""What the drives of a robot do along its measured motion beyond what the robot as stated asks of them.
+
+By inverse dynamics, so that nothing is simulated: what is off by little (gains, dampings, masses, a load, a clock) is
+linear in it (Khalil, Gautier, Lemoine, ICRA 2007, 4943).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labrun.arrays import FloatArray
+from labrun.gap.robot.one_joint import GAIN_TOLERANCE, MASS_TOLERANCE, Prescribed
+from labrun.models import RobotActuator
+
+NUMBERS_A_TRIAL = 10
+"""What a trial tells of a joint, independent of one another, however many its samples are: neighbours say the same."""
+_LEAST_LEFT = 0.01
+"""Part of what the drive puts on a joint that is left at the least: with masses and gains that are all nothing, nothing
+would be."""
+_DIFFERENCE_S = 1e-3
+"""Half the difference of times behind a slope: drives do not change faster."""
+
+
+@dataclass(frozen=True)
+class JointTorque:
+    """What one joint says: ``left = columns @ unknowns + bodies @ errors of their masses + what is looked for``.
+
+    Attributes
+    ----------
+    left : (n,)
+        What the drive puts on the joint beyond what the robot as stated asks for.
+    least : float
+        Deviation of what is left that no fit goes below.
+    columns, spread : (n, own), (own,)
+        Of what the joint has of its own, and how far each may be off. First, for the gains of its drive, all that is
+        asked of it: what it exerts itself is as noisy as the difference of goal and angle.
+    bodies : (n, bodies)
+        What each body asks of the joint.
+    late : (n,)
+        How `left` changes with the time by which goals are read ahead.
+    """
+
+    left: FloatArray
+    least: float
+    columns: FloatArray
+    spread: FloatArray
+    bodies: FloatArray
+    late: FloatArray
+
+    @classmethod
+    def of(cls, found: Prescribed, place: int, *, without: str = "") -> "JointTorque":
+        """Take what a joint says; of the body `without`, what its mass is off by is looked for elsewhere."""
+        own, joint = found.own, found.robot.joints[place]
+        q, rate, acceleration = (
+            np.concatenate([one[k][:, place] for one in found.motions]) for k in range(3)
+        )
+        drive = found.drive(joint)
+        effort, late = np.zeros_like(q), np.zeros_like(q)
+        if drive is not None:
+            effort, before, after = (
+                _effort(found, place, drive, found.lead_s + more)
+                for more in (0.0, -_DIFFERENCE_S, _DIFFERENCE_S)
+            )
+            late = (after - before) / (2.0 * _DIFFERENCE_S)
+        passive = own.damping[place] * rate + own.armature[place] * acceleration
+        passive += own.stiffness[place] * (q - own.rest[place]) + own.friction[place] * np.sign(rate)
+        masses = np.concatenate(
+            [
+                one.torque[:, place] + one.inertia[:, place] * motion[2][:, place, None]
+                for one, motion in zip(found.terms, found.motions, strict=True)
+            ]
+        )
+        asked = passive + masses.sum(axis=1)
+        left = effort - asked
+        if found.around:
+            left = left - np.concatenate([one[:, place] for one in found.around])
+        columns = np.column_stack(
+            [asked, rate, np.sign(rate), np.ones_like(q), own.armature[place] * acceleration]
+        )
+        spread = np.array([GAIN_TOLERANCE, np.inf, np.inf, np.inf, MASS_TOLERANCE])
+        least = max(_LEAST_LEFT * float(np.std(effort if drive is not None else left)), 1e-12)
+        others = [number for number, body in enumerate(found.terms[0].bodies) if body != without]
+        return cls(left, least, columns, spread, masses[:, others], late)
+
+    def beside_late(self) -> "JointTorque":
+        """Return the same with goals that may be late or early by any time of the joint's own."""
+        columns = np.column_stack([self.columns, self.late])
+        return replace(self, columns=columns, spread=np.append(self.spread, np.inf))
+
+
+def _effort(found: Prescribed, place: int, drive: RobotActuator, ahead_s: float) -> FloatArray:
+    """Return what the drive puts on its joint along the measured motion, goals read ahead, (n,)."""
+    column = [one.name for one in found.dataset.inputs].index(drive.input)
+    gains = found.own.drives[drive.joint]
+    told = []
+    for trial, (q, rate, _) in zip(found.dataset.trials, found.motions, strict=True):
+        goal, at_s = trial.inputs[:, column], trial.time_s + ahead_s
+        if drive.command in ("torque", "geared"):
+            told.append(gains.gear * np.interp(at_s, trial.time_s, goal))
+            continue
+        # a goal that is held from sample to sample is late by half of one
+        goal = np.interp(at_s - 0.5 * found.sample_s, trial.time_s, goal)
+        if drive.command == "velocity":
+            told.append(gains.kp * (goal - rate[:, place]))
+        else:
+            told.append(gains.kp * (goal - q[:, place]) - gains.kv * rate[:, place])
+    exerted: FloatArray = np.clip(np.concatenate(told), *gains.limits)
+    return exerted
