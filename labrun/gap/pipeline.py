@@ -204,9 +204,8 @@ def _that_make_up_what_is_left(
 
 def _left_beside(problem: Problem, z: FloatArray, noise: Noise, deviations: Sequence[Deviation]) -> float:
     """Return the part that is left beside deviations, in units of what is left then: else they are taken for noise."""
-    beside, start = with_deviations(problem, z, deviations)
-    fitted = in_noise(beside, noise, start)
-    after, before = mean_residuals(fitted.problem, fitted.z), mean_residuals(problem, z)
+    fitted = fitted_in_own_units(noise, *with_deviations(problem, z, deviations))
+    after, before = mean_residuals(*fitted), mean_residuals(problem, z)
     left, all_of_it = (np.mean(np.square(np.concatenate(one)), axis=0) for one in (after, before))
     return float(np.mean(left / np.where(all_of_it > 0, all_of_it, 1.0)))
 
