@@ -22,9 +22,9 @@ def confidence(search: Search, one: Chosen) -> float:
     Their weight among all that explains the data as well, less what even a cause without rivals turned out to be wrong.
     """
     weight = one.weight + (one.rivals[0][1] if one.rivals else 0.0)
-    evidence = max(one.rated.evidence - criteria.CHANCE_EVIDENCE, criteria.LEAST_BEYOND_CHANCE)
     most = ceiling(search.noise.basis, len(search.data.conditions))
-    return float(np.clip(most * weight * (1.0 - np.exp(-evidence)), criteria.LEAST_CONFIDENCE, most))
+    no_chance = 1.0 - np.exp(-one.rated.evidence)
+    return float(np.clip(most * weight * no_chance, criteria.LEAST_CONFIDENCE, most))
 
 
 def ceiling(basis: Basis, conditions: int) -> float:

@@ -9,7 +9,7 @@ from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect, unit_of
 from labrun.fit import Dataset, Problem
 from labrun.gap import criteria
-from labrun.gap.diagnosis import ResampledNumber
+from labrun.gap.diagnosis import Name, ResampledNumber
 from labrun.gap.nuisance import off
 from labrun.gap.screening import Base
 from labrun.models import Model
@@ -132,6 +132,32 @@ def _shape(base: Base, linear: _Linear, place: int, values: Sequence[float]) -> 
         squares.append(linear.left(parts, moves[-1]))
     odds = np.exp(-0.5 * (np.array(squares) - min(squares)))
     return odds / odds.sum(), np.column_stack(moves)
+
+
+def may_be_nothing(base: Base, moved: FloatArray) -> dict[Name, float]:
+    """Return the added effects whose sizes may all be zero (95 %), with how many deviations the largest is from it.
+
+    Not those with a level that is neutral at infinity: they are never fitted to nothing.
+
+    Parameters
+    ----------
+    moved
+        What `scatter` returns of the base.
+    """
+    found, variable = dict[Name, float](), base.problem.size - sum(one.variables for one in base.added)
+    for candidate in base.added:
+        effect = None if candidate.attached is None else candidate.attached.effect
+        fitted = [one for one in effect.parameters if not one.held] if effect is not None else []
+        places = [variable + place for place, one in enumerate(fitted) if one.neutral == 0.0]
+        variable += candidate.variables
+        if not places or any(one.neutral is not None and np.isinf(one.neutral) for one in fitted):
+            continue
+        low, high = (base.z[places] + end for end in np.percentile(moved[:, places], [2.5, 97.5], axis=0))
+        if np.all((low <= 0.0) & (high >= 0.0)):
+            spread = np.std(moved[:, places], axis=0)
+            away = np.abs(base.z[places]) / np.where(spread > 0.0, spread, np.inf)
+            found[candidate.name] = float(np.max(away))
+    return found
 
 
 def values_of(

@@ -125,12 +125,7 @@ def weights(rated: Sequence[Rated], form_slack: float) -> FloatArray:
 
 
 def preferred(
-    rated: Sequence[Rated],
-    left: ExcessResidual,
-    reference: ExcessResidual,
-    *,
-    beside: int,
-    relative: bool = False,
+    rated: Sequence[Rated], left: ExcessResidual, *, least: float = 0.0, relative: bool = False
 ) -> Rated | None:
     """Return the candidate to take in; the simplest of those that do as well as the best. None if none is needed.
 
@@ -138,14 +133,14 @@ def preferred(
     ----------
     left
         Held-out excess without it.
-    beside
-        How many causes there are already.
+    least
+        Part of it that has to be removed: `least_to_remove` for a further cause, 0 for the first.
     relative
         Whether nothing was repeated.
     """
     passing = [one for one in rated if one.evidence > (_needed(one, left) if relative else 1.0)]
-    if beside and reference.total > 0:
-        passing = [one for one in passing if _earns_its_place(one, left, reference, beside)]
+    if least > 0.0:
+        passing = [one for one in passing if left.total - one.held_out.total >= least * left.total]
     if not passing:
         return None
     most = max(one.share for one in passing)
@@ -174,13 +169,17 @@ def _needed(one: Rated, left: ExcessResidual) -> float:
     return criteria.EVIDENCE_ALONE if alone else 1.0
 
 
-def least_to_remove(left: ExcessResidual, reference: ExcessResidual, beside: int = 1) -> float:
+def least_to_remove(
+    left: ExcessResidual, reference: ExcessResidual, beside: int = 1, learnable: float = 1.0
+) -> float:
     """Return the part of what is left that a further cause has to remove to earn its place; above 1, none can.
 
     Parameters
     ----------
     beside
         How many causes there are already: what two leave is less often a third than what is wrong with their forms.
+    learnable
+        Part of what one cause leaves that any model could explain: the rest is a noise that no repeats tell.
     """
     if left.total <= 0.0 or reference.total <= 0.0:
         return float("inf")
@@ -190,18 +189,14 @@ def least_to_remove(left: ExcessResidual, reference: ExcessResidual, beside: int
         ways.append(max(criteria.NOTICED_SHARE * whole, criteria.NOTICED_OF_LEFT))
     if left.gap >= criteria.SMALL_GAP:
         ways.append(criteria.SMALL_OF_LEFT)
+    if beside == 1 and left.gap * np.sqrt(learnable) >= criteria.SMALL_GAP:
+        ways.append(criteria.SMALL_OF_LEFT * learnable)
     return min(ways)
 
 
 def room_for_more(left: ExcessResidual, reference: ExcessResidual, beside: int = 1) -> bool:
     """Tell whether a further cause could earn its place at all: by removing everything that is left."""
     return least_to_remove(left, reference, beside) <= 1.0
-
-
-def _earns_its_place(one: Rated, left: ExcessResidual, reference: ExcessResidual, beside: int) -> bool:
-    """Tell whether a further cause removes enough on withheld conditions, of the whole gap or of what is left of it."""
-    least = least_to_remove(left, reference, beside)
-    return least <= 1.0 and left.total - one.held_out.total >= least * left.total
 
 
 def rivals_of(

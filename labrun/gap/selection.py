@@ -12,6 +12,8 @@ from labrun.gap.candidates import Candidate, without
 from labrun.gap.diagnosis import Name
 from labrun.gap.forms import best_form, sharpened
 from labrun.gap.held_out import ExcessResidual, fitted_excess, held_out_excess
+from labrun.gap.intervals import may_be_nothing, scatter
+from labrun.gap.learnable import learnable_share
 from labrun.gap.noise import Noise
 from labrun.gap.noise_threshold import NoiseThreshold, Null, noise_threshold
 from labrun.gap.rating import (
@@ -72,7 +74,7 @@ class Chosen:
     Attributes
     ----------
     rated
-        As it was rated when it was taken in.
+        As it was rated beside all other causes that were found.
     rivals
         What explains the data as well, most probable first, with its weight; or a form that is mended in the same way,
         of next to none.
@@ -212,6 +214,10 @@ class Selector:
             chosen, rounds = self._exchanged(chosen)
         if len(chosen) > 2:
             chosen, rounds = self._fewer(chosen, rounds)
+        while len(chosen) > 1 and (kept := self._without_nothing(chosen)):
+            chosen, rounds = self._exchanged(kept)
+        if len(chosen) > 1:
+            chosen = [self._judged_beside_others(one, chosen) for one in chosen]
         # one of two causes alone may fail where it was not fitted; all that were chosen together must not
         alone = max((one.share for one in first.rated), default=0.0)
         needed = criteria.LEAST_SHARE if alone >= criteria.LEAST_SHARE else criteria.TOGETHER_SHARE
@@ -340,6 +346,30 @@ class Selector:
                 pair, enough = [one, other], other.held_out.total
         return self._exchanged(pair) if pair else (chosen, rounds)
 
+    def _without_nothing(self, chosen: Sequence[Chosen]) -> list[Chosen]:
+        """Return the causes without the one whose size, all of them fitted together, is least told from zero.
+
+        Nothing where all are told from it.
+        """
+        final = chosen[-1].base
+        nothing = may_be_nothing(final, scatter(final, self.null.draws(final)))
+        if not nothing:
+            return []
+        least = min(nothing, key=lambda one: nothing[one])
+        self.note(f"the size of {least} may be zero beside the others: it is left out")
+        kept = [one for one in chosen if one.name != least]
+        beside, left = self._beside(chosen, kept)
+        return [*kept[:-1], replace(kept[-1], base=beside.base, held_out=left)]
+
+    def _judged_beside_others(self, one: Chosen, chosen: Sequence[Chosen]) -> Chosen:
+        """Return a cause as it is judged beside all others that were found, not only those it was found beside."""
+        beside, _ = self._beside(chosen, [other for other in chosen if other.name != one.name])
+        rated = next((other for other in beside.rated if other.candidate.name == one.name), None)
+        if rated is None:
+            return one
+        rivals, weight = rivals_of(rated, beside.rated, relative=self.null.relative)
+        return replace(one, rated=replace(one.rated, evidence=rated.evidence), rivals=rivals, weight=weight)
+
     def _beside(self, chosen: Sequence[Chosen], kept: Sequence[Chosen]) -> tuple[Round, ExcessResidual]:
         """Return all candidates beside some of the causes, and what these leave on withheld conditions."""
         names = frozenset(one.name for one in kept)
@@ -348,11 +378,23 @@ class Selector:
         return found, held_out_excess(found.base.problem, found.base.z, self.noise)
 
     def _choose(self, current: Round, left: ExcessResidual) -> Chosen | None:
-        beside = len(current.base.added)
-        best = preferred(current.rated, left, self.reference, beside=beside, relative=self.null.relative)
+        least = self._least_to_remove(current.base, left)
+        best = preferred(current.rated, left, least=least, relative=self.null.relative)
         if best is None:
             return None
         return self._taken(more_common(best, current.rated, relative=self.null.relative), current)
+
+    def _least_to_remove(self, base: Base, left: ExcessResidual) -> float:
+        """Return the part of what a base leaves that a further cause has to remove; 0 for the first."""
+        beside = len(base.added)
+        if beside == 0:
+            return 0.0
+        learnable = 1.0
+        if beside == 1 and self.null.relative and left.gap >= criteria.SMALL_GAP:
+            several = len(base.problem.data.conditions) > 1
+            ways = [False, True] if several else [False]
+            learnable = max(learnable_share(base.problem, base.z, conditions=one) for one in ways)
+        return least_to_remove(left, self.reference, beside, learnable)
 
     def _taken(self, best: Rated, current: Round) -> Chosen:
         """Return a candidate as a cause: with its rivals, and fitted in units of what it leaves."""

@@ -10,7 +10,7 @@ from labrun.fit import Dataset, OutputNoise
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnosis import Name
-from labrun.gap.intervals import scatter
+from labrun.gap.intervals import may_be_nothing, scatter
 from labrun.gap.recalibration import stated_problem
 from labrun.gap.screening import Base, refit
 
@@ -62,3 +62,11 @@ def test_a_shape_that_is_held_leaves_its_size_as_open_as_the_data_do() -> None:
     noisy = recorded(dry_friction(0.006), noise=0.1)
     held, drawn = (with_friction(noisy, noise=0.1, rate=20.0, shapes=shapes) for shapes in (False, True))
     assert spread(drawn, noise=0.0) > 1.3 * spread(held, noise=0.0)
+
+
+def test_a_size_that_noise_alone_would_make_may_be_nothing_and_one_that_is_there_may_not(same: Base) -> None:
+    without = with_friction(recorded(noise=NOISE))
+    for base, nothing in ((same, False), (without, True)):
+        rng = np.random.default_rng(3)
+        draws = [[rng.standard_normal(one.shape) for one in base.residual] for _ in range(200)]
+        assert (Name("coulomb-friction", "hinge") in may_be_nothing(base, scatter(base, draws))) is nothing

@@ -73,3 +73,11 @@ def test_a_second_cause_may_be_half_of_what_the_first_leaves_and_a_third_may_not
 def test_however_little_of_the_whole_is_left_what_removes_nearly_all_of_it_is_a_cause():
     assert least_to_remove(excess(250.0), excess(1.2e6)) == pytest.approx(0.8)
     assert least_to_remove(excess(0.5), excess(1.2e6)) > 1.0  # no more than a sensor's noise
+
+
+def test_of_what_disturbances_leave_a_second_cause_has_to_remove_what_can_be_learned():
+    left, whole = excess(10.0), excess(100.0)
+    assert least_to_remove(left, whole) == pytest.approx(0.5)
+    assert least_to_remove(left, whole, learnable=0.3) == pytest.approx(0.24)
+    assert least_to_remove(left, whole, learnable=0.05) == pytest.approx(0.5)  # no more than a sensor's noise
+    assert least_to_remove(left, whole, beside=2, learnable=0.3) == pytest.approx(0.8)
