@@ -101,8 +101,13 @@ class Newest:
         made_s = self._clock.made_s(samples.device_time_s, samples.host_time_s)
         number, times, heard_s, values = self.view
         count = int(number[0]) + len(samples)
-        row = (count - 1) % SLOTS
-        times[row], heard_s[row], values[row] = made_s[-1], samples.host_time_s[-1], samples.values[-1]
+        kept = min(len(samples), SLOTS)
+        rows = np.arange(count - kept, count) % SLOTS
+        times[rows], heard_s[rows], values[rows] = (
+            made_s[-kept:],
+            samples.host_time_s[-kept:],
+            samples.values[-kept:],
+        )
         number[0] = count  # last: who sees the number finds the sample
         if self._bell is not None:
             self._bell.ring()

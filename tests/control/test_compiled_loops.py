@@ -50,13 +50,13 @@ class Run:
         self.law, self.drives, self.angles = law, np.zeros(2), np.zeros(angles)
         self.record, self.number = np.empty(3 * 4 + 2 * 2 + 5), 0
 
-    def step(self, latest, reference=(0.0, 0.0)):
+    def step(self, latest, reference=(0.0, 0.0), missed=None, missed_s=-math.inf):
         now_s = self.number * PERIOD_S
         self.number += 1
-        made_s = np.array([now_s, now_s])
+        made_s, row = np.array([now_s, now_s]), np.array(latest, dtype=float)
         return take_step(
-            self.law, now_s, PERIOD_S, np.array(reference), np.array(latest, dtype=float), made_s, self.drives,
-            self.angles, self.record,
+            self.law, now_s, PERIOD_S, np.array(reference), row, made_s,
+            row if missed is None else np.array(missed, dtype=float), missed_s, self.drives, self.angles, self.record,
         )  # fmt: skip
 
 
@@ -83,6 +83,21 @@ def test_a_sample_is_learned_from_once():
         run.number = 1
         run.step([1.0, 2.0, 3.0, 4.0])
     assert run.law.affine.counts[SAMPLES] == 1
+
+
+def test_a_step_made_up_for_a_sample_that_came_with_a_newer_one_learns_from_that():
+    drives = [3.0, 4.0]
+    one, other = (Run(law_of(network()[0], context(), wiring(), CHANNELS)) for _ in range(2))
+    for run in (one, other):
+        run.step([0.1, 0.2, *drives])
+    one.step([1.0, 2.0, *drives])
+    one.step([5.0, 6.0, *drives])
+    other.number = 2
+    other.step([5.0, 6.0, *drives])
+    other.number = 2
+    other.step([5.0, 6.0, *drives], missed=[1.0, 2.0, *drives], missed_s=PERIOD_S)
+    assert other.law.affine.counts[SAMPLES] == 3
+    assert other.law.affine.weights == pytest.approx(one.law.affine.weights, rel=1e-12)
 
 
 def test_measurements_that_are_no_numbers_teach_nothing_and_weights_stay():

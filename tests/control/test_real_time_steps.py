@@ -13,10 +13,12 @@ from labrun.control.compiled.real_time import MORE, WATCHED_NS, LiveBench, await
 from labrun.control.compiled.stepping import FULL, GOOD, UNWATCHED
 from labrun.control.feedbacks import LatestFeedback
 from labrun.control.making import OneForEach
+from labrun.control.network import NetworkController
 from labrun.control.pid import PidController
 from labrun.control.protocol import LoopContext
 from labrun.devices import Limits, Samples
 from labrun.devices.listening import Bell, Newest
+from labrun.learned import LearnedModel, Network, Scaling, to_table
 
 PERIOD_S = 0.2
 """So long that a busy machine takes no step for another one."""
@@ -50,7 +52,7 @@ class Wired:
         )  # fmt: skip
 
     def sample(self, *values):
-        now = np.full(len(values), time.monotonic())
+        now = time.monotonic() - 1e-6 * np.arange(len(values))[::-1]
         self.newest.put(Samples(now, now, np.array(values)[:, None]))
 
     def wait(self, due_in_s=PERIOD_S, number=5, before_s=-math.inf, owed=False):
@@ -136,6 +138,24 @@ def test_of_samples_that_come_at_once_each_has_its_step_in_the_end():
     assert status == GOOD
     assert records[:, MORE] == pytest.approx([0.0, 0.0, 0.0, 3.0, 3.0, 3.0])
     assert np.diff(records[:, 0])[3:] == pytest.approx([0.02, 0.02], abs=0.005)
+
+
+@pytest.mark.slow
+def test_of_samples_that_come_at_once_each_is_learned_from():
+    wired = Wired(period_s=0.05)
+    scaling = Scaling(np.zeros(1), np.ones(1))
+    network = Network((np.eye(1),), (np.zeros(1),), "identity", scaling, scaling)
+    table = to_table(LearnedModel(network, {"a": "N"}, {"u": "1"}, rig="bench"))
+    context = LoopContext(0.05, -50.0, 50.0, 0.0, components=("a",), drives={"u": "1"}, rig="bench")
+    learning = NetworkController(
+        {"model": table, "learn": {"measured": {"u": "s.a"}}, "history_s": 0.0}, context
+    )
+    wired.law = law_of(learning, context, wired.law.wiring, Channels(("s",), {"s.a": 0}))
+    wired.sample(0.0)
+    status, records = wired.run(6, 1000.0, later=[(0.12, (1.0, 2.0, 3.0))])
+    assert status == GOOD
+    assert records[:, -2] == pytest.approx([1.0, 1.0, 1.0, 2.0, 3.0, 4.0])
+    assert wired.law.affine.gram[1, 0] == pytest.approx(0.0 + 1.0 + 2.0 + 3.0)
 
 
 @pytest.mark.slow

@@ -132,8 +132,8 @@ def run_block(
             record = records[taken]
             record[0] = now_s - start_s
             status = take_step(
-                law, now_s - start_s, per_step * bench.step_s, references[taken], latest, latest_s, drives,
-                angles, record[2:],
+                law, now_s - start_s, per_step * bench.step_s, references[taken], latest, latest_s, latest,
+                -np.inf, drives, angles, record[2:],
             )  # fmt: skip
             newest_s = np.inf
             for sensor in law.wiring.sensor:

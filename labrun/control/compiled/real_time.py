@@ -97,6 +97,9 @@ def run_steps(
     latest_s = np.full(len(bench.number), -np.inf)
     seen, fresh = np.zeros(len(bench.number), dtype=np.int64), np.zeros(len(bench.number), dtype=np.bool_)
     nothing, said = np.zeros(1), np.zeros(1)
+    unlearned, one = np.empty_like(latest), law.wiring.sensor[0]
+    queue = np.zeros(2 + SLOTS, dtype=np.int64)
+    learns = (law.wiring.sensor == one).all()
     number, owed, before_s = 0, 0, start_s - period_s
     while number < steps:
         now_s = await_step(law, bench, seen, start_s, period_s, number, before_s, owed > 0)
@@ -115,16 +118,20 @@ def run_steps(
         made_s, heard_s = np.inf, np.inf
         begun = before_s >= start_s  # what came before the first step asks for none
         owed = min(max(owed + _passed_over(law, bench, seen), 0), _AHEAD) if begun else 0
+        before = seen[one]
         for sensor in range(len(bench.number)):
             fresh[sensor] = _look(bench, sensor, start_s, latest, latest_s, seen)
         for sensor in law.wiring.sensor:
             made_s = min(made_s, latest_s[sensor])
             if fresh[sensor]:
                 heard_s = min(heard_s, bench.heard_s[sensor][(seen[sensor] - 1) % SLOTS])
+        unlearned_s = -np.inf
+        if begun and learns:
+            unlearned_s = _unlearned(bench, one, before, seen[one], start_s, latest, queue, unlearned)
         record = ring[shared[HEAD] % len(ring)]
         status = take_step(
-            law, now_s - start_s, now_s - before_s, references[newest], latest, latest_s, drives, angles,
-            record[MORE + joints :],
+            law, now_s - start_s, now_s - before_s, references[newest], latest, latest_s, unlearned, unlearned_s,
+            drives, angles, record[MORE + joints :],
         )  # fmt: skip
         if status != GOOD:
             return status
@@ -205,6 +212,42 @@ def _look(
         for column in range(bench.values[sensor].shape[1]):
             latest[begin + column] = bench.values[sensor][row, column]
     return bool(fresh)
+
+
+@kernel
+def _unlearned(
+    bench: LiveBench, sensor: int, before: int, now: int, start_s: float, latest: FloatArray, queue: IntArray,
+    row: FloatArray,
+) -> float:  # fmt: skip
+    """Find a sample to learn from that had no step of its own.
+
+    Parameters
+    ----------
+    sensor, before, now
+        Of the feedback; numbers of its samples that the step before and this one see.
+    queue : (2 + SLOTS,)
+        How many have been taken from it, and put into it; numbers of samples that no step has learned from.
+    row : (channels,)
+        Gets the latest of all channels, but that sample of its sensor.
+
+    Returns
+    -------
+    float
+        When the sample was made, trial time; -inf if there is none, or this step has a new one to learn from.
+    """
+    for number in range(max(before, now - _AHEAD) + 1, now):
+        queue[2 + queue[1] % SLOTS] = number
+        queue[1] += 1
+    while queue[0] < queue[1] and now - queue[2 + queue[0] % SLOTS] > _AHEAD:
+        queue[0] += 1  # its place may be another's soon
+    if queue[0] == queue[1] or now > before:
+        return -np.inf
+    place, begin = (queue[2 + queue[0] % SLOTS] - 1) % SLOTS, bench.channels_at[sensor]
+    queue[0] += 1
+    row[:] = latest
+    for column in range(bench.values[sensor].shape[1]):
+        row[begin + column] = bench.values[sensor][place, column]
+    return float(bench.made_s[sensor][place] - start_s)
 
 
 @dataclass

@@ -152,7 +152,7 @@ class Law(NamedTuple):
 @kernel
 def take_step(  # noqa: PLR0912 - one function, so that nothing is handed from call to call
     law: Law, now_s: float, dt_s: float, reference: FloatArray, latest: FloatArray, latest_s: FloatArray,
-    drives: FloatArray, angles: FloatArray, record: FloatArray,
+    missed: FloatArray, missed_s: float, drives: FloatArray, angles: FloatArray, record: FloatArray,
 ) -> int:  # fmt: skip
     """Take one step.
 
@@ -168,6 +168,9 @@ def take_step(  # noqa: PLR0912 - one function, so that nothing is handed from c
         Newest sample of every channel.
     latest_s : (sensors,)
         When each sensor's newest sample was made, time of the trial.
+    missed, missed_s : (channels,)
+        A sample of the feedback that no step has learned from, since a newer one came with it, and when it was made:
+        this step learns from it. -inf: there is none, and it learns from the newest.
     drives : (drives,)
         Where the drives stand; set to where they go.
     angles : (joints,)
@@ -184,21 +187,21 @@ def take_step(  # noqa: PLR0912 - one function, so that nothing is handed from c
     wiring = law.wiring
     count, outs, joints = len(wiring.channel), len(drives), len(angles)
     feedback = np.empty(count)
+    if not _feedback(wiring, latest, feedback):
+        return LOST_ORIENTATION
     feedback_s = np.inf
     for i in range(count):
-        feedback[i] = (latest[wiring.channel[i]] - wiring.tare[i]) * wiring.scale[i]
         feedback_s = min(feedback_s, latest_s[wiring.sensor[i]])
-    if wiring.orientation:
-        length = math.sqrt(feedback[0] ** 2 + feedback[1] ** 2 + feedback[2] ** 2 + feedback[3] ** 2)
-        if not length > _LEAST_LENGTH:
-            return LOST_ORIENTATION
-        if feedback[0] < 0.0:
-            length = -length
-        for i in range(4):
-            feedback[i] /= length
     wanted = np.empty(outs)
     if law.kind == AFFINE:
-        if _learn(law.affine, feedback, feedback_s, latest, latest_s):
+        if missed_s > -np.inf:
+            lesson = np.empty(count)
+            taught = _feedback(wiring, missed, lesson) and _learn(
+                law.affine, lesson, missed_s, latest, latest_s, True
+            )
+        else:
+            taught = _learn(law.affine, feedback, feedback_s, latest, latest_s, False)
+        if taught:
             law.affine.learned_s[1] = now_s
         _affine(law.affine, now_s, reference, wanted)
     else:
@@ -242,6 +245,22 @@ def take_step(  # noqa: PLR0912 - one function, so that nothing is handed from c
 
 
 @kernel
+def _feedback(wiring: Wiring, row: FloatArray, feedback: FloatArray) -> bool:
+    """Write the feedback that a row of all channels makes; False if it has no direction."""
+    for i in range(len(feedback)):
+        feedback[i] = (row[wiring.channel[i]] - wiring.tare[i]) * wiring.scale[i]
+    if wiring.orientation:
+        length = math.sqrt(feedback[0] ** 2 + feedback[1] ** 2 + feedback[2] ** 2 + feedback[3] ** 2)
+        if not length > _LEAST_LENGTH:
+            return False
+        if feedback[0] < 0.0:
+            length = -length
+        for i in range(4):
+            feedback[i] /= length
+    return True
+
+
+@kernel
 def _affine(law: Affine, now_s: float, reference: FloatArray, wanted: FloatArray) -> None:
     """Write what the network says to the reference."""
     ins = len(law.order)
@@ -258,9 +277,19 @@ def _affine(law: Affine, now_s: float, reference: FloatArray, wanted: FloatArray
 
 @kernel
 def _learn(
-    law: Affine, feedback: FloatArray, feedback_s: float, latest: FloatArray, latest_s: FloatArray
+    law: Affine,
+    feedback: FloatArray,
+    feedback_s: float,
+    latest: FloatArray,
+    latest_s: FloatArray,
+    missed: bool,
 ) -> bool:
-    """Take the newest sample into the window, and solve for the weights; a sample is learned from once.
+    """Take a sample into the window, and solve for the weights; a sample is learned from once.
+
+    Parameters
+    ----------
+    feedback, feedback_s
+        The newest, or, with `missed`, one before it that nothing was learned from.
 
     Returns
     -------
@@ -280,7 +309,7 @@ def _learn(
     oldest = law.recent_s[written % kept] if written >= kept else law.recent_s[0]
     turn = law.counts[STEPS]
     law.counts[STEPS] = turn + 1
-    if turn % law.every != 0 or oldest > feedback_s or not feedback_s > law.learned_s[0]:
+    if turn % law.every != 0 or oldest > feedback_s or not (missed or feedback_s > law.learned_s[0]):
         return False
     target = np.empty(outs)
     _at(law.recent_s, law.recent, written, feedback_s, target)
@@ -309,7 +338,7 @@ def _learn(
     if not _solved(law.gram, law.moment, law.ridge * held, found):  # too few samples without a ridge
         return False
     law.weights[:] = law.start + found
-    law.learned_s[0] = feedback_s
+    law.learned_s[0] = max(law.learned_s[0], feedback_s)
     law.counts[TRAININGS] += 1
     return True
 

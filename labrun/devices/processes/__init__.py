@@ -1,5 +1,6 @@
 """What runs beside the runner, each in a process of its own: the watchdog, the simulated bench, an emulator."""
 
+import contextlib
 import json
 import os
 import select
@@ -7,6 +8,17 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from typing import Any
+
+_PRIORITY_OF_HARDWARE = 5
+
+
+def stand_for_hardware() -> None:
+    """Let this process go before other programs, where there is the right to it: hardware waits for nobody.
+
+    Among what has real-time priority it comes after the runner's threads, beside which it stands on one computer.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY_OF_HARDWARE))
 
 
 def start(module: str, python: str = sys.executable) -> "subprocess.Popen[bytes]":

@@ -20,6 +20,7 @@ import numpy as np
 
 from labrun.devices.clock import RealClock
 from labrun.devices.emulation import Emulator, EmulatorContext, EmulatorLog, Faults
+from labrun.devices.processes import stand_for_hardware
 from labrun.devices.processes.scene import LINGER_S, RemoteScene
 from labrun.errors import LabrunError
 from labrun.registry import load
@@ -120,6 +121,7 @@ def main() -> int:
         _answer({"error": str(error)})
         return 1
     context.log.note("open", **reached_by)
+    stand_for_hardware()
     _answer({"settings": reached_by})
     try:
         run(emulator, context, orders)

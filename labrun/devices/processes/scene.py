@@ -19,6 +19,7 @@ import numpy as np
 
 from labrun.devices import FloatArray, Scene, Trajectory
 from labrun.devices.clock import RealClock
+from labrun.devices.processes import stand_for_hardware
 from labrun.errors import LabrunError
 from labrun.registry import load
 
@@ -184,6 +185,7 @@ def main() -> None:
     rng = np.random.default_rng(np.random.SeedSequence(task["seed"]))
     scene: Scene = load("labrun.scenes", task["plugin"])(task["settings"], rng)
     _compile(scene)
+    stand_for_hardware()
     _serve(scene, task["address"], bytes.fromhex(task["key"]))
 
 

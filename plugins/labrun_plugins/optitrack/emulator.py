@@ -1,7 +1,9 @@
 """Motive as the network sees it: commands, unicast and multicast frames, and its bad days."""
 
+import math
 import socket
 import struct
+from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -26,14 +28,20 @@ _LAYOUTS: tuple[wire.Version, ...] = ((3, 0), (3, 1), (4, 0), (4, 1), (4, 2))
 _RECORDING, _MODELS_CHANGED, _EDIT_MODE, _BITSTREAM_CHANGED = 1, 2, 4, 8
 _MOST_BEHIND = 100
 """Frames made up for at once after the process was held up."""
+_READY_S, _SPARE_S = 0.004, 0.0008
+"""How long after its exposure a frame is made ready, and how long before it leaves it must be so at the latest."""
+_MAKING_S = 0.0006
+"""Looking at the bench takes about that long: not while another frame is to leave."""
 
 
 class OptiTrackEmulator:
     """A Motive on loopback.
 
-    Frames are exposed at the rate of the file, and sent 5.5 ms later. Clients are forgotten 5 s after their last sign
-    of life (chosen). Faults, besides the wire's own: natnet ("3.0", "3.1", "4.0", "4.1", "4.2": what it is) and
-    multicast, from the beginning; unstamped (4.0 without precision stamps), layout (frames in this one, whatever was
+    Frames are exposed at the rate of the file, and sent 5.5 ms later; they are made ready meanwhile, so that nothing is
+    left to do when they are due. Clients are forgotten 5 s after their last sign of life (chosen).
+
+    Faults, besides the wire's own: natnet ("3.0", "3.1", "4.0", "4.1", "4.2": what it is) and multicast, from the
+    beginning; unstamped (4.0 without precision stamps), layout (frames in this one, whatever was
     asked for), extra-nul (a byte more than the header counts), short-section (this many frames cut, header and all),
     tracking-lost, hidden-marker and missing-body (of all bodies, or of the one that is named), model-changed (once:
     other numbers), edit-mode and bitstream-changed (bits 2 and 3 of the params), restart (once: numbers begin again),
@@ -56,9 +64,10 @@ class OptiTrackEmulator:
         self._clock_hz = _CLOCK_HZ
         self._uptime_s = float(context.rng.uniform(10.0, 1000.0))
         self._number = 0
-        self._exposed_s = 0.0
-        self._sent_s = 0.0
-        self._due_s = 0.0
+        self._exposed: deque[tuple[float, float]] = deque()  # when, and when it leaves: frames yet to be made
+        self._next_s = 0.0
+        self._leaves_s = 0.0
+        self._made: deque[tuple[float, list[tuple[bytes, Address]]]] = deque()
         self._changed = False
 
     def open(self) -> Mapping[str, Any]:
@@ -70,9 +79,7 @@ class OptiTrackEmulator:
             socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(_LOOPBACK)
         )
         self._data_port = self._free_port()
-        now_s = self._context.clock.now()
-        self._exposed_s = self._sent_s = now_s
-        self._schedule()
+        self._next_s = self._leaves_s = self._context.clock.now()
         return {
             "host": _LOOPBACK, "interface": _LOOPBACK, "command_port": port, "data_port": self._data_port,
             "group": self._group,
@@ -83,15 +90,18 @@ class OptiTrackEmulator:
         return self._endpoint.fds
 
     def step(self, now_s: float) -> float:
-        """Answer what arrived; send the frames that are due."""
+        """Send the frames that are due; answer what arrived; make frames that were exposed meanwhile."""
+        self._send_frames(now_s)
+        self._endpoint.flush(self._context.clock.now())
         for datagram, address in self._endpoint.receive():
             told = wire.understand(datagram)
             if told is not None:
                 self._answer(*told, address, now_s)
         self._forget(now_s)
         self._strike()
-        self._send_frames(now_s)
-        return min(self._endpoint.flush(now_s), self._due_s)
+        make_s = self._make_frames(now_s)
+        left_s = self._endpoint.flush(self._context.clock.now())
+        return min(left_s, make_s, self._made[0][0] if self._made else math.inf)
 
     def close(self) -> None:
         """Close the socket."""
@@ -167,14 +177,31 @@ class OptiTrackEmulator:
             self._number = 0
 
     def _send_frames(self, now_s: float) -> None:
-        exposed: list[float] = []
-        while self._due_s <= now_s and len(exposed) < _MOST_BEHIND:
-            exposed.append(self._exposed_s)
-            self._schedule()
-        if not exposed or not (self._clients or self._multicast):
+        while self._made and self._made[0][0] <= now_s:
+            for datagram, address in self._made.popleft()[1]:
+                self._endpoint.send(datagram, address)
+
+    def _make_frames(self, now_s: float) -> float:
+        """Make frames that were exposed, several at a time, while none is to leave; return when to be called again."""
+        while self._next_s <= now_s:
+            self._expose()
+        if not self._exposed:
+            return self._next_s + _READY_S
+        ready_s, leaves_s = self._exposed[0][0] + _READY_S, self._exposed[0][1]
+        if now_s < ready_s:
+            return ready_s
+        if self._made and self._made[0][0] - now_s < _MAKING_S and leaves_s - now_s > _SPARE_S:
+            return self._made[0][0]
+        self._make()
+        return self._exposed[0][0] + _READY_S if self._exposed else self._next_s + _READY_S
+
+    def _make(self) -> None:
+        exposed = [self._exposed.popleft() for _ in range(min(len(self._exposed), _MOST_BEHIND))]
+        if not (self._clients or self._multicast):
             self._number += len(exposed)
             return
-        for time_s, row in zip(exposed, self._capture.measure(np.array(exposed)), strict=True):
+        rows = self._capture.measure(np.array([time_s for time_s, _ in exposed]))
+        for (time_s, leaves_s), row in zip(exposed, rows, strict=True):
             self._number += 1
             number = (self._number + 2**31) % 2**32 - 2**31
             if self._faults.active("no-frames"):
@@ -182,31 +209,34 @@ class OptiTrackEmulator:
             content = self._capture.content(
                 number, row,
                 timestamp=time_s + self._uptime_s,
-                ticks=tuple(self._ticks(at_s) for at_s in (time_s, time_s + 0.004, now_s)),
+                ticks=tuple(self._ticks(at_s) for at_s in (time_s, time_s + 0.004, leaves_s)),
                 precision=(int(time_s), 7), params=self._params(), stamped=not self._faults.active("unstamped"),
             )  # fmt: skip
-            self._send(content)
+            self._made.append((leaves_s, self._datagrams(content)))
 
-    def _send(self, content: wire.Content) -> None:
+    def _datagrams(self, content: wire.Content) -> list[tuple[bytes, Address]]:
+        """Return a frame as each client gets it."""
         stated = self._faults.value("layout")
         if self._multicast:
             targets = [((self._group, self._data_port), self._natnet)]
         else:
             targets = [(address, layout) for address, (_, layout) in self._clients.items()]
+        made = []
         for address, layout in targets:
             datagram = wire.frame(content, _version(stated) if stated else layout)
             if self._faults.take("short-section"):
                 datagram = wire.message(wire.FRAMEOFDATA, datagram[4 : len(datagram) // 2])
             if self._faults.active("extra-nul"):
                 datagram += b"\0"
-            self._endpoint.send(datagram, address)
+            made.append((datagram, address))
+        return made
 
-    def _schedule(self) -> None:
-        """Choose when the next frame is exposed, and when it is sent: frames do not overtake each other."""
-        self._exposed_s += 1.0 / self._settings.rate_hz
+    def _expose(self) -> None:
+        """Expose a frame, and choose when it leaves: frames do not overtake each other."""
         delay_s = _LATENCY_S + float(self._context.rng.exponential(_JITTER_S))
-        self._sent_s = max(self._sent_s, self._exposed_s + delay_s)
-        self._due_s = self._sent_s
+        self._leaves_s = max(self._leaves_s, self._next_s + delay_s)
+        self._exposed.append((self._next_s, self._leaves_s))
+        self._next_s += 1.0 / self._settings.rate_hz
 
     def _params(self) -> int:
         params = _RECORDING
