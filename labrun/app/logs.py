@@ -197,16 +197,28 @@ def _unused(robot: Robot, streams: Sequence[Stream], used: Sequence[str]) -> lis
     """Return what the log tells that nothing of the robot takes, where joints without an actuator are."""
     moved = {one.joint for one in robot.actuators}
     free = [one.output for one in robot.joints if one.name not in moved]
-    roles = ("command", "torque-command", "velocity-command")
-    left = [
-        one.name for stream in streams for one in stream.columns if one.role in roles and one.name not in used
-    ]
-    if not free or not left:
+    if not free:
         return []
-    return [
-        f"{', '.join(left)} is not used: the file has no actuator at {', '.join(free)}; "
-        f"--map {free[0]}_command={left[0]} makes it the goal of a servo of unknown gains there"
-    ]
+    roles = ("command", "torque-command", "velocity-command")
+    columns = [one for stream in streams for one in stream.columns if one.name not in used]
+    left = [one.name for one in columns if one.role in roles]
+    said = (
+        [
+            f"{', '.join(left)} is not used: the file has no actuator at {', '.join(free)}; "
+            f"--map {free[0]}_command={left[0]} makes it the goal of a servo of unknown gains there"
+        ]
+        if left
+        else []
+    )
+    unknown = [one.name for one in columns if one.role == "unknown"]
+    for joint in free:
+        near = next((one for one in unknown if plain(joint) in plain(one)), None)
+        if near is not None:
+            said.append(
+                f"{near} is not used: it names neither goal nor torque; --map {joint}_torque={near} makes it the torque "
+                f"at {joint}, where the file has no actuator"
+            )
+    return said
 
 
 def _of_robot(robot: Robot) -> list[Wanted]:

@@ -391,3 +391,17 @@ def test_a_folder_that_is_there_is_not_overwritten(tmp_path, arm):
     (tmp_path / "one" / "mine").write_text("kept")
     with pytest.raises(RequestError, match="is not overwritten"):
         import_log(log, arm, tmp_path / "one")
+
+
+def test_a_column_of_a_joint_that_nothing_drives_is_told_with_what_makes_it_the_torque(tmp_path):
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(URDF)
+    time_s, goals, angles = logs.motion()
+    log = logs.write_csv(
+        tmp_path / "a.csv", time_s, goals[:, :1], angles[:, :1], ["t", "shoulder_current", "shoulder_pos"]
+    )
+    told = " ".join(import_log(log, urdf, tmp_path / "still").remarks)
+    assert "shoulder_current is not used" in told
+    assert "--map shoulder_torque=shoulder_current" in told
+    made = import_log(log, urdf, tmp_path / "driven", mapping=["shoulder_torque=shoulder_current"])
+    assert dict(made.channels)["shoulder_torque"] == "shoulder_current"
