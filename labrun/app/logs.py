@@ -215,8 +215,8 @@ def _unused(robot: Robot, streams: Sequence[Stream], used: Sequence[str]) -> lis
         near = next((one for one in unknown if plain(joint) in plain(one)), None)
         if near is not None:
             said.append(
-                f"{near} is not used: it names neither goal nor torque; --map {joint}_torque={near} makes it the torque "
-                f"at {joint}, where the file has no actuator"
+                f"{near} is not used: it names neither goal nor torque; --map {joint}_torque={near} makes it the "
+                f"torque at {joint}, where the file has no actuator"
             )
     return said
 

@@ -75,7 +75,18 @@ def in_noise(problem: Problem, noise: Noise, z: FloatArray) -> Recalibrated:
     finer = with_shorter_steps(measured, z)
     if finer is not measured:
         z = refit(finer, z)
+    finer = _for_stated(finer, z)
     return Recalibrated(finer, noise, stated(finer, z), z)
+
+
+def _for_stated(problem: Problem, z: FloatArray) -> Problem:
+    """Return the problem in steps so short that the stated parameters simulate, too; itself if none are."""
+    at, finer = np.concatenate([problem.priors.stated, problem.own_states(z)]), problem
+    while finer.finite_residuals(at) is None:
+        if finer.substeps >= criteria.MOST_SUBSTEPS:
+            return problem
+        finer = finer.with_substeps(2 * finer.substeps)
+    return finer
 
 
 def fitted_in_own_units(noise: Noise, problem: Problem, z: FloatArray) -> tuple[Problem, FloatArray]:
