@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from labrun.arrays import FloatArray, IntArray
 from labrun.devices.clock import Clock
-from labrun.devices.protocols import Sensor
-from labrun.devices.samples import Samples
+from labrun.devices.protocols import Sensor, streaming
+from labrun.devices.samples import Channel, Samples
 
 SLOTS = 16
 """A reader has as many samples' time to copy one before it is overwritten."""
@@ -273,6 +273,55 @@ class Listener:
         ) as failure:  # whatever a driver meets on the wire is told by `check`, in the runner's thread
             if not ending.is_set():
                 self._failure = failure
+
+
+class ListeningSensor:
+    """A sensor whose samples a thread of its own hears: what is the same for all of them.
+
+    A driver extends it with `open`, `start` (which ends with `_listen`), `stop` (which begins with `_hear_no_more`) and
+    `close`.
+    """
+
+    def __init__(self, name: str, channels: tuple[Channel, ...], rate_hz: float, clock: Clock) -> None:
+        self.name = name
+        self.channels = channels
+        self.rate_hz = rate_hz
+        self.clock = clock
+        self._buffer = SampleBuffer(len(channels))
+        self._listener: Listener | None = None
+
+    @property
+    def streams(self) -> bool:
+        """Whether it was started."""
+        return self._listener is not None
+
+    def read(self) -> Samples:
+        """Return all samples since the last call; does not wait.
+
+        Raises DeviceError: not started; or, once everything that came has been handed over, what ended the stream.
+        """
+        return streaming(self.name, self._listener).deliver(self._buffer)
+
+    def safe_stop(self) -> None:
+        """Do nothing: a sensor moves nothing, and its data are wanted to the end."""
+
+    def _listen(self, receive: Callable[[], None]) -> None:
+        """Hear what comes from now on; what came before is dropped. `receive`: as of `Listener`."""
+        self._buffer.clear()
+        self._listener = Listener(self.name, receive)
+        self._listener.start()
+
+    def _check(self) -> None:
+        """Raise what ended the stream, if something did."""
+        if self._listener is not None:
+            self._listener.check()
+
+    def _hear_no_more(self) -> bool:
+        """End the thread; tell whether there was one. Never raises."""
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            listener.stop()
+        return listener is not None
 
 
 @contextmanager

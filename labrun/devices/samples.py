@@ -16,6 +16,13 @@ class Channel:
     unit: str
 
 
+SIX_AXES: tuple[Channel, ...] = (
+    Channel("force_x", "N"), Channel("force_y", "N"), Channel("force_z", "N"),
+    Channel("torque_x", "N m"), Channel("torque_y", "N m"), Channel("torque_z", "N m"),
+)  # fmt: skip
+"""What a six-axis force/torque sensor measures."""
+
+
 @dataclass(frozen=True, slots=True)
 class Samples:
     """A block of samples of one device.

@@ -6,25 +6,23 @@ from typing import Any, ClassVar
 import numpy as np
 
 from labrun.devices import (
+    SIX_AXES,
     Clock,
     DeviceContext,
     DeviceError,
     DeviceSettings,
     Health,
     Identity,
-    Listener,
+    ListeningSensor,
     Remark,
     SampleBuffer,
-    Samples,
     listened,
     opened,
-    streaming,
 )
 from labrun_plugins.ati_daq import calibration
 from labrun_plugins.ati_daq.calibration import Calibration
 from labrun_plugins.ati_daq.reader import Card, NidaqmxReader, SocketReader, VoltageReader
 from labrun_plugins.ati_daq.settings import AtiDaqSettings
-from labrun_plugins.ati_netft.reception import CHANNELS
 
 _GRACE_S = 0.5
 """How long the first block may take after the start."""
@@ -177,7 +175,7 @@ _NEAR_END = 0.9
 _LISTEN_S = 1.0
 
 
-class AtiDaq:
+class AtiDaq(ListeningSensor):
     """Six axes, N and N m: load = M (V - V_bias), with M from the sensor's calibration file.
 
     The device time is the card's count of samples by its true rate. M and V_bias are part of the identity, so that the
@@ -187,18 +185,13 @@ class AtiDaq:
     Settings: ClassVar[type[DeviceSettings]] = AtiDaqSettings
 
     def __init__(self, name: str, settings: AtiDaqSettings, context: DeviceContext) -> None:
-        self.name = name
-        self.channels = CHANNELS
-        self.rate_hz = settings.rate_hz
+        super().__init__(name, SIX_AXES, settings.rate_hz, context.clock)
         self.settings = settings
-        self.clock = context.clock
         make = SocketReader if settings.reader == "socket" else NidaqmxReader
         self._reader: VoltageReader = make(name, context.clock, settings)
         self._card: Card | None = None
         self._calibration: calibration.Calibration | None = None
-        self._buffer = SampleBuffer(len(CHANNELS))
         self._reception: Reception | None = None
-        self._listener: Listener | None = None
 
     @property
     def calibration(self) -> calibration.Calibration:
@@ -253,17 +246,17 @@ class AtiDaq:
         """Report on the stream; DeviceError if it is lost."""
         if self._calibration is None:
             return Health(ok=False, notes=("not connected",))
-        reception, listener = self._reception, self._listener
-        if reception is None or listener is None:
+        reception = self._reception
+        if reception is None:
             return Health(notes=("does not sample",))
-        listener.check()
+        self._check()
         notes = [f"{reception.received} samples at {reception.rate_hz():.5g} Hz, {reception.lost} lost"]
         if reception.saturated:
             notes.append(f"{reception.saturated} samples at the end of the range")
         peak, reception.peak = reception.peak, reception.peak * 0.0
         notes += [
             f"{channel.name} has reached {100 * share:.0f} % of its range"
-            for channel, share in zip(CHANNELS, peak, strict=True)
+            for channel, share in zip(SIX_AXES, peak, strict=True)
             if share > _NEAR_END
         ]
         return Health(notes=tuple(notes))
@@ -272,31 +265,17 @@ class AtiDaq:
         """Begin to sample; samples from before are dropped. Raises DeviceError: not open, or the card refuses."""
         read = self.calibration
         self.stop()
-        self._buffer.clear()
         self.rate_hz = self._reader.start(self.settings.rate_hz)
-        reception = Reception(
+        self._reception = Reception(
             self.name, self.clock, self.settings, self._reader, read, self.rate_hz, self._buffer
         )
-        self._reception = reception
-        self._listener = Listener(self.name, reception.receive)
-        self._listener.start()
-
-    def read(self) -> Samples:
-        """Return all samples since the last call; does not wait.
-
-        Raises DeviceError: not started; or, once everything that came has been handed over, the stream is lost.
-        """
-        return streaming(self.name, self._listener).deliver(self._buffer)
+        self._listen(self._reception.receive)
 
     def stop(self) -> None:
         """End sampling; harmless if it does not."""
-        listener, self._listener, self._reception = self._listener, None, None
-        if listener is not None:
-            listener.stop()
+        self._reception = None
+        if self._hear_no_more():
             self._reader.stop()
-
-    def safe_stop(self) -> None:
-        """Do nothing: a sensor moves nothing, and its data are wanted to the end."""
 
     def close(self) -> None:
         """End sampling and disconnect; harmless when not connected."""
@@ -306,7 +285,7 @@ class AtiDaq:
 
     def examine(self) -> list[Remark]:
         """Say what there is to say about the set-up; samples for a second if it does not yet."""
-        with listened(self, self.clock, _LISTEN_S, streams=self._reception is not None):
+        with listened(self, self.clock, _LISTEN_S, streams=self.streams):
             reception = self._reception
         assert reception is not None  # noqa: S101  it ran
         return examine(reception, self.calibration, self.settings, self.rate_hz)

@@ -12,23 +12,21 @@ from contextlib import suppress
 from typing import ClassVar
 
 from labrun.devices import (
+    SIX_AXES,
     Clock,
     DeviceContext,
     DeviceError,
     DeviceSettings,
     Health,
     Identity,
-    Listener,
+    ListeningSensor,
     Remark,
-    SampleBuffer,
-    Samples,
     listened,
     opened,
-    streaming,
 )
 from labrun_plugins.ati_netft import codec, network, units
 from labrun_plugins.ati_netft.network import BoxInfo, ask_status, box_rate
-from labrun_plugins.ati_netft.reception import CHANNELS, Reception
+from labrun_plugins.ati_netft.reception import Reception
 from labrun_plugins.ati_netft.settings import AtiNetFtSettings
 from labrun_plugins.ati_netft.source import BoxSource, DatagramSocket, PynetftSource, Source
 
@@ -117,7 +115,7 @@ _NEAR_END = 0.9
 _LISTEN_S = 1.0
 
 
-class AtiNetFt:
+class AtiNetFt(ListeningSensor):
     """Six axes, N and N m, at up to 7000 samples/s.
 
     Units and counts per unit are read from the box at `open`. The device time is the box's own count of its samples,
@@ -128,18 +126,13 @@ class AtiNetFt:
     Settings: ClassVar[type[DeviceSettings]] = AtiNetFtSettings
 
     def __init__(self, name: str, settings: AtiNetFtSettings, context: DeviceContext) -> None:
-        self.name = name
-        self.channels = CHANNELS
-        self.rate_hz = box_rate(settings.rate_hz)
+        super().__init__(name, SIX_AXES, box_rate(settings.rate_hz), context.clock)
         self.settings = settings
-        self.clock = context.clock
         self.own = ""
         self._info: BoxInfo | None = None
         self._decimation = 1
-        self._buffer = SampleBuffer(len(CHANNELS))
         self._source: Source | None = None
         self._reception: Reception | None = None
-        self._listener: Listener | None = None
 
     @property
     def info(self) -> BoxInfo:
@@ -225,7 +218,7 @@ class AtiNetFt:
         peak, reception.peak = reception.peak, reception.peak * 0.0
         notes += [
             f"{channel.name} has reached {100 * share:.0f} % of the range of {self.settings.calibration}"
-            for channel, share in zip(CHANNELS, peak, strict=True)
+            for channel, share in zip(SIX_AXES, peak, strict=True)
             if share > _NEAR_END
         ]
         return Health(notes=tuple(notes))
@@ -237,7 +230,6 @@ class AtiNetFt:
         """
         info = self.info
         self.stop()
-        self._buffer.clear()
         source = self._new_source()
         reception = Reception(
             self.name, self.clock, self.settings, source, info, self._decimation, self._buffer
@@ -248,25 +240,16 @@ class AtiNetFt:
             source.close()
             raise
         self._source, self._reception = source, reception
-        self._listener = Listener(self.name, reception.receive)
-        self._listener.start()
-
-    def read(self) -> Samples:
-        """Return all samples since the last call; does not wait.
-
-        Raises DeviceError: not started; or, once everything that came has been handed over, the stream is lost or the
-        box not well.
-        """
-        return streaming(self.name, self._listener).deliver(self._buffer)
+        self._listen(reception.receive)
 
     def stop(self) -> None:
         """End the stream; harmless if there is none."""
-        source, listener, reception = self._source, self._listener, self._reception
-        self._source = self._listener = self._reception = None
-        if source is None or listener is None or reception is None:
+        source, reception = self._source, self._reception
+        self._source = self._reception = None
+        if source is None or reception is None:
             return
         source.halt()
-        listener.stop()
+        self._hear_no_more()
         with suppress(DeviceError):  # the stream is over: what its last records say no longer matters
             reception.settle()
         source.close()
@@ -285,17 +268,13 @@ class AtiNetFt:
 
     def examine(self) -> list[Remark]:
         """Say what there is to say about the set-up; listens to the stream for a second if it is not running."""
-        with listened(self, self.clock, _LISTEN_S, streams=self._reception is not None):
+        with listened(self, self.clock, _LISTEN_S, streams=self.streams):
             reception, counted = self._reception, self.health().notes[0]
         assert reception is not None  # noqa: S101  it ran
         return [
             *stream(reception, counted, self.info, self.settings, self.rate_hz),
             *box(self.name, self.clock, self.info, self.settings, self.own),
         ]
-
-    def _check(self) -> None:
-        if self._listener is not None:
-            self._listener.check()
 
     def _new_source(self) -> Source:
         if self.settings.client == "pynetft":

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.devices import Channel, Clock, DeviceError, FloatArray, Limits, SampleBuffer
+from labrun.devices import SIX_AXES, Clock, DeviceError, FloatArray, Limits, SampleBuffer
 from labrun.errors import LimitExceededError
 from labrun_plugins.ati_netft import codec
 from labrun_plugins.ati_netft.codec import RECORD, Records
@@ -206,11 +206,6 @@ def _joined(first: Ordered, second: Ordered) -> Ordered:
     )
 
 
-CHANNELS: tuple[Channel, ...] = (
-    Channel("force_x", "N"), Channel("force_y", "N"), Channel("force_z", "N"),
-    Channel("torque_x", "N m"), Channel("torque_y", "N m"), Channel("torque_z", "N m"),
-)  # fmt: skip
-
 _LOOK_EVERY_S = 0.008
 """The kernel stamps what comes: looking more often would only cost computing time."""
 _GRACE_S = 0.5
@@ -241,7 +236,7 @@ class Reception:
         self._buffer = buffer
         self._limits: Limits = settings.limits
         bounds = {"N": settings.limits.force_n, "N m": settings.limits.torque_n_m}
-        self._bound = np.array([bounds[channel.unit] or np.inf for channel in CHANNELS])
+        self._bound = np.array([bounds[channel.unit] or np.inf for channel in SIX_AXES])
         self._full_scale = np.array(full_scale(settings.calibration))
         together = info.buffer_size if settings.mode == "buffered" else 1
         patience = max(2, round(_REORDERED_S * info.rate_hz)) + 2 * together
@@ -256,7 +251,7 @@ class Reception:
         self.saturated = 0
         self.conditions = 0
         self.last_status = 0
-        self.peak = np.zeros(len(CHANNELS))
+        self.peak = np.zeros(len(SIX_AXES))
         """Greatest share of its range each axis has felt since someone set this back to zero."""
         self.first_s: float | None = None
         self.last_s = 0.0
@@ -339,7 +334,7 @@ class Reception:
     def _check_limits(self, host_s: FloatArray, values: FloatArray) -> None:
         if bool(np.all(np.abs(values).max(axis=0) <= self._bound)):
             return
-        for excess in self._limits.sample_excess(CHANNELS, host_s, values):
+        for excess in self._limits.sample_excess(SIX_AXES, host_s, values):
             raise LimitExceededError(
                 self._device,
                 f"{excess} at {excess.time_s:.3f} s on the run's clock",

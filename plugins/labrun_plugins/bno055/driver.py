@@ -1,7 +1,6 @@
 """A Bosch BNO055 on its serial line, in a fusion mode; and what labrun doctor --hardware learns about it."""
 
 from collections.abc import Iterator
-from contextlib import suppress
 from typing import ClassVar
 
 import numpy as np
@@ -12,13 +11,10 @@ from labrun.devices import (
     DeviceSettings,
     Health,
     Identity,
-    Listener,
+    ListeningSensor,
     Remark,
-    SampleBuffer,
-    Samples,
     SerialPort,
     opened,
-    streaming,
 )
 from labrun.devices.clock import RealClock
 from labrun_plugins.bno055 import codec
@@ -150,7 +146,7 @@ _SYSTEM_ERROR = 1
 _EXAMINED_S = 1.0
 
 
-class Bno055:
+class Bno055(ListeningSensor):
     """Orientation and angular velocity, up to 100 times a second.
 
     Quaternion (body to room) and gyroscope are the chip's; heading, roll, pitch and tilt are worked out from the
@@ -161,19 +157,14 @@ class Bno055:
     Settings: ClassVar[type[DeviceSettings]] = Bno055Settings
 
     def __init__(self, name: str, settings: Bno055Settings, context: DeviceContext) -> None:
-        self.name = name
-        self.channels = CHANNELS
-        self.rate_hz = settings.rate_hz
+        super().__init__(name, CHANNELS, settings.rate_hz, context.clock)
         self._settings = settings
-        self._clock = context.clock
         self._port = SerialPort(name, settings.port, settings.baud)
         self._chip: Chip | None = None
         self._ids = b""
         self._offsets = b""
         self._state: codec.State | None = None
-        self._buffer = SampleBuffer(len(CHANNELS))
         self._sampling: Sampling | None = None
-        self._listener: Listener | None = None
 
     def open(self) -> None:
         """Connect, wait for the chip to boot if need be, and set it up.
@@ -184,7 +175,7 @@ class Bno055:
         self.close()
         self._port.open()
         try:
-            chip = Chip(self.name, self._port, self._clock)
+            chip = Chip(self.name, self._port, self.clock)
             self._ids = chip.wake()
             self._offsets = chip.set_up(self._settings)
             self._state = self._asked_state(chip)
@@ -208,7 +199,7 @@ class Bno055:
         if self._sampling is None:
             self._state = self._asked_state(self._chip)
         else:
-            self._hearing().check()
+            self._check()
         state, notes = self._state, list(self._notes())
         if state is None:
             return Health(notes=tuple(notes))
@@ -246,37 +237,20 @@ class Bno055:
         if not chip.fuses(self._settings):
             self._ids = chip.wake()
             self._offsets = chip.set_up(self._settings)
-        self._buffer.clear()
         self._sampling = Sampling(
-            self.name, chip, self._clock, self._buffer,
+            self.name, chip, self.clock, self._buffer,
             rate_hz=self.rate_hz, jump_rad_s=float(np.radians(self._settings.jump_deg_s)), told=self._note_state,
         )  # fmt: skip
-        self._listener = Listener(self.name, self._sampling.receive)
-        self._listener.start()
-
-    def read(self) -> Samples:
-        """Return all samples since the last call; does not wait.
-
-        Raises DeviceError: not started; or, once everything that came has been handed over, its readings fail or the
-        port is gone.
-        """
-        self._opened()
-        streaming(self.name, self._sampling)
-        return self._hearing().deliver(self._buffer)
+        self._listen(self._sampling.receive)
 
     def stop(self) -> None:
         """End the readings; harmless if there are none. The chip goes on by itself, and keeps its calibration."""
-        sampling, self._sampling = self._sampling, None
-        if sampling is not None:
-            self._hearing().stop()
-
-    def safe_stop(self) -> None:
-        """Do nothing: it moves nothing, and sends only what it is asked for."""
+        self._sampling = None
+        self._hear_no_more()
 
     def close(self) -> None:
         """Disconnect; harmless when not connected."""
-        with suppress(DeviceError):
-            self.stop()
+        self.stop()
         self._chip = None
         self._port.close()
 
@@ -286,7 +260,7 @@ class Bno055:
         already = self._sampling is not None
         if not already:
             self.start()
-            self._clock.sleep(_EXAMINED_S)
+            self.clock.sleep(_EXAMINED_S)
         try:
             remarks = [*self._remarks(chip)]
         finally:
@@ -299,7 +273,7 @@ class Bno055:
     def _remarks(self, chip: Chip) -> Iterator[Remark]:
         yield of_identity(self._ids)
         if self._sampling is not None:
-            yield from of_readings(self._sampling, chip, self._clock.now())
+            yield from of_readings(self._sampling, chip, self.clock.now())
 
     @classmethod
     def probe(cls, port: str) -> Identity | None:
@@ -311,7 +285,3 @@ class Bno055:
 
     def _opened(self) -> Chip:
         return opened(self.name, self._chip)
-
-    def _hearing(self) -> Listener:
-        assert self._listener is not None  # noqa: S101  made with every sampling
-        return self._listener

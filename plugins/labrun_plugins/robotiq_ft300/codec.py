@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from labrun.devices import Channel, FloatArray
+from labrun.devices import FloatArray
 
 WRENCH, SELECT_OUTPUT, FIRMWARE, SERIAL, YEAR = 180, 410, 500, 510, 514
 """First register of the wrench (6), of the output select (1), firmware (3), serial (4) and year (1)."""
@@ -20,10 +20,6 @@ HEADER = b"\x20\x4e"
 FRAME_BYTES = 16
 STREAM_HZ = 100.0
 
-CHANNELS = (
-    Channel("force_x", "N"), Channel("force_y", "N"), Channel("force_z", "N"),
-    Channel("torque_x", "N m"), Channel("torque_y", "N m"), Channel("torque_z", "N m"),
-)  # fmt: skip
 _STEP = np.array([0.01, 0.01, 0.01, 0.001, 0.001, 0.001])
 """N and N m of one count."""
 FULL_SCALE_COUNTS = 30_000

@@ -6,18 +6,16 @@ from pathlib import Path
 from typing import ClassVar
 
 from labrun.devices import (
+    SIX_AXES,
     DeviceContext,
     DeviceError,
     DeviceSettings,
     Health,
     Identity,
-    Listener,
+    ListeningSensor,
     Remark,
-    SampleBuffer,
-    Samples,
     SerialPort,
     opened,
-    streaming,
 )
 from labrun.devices.clock import RealClock
 from labrun_plugins.robotiq_ft300 import codec
@@ -127,7 +125,7 @@ def probe(port: str) -> Identity | None:
 _EXAMINED_S = 1.0
 
 
-class RobotiqFt300:
+class RobotiqFt300(ListeningSensor):
     """Six axes at 100 samples/s from its own stream, or at `poll_hz` from its registers.
 
     Forces and torques are those of the sensor, in steps of 0.01 N and 0.001 N m. It has no zeroing register, and
@@ -140,18 +138,14 @@ class RobotiqFt300:
     Settings: ClassVar[type[DeviceSettings]] = RobotiqFt300Settings
 
     def __init__(self, name: str, settings: RobotiqFt300Settings, context: DeviceContext) -> None:
-        self.name = name
-        self.channels = codec.CHANNELS
-        self.rate_hz = codec.STREAM_HZ if settings.stream else settings.poll_hz
+        rate_hz = codec.STREAM_HZ if settings.stream else settings.poll_hz
+        super().__init__(name, SIX_AXES, rate_hz, context.clock)
         self._settings = settings
-        self._clock = context.clock
         self._port = SerialPort(name, settings.port, settings.baud)
         self._link: Link | None = None
         self._nameplate: Nameplate | None = None
         self._jams_at_open = 0
-        self._buffer = SampleBuffer(len(codec.CHANNELS))
         self._source: Reception | Polling | None = None
-        self._listener: Listener | None = None
 
     def open(self) -> None:
         """Connect: stop a stream that still runs, and ask the sensor what it is.
@@ -162,7 +156,7 @@ class RobotiqFt300:
         self.close()
         self._port.open()
         try:
-            link = Link(self.name, self._port, self._clock, self._settings.slave_id)
+            link = Link(self.name, self._port, self.clock, self._settings.slave_id)
             self._jams_at_open = link.wake()
             self._nameplate = self._asked(link)
         except BaseException:
@@ -197,7 +191,7 @@ class RobotiqFt300:
         source = self._source
         if source is None:
             return Health(notes=(f"firmware {self._link.firmware()}",))
-        self._hearing().check()
+        self._check()
         if isinstance(source, Polling):
             return Health(notes=(f"{source.readings} readings, {source.lost} missed",))
         parser = source.parser
@@ -215,35 +209,23 @@ class RobotiqFt300:
         link = self._opened()
         if self._source is not None:
             self.stop()
-        self._buffer.clear()
         if self._settings.stream:
             link.wake()
             link.start_stream()
             self._source = Reception(
-                self.name, self._port, self._clock, self._buffer,
+                self.name, self._port, self.clock, self._buffer,
                 baud=self._settings.baud, silence_s=1e-3 * self._settings.silence_ms,
             )  # fmt: skip
         else:
-            self._source = Polling(link.registers, self._clock, self._buffer, self.rate_hz)
-        self._listener = Listener(self.name, self._source.receive)
-        self._listener.start()
-
-    def read(self) -> Samples:
-        """Return all samples since the last call; does not wait. None any more after `safe_stop`.
-
-        Raises DeviceError: not started; or, once everything that came has been handed over, the stream is lost or the
-        port gone.
-        """
-        self._opened()
-        streaming(self.name, self._source)
-        return self._hearing().deliver(self._buffer)
+            self._source = Polling(link.registers, self.clock, self._buffer, self.rate_hz)
+        self._listen(self._source.receive)
 
     def stop(self) -> None:
         """End the stream; harmless if there is none. DeviceError if the port is gone."""
         source, self._source = self._source, None
         if source is None:
             return
-        self._hearing().stop()
+        self._hear_no_more()
         source.settle()
         if isinstance(source, Reception):
             self._opened().jam()
@@ -269,7 +251,7 @@ class RobotiqFt300:
         already = self._source is not None
         if not already:
             self.start()
-            self._clock.sleep(_EXAMINED_S)
+            self.clock.sleep(_EXAMINED_S)
         try:
             return [*self._remarks()]
         finally:
@@ -291,7 +273,3 @@ class RobotiqFt300:
 
     def _opened(self) -> Link:
         return opened(self.name, self._link)
-
-    def _hearing(self) -> Listener:
-        assert self._listener is not None  # noqa: S101  made with every source
-        return self._listener

@@ -7,17 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labrun.devices import Channel, DeviceContext, FloatArray
+from labrun.devices import SIX_AXES, DeviceContext, FloatArray
 from labrun.devices.compiled import CompiledSensor
 from labrun.models import kernel, native
 from labrun_plugins.simulated.device import SimulatedSettings
 from labrun_plugins.simulated.sensor import SimulatedSensor, Timing
 
-CHANNELS = (
-    Channel("force_x", "N"), Channel("force_y", "N"), Channel("force_z", "N"),
-    Channel("torque_x", "N m"), Channel("torque_y", "N m"), Channel("torque_z", "N m"),
-)  # fmt: skip
-_NAMES = tuple(channel.name for channel in CHANNELS)
+_NAMES = tuple(channel.name for channel in SIX_AXES)
 _DRIFT_PERIOD_S = 3600.0
 
 
@@ -51,7 +47,7 @@ class SimulatedForceTorque(SimulatedSensor):
     ) -> None:
         super().__init__(
             name, settings, context,
-            channels=CHANNELS, rate_hz=rate_hz, timing=timing, full_scale=np.array(axes.full_scale),
+            channels=SIX_AXES, rate_hz=rate_hz, timing=timing, full_scale=np.array(axes.full_scale),
             counts_frames=counts_frames, has_clock=has_clock,
         )  # fmt: skip
         offset = context.rng.standard_normal(6) * axes.offset_sd
