@@ -8,14 +8,16 @@ import pytest
 import labrun.effects
 from labrun.effects import Effect, EffectParameter, Scale, force_law
 from labrun.errors import FitError
+from labrun.fit import Dataset, FitTrial, silent
 from labrun.fit.problem import Problem
 from labrun.gap.averaging import averaged
 from labrun.gap.candidates import Candidate
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Name
-from labrun.gap.recalibration import stated_problem, unsearched
+from labrun.gap.recalibration import recalibrate, stated_problem, unsearched
 from labrun.gap.screening import Base, screen_all, survey
 from labrun.models import parse_model
+from labrun.store import SignalInfo
 
 from .benches import CONDITIONS, PENDULUM, dry_friction, pendulum, recorded
 
@@ -125,3 +127,28 @@ def test_a_model_that_never_simulates_is_refused_with_a_hint_that_helps() -> Non
         diagnose_dataset(recorded(repeats=1, conditions=CONDITIONS[:1]), model, Options(places=False))
     assert "labrun fit" not in (caught.value.hint or "")
     assert "units of its parameters" in (caught.value.hint or "")
+
+
+def test_stated_values_that_want_shorter_steps_than_fitted_ones_are_simulated_all_the_same(tmp_path):
+    text = """
+name = "decay"
+states = ["x"]
+[parameters]
+rate = { value = 500.0, tolerance = "free", lower = 0.0 }
+[equations]
+x = "-rate*x"
+[outputs]
+x = "x"
+[initial]
+x = 1.0
+"""
+    time_s, rng = np.linspace(0.0, 1.0, 101), np.random.default_rng(2)
+    trials = [
+        FitTrial(f"trial {k}", {"k": float(k)}, 1, time_s, np.empty((101, 0)), np.exp(-5.0 * time_s)[:, None]
+                 + 1e-3 * rng.standard_normal((101, 1)))
+        for k in range(3)
+    ]  # fmt: skip
+    data = Dataset("decay", tmp_path, "recording", (), (SignalInfo("x", "1"),), tuple(trials))
+    model = parse_model(text, "decay.toml")
+    found = recalibrate(model, averaged(data, model), rng, silent)
+    assert np.isfinite(np.concatenate(found.problem.simulated(found.raw))).all()
