@@ -3,7 +3,7 @@
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -256,6 +256,8 @@ class Drive:
         At the last sample.
     substeps
         Steps in each interval between samples.
+    ahead
+        The same inputs as they were last read ahead, by what was read by how much: a model's own clock stays.
     """
 
     time_s: FloatArray
@@ -263,6 +265,7 @@ class Drive:
     u: FloatArray
     u_last: FloatArray
     substeps: int
+    ahead: dict[object, FloatArray] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @property
     def first(self) -> FloatArray:
