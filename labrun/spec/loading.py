@@ -17,7 +17,7 @@ from labrun.spec.checks import cross_check
 from labrun.spec.experiment import ROBOT_FILES, ROBOT_SCENE, Experiment, written_out
 from labrun.spec.plugins import load_plugin
 from labrun.spec.raw import GAIT_EXPRESSIONS, condition_names, one_or_several, places, table, tables
-from labrun.spec.workspace import find_experiment, find_model_file
+from labrun.spec.workspace import find_experiment, find_model_file, shipped_experiments
 from labrun.toml import (
     ExpressionError,
     Fault,
@@ -400,4 +400,10 @@ def _find_file(experiment: Path, name: str) -> Path:
         known = [str(Path(name).parent / item.name) for item in beside if item != experiment]
         kind = f"{Path(name).suffix} files".strip()
         raise SpecError(f'there is no file "{name}"; {suggest(name, known, kind=kind)}')
+    shipped = shipped_experiments().resolve()
+    if found.resolve().is_relative_to(shipped) and not experiment.resolve().is_relative_to(shipped):
+        raise SpecError(
+            f'there is no file "{name}" in this workspace; labrun ships one of that name, of its own bench',
+            hint=f"make yours, or copy that one with what stands beside it: {found}",
+        )
     return found

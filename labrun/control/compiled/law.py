@@ -118,7 +118,7 @@ def wiring_of(
         np.radians([low for low, _ in bounds]),
         np.radians([high for _, high in bounds]),
         np.radians(speeds) * context.period_s,
-        np.zeros(6, dtype=np.int64),
+        np.zeros(7, dtype=np.int64),
     )
 
 
@@ -194,7 +194,7 @@ def _affine(weights: FloatArray, order: Sequence[int], places: Sequence[int], wi
         np.zeros(KEPT_SAMPLES),
         np.zeros((KEPT_SAMPLES, outs)),
         np.array([-math.inf, 0.0]),
-        np.zeros(6, dtype=np.int64),
+        np.zeros(7, dtype=np.int64),
         0.0,
         1,
         0.0,

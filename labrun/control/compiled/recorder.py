@@ -17,6 +17,7 @@ from labrun.control.compiled.stepping import (
     NOT_FINITE,
     STOPPED,
     UNSENT,
+    UNSOLVED,
     UNWATCHED,
     Law,
 )
@@ -108,6 +109,12 @@ class CompiledLoopRecorder(ClosedLoopRecorder):
         if bounded:
             recording.remark(
                 f"loop {loop.name}: a limit of the joints bounded the command at {bounded} steps"
+            )
+        unsolved = int(law.affine.counts[UNSOLVED])
+        if unsolved:
+            recording.remark(
+                f"loop {loop.name}: after {unsolved} samples the least squares had no solution, and the weights stayed "
+                "as they were: too little moved for so small a ridge"
             )
 
     def _require_devices(self) -> None:

@@ -17,9 +17,10 @@ STOPPED, FULL, UNWATCHED, UNSENT = 100, 101, 102, 200
 `UNSENT` + what the device's
 `CompiledWire.send` said."""
 
-SAMPLES, STEPS, TRAININGS, CLAMPED, WRITTEN, OLDEST = range(6)
+SAMPLES, STEPS, TRAININGS, CLAMPED, WRITTEN, OLDEST, UNSOLVED = range(7)
 """Places in `Affine.counts` and `Wiring.counts`: samples learned from, steps taken, trainings, steps at which a limit
-of a joint bounded the set-point, samples of the measured drives kept, number of the window's oldest sample."""
+of a joint bounded the set-point, samples of the measured drives kept, number of the window's oldest sample,
+samples after which the least squares had no solution."""
 
 _REFRESH = 2048
 """Samples after which the sums of a window are formed anew: what is added and taken away again leaves rounding."""
@@ -336,6 +337,7 @@ def _learn(
     held = _windowed(law, z, e, feedback_s)
     found = np.empty_like(law.weights)
     if not _solved(law.gram, law.moment, law.ridge * held, found):  # too few samples without a ridge
+        law.counts[UNSOLVED] += 1
         return False
     law.weights[:] = law.start + found
     law.learned_s[0] = max(law.learned_s[0], feedback_s)

@@ -8,10 +8,18 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    NonNegativeFloat,
+    PositiveFloat,
+    PositiveInt,
+    field_validator,
+)
 
 from labrun.arrays import FloatArray
-from labrun.errors import FitError, RequestError
+from labrun.errors import FitError, PluginError, RequestError
 from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Stack, TextTable
 from labrun.fit.signals import SignalTable, joined, load_signals
@@ -84,6 +92,16 @@ def mean_absolute(error: FloatArray) -> float:
 _SHOWN = 600
 
 
+def known_inverse(name: str) -> str:
+    """Return the name of an inverse, or of none; ValueError if there is none of that name."""
+    if name:
+        try:
+            load_inverse(name)
+        except PluginError as error:
+            raise ValueError(str(error).replace("\n  ", "; ")) from error
+    return name
+
+
 class NetworkTable(BaseModel):
     """One network of a fit.
 
@@ -103,6 +121,8 @@ class NetworkTable(BaseModel):
     alpha: NonNegativeFloat = 1e-4
     most_iterations: PositiveInt = 2000
     inverse: str = ""
+
+    _inverse_there = field_validator("inverse")(known_inverse)
 
     @property
     def training(self) -> Training:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, Field, PositiveFloat, PositiveInt
+from pydantic import BaseModel, Field, PositiveFloat, PositiveInt, field_validator
 
-from labrun.fit.learning.method import DataTable, TrainingSamples, mean_absolute
+from labrun.fit.learning.method import DataTable, TrainingSamples, known_inverse, mean_absolute
 from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, Panel, Stack, TextTable
 from labrun.learned import ACTIVATIONS, Activation, Network, Solver, Training, exact_affine, train
@@ -54,6 +54,13 @@ class StudySettings(DataTable):
     retrainings: PositiveInt = 20
     alpha: float = 1e-6
     most_iterations: PositiveInt = 500
+
+    _inverse_there = field_validator("inverse")(known_inverse)
+
+    @property
+    def counted(self) -> str:
+        """What n counts."""
+        return "layers" if self.shape == "depth" else "neurons"
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +119,7 @@ class MlpStudy(WithSettings[StudySettings]):
                 found = kept.found.get(key)
                 if found is None:
                     job.note(
-                        f"{len(rows) + 1} of {len(grid)}: {mode}, {layers} layers, {activation}, {solver}"
+                        f"{len(rows) + 1} of {len(grid)}: {mode}, {layers} {settings.counted}, {activation}, {solver}"
                     )
                     found = _row(settings, key, sets[0], sets[1], seed)
                     kept.keep(found)
@@ -198,12 +205,12 @@ def _summary(
             for row in mine[:_BEST]
         ]
         more = f", the best {_BEST} of {len(mine)}" if len(mine) > _BEST else ""
-        head = ("layers", "set A", "set B", "spread", "retraining (s)")
+        head = (settings.counted, "set A", "set B", "spread", "retraining (s)")
         tables.append(
             TextTable(f"mode {mode}: mean absolute error on withheld data, {unit}{more}", head, tuple(cells))
         )
         findings.append(f"mode {mode}: exact affine least squares leaves {reference:.4g} {unit} on set B")
-        findings += _findings(mode, mine, reference)
+        findings += _findings(mode, mine, reference, settings.counted)
     return FitSummary(
         method="mlp-study",
         model_name="mlp-study",
@@ -212,19 +219,19 @@ def _summary(
         tables=tuple(tables),
         findings=tuple(findings),
         details={"rows": [asdict(row) for row in rows], "exact_affine": dict(affine)},
-        figure_data=lambda: _figure(rows, affine, unit),
+        figure_data=lambda: _figure(rows, affine, unit, settings.counted),
     )
 
 
-def _findings(mode: str, rows: Sequence[Row], reference: float) -> Iterator[str]:
+def _findings(mode: str, rows: Sequence[Row], reference: float, counted: str) -> Iterator[str]:
     plain = [row for row in rows if row.activation == "identity" and row.solver == "lbfgs"]
     shallow = [row for row in plain if row.layers <= _SHALLOW]
     if shallow:
         worst = max(shallow, key=lambda row: row.retrained)
         verb = "reaches" if worst.retrained <= _AS_GOOD * reference else "does not reach"
         yield (
-            f"mode {mode}: identity with L-BFGS {verb} it within 5 % at 1 to {_SHALLOW} layers: at worst "
-            f"{worst.retrained / reference:.3f} of it ({worst.layers} layers)"
+            f"mode {mode}: identity with L-BFGS {verb} it within 5 % at 1 to {_SHALLOW} {counted}: at worst "
+            f"{worst.retrained / reference:.3f} of it ({worst.layers} {counted})"
         )
     lbfgs, adam = (
         min((row.retrained for row in rows if row.solver == solver), default=float("nan"))
@@ -239,11 +246,11 @@ def _findings(mode: str, rows: Sequence[Row], reference: float) -> Iterator[str]
         first, last = deep[0], deep[-1]
         yield (
             f"mode {mode}: a retraining takes {first.retraining_s:.2g} s with {first.layers} and "
-            f"{last.retraining_s:.2g} s with {last.layers} layers (identity, L-BFGS)"
+            f"{last.retraining_s:.2g} s with {last.layers} {counted} (identity, L-BFGS)"
         )
 
 
-def _figure(rows: Sequence[Row], affine: Mapping[str, float], unit: str) -> FigureData:
+def _figure(rows: Sequence[Row], affine: Mapping[str, float], unit: str, counted: str) -> FigureData:
     panels = []
     for mode, reference in affine.items():
         mine = sorted((row for row in rows if row.mode == mode), key=lambda row: row.layers)
@@ -263,6 +270,6 @@ def _figure(rows: Sequence[Row], affine: Mapping[str, float], unit: str) -> Figu
         above = Panel(
             tuple(curves), title=f"mode {mode}", y_label=f"error on set B, {unit}", log="xy", height=1.6
         )
-        below = Panel(tuple(times), x_label="layers", y_label="retraining, s", log="xy")
+        below = Panel(tuple(times), x_label=counted, y_label="retraining, s", log="xy")
         panels.append(Stack((above, below)))
-    return FigureData("layers, activation and solver", (tuple(panels),), legend="top", row_height_in=6.0)
+    return FigureData(f"{counted}, activation and solver", (tuple(panels),), legend="top", row_height_in=6.0)
