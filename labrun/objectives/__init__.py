@@ -1,7 +1,16 @@
 """Objectives: from the recorded signals of a trial to one number."""
 
 from labrun.objectives.asked import ASKED, Asked
-from labrun.objectives.protocol import Objective, TrialSignals, Truncated, make_objective
+from labrun.objectives.protocol import Objective, Remarking, TrialSignals, Truncated, make_objective
 from labrun.signals import Signal
 
-__all__ = ["ASKED", "Asked", "Objective", "Signal", "TrialSignals", "Truncated", "make_objective"]
+__all__ = [
+    "ASKED",
+    "Asked",
+    "Objective",
+    "Remarking",
+    "Signal",
+    "TrialSignals",
+    "Truncated",
+    "make_objective",
+]

@@ -81,7 +81,7 @@ class RecoveryTimeSettings(EulerErrorSettings):
 
 
 class RecoveryTime(EulerError):  # noqa: N818  (no exception: an error of angles)
-    """How long after a change the error is down again, s; the rest of the recording, if it never is.
+    """How long after a change the error is down again, s; the rest of the recording, with a remark, if it never is.
 
     Counted from the change to the end of the first window, begun after the change, whose mean error is at most `factor`
     times the steady one.
@@ -96,13 +96,29 @@ class RecoveryTime(EulerError):  # noqa: N818  (no exception: an error of angles
     def __call__(self, signals: TrialSignals) -> float:
         """Return the time."""
         keys: Any = self._keys
+        recovered_s, _ = self._recovered(signals)
+        return float((signals.end_s if recovered_s is None else recovered_s) - keys.at_s)
+
+    def remark(self, signals: TrialSignals) -> str:
+        """Return that it never was, if so."""
+        recovered_s, bound = self._recovered(signals)
+        if recovered_s is not None:
+            return ""
+        window_s = self._keys.window_s
+        return (
+            f"not recovered by the end of the trial: no {window_s:g} s had a mean error below {bound:.3g} deg"
+        )
+
+    def _recovered(self, signals: TrialSignals) -> tuple[float | None, float]:
+        """Return when the error was down again, or None, and the error that counts as that, deg."""
+        keys: Any = self._keys
         time_s, error = euler_errors(signals, keys.loop, keys.order)
         end_s = signals.end_s if keys.to_s is None else keys.to_s
         bound = keys.factor * float(np.mean(error[_part(time_s, keys.from_s, end_s)]))
         late = time_s >= keys.at_s
         mean = moving_mean(time_s[late], error[late], keys.window_s)
         down = np.flatnonzero((mean <= bound) & (time_s[late] >= keys.at_s + keys.window_s))
-        return float((time_s[late][down[0]] if len(down) else signals.end_s) - keys.at_s)
+        return (float(time_s[late][down[0]]) if len(down) else None), bound
 
 
 def euler_errors(signals: TrialSignals, loop: str, order: Order) -> tuple[FloatArray, FloatArray]:

@@ -238,12 +238,21 @@ class Truncated(Protocol):
         ...
 
 
+@runtime_checkable
+class Remarking(Protocol):
+    """An objective whose number alone may not say what happened."""
+
+    def remark(self, signals: TrialSignals) -> str:
+        """Return what has to be said beside the number; empty if nothing has."""
+        ...
+
+
 class ObjectivePlugin(Protocol):
     """The class an entry point of group ``labrun.objectives`` names.
 
     It may also have `Settings` (a pydantic model of its own keys; the loader then reports errors in them with line and
     column), `needs_channel`, and `channel_settings` (its own keys that name channels). What it makes may be
-    `Truncated`.
+    `Truncated`, and `Remarking`.
     """
 
     def __call__(self, channel: str | None, settings: Mapping[str, Any]) -> Objective:

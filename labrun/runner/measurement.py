@@ -10,7 +10,7 @@ import numpy as np
 
 from labrun.devices import FloatArray
 from labrun.errors import ExperimentError, LabrunError
-from labrun.objectives import Asked, Objective, TrialSignals, Truncated, make_objective
+from labrun.objectives import Asked, Objective, Remarking, TrialSignals, Truncated, make_objective
 from labrun.runner.motion import TrialMotion
 from labrun.signals import LongSignals, Signal, Signals
 from labrun.spec import Condition, Experiment, Outliers, RepeatRule, condition_text
@@ -91,6 +91,15 @@ class ObjectiveEvaluation:
         known = {n: one for n, one in self._objectives.items() if isinstance(one, Truncated)}
         found = {name: one.truncation(signals) for name, one in known.items()}
         return {name: bound for name, bound in found.items() if bound > 0.0}
+
+    def remarks(
+        self, measured: Mapping[str, Signals | LongSignals], motion: TrialMotion, condition: Condition
+    ) -> list[str]:
+        """Return what objectives say beside their numbers, see `Remarking`."""
+        known = {n: one for n, one in self._objectives.items() if isinstance(one, Remarking)}
+        signals = self._seen(measured, motion, condition)
+        found = {name: one.remark(signals) for name, one in known.items()}
+        return [f"objective {name}: {text}" for name, text in found.items() if text]
 
     def _seen(
         self, measured: Mapping[str, Signals | LongSignals], motion: TrialMotion, condition: Condition

@@ -262,6 +262,8 @@ class TrialRunner:
                 signals = writer.signals(outcome.started_s, outcome.tare)
                 found = self._evaluation.evaluate(signals, motion, outcome.condition, draft.answers)
                 draft.know(truncation=self._evaluation.truncation(signals, motion, outcome.condition))
+                for text in self._evaluation.remarks(signals, motion, outcome.condition):
+                    recording.remark(text)
             draft.know(objectives=dict(found))
         except ObjectiveError as error:
             draft.know(status="failed", reason=str(error).splitlines()[0])

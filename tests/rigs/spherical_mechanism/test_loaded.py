@@ -102,7 +102,14 @@ def test_the_error_is_the_mean_over_the_three_euler_angles():
 
 def test_recovery_ends_when_a_whole_window_is_steady_again():
     signals = trial_of(lambda t: np.where((t > 5) & (t < 9), 30.0, 3.0))
-    found = objective(plugin="recovery-time", at_s=5, from_s=12, window_s=2.0)(signals)
-    assert found == pytest.approx(4.0 + 1.9, abs=0.15)
-    never = objective(plugin="recovery-time", at_s=5, from_s=0, to_s=4, factor=0.5)(signals)
-    assert never == pytest.approx(15.0)
+    recovery = objective(plugin="recovery-time", at_s=5, from_s=12, window_s=2.0)
+    assert recovery(signals) == pytest.approx(4.0 + 1.9, abs=0.15)
+    assert recovery.remark(signals) == ""
+
+
+def test_what_never_recovers_says_so_beside_the_rest_of_the_recording():
+    signals = trial_of(lambda t: np.where((t > 5) & (t < 9), 30.0, 3.0))
+    recovery = objective(plugin="recovery-time", at_s=5, from_s=0, to_s=4, factor=0.5)
+    assert recovery(signals) == pytest.approx(15.0)
+    assert "not recovered" in recovery.remark(signals)
+    assert "0.5 deg" in recovery.remark(signals)
