@@ -18,7 +18,7 @@ from labrun.store import open_run
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 TRIALS = ", ".join(
-    f'{{ set = "{name}", size = {size}, load_g = {load}, phase = {phase} }}'
+    f'{{ set = "{name}", size = {size}, load_g = {load}, phase = {phase}, turns_hz = 0.13 }}'
     for name, size, load in (("A", 34, 0), ("B", 25, 100))
     for phase in (0, 120, 240)
 )
