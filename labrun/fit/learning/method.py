@@ -18,12 +18,14 @@ from pydantic import (
     field_validator,
 )
 
+from labrun import registry
 from labrun.arrays import FloatArray
 from labrun.errors import FitError, PluginError, RequestError
 from labrun.fit.method import FitJob, WithSettings
 from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Stack, TextTable
 from labrun.fit.signals import SignalTable, joined, load_signals
 from labrun.learned import (
+    INVERSES,
     Activation,
     LearnedModel,
     Network,
@@ -98,7 +100,9 @@ def known_inverse(name: str) -> str:
         try:
             load_inverse(name)
         except PluginError as error:
-            raise ValueError(str(error).replace("\n  ", "; ")) from error
+            raise ValueError(
+                f"an inverse that is installed: {', '.join(registry.names(INVERSES))}"
+            ) from error
     return name
 
 
