@@ -104,7 +104,8 @@ class RecoveryTime(EulerError):  # noqa: N818  (no exception: an error of angles
         recovered_s, bound = self._recovered(signals)
         if recovered_s is not None:
             return ""
-        window_s = self._keys.window_s
+        keys: Any = self._keys
+        window_s = keys.window_s
         return (
             f"not recovered by the end of the trial: no {window_s:g} s had a mean error below {bound:.3g} deg"
         )

@@ -49,6 +49,8 @@ _FAR_AHEAD = 8
 _MADE_UP_SHARE = 0.4
 """Of a period after the step before: when a step is made up for that a sample had lost to a newer one. What it acts on
 is still young then; when it is due it would be a period old, or more."""
+_YOUNG_SHARE = 0.8
+"""Of a period after the newest sample came: until when a step is made up for. Later ones wait for the next sample."""
 _PRIORITY, _PRIORITY_OF_PYTHON = 50, 10
 _SWITCH_S = 2e-4
 """Python's own 5 ms are what a thread that hears a sensor may wait for one that stores or draws."""
@@ -100,9 +102,10 @@ def run_steps(
     unlearned, one = np.empty_like(latest), law.wiring.sensor[0]
     queue = np.zeros(2 + SLOTS, dtype=np.int64)
     learns = (law.wiring.sensor == one).all()
-    number, owed, before_s = 0, 0, start_s - period_s
+    number, owed, before_s, newest_s = 0, 0, start_s - period_s, -np.inf
     while number < steps:
-        now_s = await_step(law, bench, seen, start_s, period_s, number, before_s, owed > 0)
+        young_s = newest_s + _YOUNG_SHARE * period_s if owed > 0 else -np.inf
+        now_s = await_step(law, bench, seen, start_s, period_s, number, before_s, young_s)
         if shared[STOP] != 0:
             return STOPPED
         if now_s - 1e-9 * shared[WATCHED_NS] > UNWATCHED_S:
@@ -128,6 +131,7 @@ def run_steps(
         unlearned_s = -np.inf
         if begun and learns:
             unlearned_s = _unlearned(bench, one, before, seen[one], start_s, latest, queue, unlearned)
+        newest_s = heard_s if np.isfinite(heard_s) else newest_s
         record = ring[shared[HEAD] % len(ring)]
         status = take_step(
             law, now_s - start_s, now_s - before_s, references[newest], latest, latest_s, unlearned, unlearned_s,
@@ -156,19 +160,19 @@ def run_steps(
 @kernel
 def await_step(
     law: Law, bench: LiveBench, seen: IntArray, start_s: float, period_s: float, number: int, before_s: float,
-    owed: bool,
+    made_up_until_s: float,
 ) -> float:  # fmt: skip
     """Wait until a step is to be taken, see `run_steps`; return the time.
 
-    The one before began at `before_s`; `owed` tells whether one is to be made up for.
+    The one before began at `before_s`; until `made_up_until_s` a step may be made up for, -inf if none is owed.
     """
     due_s = start_s + number * period_s
     if number == 0:
         return float(wait_until(due_s, _SPIN_S))
     ahead_s = _AHEAD * period_s
     soonest_s = max(due_s - ahead_s, before_s + _LEAST_SHARE * period_s, bench.state[FREE_S])
-    if owed:
-        made_up_s = max(before_s + _MADE_UP_SHARE * period_s, due_s - _FAR_AHEAD * period_s, soonest_s)
+    made_up_s = max(before_s + _MADE_UP_SHARE * period_s, due_s - _FAR_AHEAD * period_s, soonest_s)
+    if made_up_s <= made_up_until_s:
         due_s = min(due_s, made_up_s)
     now_s = wait_until(min(due_s, soonest_s), 0.0)
     while now_s < due_s and not _fresh(law, bench, seen):
