@@ -118,6 +118,11 @@ class SimulatedDevice:
         """Disconnect; harmless when not connected."""
         self._opened_s = None
 
+    @classmethod
+    def emergency_stop(cls, name: str, settings: Any) -> None:
+        """Note the stop where `stop_log` asks for it: what is simulated ends with its process."""
+        settings.log_stop(name, "emergency_stop")
+
     def _require_open(self) -> float:
         return opened(self.name, self._opened_s)
 
@@ -170,11 +175,6 @@ class SimulatedCarriage(SimulatedDevice):
         if not self.closed and self._scene is not None:
             here_m = self._here_m(self._scene)
             self._scene.tow(here_m, here_m, 0.0, self._clock.now())
-
-    @classmethod
-    def emergency_stop(cls, name: str, settings: Any) -> None:
-        """Note the stop where `stop_log` asks for it: a simulated carriage ends with its process."""
-        settings.log_stop(name, "emergency_stop")
 
     def _here_m(self, scene: Scene) -> float:
         return float(scene.observe(("position",), np.array([self._clock.now()]))[0, 0])

@@ -75,15 +75,6 @@ class SimulatedOperator(SimulatedDevice):
         else:
             self._carry(trajectory, start_s)
 
-    def safe_stop(self) -> None:
-        """Nothing to stop: a body that swings comes to rest by itself."""
-        super().safe_stop()
-
-    @classmethod
-    def emergency_stop(cls, name: str, settings: Any) -> None:
-        """Note the stop where `stop_log` asks for it."""
-        settings.log_stop(name, "emergency_stop")
-
     def _carry(self, trajectory: Trajectory, start_s: float) -> None:
         self._misplaced_rad = _PLACING_SD_RAD * float(self._rng.standard_normal())
         share = trajectory.time_s / trajectory.duration_s if trajectory.duration_s > 0 else np.ones(1)

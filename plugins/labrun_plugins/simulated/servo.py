@@ -244,11 +244,6 @@ class SimulatedJoints(SimulatedDevice):
         self._commanded = {joint: _recalled(joint, stored) for joint, stored in snapshot["commanded"].items()}
         self._motion = {joint: _recalled(joint, stored) for joint, stored in snapshot["motion"].items()}
 
-    @classmethod
-    def emergency_stop(cls, name: str, settings: Any) -> None:
-        """Note the stop where `stop_log` asks for it: a simulated servo ends with its process."""
-        settings.log_stop(name, "emergency_stop")
-
     def _check(self, trajectory: Trajectory) -> None:
         if set(trajectory.joints) != set(self.joints):
             raise DeviceError(

@@ -77,11 +77,6 @@ class SimulatedTendonSlider(SimulatedDevice):
         self._tendon = Trajectory((SLIDER,), np.array(snapshot["time_s"], dtype=float), pulled)
         self._change.wanted = snapshot["wanted"]
 
-    @classmethod
-    def emergency_stop(cls, name: str, settings: Any) -> None:
-        """Note the stop where `stop_log` asks for it: a simulated servo ends with its process."""
-        settings.log_stop(name, "emergency_stop")
-
     def _pulled(self, time_s: float) -> float:
         return float(self._tendon.at(time_s - self._start_s)[0, 0])
 

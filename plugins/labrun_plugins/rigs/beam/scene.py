@@ -21,7 +21,6 @@ from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
     described,
-    hidden_effects,
     require_finite,
     unpacked,
 )
@@ -224,8 +223,7 @@ class BeamBench(Bench):
         self._loop = load_effect("hysteresis").attach(
             "beam", force=share * limit, yield_displacement=_YIELD_RAD
         )
-        at_beam = [one for one in self._settings.hide if one.site not in (*self.joints, *self.sensed)]
-        self._hidden = hidden_effects(at_beam, self._model, _SCALE)
+        self._hidden = self._inside()
         self._stepper = Stepper(self._model, effects=[self._loop, *self._hidden], step_s=self.step_s)
 
     def _advance(self, time_s: FloatArray) -> FloatArray:

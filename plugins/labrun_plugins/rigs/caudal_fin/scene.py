@@ -23,7 +23,6 @@ from labrun_plugins.rigs.caudal_fin.model import (
 from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
-    hidden_effects,
     packed,
     require_finite,
     unpacked,
@@ -116,9 +115,7 @@ class CaudalTank(Bench):
         if self._settings.as_modelled:
             self._model = self._model.with_values(dict.fromkeys(_NOT_IN_THE_STEP_MODELS, 0.0))
         self._servo, self._sensor = self._passage(self.joints), self._passage(self.sensed)
-        elsewhere = (*self.joints, *self.sensed)
-        in_water = [one for one in self._settings.hide if one.site not in elsewhere]
-        self._water = hidden_effects(in_water, self._model, _SCALE)
+        self._water = self._inside()
         self._hidden = self._water + self._servo.effects + self._sensor.effects
         self._large = self._model
         self._put((self._settings.material, self._settings.thickness_mm, self._settings.fin))

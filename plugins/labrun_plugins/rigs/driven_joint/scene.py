@@ -20,7 +20,7 @@ from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import SpecError
 from labrun.models import Input, Model, Output, Parameter, Site, Stepper, natives
-from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite, unpacked
+from labrun_plugins.simulated.bench import Bench, BenchSettings, require_finite, unpacked
 
 
 def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
@@ -178,8 +178,7 @@ class DrivenJoint(Bench):
         self._factors = factors
         self._model = self._with_errors(model.with_values(scattered))
         self._values = self._model.named_values
-        at_hinge = [one for one in self._settings.hide if one.site not in (*self.joints, *self.sensed)]
-        self._at_hinge = hidden_effects(at_hinge, self._model, _SCALE)
+        self._at_hinge = self._inside()
         self._stepper = Stepper(self._model, effects=self._at_hinge, step_s=self.step_s)
 
     def _put(self, mounted: dict[str, float]) -> None:

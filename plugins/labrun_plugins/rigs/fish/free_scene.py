@@ -24,7 +24,7 @@ from labrun.effects import Scale
 from labrun.errors import ExperimentError, SpecError
 from labrun.models import Stepper
 from labrun_plugins.rigs.fish.fins import ATTACHMENTS, JOINTS, WATERS, AttachmentName, fin_loads, motion_at
-from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, model_beside, require_finite
+from labrun_plugins.simulated.bench import Bench, BenchSettings, model_beside, require_finite
 
 REAR_FINS_YAW_DRAG = 0.041
 """What a tail at rest and the dorsal fin add to the yaw drag, N m s^2."""
@@ -145,8 +145,7 @@ class FireFree(Bench):
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
         self._model = self._with_errors(model_beside(__file__, "free.toml"))
-        in_water = [one for one in self._settings.hide if one.site not in self.joints]
-        self._water_effects = hidden_effects(in_water, self._model, self.scale)
+        self._water_effects = self._inside()
         self._servo = self._passage(self.joints)
         self._hidden = self._water_effects + self._servo.effects
         self._put = {name: getattr(self._settings, name) for name in ("attachment", "caudal", "water")}

@@ -18,7 +18,6 @@ from labrun_plugins.rigs.fish.free_scene import chosen_by_hand
 from labrun_plugins.simulated.bench import (
     BenchSettings,
     TowedBench,
-    hidden_effects,
     model_beside,
     require_finite,
 )
@@ -68,8 +67,7 @@ class FireTank(TowedBench):
         super().__init__(settings, rng)
         model = model_beside(__file__, "tank.toml")
         self._model = self._with_errors(model.with_values({"mount_height": self._settings.mount_height_m}))
-        in_water = [one for one in self._settings.hide if one.site not in self.joints]
-        water_effects = hidden_effects(in_water, self._model, _SCALE)
+        water_effects = self._inside()
         self._servo = self._passage(self.joints)
         self._hidden = water_effects + self._servo.effects
         self._stepper = Stepper(self._model, effects=water_effects, step_s=self.step_s)

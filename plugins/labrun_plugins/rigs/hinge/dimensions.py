@@ -14,7 +14,7 @@ They describe 0.127 mm polyester between about w = 10-60 mm, l = 1-5 mm, a = 2-1
 import warnings
 
 from labrun.errors import ModelError
-from labrun_plugins.rigs.hinge.polynomial import PUBLISHED, Quantity
+from labrun_plugins.rigs.hinge.polynomial import PUBLISHED
 
 LEAST_DAMPING = 1.61e-5
 """Minimum of (3.6), N m s/rad: the least total damping any of the single-variable maps gives."""
@@ -29,17 +29,14 @@ def stiffness(width_m: float, length_m: float) -> float:
 
     Raises ModelError: the map is not positive there, as for narrow hinges longer than 1 mm.
     """
-    return _stiffness(w=width_m, l=length_m)
-
-
-def stiffness_of_width(width_m: float) -> float:
-    """Return k of hinges of other widths, nominal otherwise, by (3.8) as corrected, N m/rad."""
-    return _stiffness(w=width_m)
-
-
-def stiffness_of_length(length_m: float) -> float:
-    """Return k of hinges of other lengths, nominal otherwise, by (3.10) as corrected, N m/rad."""
-    return _stiffness(l=length_m)
+    k = PUBLISHED["stiffness", ("l", "w")].value({"w": width_m, "l": length_m})
+    if k > 0:
+        return k
+    raise ModelError(
+        f"map (3.12) gives a stiffness of {k:.3g} N m/rad for w = {width_m * 1e3:g} mm, l = {length_m * 1e3:g} mm: "
+        "it does not hold there",
+        hint="the maps describe hinges 10 to 60 mm wide and 1 to 5 mm long, and no narrow and long ones",
+    )
 
 
 def damping(area_m2: float, width_m: float, length_m: float) -> float:
@@ -48,7 +45,7 @@ def damping(area_m2: float, width_m: float, length_m: float) -> float:
     Off the lines along which the specimens were varied the polynomial can turn negative. It is then replaced by
     `LEAST_DAMPING`, with a `HingeMapWarning`.
     """
-    b = _published("damping", a=area_m2, w=width_m, l=length_m)
+    b = PUBLISHED["damping", ("a", "l", "w")].value({"a": area_m2, "w": width_m, "l": length_m})
     if b >= LEAST_DAMPING:
         return b
     warnings.warn(
@@ -58,34 +55,3 @@ def damping(area_m2: float, width_m: float, length_m: float) -> float:
         stacklevel=2,
     )
     return LEAST_DAMPING
-
-
-def damping_of_area(area_m2: float) -> float:
-    """Return b of bodies of other cross-sections, nominal hinge, by (3.6), N m s/rad; positive everywhere."""
-    return _published("damping", a=area_m2)
-
-
-def damping_of_width(width_m: float) -> float:
-    """Return b of hinges of other widths, nominal otherwise, by (3.7), N m s/rad; positive everywhere."""
-    return _published("damping", w=width_m)
-
-
-def damping_of_length(length_m: float) -> float:
-    """Return b of hinges of other lengths, nominal otherwise, by (3.9), N m s/rad; positive everywhere."""
-    return _published("damping", l=length_m)
-
-
-def _published(quantity: Quantity, **sizes_m: float) -> float:
-    return PUBLISHED[quantity, tuple(sorted(sizes_m))].value(sizes_m)
-
-
-def _stiffness(**sizes_m: float) -> float:
-    k = _published("stiffness", **sizes_m)
-    if k > 0:
-        return k
-    where = ", ".join(f"{name} = {size * 1e3:g} mm" for name, size in sizes_m.items())
-    equation = PUBLISHED["stiffness", tuple(sorted(sizes_m))].equation
-    raise ModelError(
-        f"map {equation} gives a stiffness of {k:.3g} N m/rad for {where}: it does not hold there",
-        hint="the maps describe hinges 10 to 60 mm wide and 1 to 5 mm long, and no narrow and long ones",
-    )

@@ -12,7 +12,7 @@ from labrun.devices.compiled import CompiledScene
 from labrun.effects import Scale
 from labrun.errors import ExperimentError, SpecError
 from labrun.models import Stepper, kernel, native
-from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, model_beside
+from labrun_plugins.simulated.bench import Bench, BenchSettings, model_beside
 
 _SCALE = Scale(coordinate=0.05, rate=1.0, acceleration=10.0, force=0.03, signal=0.4, time_s=0.5)
 _STOP_RAD = math.radians(80.0)
@@ -77,10 +77,8 @@ class SpmLoad(Bench):
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
         self._model = self._with_errors(model_beside(__file__, "loaded.toml"))
-        hide = self._settings.hide
         self._servo, self._sight = self._passage(_SERVOS), self._passage(_ANGLES)
-        inside = [one for one in hide if one.site not in (*self.joints, *_ANGLES)]
-        in_model = hidden_effects(inside, self._model, _SCALE)
+        in_model = self._inside()
         self._hidden = [*in_model, *self._servo.effects, *self._sight.effects]
         self._stepper = Stepper(self._model, effects=in_model, step_s=self.step_s)
         plain = self._settings.as_modelled

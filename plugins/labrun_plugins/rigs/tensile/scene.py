@@ -17,7 +17,7 @@ from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.errors import SpecError
 from labrun.models import Input, Model, Output, Parameter, Site, Stepper, kernel, natives
-from labrun_plugins.simulated.bench import Bench, BenchSettings, hidden_effects, require_finite
+from labrun_plugins.simulated.bench import Bench, BenchSettings, require_finite
 
 LAG_S = 0.02
 """Of load cell and amplifier behind the grip (chosen)."""
@@ -212,8 +212,7 @@ class TensileBench(Bench):
             young * YOUNG_PA, yields * YIELD_PA, LAYUPS[layup].hardening, area_m2, 1e-3 * keys.grips_mm
         )
         self._model = self._with_errors(model)
-        at_strip = [one for one in keys.hide if one.site not in (*self.joints, *self.sensed)]
-        self._hidden = hidden_effects(at_strip, self._model, _SCALE)
+        self._hidden = self._inside()
         self._stepper = Stepper(self._model, effects=self._hidden, step_s=self.step_s)
         self._stepper.state = (float(self._inputs_before[0, 0]),) * 2
         self._farthest, self._whole, self._clamped = np.full(1, -np.inf), True, False

@@ -14,7 +14,7 @@ from labrun.devices.compiled import CompiledScene
 from labrun.effects import AttachedEffect, Scale
 from labrun.errors import ExperimentError, SpecError
 from labrun.models import Model, Site
-from labrun_plugins.simulated.bench.hidden import Passage, described
+from labrun_plugins.simulated.bench.hidden import Passage, described, hidden_effects
 from labrun_plugins.simulated.bench.history import (
     ACCELERATION_M_S2,
     Carriage,
@@ -193,6 +193,13 @@ class Bench(ABC):
         """Return what joints or sensed signals pass through: the effects that hide at them."""
         wanted = [one for one in self._settings.hide if one.site in names]
         return Passage(names, wanted, scale or self.scale, self.step_s)
+
+    def _inside(self) -> list[AttachedEffect]:
+        """Return the effects that hide inside the model: all but those that `_passage` is for."""
+        elsewhere = (*self.joints, *self.sensed)
+        return hidden_effects(
+            [one for one in self._settings.hide if one.site not in elsewhere], self._model, self.scale
+        )
 
     def _truth(self, hidden: Iterable[AttachedEffect], **bench: Any) -> dict[str, Any]:
         """Return what stands on the bench, its parameters as they are, and hidden effects."""
