@@ -53,6 +53,44 @@ class EmulatedDevice:
         """Wait until a condition holds; AssertionError if it does not in time."""
         assert self._until(true, within_s), f"did not come true within {within_s} s"
 
+    def restore(self) -> None:
+        """End all faults, and close the driver."""
+        for fault in {line["name"] for line in self.events("fault")}:
+            self.bench.clear(self.name, fault)
+        self.clear("last")
+        self.driver.close()
+
+    def collect(self, driver: Any, duration_s: float) -> dict[str, Any]:
+        """Return all that a streaming sensor hands over for a while."""
+        blocks = []
+        until_s = self.clock.now() + duration_s
+        while self.clock.now() < until_s:
+            self.clock.sleep(0.02)
+            blocks.append(driver.read())
+        return {
+            "host_s": np.concatenate([block.host_time_s for block in blocks]),
+            "device_s": np.concatenate([block.device_time_s for block in blocks]),
+            "values": np.concatenate([block.values for block in blocks]),
+            "lost": sum(block.lost for block in blocks),
+            "saturated": sum(block.saturated for block in blocks),
+        }
+
+    def read_until_it_fails(self, driver: Any, within_s: float = 10.0) -> None:
+        """Read until the driver raises; AssertionError if it does not in time."""
+        until_s = self.clock.now() + within_s
+        while self.clock.now() < until_s:
+            driver.read()
+            self.clock.sleep(0.01)
+        raise AssertionError("nothing failed")
+
+    def answers_again(self, driver: Any) -> None:
+        """Open the driver anew, and see that it streams."""
+        driver.close()
+        driver.open()
+        driver.start()
+        self.wait_until(lambda: len(driver.read()))
+        driver.close()
+
     def _until(self, look: Any, within_s: float) -> Any:
         deadline_s = self.clock.now() + within_s
         while not (found := look()) and self.clock.now() < deadline_s:

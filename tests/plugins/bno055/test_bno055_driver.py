@@ -36,21 +36,6 @@ def other_driver(bench, **keys):
     return Bno055("imu", made, DeviceContext(bench.clock, np.random.default_rng(1)))
 
 
-def collect(bench, driver, duration_s):
-    blocks = []
-    until_s = bench.clock.now() + duration_s
-    while bench.clock.now() < until_s:
-        bench.clock.sleep(0.02)
-        blocks.append(driver.read())
-    return {
-        "host_s": np.concatenate([block.host_time_s for block in blocks]),
-        "device_s": np.concatenate([block.device_time_s for block in blocks]),
-        "values": np.concatenate([block.values for block in blocks]),
-        "lost": sum(block.lost for block in blocks),
-        "saturated": sum(block.saturated for block in blocks),
-    }
-
-
 def written(bench, after_s=0.0):
     lines = [line for line in bench.events("write") if line["time_s"] >= after_s]
     return [(line["register"], bytes.fromhex(line["data"].replace(" ", ""))) for line in lines]
@@ -90,7 +75,7 @@ def test_it_is_set_up_in_the_order_of_the_data_sheet(bench):
 
 def test_its_readings_are_complete_in_order_and_those_of_a_level_body(bench, opened):
     opened.start()
-    got = collect(bench, opened, 1.5)
+    got = bench.collect(opened, 1.5)
     health = opened.health()
     opened.stop()
     count = len(got["host_s"])
@@ -113,7 +98,7 @@ def test_a_slower_rate_is_kept(bench):
     assert driver.rate_hz == 20
     driver.open()
     driver.start()
-    got = collect(bench, driver, 1.0)
+    got = bench.collect(driver, 1.0)
     driver.close()
     assert 14 <= len(got["host_s"]) + got["lost"] <= 24
 
@@ -171,9 +156,9 @@ def test_examine_judges_rate_numbers_and_calibration(bench, opened):
 
 def test_angles_come_from_the_quaternion_whatever_the_chip_makes_of_its_own(bench, opened):
     opened.start()
-    before = collect(bench, opened, 0.3)["values"][:, 4:7]
+    before = bench.collect(opened, 0.3)["values"][:, 4:7]
     bench.inject("own-angles")
-    after = collect(bench, opened, 0.3)["values"][:, 4:7]
+    after = bench.collect(opened, 0.3)["values"][:, 4:7]
     opened.stop()
     bench.clear("own-angles")
     apart = np.angle(np.exp(1j * (after.mean(axis=0) - before.mean(axis=0))))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import serial
 from emulated import emulated
-from test_bno055_driver import KEYS, SCENE, collect, other_driver, written
+from test_bno055_driver import KEYS, SCENE, other_driver, written
 
 from labrun.errors import DeviceError
 
@@ -20,12 +20,9 @@ def shared():
 @pytest.fixture
 def bench(shared):
     yield shared
-    for name in {line["name"] for line in shared.events("fault")}:
-        shared.bench.clear("imu", name)
-    shared.clear("last")
+    shared.restore()
     while MADE:
         MADE.pop().close()
-    shared.driver.close()
 
 
 def opened(bench, **keys):
@@ -42,14 +39,6 @@ def reading(bench, **keys):
     return driver
 
 
-def read_until_it_fails(bench, driver, within_s=10.0):
-    until_s = bench.clock.now() + within_s
-    while bench.clock.now() < until_s:
-        driver.read()
-        bench.clock.sleep(0.01)
-    raise AssertionError("nothing failed")
-
-
 def collect_some(bench, driver, count):
     """Return the next readings, at least so many: how long they take depends on what else the machine does."""
     values = []
@@ -57,20 +46,12 @@ def collect_some(bench, driver, count):
     return np.concatenate(values)
 
 
-def answers_again(bench, driver):
-    driver.close()
-    driver.open()
-    driver.start()
-    bench.wait_until(lambda: len(driver.read()))
-    driver.close()
-
-
 def test_no_answer_at_the_beginning(bench):
     bench.inject("silence")
     with pytest.raises(DeviceError, match=r"imu: does not answer[\s\S]*PS1 is high"):
         bench.driver.open()
     bench.clear("silence")
-    answers_again(bench, bench.driver)
+    bench.answers_again(bench.driver)
 
 
 def test_no_answer_any_more(bench):
@@ -79,24 +60,24 @@ def test_no_answer_any_more(bench):
     with pytest.raises(
         DeviceError, match=r"imu: does not answer; so did 5 readings in a row[\s\S]*its cable"
     ):
-        read_until_it_fails(bench, driver)
+        bench.read_until_it_fails(driver)
     with pytest.raises(DeviceError, match="does not answer"):
         driver.health()
     bench.clear("silence")
-    answers_again(bench, driver)
+    bench.answers_again(driver)
 
 
 def test_answers_that_come_too_late_are_not_taken_for_later_ones(bench):
     driver = reading(bench)
     bench.inject("late", 0.08)
     with pytest.raises(DeviceError, match="5 readings in a row"):
-        read_until_it_fails(bench, driver)
+        bench.read_until_it_fails(driver)
 
 
 def test_half_an_answer_costs_a_reading_or_a_few(bench):
     driver = reading(bench)
     bench.inject("half-frame", 1)
-    got = collect(bench, driver, 0.6)
+    got = bench.collect(driver, 0.6)
     assert got["lost"] >= 1
     assert len(got["values"]) > 10
 
@@ -105,7 +86,7 @@ def test_half_an_answer_costs_a_reading_or_a_few(bench):
 def test_a_byte_too_many_or_too_few_is_thrown_away_with_its_reading(bench, fault):
     driver = reading(bench)
     bench.inject(fault, 2)
-    got = collect(bench, driver, 0.8)
+    got = bench.collect(driver, 0.8)
     assert got["lost"] >= 2
     assert len(got["values"]) > 10
     assert np.degrees(got["values"][:, 10].max()) < 2.0
@@ -115,7 +96,7 @@ def test_a_bad_line_all_the_time(bench):
     driver = reading(bench)
     bench.inject("random-byte")
     with pytest.raises(DeviceError, match=r"imu: answered with bytes that are no answer[\s\S]*cable"):
-        read_until_it_fails(bench, driver)
+        bench.read_until_it_fails(driver)
 
 
 def test_a_flipped_bit_in_the_answers_brings_no_orientation_that_cannot_be(bench):
@@ -155,16 +136,16 @@ def test_over_runs_without_end(bench):
     driver = reading(bench)
     bench.inject("overrun", 1.0)
     with pytest.raises(DeviceError, match=r"too busy to answer 6 times in a row \(bus over-run\)"):
-        read_until_it_fails(bench, driver)
+        bench.read_until_it_fails(driver)
     bench.clear("overrun")
-    answers_again(bench, driver)
+    bench.answers_again(driver)
 
 
 def test_a_status_in_place_of_data_is_told_in_words(bench):
     driver = reading(bench)
     bench.inject("error", 2)
     with pytest.raises(DeviceError, match="answered a reading of register 14 with: 02, read failed"):
-        read_until_it_fails(bench, driver)
+        bench.read_until_it_fails(driver)
 
 
 def test_a_refused_set_up_is_told_in_words(bench):
@@ -187,21 +168,21 @@ def test_unplugged_in_the_midst_of_a_run_and_plugged_in_again(bench):
     driver = reading(bench)
     bench.inject("unplug")
     with pytest.raises(DeviceError, match=r"imu: port .* was unplugged[\s\S]*labrun resume"):
-        read_until_it_fails(bench, driver)
+        bench.read_until_it_fails(driver)
     driver.safe_stop()
     driver.close()
     with pytest.raises(DeviceError, match=r"there is no port[\s\S]*labrun doctor"):
         driver.open()
     bench.clear("unplug")
     bench.wait_until(lambda: len(bench.events("plugged")) > len(bench.events("unplugged")))
-    answers_again(bench, driver)
+    bench.answers_again(driver)
 
 
 def test_its_supply_fails_for_a_moment_and_the_next_start_sets_it_up_again(bench):
     driver = reading(bench)
     bench.inject("reset", 1)
     with pytest.raises(DeviceError, match=r"imu: (does not answer|its readings cannot be true)"):
-        read_until_it_fails(bench, driver)
+        bench.read_until_it_fails(driver)
     driver.stop()
     began_s = bench.clock.now()
     driver.start()  # it may still boot
@@ -222,15 +203,15 @@ def test_a_quaternion_that_is_none_for_a_tenth_of_a_second_is_a_fault(bench):
     with pytest.raises(
         DeviceError, match=r"cannot be true for 0\.\d+ s: its quaternion has a length of 0\.5"
     ):
-        read_until_it_fails(bench, driver)
+        bench.read_until_it_fails(driver)
     bench.clear("off")
-    answers_again(bench, driver)
+    bench.answers_again(driver)
 
 
 def test_one_impossible_jump_is_left_out(bench):
     driver = reading(bench)
     bench.inject("jump", 1)
-    got = collect(bench, driver, 0.6)
+    got = bench.collect(driver, 0.6)
     heading = np.degrees(np.angle(np.exp(1j * (got["values"][:, 4] - got["values"][0, 4]))))
     assert np.abs(heading).max() < 10
     assert got["lost"] >= 1
@@ -238,9 +219,9 @@ def test_one_impossible_jump_is_left_out(bench):
 
 def test_a_heading_that_it_sets_anew_is_believed_and_told(bench):
     driver = reading(bench)
-    before = collect(bench, driver, 0.2)["values"]
+    before = bench.collect(driver, 0.2)["values"]
     bench.inject("anew", 90)
-    after = collect(bench, driver, 0.6)["values"]
+    after = bench.collect(driver, 0.6)["values"]
     turned = np.degrees(np.angle(np.exp(1j * (after[-1, 4] - before[-1, 4]))))
     assert abs(turned) == pytest.approx(90, abs=5)
     assert "jumps of its heading that it made itself: 1" in driver.health().notes
@@ -252,7 +233,7 @@ def test_the_end_of_the_gyroscopes_range_is_counted(bench):
     bench.inject("saturate")
     bench.clock.sleep(0.2)
     driver.read()
-    got = collect(bench, driver, 0.3)
+    got = bench.collect(driver, 0.3)
     assert got["saturated"] == len(got["values"]) > 0
     np.testing.assert_allclose(np.degrees(got["values"][-1, 7:10]), 2000)
 
@@ -272,4 +253,4 @@ def test_another_program_holds_the_port(bench):
         pytest.raises(DeviceError, match=r"imu: another program holds .*[\s\S]*fuser"),
     ):
         bench.driver.open()
-    answers_again(bench, bench.driver)
+    bench.answers_again(bench.driver)

@@ -47,21 +47,6 @@ def frames_so_far(driver):
     return int(driver.health().notes[0].split()[0])
 
 
-def collect(bench, driver, duration_s):
-    blocks = []
-    until_s = bench.clock.now() + duration_s
-    while bench.clock.now() < until_s:
-        bench.clock.sleep(0.02)
-        blocks.append(driver.read())
-    return {
-        "host_s": np.concatenate([block.host_time_s for block in blocks]),
-        "device_s": np.concatenate([block.device_time_s for block in blocks]),
-        "values": np.concatenate([block.values for block in blocks]),
-        "lost": sum(block.lost for block in blocks),
-        "saturated": sum(block.saturated for block in blocks),
-    }
-
-
 def test_it_is_a_sensor_with_the_channels_and_the_rate_of_its_stand_in(bench):
     stand_in = registry.load("labrun.devices", "simulated-robotiq-ft300")
     context = DeviceContext(bench.clock, np.random.default_rng(1))
@@ -85,7 +70,7 @@ def test_it_says_what_it_is(opened):
 
 def test_its_stream_is_complete_in_order_and_equals_what_the_stand_in_measures(bench, opened):
     opened.start()
-    got = collect(bench, opened, 1.5)
+    got = bench.collect(opened, 1.5)
     health = opened.health()
     opened.stop()
     assert len(got["host_s"]) > 110
@@ -158,7 +143,7 @@ def test_without_the_stream_it_reads_its_registers(bench):
     try:
         assert driver.identify().details["mode"] == "registers, 40 Hz"
         driver.start()
-        got = collect(bench, driver, 1.0)
+        got = bench.collect(driver, 1.0)
         assert 20 <= len(got["host_s"]) + got["lost"] <= 45
         assert got["values"][:, 2].mean() == pytest.approx(-4.3, abs=3.0)
         assert "readings" in driver.health().notes[0]

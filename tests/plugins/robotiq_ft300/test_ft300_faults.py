@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import serial
 from emulated import emulated
-from test_ft300_driver import PATIENT, collect, other_driver
+from test_ft300_driver import PATIENT, other_driver
 
 from labrun.errors import DeviceError
 
@@ -20,12 +20,9 @@ def shared():
 @pytest.fixture
 def bench(shared):
     yield shared
-    for name in {line["name"] for line in shared.events("fault")}:
-        shared.bench.clear("wrench", name)
-    shared.clear("last")
+    shared.restore()
     while MADE:
         MADE.pop().close()
-    shared.driver.close()
 
 
 def opened(bench, **keys):
@@ -42,28 +39,12 @@ def streaming(bench, **keys):
     return driver
 
 
-def read_until_it_fails(bench, driver, within_s=10.0):
-    until_s = bench.clock.now() + within_s
-    while bench.clock.now() < until_s:
-        driver.read()
-        bench.clock.sleep(0.01)
-    raise AssertionError("nothing failed")
-
-
-def answers_again(bench, driver):
-    driver.close()
-    driver.open()
-    driver.start()
-    bench.wait_until(lambda: len(driver.read()))
-    driver.close()
-
-
 def test_no_answer(bench):
     bench.inject("silence")
     with pytest.raises(DeviceError, match=r"wrench: does not answer[\s\S]*check its 24 V supply"):
         bench.driver.open()
     bench.clear("silence")
-    answers_again(bench, bench.driver)
+    bench.answers_again(bench.driver)
 
 
 def test_another_modbus_address(bench):
@@ -84,14 +65,14 @@ def test_an_answer_that_comes_far_too_late_is_not_taken_for_the_next_one(bench):
     bench.wait_until(lambda: len(driver.read()))
     bench.inject("late", 0.4)
     with pytest.raises(DeviceError, match=r"wrench: does not answer[\s\S]*check its 24 V supply"):
-        read_until_it_fails(bench, driver)
+        bench.read_until_it_fails(driver)
 
 
 def test_half_a_frame_costs_no_other_ones(bench):
     driver = streaming(bench)
     before = driver._source.parser.skipped_bytes
     bench.inject("half-frame", 1)
-    got = collect(bench, driver, 0.9)
+    got = bench.collect(driver, 0.9)
     assert driver._source.parser.skipped_bytes - before == 8
     assert got["lost"] <= 3
 
@@ -106,7 +87,7 @@ def test_a_bad_checksum_in_the_stream_is_counted_and_no_wrong_value_comes_throug
     driver = streaming(bench)
     before = driver._source.parser.skipped_bytes
     bench.inject("corrupt", 5)
-    got = collect(bench, driver, 0.9)
+    got = bench.collect(driver, 0.9)
     assert driver._source.parser.skipped_bytes - before == 5 * 16
     assert got["lost"] >= 3
     assert np.all(np.abs(got["values"] - np.median(got["values"], axis=0)) < [2, 2, 2, 0.1, 0.1, 0.1])
@@ -118,14 +99,14 @@ def test_bad_checksums_all_the_time(bench):
     driver = streaming(bench, silence_ms=300)
     bench.inject("corrupt")
     with pytest.raises(DeviceError, match=r"wrench: no frame of its stream is right[\s\S]*shield"):
-        read_until_it_fails(bench, driver)
+        bench.read_until_it_fails(driver)
     with pytest.raises(DeviceError, match="no frame of its stream is right"):
         driver.health()
     driver.close()
     with pytest.raises(DeviceError, match=r"wrong checksum|are no answer"):
         driver.open()
     bench.clear("corrupt")
-    answers_again(bench, driver)
+    bench.answers_again(driver)
 
 
 def test_another_device_answers(bench):
@@ -146,7 +127,7 @@ def test_unplugged_in_the_midst_of_a_run_and_plugged_in_again(bench):
     driver = streaming(bench)
     bench.inject("unplug")
     with pytest.raises(DeviceError, match=r"wrench: port .* was unplugged[\s\S]*labrun resume"):
-        read_until_it_fails(bench, driver)
+        bench.read_until_it_fails(driver)
     driver.safe_stop()
     driver.close()
     with pytest.raises(DeviceError, match=r"there is no port[\s\S]*labrun doctor"):
@@ -155,7 +136,7 @@ def test_unplugged_in_the_midst_of_a_run_and_plugged_in_again(bench):
     bench.wait_until(lambda: len(bench.events("plugged")) > len(bench.events("unplugged")))
     driver.open()  # it streams on all the time: nobody has told it to stop
     assert driver.identify().details["was_still_streaming"] == "yes"
-    answers_again(bench, driver)
+    bench.answers_again(driver)
 
 
 def test_what_came_before_a_fault_is_handed_over_first(bench):
@@ -176,7 +157,7 @@ def test_the_end_of_its_range_is_counted(bench):
     bench.inject("saturate")
     bench.clock.sleep(0.2)
     driver.read()
-    got = collect(bench, driver, 0.3)
+    got = bench.collect(driver, 0.3)
     assert got["saturated"] == len(got["values"]) > 0
     np.testing.assert_allclose(got["values"][-1], [300, 300, 300, 30, 30, 30])
     driver.close()
@@ -211,7 +192,7 @@ def test_a_stream_that_stops_is_lost_and_can_be_started_again(bench):
     with pytest.raises(
         DeviceError, match=r"its stream stopped: nothing for 0\.3\d* s \(100 frames/s[\s\S]*24 V"
     ):
-        read_until_it_fails(bench, driver)
+        bench.read_until_it_fails(driver)
     driver.stop()
     driver.start()
     bench.wait_until(lambda: len(driver.read()))
@@ -235,7 +216,7 @@ def test_the_answer_to_a_start_may_get_lost_while_the_stream_comes(bench):
 def test_a_force_whose_bytes_are_those_of_the_header(bench):
     bench.inject("alias")
     driver = streaming(bench)
-    got = collect(bench, driver, 0.5)
+    got = bench.collect(driver, 0.5)
     assert len(got["values"]) > 20
     np.testing.assert_allclose(got["values"][:, 0], 200.0)
     assert got["lost"] == 0
@@ -246,7 +227,7 @@ def test_bytes_one_by_one_or_frames_in_lumps_or_among_others_lose_nothing(bench,
     driver = opened(bench)
     bench.inject(fault, value)
     driver.start()
-    got = collect(bench, driver, 1.0)
+    got = bench.collect(driver, 1.0)
     assert len(got["values"]) > 60
     assert got["lost"] <= (2 if fault == "garbage" else 0)  # the line is too slow for frames and garbage
     assert np.all(np.diff(got["host_s"]) >= 0)
@@ -255,9 +236,9 @@ def test_bytes_one_by_one_or_frames_in_lumps_or_among_others_lose_nothing(bench,
 def test_frames_that_never_come_are_counted(bench):
     driver = streaming(bench)
     bench.inject("drop", 0.2)
-    got = collect(bench, driver, 1.2)
+    got = bench.collect(driver, 1.2)
     bench.clear("drop")
-    rest = collect(bench, driver, 0.55)
+    rest = bench.collect(driver, 0.55)
     lost = got["lost"] + rest["lost"]
     frames = len(got["values"]) + len(rest["values"])
     expected = (rest["host_s"][-1] - got["host_s"][0]) * 100 + 1
@@ -273,4 +254,4 @@ def test_another_program_holds_the_port(bench):
         pytest.raises(DeviceError, match=r"wrench: another program holds .*[\s\S]*fuser"),
     ):
         bench.driver.open()
-    answers_again(bench, bench.driver)
+    bench.answers_again(bench.driver)
