@@ -122,7 +122,8 @@ def export_robot(
         found: list[MjcfRange] = []
         if ranges is not None:
             note("fitting the corrected model to every trial")
-            fitted = fit(stored["source"], model=str(corrected), results=Path(folder), note=note)
+            # the diagnosis has fitted it: other starts would only lead back
+            fitted = fit(stored["source"], model=str(corrected), starts=1, results=Path(folder), note=note)
             intervals = {name: (one.value, *one.ci95) for name, one in fitted.parameters.items()}
             found = mjcf_ranges(model, intervals)
     replace_durably(file, exported.xml.encode())
