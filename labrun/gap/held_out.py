@@ -151,7 +151,8 @@ def _block_residuals(problem: Problem, z: FloatArray) -> list[tuple[FloatArray, 
     Every trial runs as a whole, its initial states told by the other blocks.
     """
     trials = range(len(problem.data.trials))
-    residual = [np.array(one) for one in mean_residuals(problem, z)]
+    predicted = zip(problem.data.trials, _predicted(problem, z), strict=True)
+    residual = [trial.outputs - outputs for trial, outputs in predicted]
     beyond = [_beyond_spread(problem, index, problem.own(z, index)) for index in trials]
     blocks = min(criteria.WITHHELD_BLOCKS, min(map(len, residual)) // 2)
     if blocks < 2:

@@ -159,7 +159,7 @@ def survey(base: Base, candidate: Candidate) -> Survey:
             change, whole = _released(base, problem)
             rated.append((0.0, number, z, change, whole))
             continue
-        there = _in_steps_for(problem, z)[1]
+        there = in_steps_for(problem, z)[1]
         if there is None:
             continue
         parts = [after - now for after, now in zip(there, base.residual, strict=True)]
@@ -197,7 +197,7 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
     beside = base.nuisance.jacobian if surveyed.candidate.variables else None
     ends: list[tuple[float, Problem, FloatArray]] = []
     for start in starts:
-        problem = _in_steps_for(surveyed.problem, start)[0]
+        problem = in_steps_for(surveyed.problem, start)[0]
         z = minimise(
             problem,
             start,
@@ -214,7 +214,7 @@ def rough(base: Base, surveyed: Survey, known: FloatArray | None = None) -> Scre
     return _screened(base, surveyed, problem, z, squares)
 
 
-def _in_steps_for(problem: Problem, z: FloatArray) -> tuple[Problem, list[FloatArray] | None]:
+def in_steps_for(problem: Problem, z: FloatArray) -> tuple[Problem, list[FloatArray] | None]:
     """Return the problem with steps short enough that `z` simulates, and the residuals there; None if none are.
 
     What is quick beside the integrator's steps, such as a short delay in a loop or a stiff force, wants shorter ones.

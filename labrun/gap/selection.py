@@ -32,6 +32,7 @@ from labrun.gap.screening import (
     Screened,
     begun_where_kin_ended,
     ends_of,
+    in_steps_for,
     refit,
     screen_all,
     survey,
@@ -285,15 +286,20 @@ class Selector:
             before = {one.name for one in chosen}
             for _ in range(len(chosen) if len(chosen) > 1 else 0):
                 self.note(f"checking {chosen[0].name} again beside the others")
-                beside, left = self._beside(chosen, chosen[1:])
+                stays = replace(chosen[0], base=chosen[-1].base, held_out=chosen[-1].held_out)
+                found = self._beside(chosen, chosen[1:])
+                if found is None:  # others that do not simulate without it explain nothing
+                    chosen = [*chosen[1:], stays]
+                    continue
+                beside, left = found
                 one = self._choose(beside, left)
                 if one is None and self._needed(left, chosen[-1].held_out):
-                    one = replace(chosen[0], base=chosen[-1].base, held_out=chosen[-1].held_out)
+                    one = stays
                 if one is None:  # the others do without it
                     chosen = [*chosen[1:-1], replace(chosen[-1], base=beside.base, held_out=left)]
                     break
                 if not self._as_good(one, chosen[-1]):
-                    one = replace(chosen[0], base=chosen[-1].base, held_out=chosen[-1].held_out)
+                    one = stays
                 chosen = [*chosen[1:], one]
             if {one.name for one in chosen} == before:
                 break
@@ -340,8 +346,8 @@ class Selector:
         enough = chosen[-1].held_out.total + criteria.NOTICED_SHARE * self.reference.total
         pair: list[Chosen] = []
         for one in chosen:
-            beside, left = self._beside(chosen, [one])
-            other = self._choose(beside, left)
+            found = self._beside(chosen, [one])
+            other = None if found is None else self._choose(*found)
             if other is not None and other.held_out.total < enough:
                 pair, enough = [one, other], other.held_out.total
         return self._exchanged(pair) if pair else (chosen, rounds)
@@ -356,25 +362,41 @@ class Selector:
         if not nothing:
             return []
         least = min(nothing, key=lambda one: nothing[one])
-        self.note(f"the size of {least} may be zero beside the others: it is left out")
         kept = [one for one in chosen if one.name != least]
-        beside, left = self._beside(chosen, kept)
+        found = self._beside(chosen, kept)
+        if found is None:  # nothing simulates without it: that size is no nothing
+            return []
+        self.note(f"the size of {least} may be zero beside the others: it is left out")
+        beside, left = found
         return [*kept[:-1], replace(kept[-1], base=beside.base, held_out=left)]
 
     def _judged_beside_others(self, one: Chosen, chosen: Sequence[Chosen]) -> Chosen:
         """Return a cause as it is judged beside all others that were found, not only those it was found beside."""
-        beside, _ = self._beside(chosen, [other for other in chosen if other.name != one.name])
+        found = self._beside(chosen, [other for other in chosen if other.name != one.name])
+        if found is None:
+            return one
+        beside, _ = found
         rated = next((other for other in beside.rated if other.candidate.name == one.name), None)
         if rated is None:
             return one
         rivals, weight = rivals_of(rated, beside.rated, relative=self.null.relative)
         return replace(one, rated=replace(one.rated, evidence=rated.evidence), rivals=rivals, weight=weight)
 
-    def _beside(self, chosen: Sequence[Chosen], kept: Sequence[Chosen]) -> tuple[Round, ExcessResidual]:
-        """Return all candidates beside some of the causes, and what these leave on withheld conditions."""
+    def _beside(
+        self, chosen: Sequence[Chosen], kept: Sequence[Chosen]
+    ) -> tuple[Round, ExcessResidual] | None:
+        """Return all candidates beside some of the causes, and what these leave on withheld conditions.
+
+        None where these causes do not simulate without the others.
+        """
         names = frozenset(one.name for one in kept)
         forms = _forms([one for one in chosen[-1].base.added if one.name in names])
-        found = self._rounds.get(forms) or self._round(self._refitted(chosen[-1].base, names))
+        found = self._rounds.get(forms)
+        if found is None:
+            base = self._refitted(chosen[-1].base, names)
+            if base is None:
+                return None
+            found = self._round(base)
         return found, held_out_excess(found.base.problem, found.base.z, self.noise)
 
     def _choose(self, current: Round, left: ExcessResidual) -> Chosen | None:
@@ -480,8 +502,11 @@ class Selector:
             )
         return known
 
-    def _refitted(self, last: Base, names: frozenset[Name]) -> Base:
-        """Return the last base with some of its causes only, fitted again."""
+    def _refitted(self, last: Base, names: frozenset[Name]) -> Base | None:
+        """Return the last base with some of its causes only, fitted again; None if no fit leads to finite numbers.
+
+        Causes hold one another: a spring that pushes away far out simulates where a limited goal keeps the joint near.
+        """
         problem = self.base.problem
         at, kept, parts = problem.size, list[Candidate](), [last.z[: problem.size]]
         for candidate in last.added:
@@ -492,8 +517,11 @@ class Selector:
                 kept.append(candidate)
                 parts.append(variables)
         # what was found with short steps may need them
-        problem = problem.with_substeps(last.problem.substeps)
-        z = refit(problem, np.concatenate([*parts, last.problem.own_states(last.z)]))
+        start = np.concatenate([*parts, last.problem.own_states(last.z)])
+        problem, there = in_steps_for(problem.with_substeps(last.problem.substeps), start)
+        if there is None:  # no slope shows a fit the way from there
+            return None
+        z = refit(problem, start)
         problem = in_units_of(self.noise, problem, z)
         return self._based(problem, z, tuple(kept))
 
