@@ -57,7 +57,7 @@ class VerdictBasis:
     def unproven(self) -> bool:
         """Whether causes were found whose help on withheld conditions cannot be told from none at all."""
         share = self.shrinkage
-        if self.effects == 0 or share is None or share.low > 0.0:
+        if self.effects + self.parameters == 0 or share is None or share.low > 0.0:
             return False
         proven = share.value >= criteria.PROVEN_SHARE and share.high < criteria.OF_NOTHING
         return not (self.noise_known and proven)

@@ -42,6 +42,14 @@ def test_a_cause_whose_help_on_withheld_conditions_may_be_nothing_is_not_announc
     assert verdict(found) == said
 
 
+def test_a_wrong_parameter_whose_help_may_be_nothing_is_not_announced_either():
+    found = findings(
+        sizes=(2.0, 0.29, 0.22, 0.1), share=(0.45, -0.21, 1.21), effects=0, parameters=1, repeated=False
+    )
+    assert found.unproven
+    assert verdict(found) == "parameter"  # recalibration does it
+
+
 def test_a_plain_gap_stays_one_where_nothing_that_was_found_is_announced():
     found = findings(sizes=(17.0, 4.6, 3.0, 0.1), share=(0.32, -0.39, 0.55), remains=True)
     assert found.unproven
