@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from labrun.app.diagnose_robot import ROBOT
 from labrun.app.fit import fit
 from labrun.app.kept import NUMBERS, read_stored
 from labrun.errors import RequestError
-from labrun.fit import Note, silent
-from labrun.gap import require_new
+from labrun.estimate import Estimate
+from labrun.fit import Note, load_dataset, silent
+from labrun.gap import parameter_ranges, require_new
 from labrun.gap import save_model as write_model
-from labrun.models import Exported, MjcfRange, load_model, mjcf_of, mjcf_ranges
+from labrun.models import Exported, MjcfRange, load_model, mjcf_of, mjcf_ranges, read_robot
 from labrun.store import find_run, is_recording, replace_durably
 
 _ISAAC = {
@@ -91,7 +93,7 @@ def export_robot(
         The MJCF file to write.
     ranges
         A JSON file with 95 % intervals, from resampled trials, of what the diagnosis fitted: as numbers of MJCF, and as
-        the fields of Isaac Lab and mjlab. Fits the corrected model to the data once more.
+        the fields of Isaac Lab and mjlab. Fits the corrected model to the data once more, a robot's joint by joint.
 
     Raises
     ------
@@ -121,15 +123,25 @@ def export_robot(
         exported = mjcf_of(model)
         found: list[MjcfRange] = []
         if ranges is not None:
-            note("fitting the corrected model to every trial")
-            # the diagnosis has fitted it: other starts would only lead back
-            fitted = fit(stored["source"], model=str(corrected), starts=1, results=Path(folder), note=note)
-            intervals = {name: (one.value, *one.ci95) for name, one in fitted.parameters.items()}
-            found = mjcf_ranges(model, intervals)
+            fitted = _fitted(stored, source, corrected, note)
+            found = mjcf_ranges(model, {name: (one.value, *one.ci95) for name, one in fitted.items()})
     replace_durably(file, exported.xml.encode())
     if ranges is not None:
         replace_durably(ranges, (json.dumps(_ranges(found, stored), indent=2) + "\n").encode())
     return ExportedRobot(file, exported, ranges)
+
+
+def _fitted(stored: Mapping[str, Any], source: str, corrected: Path, note: Note) -> Mapping[str, Estimate]:
+    """Return the corrected parameters, fitted once more: of a robot that was diagnosed joint by joint, in that way."""
+    note("fitting the corrected model to every trial")
+    if "joints" in stored:
+        model, recording = load_model(source), Path(source).parent
+        robot = read_robot(recording / ROBOT)
+        return parameter_ranges(robot, model, load_dataset(recording, model), stored, note=note)
+    # the diagnosis has fitted it: other starts would only lead back
+    return fit(
+        stored["source"], model=str(corrected), starts=1, results=corrected.parent, note=note
+    ).parameters
 
 
 def _diagnosis(path: Path, target: str, results: Path) -> Mapping[str, Any]:

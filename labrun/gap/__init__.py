@@ -21,7 +21,7 @@ from labrun.gap.diagnosis import (
 )
 from labrun.gap.fresh import FreshTest, Prediction, predict_fresh
 from labrun.gap.recalibration import fresh_excess
-from labrun.gap.robot import JointDiagnosis, RobotDiagnosis, diagnose_robot, why_not
+from labrun.gap.robot import JointDiagnosis, RobotDiagnosis, diagnose_robot, parameter_ranges, why_not
 from labrun.gap.saving import recalibrated_only, require_new, save_model, save_with_law
 
 __all__ = [
@@ -51,6 +51,7 @@ __all__ = [
     "diagnose_dataset",
     "diagnose_robot",
     "fresh_excess",
+    "parameter_ranges",
     "predict_fresh",
     "recalibrated_only",
     "require_informative",

@@ -2,5 +2,6 @@
 
 from labrun.gap.robot.diagnose import JointDiagnosis, RobotDiagnosis, diagnose_robot
 from labrun.gap.robot.one_joint import why_not
+from labrun.gap.robot.ranges import parameter_ranges
 
-__all__ = ["JointDiagnosis", "RobotDiagnosis", "diagnose_robot", "why_not"]
+__all__ = ["JointDiagnosis", "RobotDiagnosis", "diagnose_robot", "parameter_ranges", "why_not"]

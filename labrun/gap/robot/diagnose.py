@@ -214,13 +214,14 @@ def diagnose_robot(
             if _loads(answers, hanging) < _loads(second, hanging):
                 answers = [second.get(number, one) for number, one in enumerate(answers)]
                 found, place = moved, better
-        whole, beside = _of_the_whole(answers, place), _beside_encoders(found, answers)
+        whole = _of_the_whole(answers, place)
+        beside = beside_encoders(found, [(one, told.effects, told.corrected) for one, told in answers])
         again = _that_others_may_explain(answers, beside) if whole or beside else []
         if again:
             note(
                 "looking again at joints that say something else, with base, load and links as others tell them"
             )
-            around = _among(found.with_links(beside) if beside else found, whole)
+            around = among(found.with_links(beside) if beside else found, whole)
             second = dict(zip(again, _looked(around, again, alone, there, note), strict=True))
             answers = _explained_by_others(answers, second)
     if found.lead_s:
@@ -337,7 +338,7 @@ def _announced(answer: Diagnosis, smoothing: float, step_s: float) -> Diagnosis:
     )  # fmt: skip
 
 
-def _among(found: Prescribed, whole: Sequence[OfTheWhole]) -> Prescribed:
+def among(found: Prescribed, whole: Sequence[OfTheWhole]) -> Prescribed:
     """Return the joints of a robot whose base and load are known."""
     told = {name: values for name, _, values in whole}
     tilt, load = told.get("gravity-tilt", {}), told.get("payload", {})
@@ -362,26 +363,28 @@ def _loads(
     return sum([cause.name.effect for cause in answers[place][1].causes] == ["payload"] for place in at)
 
 
-def _beside_encoders(
-    prescribed: Prescribed, answers: Sequence[tuple[OneJoint, Diagnosis]]
+def beside_encoders(
+    prescribed: Prescribed, answers: Sequence[tuple[OneJoint, Sequence[AttachedEffect], Mapping[str, float]]]
 ) -> dict[int, list[FloatArray]]:
     """Return, by place and trial, how far joints are from what was measured of them, as the causes there say.
+
+    Of every joint the causes and the parameters beside them are given.
 
     A joint whose encoder has play moves while its encoder stands still, and a link behind a gear that gives way is not
     where its motor is: joints that it carries feel the true motion.
     """
     found = {}
-    for place, (one, answer) in enumerate(answers):
-        soft = [effect for effect in answer.effects if effect.effect.kind == "link"]
+    for place, (one, effects, corrected) in enumerate(answers):
+        soft = [effect for effect in effects if effect.effect.kind == "link"]
         if soft:
             each = range(len(one.dataset.trials))
             found[place] = [-soft[0].values[0] * prescribed.carried(k, place)[0][:, 0] for k in each]
             continue
-        sensors = [effect for effect in answer.effects if effect.effect.kind == "output"]
+        sensors = [effect for effect in effects if effect.effect.kind == "output"]
         if not sensors:
             continue
-        rest = [effect for effect in answer.effects if effect not in sensors]
-        link = one.model.with_values(answer.corrected).with_effects(rest)
+        rest = [effect for effect in effects if effect not in sensors]
+        link = one.model.with_values(corrected).with_effects(rest)
         found[place] = [
             _alone(link, trial, one.joint) - _alone(link.with_effects(sensors), trial, one.joint)
             for trial in one.dataset.trials

@@ -11,17 +11,18 @@ import pytest
 
 from labrun.effects import AttachedEffect, load_effect
 from labrun.fit import Dataset, FitTrial
-from labrun.gap import Options, diagnose_robot, why_not
+from labrun.gap import Options, diagnose_robot, parameter_ranges, why_not
 from labrun.gap.motion import smoothed
 from labrun.gap.robot.diagnose import (
     JointDiagnosis,
     RobotDiagnosis,
     _announced,
-    _beside_encoders,
     _into_damping,
     _smoothing_gap,
+    beside_encoders,
 )
 from labrun.gap.robot.one_joint import Prescribed, one_joint, prescribed
+from labrun.gap.robot.ranges import _as_found
 from labrun.models import load_model, read_robot, simulate
 from labrun.store import SignalInfo
 
@@ -139,10 +140,10 @@ def test_a_joint_moves_as_in_the_robot_once_the_play_of_the_encoder_before_it_is
     found = prescribed(robot, model, dataclasses.replace(clean, trials=tuple(trials)))
     play = AttachedEffect(load_effect("play"), "shoulder", (width,))
     answers = [
-        (one_joint(found, 0), SimpleNamespace(effects=(play,), corrected={})),
-        (one_joint(found, 1), SimpleNamespace(effects=(), corrected={})),
+        (one_joint(found, 0), (play,), {}),
+        (one_joint(found, 1), (), {}),
     ]
-    beside = _beside_encoders(found, answers)
+    beside = beside_encoders(found, answers)
     assert list(beside) == [0]
     assert np.abs(np.concatenate(beside[0])).max() == pytest.approx(width / 2, rel=1e-2)
 
@@ -277,3 +278,52 @@ def test_a_gain_that_leaves_no_gap_once_it_is_recalibrated_is_told_all_the_same(
     assert not answer.causes
     joint = JointDiagnosis(SimpleNamespace(name="hinge"), answer, 1.0, 0.1, 0.1)
     assert joint.moved == {"inertia": pytest.approx(5.1 / 3.9)}
+
+
+def stored(**more):
+    """Return a diagnosis of the arm as it is stored, without causes where none is given."""
+    empty = {"effects": [], "corrected": {}}
+    joints = [{"joint": name, "diagnosis": {**empty, **more.get(name, {})}} for name in ("shoulder", "elbow")]
+    return {
+        "joints": joints,
+        "corrected": more.get("corrected", {}),
+        "whole": more.get("whole", []),
+        "seed": 0,
+    }
+
+
+def test_ranges_hold_what_is_true_of_every_joint_and_link(tmp_path):
+    robot, model, dataset = arm(tmp_path)
+    diagnosis = stored(corrected={"elbow_kp": 41.0, "lower_mass": 0.82})
+    found = parameter_ranges(robot, model, dataset, diagnosis)
+    true = {one.name: one.value for one in model.parameters if one.tolerance != 0.0}
+    assert set(found) == set(true)
+    for name, value in true.items():
+        assert found[name].ci95[0] <= value <= found[name].ci95[1], name
+
+
+def test_ranges_are_those_beside_the_cause(tmp_path):
+    robot, model, dataset = arm(tmp_path, friction=0.5)
+    friction = {"effect": "coulomb-friction", "kind": "joint", "site": "elbow", "values": [0.5, 0.01, 2e-4]}
+    found = parameter_ranges(robot, model, dataset, stored(elbow={"effects": [friction]}))
+    without = parameter_ranges(robot, model, dataset, stored())
+    assert found["elbow_damping"].value == pytest.approx(0.2, rel=0.2)
+    assert without["elbow_damping"].value > 0.4  # friction is taken for damping
+
+
+def test_ranges_are_fitted_with_the_base_the_load_and_the_clock_that_were_found(tmp_path):
+    robot, model, dataset = arm(tmp_path)
+    found = prescribed(robot, model, dataset)
+    place = dict(zip("xyz", found.tip.far_end.tolist(), strict=True))
+    told = stored(
+        whole=[
+            {"effect": "gravity-tilt", "joints": ["elbow"], "values": {"roll": 0.1, "pitch": -0.2}},
+            {"effect": "payload", "joints": ["elbow"], "values": {"mass": 0.3, **place}},
+            {"effect": "delay", "joints": ["elbow"], "values": {"time": 0.01}},
+        ]
+    )
+    answers = {one["joint"]: one["diagnosis"] for one in told["joints"]}
+    around = _as_found(found, told, answers)
+    assert around.lead_s == -0.01
+    wanted = found.on_base(0.1, -0.2).loaded(0.3).around
+    np.testing.assert_allclose(np.concatenate(around.around), np.concatenate(wanted), rtol=1e-6, atol=1e-9)

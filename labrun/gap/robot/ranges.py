@@ -1,0 +1,102 @@
+"""How far parameters of a diagnosed robot may be off: every joint fitted once more by itself, its trials resampled.
+
+A fit of the whole robot simulates all of it for every parameter of every joint; a joint alone moves by its own only.
+What joints share, such as a mass, is told by the one that knows it best.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from labrun.effects import AttachedEffect, load_effect
+from labrun.estimate import Estimate
+from labrun.fit import Dataset, Note, fit_model, silent
+from labrun.gap.robot.diagnose import OF_THE_LOG, OF_THE_WHOLE, among, beside_encoders
+from labrun.gap.robot.one_joint import OneJoint, Prescribed, one_joint, prescribed
+from labrun.models import Model, Robot
+
+
+def parameter_ranges(
+    robot: Robot, model: Model, dataset: Dataset, diagnosis: Mapping[str, Any], *, note: Note = silent
+) -> dict[str, Estimate]:
+    """Return parameters of the model of the whole robot with 95 % intervals, from resampled trials.
+
+    Fitted from what the diagnosis found, beside its causes, whose sizes stay; what is stated of each parameter holds it
+    there by its tolerance.
+
+    Parameters
+    ----------
+    robot, model, dataset
+        As they were diagnosed.
+    diagnosis
+        As `RobotDiagnosis.to_json` gives it, and as it is stored.
+
+    Raises
+    ------
+    RequestError, FitError
+        A robot or data that are not those of the diagnosis.
+    """
+    stated = {one.name: one.value for one in model.parameters}
+    corrected = model.with_values(diagnosis["corrected"])
+    masses = {
+        f"{one.name}_ratio": (one.name, one.value / stated[one.name])
+        for one in corrected.parameters
+        if one.name.endswith("_mass") and stated[one.name]
+    }
+    answers = {one["joint"]: one["diagnosis"] for one in diagnosis["joints"]}
+    found: dict[str, Estimate] = {}
+    around = _as_found(prescribed(robot, corrected, dataset), diagnosis, answers)
+    for place, joint in enumerate(robot.joints):
+        one = one_joint(around, place)
+        carried = {each.name: masses[each.name][1] for each in one.model.parameters if each.name in masses}
+        start = one.model.with_values(carried)
+        # a rate gain that the whole robot has not is in its damping: see `_into_damping`
+        parameters = tuple(
+            each if each.name in stated or each.name in masses else replace(each, tolerance=0.0)
+            for each in start.parameters
+        )
+        if all(each.tolerance == 0.0 for each in parameters):
+            continue
+        note(f"{place + 1} of {len(robot.joints)} joints: {joint.name}")
+        own = [each for each in _effects(answers[joint.name]) if each.effect.id not in OF_THE_WHOLE]
+        alone = replace(start, parameters=parameters).with_effects(own)
+        fitted = fit_model(alone, one.dataset, rng=np.random.default_rng(diagnosis["seed"]), starts=1)
+        for name, told in fitted.parameters.items():
+            whole, estimate = name, told
+            if name in masses:
+                whole = masses[name][0]
+                value, low, high = (stated[whole] * each for each in (told.value, *told.ci95))
+                estimate = Estimate(value, (low, high), "kg")
+            if whole not in found or np.ptp(estimate.ci95) < np.ptp(found[whole].ci95):
+                found[whole] = estimate
+    return found
+
+
+def _as_found(
+    known: Prescribed, diagnosis: Mapping[str, Any], answers: Mapping[str, Mapping[str, Any]]
+) -> Prescribed:
+    """Return what is prescribed with the clock, the base, the load and the links as the diagnosis has them."""
+    whole = [(one["effect"], tuple(one["joints"]), one["values"]) for one in diagnosis["whole"]]
+    for name, _, values in whole:
+        if name in OF_THE_LOG:
+            (lead_s,) = values.values()
+            known = known.led(-lead_s if name == "delay" else lead_s)
+    joints: list[tuple[OneJoint, tuple[AttachedEffect, ...], Mapping[str, float]]] = []
+    for place, joint in enumerate(known.robot.joints):
+        answer = answers[joint.name]
+        joints.append((one_joint(known, place), _effects(answer), answer["corrected"]))
+    beside = beside_encoders(known, joints)
+    known = known.with_links(beside) if beside else known
+    for name, _, values in whole:
+        if name == "payload":
+            known = known.with_load_at(known.tip.torque(np.array([values[axis] for axis in "xyz"])))
+    return among(known, whole)
+
+
+def _effects(answer: Mapping[str, Any]) -> tuple[AttachedEffect, ...]:
+    return tuple(
+        AttachedEffect(load_effect(one["effect"], one["kind"]), one["site"], tuple(one["values"]))
+        for one in answer["effects"]
+    )
