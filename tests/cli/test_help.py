@@ -121,3 +121,37 @@ def test_a_word_that_is_no_choice_is_told_with_the_choices_alone(tmp_path):
     done = _labrun("new", "my-arm", "--devices", "dynamixel", "--kind", "swep", cwd=tmp_path)
     assert done.returncode == 2
     assert "'--kind': 'swep' is not one of 'run', 'sweep'" in done.stderr
+
+
+@pytest.mark.parametrize("reading", ["labrun.cli.app", "labrun.cli.gap", "labrun.app.logs"])
+def test_ctrl_c_while_the_program_is_being_read_ends_it_in_one_line(reading):
+    """At the imports that every command takes, and at those of one."""
+    program = f"""
+import sys
+from labrun.cli import main
+class Interrupting:
+    def find_spec(self, name, *_):
+        if name == "{reading}":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupting())
+sys.argv = ["labrun", "import", "log.csv", "--model", "arm.xml"]
+main()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 130
+    assert done.stdout == ""
+    assert done.stderr.startswith("labrun: interrupted by Ctrl-C")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_ctrl_c_while_a_command_is_being_parsed_is_told(monkeypatch, capsys):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("typer.core.TyperGroup.parse_args", interrupted)
+    with pytest.raises(SystemExit) as ended:
+        get_command(app).main(["list"])
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "labrun: interrupted by Ctrl-C\n"
