@@ -342,7 +342,11 @@ def among(found: Prescribed, whole: Sequence[OfTheWhole]) -> Prescribed:
     """Return the joints of a robot whose base and load are known."""
     told = {name: values for name, _, values in whole}
     tilt, load = told.get("gravity-tilt", {}), told.get("payload", {})
-    return found.on_base(tilt.get("roll", 0.0), tilt.get("pitch", 0.0)).loaded(load.get("mass", 0.0))
+    found = found.on_base(tilt.get("roll", 0.0), tilt.get("pitch", 0.0))
+    if not load:
+        return found
+    at = np.array([load[axis] for axis in "xyz"])  # where links were moved, it is not there yet
+    return found.with_load_at(found.tip.torque(at)).loaded(load["mass"])
 
 
 def _where_something_hangs(answers: Sequence[tuple[OneJoint, Diagnosis]], body: str) -> list[int]:

@@ -88,11 +88,7 @@ def _as_found(
         answer = answers[joint.name]
         joints.append((one_joint(known, place), _effects(answer), answer["corrected"]))
     beside = beside_encoders(known, joints)
-    known = known.with_links(beside) if beside else known
-    for name, _, values in whole:
-        if name == "payload":
-            known = known.with_load_at(known.tip.torque(np.array([values[axis] for axis in "xyz"])))
-    return among(known, whole)
+    return among(known.with_links(beside) if beside else known, whole)
 
 
 def _effects(answer: Mapping[str, Any]) -> tuple[AttachedEffect, ...]:

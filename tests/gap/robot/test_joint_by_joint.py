@@ -314,16 +314,19 @@ def test_ranges_are_those_beside_the_cause(tmp_path):
 def test_ranges_are_fitted_with_the_base_the_load_and_the_clock_that_were_found(tmp_path):
     robot, model, dataset = arm(tmp_path)
     found = prescribed(robot, model, dataset)
-    place = dict(zip("xyz", found.tip.far_end.tolist(), strict=True))
+    at = found.tip.far_end + np.array([0.1, 0.0, 0.0])
+    place = dict(zip("xyz", at.tolist(), strict=True))
+    play = {"effect": "play", "kind": "output", "site": "shoulder", "values": [1e-9]}
     told = stored(
+        shoulder={"effects": [play]},  # links are then prescribed anew
         whole=[
             {"effect": "gravity-tilt", "joints": ["elbow"], "values": {"roll": 0.1, "pitch": -0.2}},
             {"effect": "payload", "joints": ["elbow"], "values": {"mass": 0.3, **place}},
             {"effect": "delay", "joints": ["elbow"], "values": {"time": 0.01}},
-        ]
+        ],
     )
     answers = {one["joint"]: one["diagnosis"] for one in told["joints"]}
     around = _as_found(found, told, answers)
     assert around.lead_s == -0.01
-    wanted = found.on_base(0.1, -0.2).loaded(0.3).around
-    np.testing.assert_allclose(np.concatenate(around.around), np.concatenate(wanted), rtol=1e-6, atol=1e-9)
+    wanted = found.with_load_at(found.tip.torque(at)).on_base(0.1, -0.2).loaded(0.3).around
+    np.testing.assert_allclose(np.concatenate(around.around), np.concatenate(wanted), atol=1e-5)
