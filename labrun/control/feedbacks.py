@@ -12,7 +12,7 @@ from labrun.control.history import History
 from labrun.control.protocol import Numbers
 from labrun.devices import FloatArray
 from labrun.errors import ExperimentError, SpecError
-from labrun.toml import UNITS, Table, checked
+from labrun.toml import UNITS, Table, checked, suggest
 
 
 class FeedbackSettings(Table):
@@ -221,9 +221,10 @@ class OrientationFeedback:
         self.unit = "1"
         missing = [channel for channel in self.channels if channel not in units]
         if missing:
+            bodies = [one.removesuffix("_qw") for one in units if one.endswith("_qw")]
             raise SpecError(
                 f"nothing tells the orientation of {body}: there is no channel {missing[0]}",
-                hint='body is the tracker and one of its bodies: "cameras.arm"',
+                hint=f"body is the tracker and one of its bodies; {suggest(body, bodies, kind='tracked bodies')}",
             )
 
     @staticmethod

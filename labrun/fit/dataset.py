@@ -179,6 +179,7 @@ def _from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset
     channels = imported_channels(run.experiment_toml)
     accepted = [outcome for outcome in run.outcomes if outcome.status == "done"]
     left_out = len(run.outcomes) - len(accepted)
+    units = run.units()
     trials: list[FitTrial] = []
     inputs: tuple[SignalInfo, ...] = ()
     outputs: tuple[SignalInfo, ...] = ()
@@ -187,7 +188,7 @@ def _from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset
         sources = {
             port.name: _find(port, measured, signals, target) for port in (*model.inputs, *model.outputs)
         }
-        trials += _run_trials(outcome, model, measured, sources, whole=bool(channels))
+        trials += _run_trials(outcome, model, measured, sources, units, whole=bool(channels))
         inputs, outputs = (
             tuple(_info(port, measured, sources, channels) for port in ports)
             for ports in (model.inputs, model.outputs)
@@ -241,6 +242,7 @@ def _run_trials(
     model: Ports,
     measured: Mapping[str, Signals],
     sources: Mapping[str, tuple[str, str]],
+    units: Mapping[str, str],
     *,
     whole: bool,
 ) -> list[FitTrial]:
@@ -274,7 +276,7 @@ def _run_trials(
 
     def made(at_s: FloatArray, begin_s: float, condition: Mapping[str, float | str]) -> FitTrial:
         return FitTrial(
-            f"trial {outcome.index}: {condition_text(condition)}".rstrip(": "),
+            f"trial {outcome.index}: {condition_text(condition, units)}".rstrip(": "),
             condition,
             outcome.repeat,
             at_s - begin_s,

@@ -87,7 +87,7 @@ def read_learned(path: Path) -> LearnedModel:
         ) from error
     if hashlib.sha256(packed).hexdigest() != data["sha256"]:
         raise SpecError(
-            f"the weights in {beside} are not those that {path.name} describes: another fit, or a damaged file",
+            f"the weights in {beside.name} are not those that {path} describes: another fit, or a damaged file",
             hint="copy both files of one fit; the scaling of one does not hold for the weights of another",
         )
     try:

@@ -5,7 +5,7 @@ import pytest
 from plant_lab import PlantLab, experiment_with
 
 from labrun.control.closed_loop import ClosedLoopRecorder
-from labrun.control.feedbacks import unit_quaternion
+from labrun.control.feedbacks import COMPONENTS, OrientationFeedback, unit_quaternion
 from labrun.errors import ExperimentError, SpecError
 
 CONTROL = {"plugin": "pid", "p": 0.4, "output": "increment"}
@@ -70,6 +70,12 @@ def test_numbers_that_do_not_match_are_refused_before_the_first_trial(tmp_path, 
     lab = lab_of(tmp_path, **change)
     with pytest.raises(SpecError, match=said):
         ClosedLoopRecorder(lab.experiment, lab.rig).require_makeable([{"controller": "P"}])
+
+
+def test_a_body_that_no_tracker_follows_is_told_with_the_nearest_that_is_followed():
+    units = {f"eye.{body}_{part}": "1" for body in ("lens", "base") for part in COMPONENTS}
+    with pytest.raises(SpecError, match=r'no channel eye\.lans_qw\n.*; did you mean "eye\.lens"\?'):
+        OrientationFeedback({"body": "eye.lans"}, units)
 
 
 def test_an_orientation_is_of_length_one_and_on_one_side():

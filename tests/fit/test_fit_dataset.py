@@ -61,7 +61,7 @@ def stored_run(
     folder: Path, statuses: tuple[str, ...] = ("done", "rejected", "done"), camera_begins_s: float = -0.2
 ) -> Path:
     """Return a run of a 50 Hz camera and a 20 Hz gauge beside a commanded joint."""
-    run = RunFolder.create(folder, "arm", 'title = "arm"\n[rig]\n', {})
+    run = RunFolder.create(folder, "arm", 'title = "arm"\n[rig]\n[units]\nload = "g"\n', {})
     for index, status in enumerate(statuses):
         writer = run.writer(index)
         camera_s = np.arange(camera_begins_s, 2.2, 0.02)
@@ -142,7 +142,7 @@ def test_a_run_gives_accepted_trials_between_start_and_end(tmp_path: Path, model
     target = stored_run(tmp_path)
     dataset = load_dataset(target, model, {"angle": "cameras.angle", "command": "command.tail"})
     assert dataset.left_out == 1
-    assert [trial.label for trial in dataset.trials] == ["trial 0: load = 1", "trial 2: load = 1"]
+    assert [trial.label for trial in dataset.trials] == ["trial 0: load = 1 g", "trial 2: load = 1 g"]
     trial = dataset.trials[0]
     assert trial.time_s[0] == pytest.approx(0.0, abs=1e-3)
     assert trial.time_s[-1] == pytest.approx(2.0, abs=1e-3)

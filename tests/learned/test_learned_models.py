@@ -147,7 +147,7 @@ def test_weights_of_another_fit_are_refused(tmp_path):
     path = written(tmp_path, model())
     written(tmp_path, model(deep(seed=9)), "other")
     (tmp_path / "net.npz").write_bytes((tmp_path / "other.npz").read_bytes())
-    with pytest.raises(SpecError, match=r"not those that net\.toml describes"):
+    with pytest.raises(SpecError, match=r"weights in net\.npz are not those that .*/net\.toml describes"):
         read_learned(path)
 
 

@@ -349,6 +349,8 @@ def _figure(settings: MlpSettings, samples: TrainingSamples, fitted: Mapping[str
             )  # fmt: skip
             stacks.append(Stack((above, below)))
         rows.append(tuple(stacks))
+    withheld_s, shown_s = (count / settings.rate_hz for count in (len(samples.testing[0]) - 1, _SHOWN))
+    part = f"\nThe first {shown_s:g} of {withheld_s:.3g} s that were withheld" if withheld_s > shown_s else ""
     return FigureData(
-        "networks on data they were not trained with", tuple(rows), legend="top", row_height_in=4.2
+        f"Networks on data they were not trained with{part}", tuple(rows), legend="top", row_height_in=4.2
     )

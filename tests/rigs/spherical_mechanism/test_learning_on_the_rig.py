@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 from labrun.app.fit import fit
 from labrun.app.run import run
 from labrun.cli.app import app
-from labrun.fit.learning import study
+from labrun.fit import FigureData
+from labrun.fit.learning import method, study
 from labrun.learned import SlidingAffine, read_learned
 from labrun.runner import SilentProgress
 from labrun.store import open_run
@@ -46,6 +47,22 @@ def test_both_ways_of_learning_are_written_with_what_they_are(collected):
         errors = found.details["errors"][name]
         assert errors["withheld"] <= 1.05 * errors["affine_withheld"] < 0.5 * errors["without"]
     assert found.figure is not None
+
+
+def test_the_picture_says_that_it_shows_a_part_of_what_was_withheld(collected, monkeypatch):
+    drawn = []
+
+    def noted(title, *rest, **keys):
+        drawn.append(title)
+        return FigureData(title, *rest, **keys)
+
+    monkeypatch.setattr(method, "FigureData", noted)
+    fit(collected, model="mlp", workspace=EXPERIMENTS.parent)
+    monkeypatch.setattr(method, "_SHOWN", 100)
+    fit(collected, model="mlp", workspace=EXPERIMENTS.parent)
+    whole, part = drawn
+    assert whole == "Networks on data they were not trained with"
+    assert part == f"{whole}\nThe first 5 of 20 s that were withheld"
 
 
 def test_a_study_that_was_interrupted_goes_on_where_it_was(collected, monkeypatch):
