@@ -194,7 +194,8 @@ def _from_run(target: Path, model: Ports, signals: Mapping[str, str]) -> Dataset
             for ports in (model.inputs, model.outputs)
         )
     if not trials:
-        what = f"all {left_out} of its trials were rejected or failed" if left_out else "it has no trials yet"
+        lost = "its only trial was" if left_out == 1 else f"all {left_out} of its trials were"
+        what = f"{lost} rejected or failed" if left_out else "it has no trials yet"
         hint = "labrun show tells why trials were rejected"
         raise FitError(f"nothing to fit in {target}: {what}", hint=hint)
     return Dataset(run.name, target, "run", inputs, outputs, tuple(trials), left_out)

@@ -175,8 +175,10 @@ def test_a_channel_nothing_recorded_is_named_with_the_nearest(tmp_path: Path, mo
 
 
 def test_a_run_without_an_accepted_trial_cannot_be_fitted(tmp_path: Path, model: Model) -> None:
-    with pytest.raises(FitError, match="all 1 of its trials were rejected or failed"):
-        load_dataset(stored_run(tmp_path, ("rejected",)), model, {"command": "command.tail"})
+    with pytest.raises(FitError, match="its only trial was rejected or failed"):
+        load_dataset(stored_run(tmp_path / "one", ("rejected",)), model, {"command": "command.tail"})
+    with pytest.raises(FitError, match="all 2 of its trials were rejected or failed"):
+        load_dataset(stored_run(tmp_path / "two", ("rejected", "failed")), model, {"command": "command.tail"})
 
 
 def test_a_trial_counts_up_to_where_a_signal_is_greatest_if_something_breaks_there(

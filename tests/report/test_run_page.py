@@ -170,6 +170,7 @@ def test_a_damaged_fit_does_not_cost_the_report(annotated):
 
 def test_tables_and_findings_of_a_fit_are_shown_as_it_prints_them(annotated):
     words = words_of(annotated)
+    assert "A model was fitted to it: what came of it" in words
     assert "baskets basket MAE a, b 7.9 %" in words
     assert "it would take a, b" in words
     assert "torn" not in words

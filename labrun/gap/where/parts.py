@@ -23,8 +23,9 @@ def plain(name: str) -> str:
 
 
 def channel_text(name: str) -> str:
-    """Return "the torque"."""
-    return f"the {plain(name)}"
+    """Return "the torque"; a symbol, such as ``phi`` or ``theta_2``, stands alone."""
+    symbol = len(name) <= len("phi") or any(letter.isdigit() for letter in name)
+    return plain(name) if symbol else f"the {plain(name)}"
 
 
 def key_parts(key: str) -> tuple[str, str]:

@@ -5,6 +5,15 @@ from where_cases import FREQUENCIES, made, replace, share_of
 
 from labrun.effects import load_effect
 from labrun.gap.where import describe, find_places
+from labrun.gap.where.parts import channel_text
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("torque_y", "the torque y"), ("angle", "the angle"), ("phi", "phi"), ("theta_2", "theta 2")],
+)
+def test_a_word_is_said_with_its_article_and_a_symbol_without(name, said):
+    assert channel_text(name) == said
 
 
 def attached(name, kind="joint", site="hinge", **values):
