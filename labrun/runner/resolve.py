@@ -96,7 +96,11 @@ def check_settings(name: str, make: Any, settings: Mapping[str, Any]) -> DeviceS
         problems = []
         for item in error.errors():
             key = ".".join(str(part) for part in ("rig.devices", name, *item["loc"]))
-            problems.append(f"{key}: {item['msg']} (found {item['input']!r})")
+            # The shared key of all stand-ins: a driver has no faults to play.
+            alone = item["type"] == "extra_forbidden" and item["loc"][-1] == "faults"
+            problems.append(
+                f"{key}: {'only a dry run plays faults' if alone else item['msg']} (found {item['input']!r})"
+            )
         raise SpecError(
             "\n".join(problems), hint=f"keys it knows: {', '.join(sorted(model.model_fields))}"
         ) from error

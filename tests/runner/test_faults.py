@@ -2,8 +2,10 @@
 
 import pytest
 
-from labrun.errors import DeviceError, RequestError, SettleError
+from labrun.errors import DeviceError, RequestError, SettleError, SpecError
+from labrun.runner import resolve_device
 from labrun.runner.safety import NonsenseError, SilentDeviceError
+from labrun.toml import PluginTable
 
 ONE = [{"a": 10, "f": 1.0}]
 TWO = [{"a": 10, "f": 1.0}, {"a": 20, "f": 1.0}]
@@ -185,3 +187,12 @@ def test_whatever_a_driver_raises_names_its_device(lab):
     with pytest.raises(DeviceError, match="device tail: its driver failed: OSError: the cable is gone"):
         lab.session.measure(ONE)
     assert lab.folder.outcomes()[0].status == "failed"
+
+
+def test_faults_that_a_driver_is_to_play_are_told_to_be_for_a_dry_run():
+    table = PluginTable.model_validate(
+        {"plugin": "robotiq-ft300", "port": "/dev/ttyUSB0", "faults": {"drop_share": 0.1}}
+    )
+    resolve_device("wrench", table, dry_run=True)
+    with pytest.raises(SpecError, match=r"rig\.devices\.wrench\.faults: only a dry run plays faults"):
+        resolve_device("wrench", table, dry_run=False)
