@@ -4,7 +4,7 @@ import difflib
 import math
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, cast
 
@@ -111,10 +111,10 @@ def matched(
             said.append(f"{one.channel} is {candidates[0][1].name}, as --map says")
     taken = {id(one.column) for one in found}
     free = [(stream, column) for stream in streams for column in stream.columns if id(column) not in taken]
-    unclear = [_question(one, candidates, free, given) for one, candidates, given in open_]
+    have = sorted({column.name for stream in streams for column in stream.columns})
+    unclear = [_question(one, candidates, free, given, have) for one, candidates, given in open_]
     unclear += _twice(found)
     if unclear:
-        have = sorted({column.name for stream in streams for column in stream.columns})
         shown = ", ".join(have[:30]) + (f" and {len(have) - 30} more" if len(have) > 30 else "")
         lines = "\n".join(f"  {line}" for line in unclear)
         raise RequestError(
@@ -196,6 +196,7 @@ def _question(
     candidates: Sequence[tuple[Stream, Column]],
     free: Sequence[tuple[Stream, Column]],
     given: str | None,
+    there: Collection[str],
 ) -> str:
     what = (
         f"{one.channel} ({'what is told' if one.kind == 'input' else 'what is measured'} of {one.names[0]})"
@@ -205,7 +206,11 @@ def _question(
         names = ", ".join(column.name for _, column in candidates)
         return f"{what}: {names}; proposal: --map {one.channel}={richest.name}"
     if given is not None:
-        return f"{what}: --map says {given}, and the log has no such column"
+        if plain(given) not in map(plain, there):
+            return f"{what}: --map says {given}, and the log has no such column"
+        kind = "told" if one.kind == "input" else "measured"
+        answers = f"--map {one.channel}=COLUMN, or --map {one.channel}={_NOT} leaves it out"
+        return f"{what}: --map says {given}, which is not read as what is {kind}; {answers}"
     columns = [column for _, column in free if column.role in one.roles]
     near = difflib.get_close_matches(plain(one.names[0]), [plain(column.stem) for column in columns], 1, 0.5)
     proposal = next((column for column in columns if near and plain(column.stem) == near[0]), None)

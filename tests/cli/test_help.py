@@ -146,6 +146,32 @@ main()
     assert len(done.stderr.splitlines()) == 1
 
 
+def test_ctrl_c_in_a_callback_of_compiled_code_which_drops_it_ends_the_program_all_the_same():
+    """As while a law is being compiled."""
+    program = """
+import ctypes, sys, time
+from labrun.cli import main
+@ctypes.CFUNCTYPE(None)
+def callback():
+    raise KeyboardInterrupt
+class Compiling:
+    def find_spec(self, name, *_):
+        if name == "labrun.app.logs":
+            callback()
+            time.sleep(300)
+sys.meta_path.insert(0, Compiling())
+sys.argv = ["labrun", "import", "log.csv", "--model", "arm.xml"]
+main()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 130
+    assert done.stdout == ""
+    assert done.stderr.startswith("labrun: interrupted by Ctrl-C")
+    assert len(done.stderr.splitlines()) == 1
+
+
 def test_ctrl_c_while_a_command_is_being_parsed_is_told(monkeypatch, capsys):
     def interrupted(*_, **__):
         raise KeyboardInterrupt

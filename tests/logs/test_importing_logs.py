@@ -90,6 +90,17 @@ def test_joints_of_other_names_are_proposed_and_mapped_with_what_they_are_told(t
     assert dict(made.channels)["shoulder_command"] == "shoulder_1_cmd"
 
 
+def test_a_column_that_is_there_is_never_called_missing(tmp_path, arm):
+    """Mapped to a whole joint, it is what was measured of it; its goal is asked for with the flag that says it."""
+    log = logs.write_csv(tmp_path / "log.csv", *logs.motion(), names=["t", "u1", "u2", "m1", "m2"])
+    with pytest.raises(RequestError) as refused:
+        import_log(log, arm, tmp_path / "recording", mapping=["shoulder=m1", "elbow=m9"])
+    told = str(refused.value)
+    assert "--map says m1, which is not read as what is told; --map shoulder_command=COLUMN" in told
+    assert "--map says m9, and the log has no such column" in told
+    assert "m1, and the log has no such column" not in told
+
+
 def test_two_columns_that_both_could_be_it_are_both_named(tmp_path, arm):
     time_s, goals, angles = logs.motion()
     names = ["t", "shoulder_cmd", "elbow_cmd", "shoulder_pos", "elbow_pos", "shoulder_actual"]
