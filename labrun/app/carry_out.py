@@ -189,7 +189,8 @@ def measure_all(
     order: Literal["shuffled", "as-listed"] = "shuffled" if table is None else table.order
     if goal is None:
         session.measure(at_settings(planned, settings), order=order)
-        return Answer()
+        fits = experiment.fit is not None  # without a goal, what a run tells comes out of its fit
+        return Answer(more=(f"next      labrun fit {folder.path.parent.name}",) if fits else ())
     return Answer(best_of(measures.measure(planned, order=order), {}))
 
 

@@ -61,6 +61,15 @@ def test_without_a_goal_there_is_no_best(write, dry_run, tmp_path):
     assert result.best is None
     assert result.done == 12
     assert result.to_json()["best"] is None
+    assert "next" not in result.to_text()
+
+
+def test_without_a_goal_the_fit_of_the_file_is_what_comes_next(write, dry_run, tmp_path):
+    path = write("sweep")
+    text = path.read_text().replace('goal = "maximise"\n', "")
+    path.write_text(f'{text}\n[fit]\nmethod = "least-squares"\n')
+    result = dry_run(path)
+    assert f"next      labrun fit {result.run.parent.name}\n" in result.to_text()
 
 
 @pytest.mark.parametrize(("kind", "limit"), [("sweep", 5), ("cmaes", 9), ("cmaes", 30)])
