@@ -67,7 +67,8 @@ def test_without_a_goal_there_is_no_best(write, dry_run, tmp_path):
 def test_without_a_goal_the_fit_of_the_file_is_what_comes_next(write, dry_run, tmp_path):
     path = write("sweep")
     text = path.read_text().replace('goal = "maximise"\n', "")
-    path.write_text(f'{text}\n[fit]\nmethod = "least-squares"\n')
+    fit = 'method = "least-squares"\nsettings = { inputs = { a = "gait.a" }, outputs = { thrust = "wrench.force_x" } }'
+    path.write_text(f"{text}\n[fit]\n{fit}\n")
     result = dry_run(path)
     assert f"next      labrun fit {result.run.parent.name}\n" in result.to_text()
 
