@@ -147,6 +147,12 @@ def _fitted(stored: Mapping[str, Any], source: str, corrected: Path, note: Note)
 def _diagnosis(path: Path, target: str, results: Path) -> Mapping[str, Any]:
     if path.name == NUMBERS and path.is_file():
         return dict(json.loads(path.read_text(encoding="utf-8")))
+    if path.is_file() and path.suffix not in (".h5", ".nc"):
+        raise RequestError(
+            f"{path} is neither a corrected model nor a run",
+            hint="a robot's file and its log make a model: "
+            "labrun gap diagnose arm.xml --log run.mcap --save-model corrected.toml",
+        )
     if not is_recording(path):
         return read_stored(find_run(target, results))
     found = sorted(

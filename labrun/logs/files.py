@@ -15,6 +15,7 @@ from labrun.arrays import FloatArray
 from labrun.errors import RecordingError, RequestError
 from labrun.logs.ros import read_bag
 from labrun.logs.streams import Column, Stream, column, vector
+from labrun.toml import nearest
 
 _TIMES = (
     "time_s", "time", "t", "timestamp", "timestamps", "stamp", "sec", "secs", "seconds", "time_ms", "time_us",
@@ -257,7 +258,10 @@ def read_log(path: Path, rate_hz: float | None = None) -> list[Stream]:
         It cannot be read.
     """
     if not path.exists():
-        raise RequestError(f"there is no log {path}")
+        beside = [one.name for one in path.parent.iterdir()] if path.parent.is_dir() else []
+        near = nearest(path.name, beside)
+        hint = f'did you mean "{path.with_name(near)}"?' if near else f"looked from {Path.cwd()}"
+        raise RequestError(f"there is no log {path}", hint=hint)
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
             return _held(path, read_bag(path))

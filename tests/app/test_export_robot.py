@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from labrun.app.simulators import export_robot
+from labrun.errors import RequestError
 from labrun.models import load_model, simulate
 
 mujoco = pytest.importorskip("mujoco")
@@ -92,3 +93,10 @@ def test_ranges_are_fields_of_isaac_lab_and_mjlab(tmp_path):
     assert low < 1.0 < high
     assert mjlab["dr.pd_gains"]["kd_range"] == [1.0, 1.0]
     assert mujoco.MjModel.from_xml_path(str(made.file)).dof_damping.ravel()[0] == pytest.approx(0.29)
+
+
+def test_a_robots_own_file_is_told_what_makes_a_corrected_model_of_it(tmp_path):
+    (tmp_path / "arm.xml").write_text("<mujoco/>")
+    with pytest.raises(RequestError, match=r"arm.xml is neither a corrected model nor a run") as refused:
+        export_robot(tmp_path / "arm.xml", tmp_path / "made.xml")
+    assert "labrun gap diagnose arm.xml --log" in str(refused.value.hint)

@@ -90,6 +90,13 @@ def test_joints_of_other_names_are_proposed_and_mapped_with_what_they_are_told(t
     assert dict(made.channels)["shoulder_command"] == "shoulder_1_cmd"
 
 
+def test_a_log_that_is_not_there_is_told_with_the_one_that_is_called_alike(tmp_path, arm):
+    log = logs.write_csv(tmp_path / "log.csv", *logs.motion())
+    with pytest.raises(RequestError, match=r"there is no log .*lgo\.csv") as refused:
+        import_log(tmp_path / "lgo.csv", arm, tmp_path / "recording")
+    assert str(log) in str(refused.value.hint)
+
+
 def test_a_column_that_is_there_is_never_called_missing(tmp_path, arm):
     """Mapped to a whole joint, it is what was measured of it; its goal is asked for with the flag that says it."""
     log = logs.write_csv(tmp_path / "log.csv", *logs.motion(), names=["t", "u1", "u2", "m1", "m2"])
