@@ -129,7 +129,7 @@ def carry_out(
             progress.note(f"stopped after {done}; to go on: {resume_line(folder.path)}")
             return _result(folder, best=None, figure=None, finished=False)
         result = finish(folder, answer, progress, draw)
-    return require_answer(result, experiment)
+    return _fitted(require_answer(result, experiment), experiment, progress)
 
 
 def measure_all(
@@ -189,7 +189,9 @@ def measure_all(
     order: Literal["shuffled", "as-listed"] = "shuffled" if table is None else table.order
     if goal is None:
         session.measure(at_settings(planned, settings), order=order)
-        fits = experiment.fit is not None  # without a goal, what a run tells comes out of its fit
+        fits = (
+            experiment.fit is not None and not experiment.fit.after_run
+        )  # without a goal, a fit tells what came out
         return Answer(more=(f"next      labrun fit {folder.path.parent.name}",) if fits else ())
     return Answer(best_of(measures.measure(planned, order=order), {}))
 
@@ -320,6 +322,21 @@ def finish(folder: RunFolder, answer: Answer, progress: Progress, draw: bool) ->
         progress.note(remark)
     folder.journal.append("finished", trials=record["trials"])
     return told(figure)
+
+
+def _fitted(result: RunResult, experiment: Experiment, progress: Progress) -> RunResult:
+    """Fit a finished run whose file asks for it. Where that fails the data are safe, and the run counts as done."""
+    if experiment.fit is None or not experiment.fit.after_run:
+        return result
+    from labrun.app.fit import fit  # fits, matplotlib
+
+    progress.phase("fitting")
+    try:
+        found = fit(result.run, results=result.run.parent.parent, note=progress.phase)
+    except LabrunError as error:
+        progress.note(f"the run is kept, and could not be fitted: {error}")
+        return result
+    return replace(result, more=(*result.more, "", found.to_text(), ""))
 
 
 def draw(folder: Path, best: Best | None, search: int = 0) -> Path | None:

@@ -68,7 +68,7 @@ class FitTable(Table):
     `method` is a fit by name (an entry point of group labrun.fits); `model` a model file or plugin; `signals` maps the
     model's inputs and outputs to recorded channels ("cameras.angle", "command.tail"). `settings` are the method's own
     keys. Another method, asked for by ``labrun fit --model NAME``, takes those of them that it knows too, and its own
-    from `methods`.
+    from `methods`. `after_run` fits a run as soon as it is finished.
     """
 
     method: str = "model"
@@ -76,6 +76,7 @@ class FitTable(Table):
     signals: dict[str, str] = Field(default_factory=dict)
     settings: Mapping[str, Any] = Field(default_factory=dict)
     methods: dict[str, Mapping[str, Any]] = Field(default_factory=dict)
+    after_run: bool = False
 
 
 class GapTable(Table):

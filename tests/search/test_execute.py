@@ -64,13 +64,38 @@ def test_without_a_goal_there_is_no_best(write, dry_run, tmp_path):
     assert "next" not in result.to_text()
 
 
+FIT = """
+[fit]
+method = "least-squares"
+after_run = {}
+[fit.settings]
+inputs = {{ a = "gait.a" }}
+outputs = {{ thrust = "wrench.force_x" }}
+"""
+
+
 def test_without_a_goal_the_fit_of_the_file_is_what_comes_next(write, dry_run, tmp_path):
-    path = write("sweep")
-    text = path.read_text().replace('goal = "maximise"\n', "")
-    fit = 'method = "least-squares"\nsettings = { inputs = { a = "gait.a" }, outputs = { thrust = "wrench.force_x" } }'
-    path.write_text(f"{text}\n[fit]\n{fit}\n")
+    path = write("sweep", FIT.format("false"))
+    path.write_text(path.read_text().replace('goal = "maximise"\n', ""))
     result = dry_run(path)
     assert f"next      labrun fit {result.run.parent.name}\n" in result.to_text()
+    assert not (result.run / "fit").exists()
+
+
+def test_a_run_is_fitted_as_soon_as_it_is_finished_where_the_file_asks_for_it(write, dry_run):
+    path = write("sweep", FIT.format("true") + 'baskets = {"a" = ["a"]}\n')
+    stopped = dry_run(path, limit=5)
+    assert not (stopped.run / "fit").exists()
+    result = resume(stopped.run)
+    assert "fitted to" in result.to_text()
+    assert (result.run / "fit" / "least-squares.json").is_file()
+
+
+def test_a_fit_that_fails_leaves_the_finished_run(write, dry_run, recorder):
+    path = write("sweep", FIT.format("true").replace("gait.a", "gait.nothing"))
+    result = dry_run(path, progress=recorder)
+    assert result.finished
+    assert any("the run is kept, and could not be fitted" in one for one in recorder.notes)
 
 
 @pytest.mark.parametrize(("kind", "limit"), [("sweep", 5), ("cmaes", 9), ("cmaes", 30)])
