@@ -129,7 +129,7 @@ def carry_out(
             progress.note(f"stopped after {done}; to go on: {resume_line(folder.path)}")
             return _result(folder, best=None, figure=None, finished=False)
         result = finish(folder, answer, progress, draw)
-    return _fitted(require_answer(result, experiment), experiment, progress)
+    return require_answer(result, experiment)
 
 
 def measure_all(
@@ -189,10 +189,9 @@ def measure_all(
     order: Literal["shuffled", "as-listed"] = "shuffled" if table is None else table.order
     if goal is None:
         session.measure(at_settings(planned, settings), order=order)
-        fits = (
-            experiment.fit is not None and not experiment.fit.after_run
-        )  # without a goal, a fit tells what came out
-        return Answer(more=(f"next      labrun fit {folder.path.parent.name}",) if fits else ())
+        if experiment.fit is None or experiment.fit.after_run:
+            return Answer()
+        return Answer(more=(f"next      labrun fit {folder.path.parent.name}",))
     return Answer(best_of(measures.measure(planned, order=order), {}))
 
 
@@ -324,15 +323,20 @@ def finish(folder: RunFolder, answer: Answer, progress: Progress, draw: bool) ->
     return told(figure)
 
 
-def _fitted(result: RunResult, experiment: Experiment, progress: Progress) -> RunResult:
-    """Fit a finished run whose file asks for it. Where that fails the data are safe, and the run counts as done."""
-    if experiment.fit is None or not experiment.fit.after_run:
+def fitted(
+    result: RunResult, experiment: Experiment, progress: Progress, workspace: str | Path = "."
+) -> RunResult:
+    """Fit a finished run whose file asks for it, once its bench is let go.
+
+    Where that fails the data are safe, and the run counts as done.
+    """
+    if not result.finished or experiment.fit is None or not experiment.fit.after_run:
         return result
     from labrun.app.fit import fit  # fits, matplotlib
 
     progress.phase("fitting")
     try:
-        found = fit(result.run, results=result.run.parent.parent, note=progress.phase)
+        found = fit(result.run, results=result.run.parent.parent, workspace=workspace, note=progress.phase)
     except LabrunError as error:
         progress.note(f"the run is kept, and could not be fitted: {error}")
         return result

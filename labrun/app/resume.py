@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from labrun.app.carry_out import carry_out, require_answer
+from labrun.app.carry_out import carry_out, fitted, require_answer
 from labrun.app.design import go_on as design_on
 from labrun.app.design import simulator_of
 from labrun.app.run import behind_the_drivers, connected, who_mounts
@@ -106,7 +106,7 @@ def _go_on(
             folder.journal.append("resumed", changed=changes)
             if emulated is not None:
                 emulated.keep_logs(run / "emulated")
-            return carry_out(
+            result = carry_out(
                 loaded.experiment,
                 rig,
                 folder,
@@ -116,6 +116,7 @@ def _go_on(
                 draw=draw,
                 person=mounts,
             )
+    return fitted(result, loaded.experiment, progress)
 
 
 def changed_keys(origin: Mapping[str, Any]) -> list[str]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labrun.app.carry_out import carry_out, source_of
+from labrun.app.carry_out import carry_out, fitted, source_of
 from labrun.app.check import NO_SCENE, require_room, whole_plan
 from labrun.app.leaders import missing_beside, with_leaders
 from labrun.devices import NoTerminalError, Terminal
@@ -110,10 +110,11 @@ def run(
             told.note(
                 f"no run of {name} in {results} yet: its leaders are not measured beside those of this run"
             )
-        return _on_bench(
+        result = _on_bench(
             with_leaders(loaded, results), results, dry_run=dry_run, emulate=emulate, seed=seed, limit=limit,
             hide=hide, hide_seed=hide_seed, progress=told, draw=draw, person=person,
         )  # fmt: skip
+        return fitted(result, loaded.experiment, told, workspace)
 
 
 def _on_bench(

@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 
 import labrun
-from labrun.effects import AttachedEffect, load_effect
 from labrun.fit import load_dataset
-from labrun.gap import Options, diagnose_dataset, fresh_excess
+from labrun.gap import Options, diagnose_dataset, effects_of, fresh_excess
 from labrun.json_numbers import finite
 from labrun.models import Model, load_model
 
@@ -109,11 +108,7 @@ def shown(folder: Path, said: Mapping[str, Any], seed: int) -> dict[str, Any]:
 
 def corrected(model: Model, said: Mapping[str, Any]) -> Model:
     """Return the model with the parameters and the effects that a diagnosis gives it."""
-    effects = [
-        AttachedEffect(load_effect(one["effect"], one["kind"]), one["site"], tuple(one["values"]))
-        for one in said["effects"]
-    ]
-    return model.with_values(said["corrected"]).with_effects(effects)
+    return model.with_values(said["corrected"]).with_effects(effects_of(said))
 
 
 @cache

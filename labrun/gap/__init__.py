@@ -22,7 +22,7 @@ from labrun.gap.diagnosis import (
 from labrun.gap.fresh import FreshTest, Prediction, predict_fresh
 from labrun.gap.recalibration import fresh_excess
 from labrun.gap.robot import JointDiagnosis, RobotDiagnosis, diagnose_robot, parameter_ranges, why_not
-from labrun.gap.saving import recalibrated_only, require_new, save_model, save_with_law
+from labrun.gap.saving import effects_of, recalibrated_only, require_new, save_model, save_with_law
 
 __all__ = [
     "By",
@@ -50,6 +50,7 @@ __all__ = [
     "compare_units",
     "diagnose_dataset",
     "diagnose_robot",
+    "effects_of",
     "fresh_excess",
     "parameter_ranges",
     "predict_fresh",

@@ -10,6 +10,14 @@ from labrun.gap.diagnosis import Diagnosis, Name
 from labrun.models import corrected_model_text, load_model
 
 
+def effects_of(diagnosis: Mapping[str, Any]) -> tuple[AttachedEffect, ...]:
+    """Return the causes of a diagnosis, as it is stored, as effects at their sites."""
+    return tuple(
+        AttachedEffect(load_effect(one["effect"], one["kind"]), one["site"], tuple(one["values"]))
+        for one in diagnosis["effects"]
+    )
+
+
 def save_model(diagnosis: Mapping[str, Any], source: str | Path, path: Path) -> None:
     """Write the model with its corrected parameters and with the causes at their sites.
 
@@ -30,10 +38,7 @@ def save_model(diagnosis: Mapping[str, Any], source: str | Path, path: Path) -> 
         A value that the model does not allow.
     """
     require_new(path)
-    effects = tuple(
-        AttachedEffect(load_effect(one["effect"], one["kind"]), one["site"], tuple(one["values"]))
-        for one in diagnosis["effects"]
-    )
+    effects = effects_of(diagnosis)
     only = recalibrated_only(diagnosis)
     text = corrected_model_text(
         load_model(source),

@@ -8,11 +8,12 @@ import pytest
 from analytic_bench import search_experiment
 
 from labrun.app.check import check, require_room
+from labrun.app.question import find_data
 from labrun.app.resume import resume
 from labrun.app.run import run as execute
 from labrun.errors import LabrunError, PlanError, RequestError, SpecError
 from labrun.report.terminal import plan_text
-from labrun.runner import Interrupted, SilentProgress
+from labrun.runner import Interrupted, Rig, SilentProgress
 from labrun.search import Best, RunResult
 from labrun.spec import load_experiment
 from labrun.store import RunFolder
@@ -89,6 +90,15 @@ def test_a_run_is_fitted_as_soon_as_it_is_finished_where_the_file_asks_for_it(wr
     result = resume(stopped.run)
     assert "fitted to" in result.to_text()
     assert (result.run / "fit" / "least-squares.json").is_file()
+
+
+def test_the_bench_is_let_go_before_the_run_is_fitted(write, dry_run, monkeypatch):
+    told = []
+    close = Rig.__exit__
+    monkeypatch.setattr(Rig, "__exit__", lambda rig, *error: (told.append("let go"), close(rig, *error))[1])
+    monkeypatch.setattr("labrun.app.fit.find_data", lambda *asked: (told.append("fit"), find_data(*asked))[1])
+    dry_run(write("sweep", FIT.format("true")))
+    assert told == ["let go", "fit"]
 
 
 def test_a_fit_that_fails_leaves_the_finished_run(write, dry_run, recorder):

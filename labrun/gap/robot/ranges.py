@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from labrun.effects import AttachedEffect, load_effect
+from labrun.effects import AttachedEffect
 from labrun.estimate import Estimate
 from labrun.fit import Dataset, Note, fit_model, silent
 from labrun.gap.robot.diagnose import OF_THE_LOG, OF_THE_WHOLE, among, beside_encoders
 from labrun.gap.robot.one_joint import OneJoint, Prescribed, one_joint, prescribed
+from labrun.gap.saving import effects_of
 from labrun.models import Model, Robot
 
 
@@ -60,7 +61,7 @@ def parameter_ranges(
         if all(each.tolerance == 0.0 for each in parameters):
             continue
         note(f"{place + 1} of {len(robot.joints)} joints: {joint.name}")
-        own = [each for each in _effects(answers[joint.name]) if each.effect.id not in OF_THE_WHOLE]
+        own = [each for each in effects_of(answers[joint.name]) if each.effect.id not in OF_THE_WHOLE]
         alone = replace(start, parameters=parameters).with_effects(own)
         fitted = fit_model(alone, one.dataset, rng=np.random.default_rng(diagnosis["seed"]), starts=1)
         for name, told in fitted.parameters.items():
@@ -86,13 +87,6 @@ def _as_found(
     joints: list[tuple[OneJoint, tuple[AttachedEffect, ...], Mapping[str, float]]] = []
     for place, joint in enumerate(known.robot.joints):
         answer = answers[joint.name]
-        joints.append((one_joint(known, place), _effects(answer), answer["corrected"]))
+        joints.append((one_joint(known, place), effects_of(answer), answer["corrected"]))
     beside = beside_encoders(known, joints)
     return among(known.with_links(beside) if beside else known, whole)
-
-
-def _effects(answer: Mapping[str, Any]) -> tuple[AttachedEffect, ...]:
-    return tuple(
-        AttachedEffect(load_effect(one["effect"], one["kind"]), one["site"], tuple(one["values"]))
-        for one in answer["effects"]
-    )
