@@ -340,6 +340,11 @@ def fitted(
     except LabrunError as error:
         progress.note(f"the run is kept, and could not be fitted: {error}")
         return result
+    except KeyboardInterrupt:
+        raise Interrupted(
+            "interrupted by Ctrl-C: the run is finished and kept, its fit is not",
+            hint=f"labrun fit {result.run}",
+        ) from None
     return replace(result, more=(*result.more, "", found.to_text(), ""))
 
 

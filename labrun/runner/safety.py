@@ -17,7 +17,7 @@ from labrun.runner.resolve import ResolvedDevice
 
 
 class Interrupted(LabrunError):  # noqa: N818  being asked to stop is not an error
-    """Ctrl-C or SIGTERM: actuators stopped, data kept, the run can be resumed."""
+    """Ctrl-C or SIGTERM: actuators stopped, data kept; the hint says how to go on."""
 
     exit_code = 130
 

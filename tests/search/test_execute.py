@@ -101,6 +101,16 @@ def test_the_bench_is_let_go_before_the_run_is_fitted(write, dry_run, monkeypatc
     assert told == ["let go", "fit"]
 
 
+def test_ctrl_c_while_it_is_fitted_says_that_the_run_is_kept(write, dry_run, monkeypatch):
+    def interrupting(*asked):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("labrun.app.fit.find_data", interrupting)
+    with pytest.raises(Interrupted, match="the run is finished and kept") as caught:
+        dry_run(write("sweep", FIT.format("true")))
+    assert "labrun fit " in caught.value.hint
+
+
 def test_a_fit_that_fails_leaves_the_finished_run(write, dry_run, recorder):
     path = write("sweep", FIT.format("true").replace("gait.a", "gait.nothing"))
     result = dry_run(path, progress=recorder)
