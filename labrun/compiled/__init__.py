@@ -1,6 +1,6 @@
 """Functions as machine code: of Python, or of checked equations; called through their address, kept on disk."""
 
-from labrun.compiled.equations import equations, generated, is_generated, law, signal_step
+from labrun.compiled.equations import equations, generated, is_generated, law, needed, signal_step
 from labrun.compiled.native import (
     IntPointer,
     NativeFunction,
@@ -15,5 +15,5 @@ from labrun.compiled.native import (
 
 __all__ = [
     "IntPointer", "NativeFunction", "Pointer", "Signature", "ThroughAddresses", "compiled", "equations",
-    "generated", "inlined", "is_generated", "kernel", "law", "native", "signal_step",
+    "generated", "inlined", "is_generated", "kernel", "law", "native", "needed", "signal_step",
 ]  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from labrun.arrays import FloatArray
-from labrun.compiled import equations, generated, native
+from labrun.compiled import equations, generated, native, needed
 from labrun.effects import FORCED, AttachedEffect, Effect, EffectParameter, Site, load_effect
 from labrun.errors import ModelError, PluginError
 from labrun.models.model import Input, Meaning, Model, Output, Parameter
@@ -40,6 +40,8 @@ def equations_model(file: ModelFile) -> Model:
     parameters = tuple(parameter_of(name, one, one.value) for name, one in given.parameters.items())
     sites = tuple(_site(name, one) for name, one in given.sites.items())
     places = places_of(file, given.states, inputs, parameters)
+    for name in given.where.keys() & {*places, *(given.conditions or {})}:
+        file.note(("where", name), f"{name!r} is already the name of something else")
     initial = initial_of(file, given.initial, given.states, outputs)
     _check_states(file, given)
 
@@ -51,13 +53,18 @@ def equations_model(file: ModelFile) -> Model:
         for name, one in given.sites.items()
         for quantity in SITE_QUANTITIES
     }
-    expressions: dict[KeyPath, Expression] = {("equations", key): one for key, one in given.equations.items()}
+    expressions: dict[KeyPath, Expression] = {("where", key): one for key, one in given.where.items()}
+    expressions |= {("equations", key): one for key, one in given.equations.items()}
     expressions |= {**readings, **quantities}
+    _check_helpers(file, given.where, expressions)
     _check_springs(file, given)
     _check_forces(file, expressions, sites)
-    conditions = conditions_of(file, expressions, places, given.conditions)
+    conditions = conditions_of(file, expressions, [*places, *given.where], given.conditions)
     file.refuse()
     refuse_unused(file, expressions, parameters, conditions)
+    moving = needed(given.where, [*given.equations.values(), *readings.values()])
+    idle = {("where", name) for name in given.where if name not in moving}
+    notes = only_in_loads({path: one for path, one in expressions.items() if path not in idle}, parameters)
 
     places |= {one: f"p[{len(parameters) + index}]" for index, one in enumerate(conditions)}
     places |= {f"force.{site.name}": f"force[{index}]" for index, site in enumerate(sites)}
@@ -66,7 +73,9 @@ def equations_model(file: ModelFile) -> Model:
         "output": list(readings.values()),
         "site_values": list(quantities.values()),
     }
-    functions = generated({name: equations(name, those, places) for name, those in written.items()})
+    functions = generated(
+        {name: equations(name, those, places, given.where) for name, those in written.items()}
+    )
     model = Model(
         name=given.name,
         states=given.states,
@@ -81,7 +90,7 @@ def equations_model(file: ModelFile) -> Model:
         site_values=functions["site_values"],
         meanings=meanings_of(given.conditions),
         source=file.name,
-        notes=(*_unused_inputs(expressions, inputs), *only_in_loads(expressions, parameters)),
+        notes=(*_unused_inputs(expressions, inputs), *notes),
     )
     return dataclasses.replace(model, effects=read_effects(file, given.effects, model))
 
@@ -138,7 +147,7 @@ def places_of(
 
 
 def conditions_of(
-    file: ModelFile, expressions: Expressions, known: Mapping[str, str], declared: Collection[str] | None
+    file: ModelFile, expressions: Expressions, known: Collection[str], declared: Collection[str] | None
 ) -> tuple[str, ...]:
     """Return the names that are no state, input or parameter, in the order they are met.
 
@@ -194,6 +203,20 @@ def _check_states(file: ModelFile, given: EquationsFile) -> None:
             file.note(("equations",), f"state {state!r} has no equation", hint)
 
 
+def _check_helpers(file: ModelFile, helpers: Mapping[str, Expression], written: Expressions) -> None:
+    """Note a named expression that knows itself or one below it, or that nothing uses."""
+    used = needed(helpers, [one for path, one in written.items() if path[0] != "where"])
+    names = list(helpers)
+    for index, (name, one) in enumerate(helpers.items()):
+        if name not in used:
+            file.note(("where", name), f"no equation uses {name!r}", "take it out")
+        for later in names[index:]:
+            if later in one.names:
+                reason = f"{later!r} is not known here: a line knows those above it"
+                problem = ExpressionError(one.text, reason, one.names[later])
+                file.note_in(("where", name), problem)
+
+
 def _check_springs(file: ModelFile, given: EquationsFile) -> None:
     for name, site in given.sites.items():
         spring = site.text("stiffness")
@@ -217,8 +240,13 @@ def _check_forces(file: ModelFile, expressions: Expressions, sites: Sequence[Sit
                 hint = suggest(site, names) if names else f"declare [sites.{site}]"
                 reason = f"there is no site {site!r}"
                 file.note_in(path, ExpressionError(expression.text, reason, position, hint))
-            elif path[0] == "sites":
-                reason = "a site cannot be described by the force at a site"
+            elif path[0] in ("sites", "where"):
+                what = (
+                    "a site cannot be described"
+                    if path[0] == "sites"
+                    else "what equations share cannot be made"
+                )
+                reason = f"{what} by the force at a site"
                 file.note_in(path, ExpressionError(expression.text, reason, position))
     for site in names:
         if site not in used:

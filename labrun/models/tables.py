@@ -229,6 +229,7 @@ class EquationsFile(SystemFile):
     states: Names = ()
     inputs: Annotated[dict[Name, InputTable], BeforeValidator(listed)] = {}
     parameters: dict[Name, Annotated[ParameterTable, alone("value")]] = {}
+    where: dict[Name, Equation] = {}
     equations: dict[str, Equation] = {}
     outputs: Annotated[dict[Name, Annotated[OutputTable, alone("equation")]], Field(min_length=1)]
     sites: dict[Name, SiteTable] = {}

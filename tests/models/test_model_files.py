@@ -90,6 +90,59 @@ def test_inputs_may_say_their_unit_and_how_they_run_between_samples():
     assert (one.unit, one.between) == ("V", "hold")
 
 
+SHARED = OSCILLATOR.replace(
+    "[equations]", '[where]\npull = "stiffness*angle"\nall = "pull + damping*rate"\n[equations]'
+)
+SHARED = SHARED.replace("- stiffness*angle - damping*rate", "- all").replace(
+    '"stiffness*angle - f', '"pull - f'
+)
+
+
+def test_expressions_that_equations_share_are_named_once_and_give_the_same_simulation():
+    time_s = np.linspace(0.0, 3.0, 301)
+    torque = np.sin(3.0 * time_s)[:, None]
+    found = [
+        simulate(parse_model(text, "o.toml"), time_s, torque, initial_state=[0.2, -1.0])
+        for text in (OSCILLATOR, SHARED)
+    ]
+    # what is summed in another order differs by rounding
+    np.testing.assert_allclose(found[0].outputs, found[1].outputs, rtol=0, atol=1e-12)
+
+
+SHARED_FAULTS = {
+    (
+        'pull = "stiffness*angle"',
+        'pull = "0.5*all + stiffness*angle"',
+    ): "where.pull = .*'all' is not known here",
+    ('all = "pull', 'all = "all + pull'): "where.all = .*'all' is not known here",
+    ('all = "', 'more = "pull*angle"\nall = "'): "where.more = .*: no equation uses 'more'",
+    ('all = "pull', 'all = "force.hinge + pull'): "cannot be made by the force at a site",
+    ("pull", "angle"): "where.angle = .*'angle' is already the name of something else",
+    (
+        'inputs = ["torque"]',
+        'inputs = ["torque"]\nconditions = ["pull"]',
+    ): "where.pull = .*'pull' is already the name",
+    ('all = "pull', 'all = "pul + pull'): None,
+}
+
+
+@pytest.mark.parametrize(("change", "message"), SHARED_FAULTS.items(), ids=range(len(SHARED_FAULTS)))
+def test_a_fault_of_a_shared_expression_is_told_at_its_key(change, message):
+    text = SHARED.replace(*change, 1)
+    assert text != SHARED
+    if message is None:
+        assert parse_model(text, "bad.toml").conditions == ("pul",)
+        return
+    with pytest.raises(ModelError, match=f"(?s){message}"):
+        parse_model(text, "bad.toml")
+
+
+def test_a_parameter_that_a_load_alone_uses_through_a_shared_expression_is_noted():
+    text = OSCILLATOR.replace("[equations]", 'mass = 3.0\n[where]\nweight = "mass*9.81"\n[equations]')
+    (note,) = parse_model(text.replace("10*angle", "weight"), "o.toml").notes
+    assert note.startswith("parameter 'mass' is used by the load of a site only")
+
+
 def test_an_input_that_nothing_uses_is_noted():
     model = parse_model(FOLLOWER.replace('["u"]', '["u", "enable"]'), "f.toml")
     assert model.notes == ("input 'enable' is used by no equation",)

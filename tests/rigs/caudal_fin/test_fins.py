@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from labrun_plugins.rigs.caudal_fin.model import thrust_n
+from labrun_plugins.rigs.caudal_fin.fins import thrust_n
 from labrun_plugins.rigs.caudal_fin.scene import CaudalTank
 from simulated_bench import sine
 

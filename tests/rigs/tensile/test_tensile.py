@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from labrun_plugins.rigs.tensile.fit import allowable_deg, printed_deg, tensile_curve
-from labrun_plugins.rigs.tensile.scene import LAG_S, TensileBench
+from labrun_plugins.rigs.tensile.scene import TensileBench
 
 import labrun
 from labrun.errors import FitError
 
-AREA_M2, GRIPS_M = 1.905e-6, 0.1
+AREA_M2, GRIPS_M, LAG_S = 1.905e-6, 0.1, 0.02
 E, YIELD = 4383.27e6, 42.84e6
 SIZES = {"area_m2": AREA_M2, "grips_m": GRIPS_M}
 

@@ -1,11 +1,4 @@
-"""A curved beam between a linear stage and a load cell (section 7.2 of the source work).
-
-A curved beam under a pusher: three straight pieces of torque over angle, as the source fits its bench (section 7).
-
-Bent against its curvature (opposite sense, positive angle) a curved beam is stiff up to a high limit; bent with it
-(equal sense, negative angle) it buckles early, and what it carries hardly grows from there on: one-sided buckling.
-Functions of the model signature ``(t, x, u, p, force, out)``; see `labrun.models`.
-"""
+"""A curved beam between a linear stage and a load cell (section 7.2 of the source work)."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
@@ -16,21 +9,19 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 from labrun.devices import FloatArray
 from labrun.effects import Scale, load_effect
 from labrun.errors import SpecError
-from labrun.models import Input, Model, Output, Parameter, Site, Stepper, kernel, natives
+from labrun.models import Stepper, kernel
 from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
     described,
+    model_beside,
     require_finite,
     unpacked,
 )
 
 Beam = Literal["long", "short", "polyester", "steel"]
+"""Long (31.75 mm) and short (3.6 mm) of section 7.5.1, 25.4 mm wide and curved by 180 degrees; those of section 7.2."""
 
-LAG_S = 0.02
-"""Of load cell and amplifier behind the pusher (chosen): nothing against ramps of many seconds."""
-DAMPING_N_M_S = 0.02
-"""Chosen: at 1 mm/s on a lever of 100 mm it makes 2 mN."""
 BUCKLED_SHARE = 0.05
 """Stiffness of the buckled beam, as a share of its stiffness before (chosen; the source's values are in a figure)."""
 LIMITS_N_M: dict[Beam, tuple[float, float]] = {
@@ -43,71 +34,6 @@ STIFFNESS_N_M: dict[Beam, float] = {"long": 2.0, "short": 3.0, "polyester": 2.0,
 HYSTERESIS: dict[Beam, float] = {"long": 0.03, "short": 0.03, "polyester": 0.03, "steel": 0.12}
 """Half the width of the loop, as a share of the limit in equal sense (chosen: steel deforms plastically, and its loop
 is the larger one in the source, section 7.2.1)."""
-
-
-def derivative(t: float, x: Any, u: Any, p: Any, force: Any, dx: Any) -> None:  # noqa: ARG001
-    """State: angle (rad), which follows the pusher. Inputs: displacement of the pusher (m), and see `_torque`."""
-    dx[0] = (u[0] / p[6] - x[0]) / p[5]
-
-
-@kernel
-def _torque(angle: float, u: Any, p: Any) -> float:
-    """Return the beam's torque, N m.
-
-    Straight up to a limit in either sense, and softer beyond; both limits are `u[1]` times what they were when the beam
-    was new. A beam that has snapped in opposite sense (`u[2]` is the share of the limit that it then carries, else 1)
-    goes on from there, and back on the same line until it meets the straight one.
-    """
-    equal, opposite = u[1] * p[1], u[1] * p[2]
-    straight = min(max(angle, -equal / p[0]), opposite / p[0])
-    torque = p[0] * straight + p[3] * (angle - straight)
-    if u[2] < 1.0:
-        torque = min(p[0] * angle, u[2] * opposite + p[3] * (angle - opposite / p[0]))
-    return float(torque)
-
-
-def output(t: float, x: Any, u: Any, p: Any, force: Any, y: Any) -> None:  # noqa: ARG001
-    """Output: force of the pusher on the beam (N), positive for the opposite sense."""
-    rate = (u[0] / p[6] - x[0]) / p[5]
-    y[0] = (_torque(x[0], u, p) + p[4] * rate - force[0]) / p[6]
-
-
-def site_values(t: float, x: Any, u: Any, p: Any, force: Any, values: Any) -> None:  # noqa: ARG001
-    """Site ``beam``: angle, rate, load (its torque), stiffness before buckling."""
-    values[0] = x[0]
-    values[1] = (u[0] / p[6] - x[0]) / p[5]
-    values[2] = _torque(x[0], u, p)
-    values[3] = p[0]
-
-
-def beam_model(beam: Beam, lever_m: float) -> Model:
-    """Return the model of one of the source's beams.
-
-    `beam`: "long" (31.75 mm) or "short" (3.6 mm) of section 7.5.1: 25.4 mm wide, curved by 180 degrees; "polyester" or
-    "steel" of section 7.2. `lever_m`: from where the beam is clamped to where the pusher touches the arm on it, m.
-    """
-    stiffness, (equal, opposite) = STIFFNESS_N_M[beam], LIMITS_N_M[beam]
-    return Model(
-        name="beam-bench",
-        states=("angle",),
-        inputs=(Input("displacement", "m"), Input("limits_left"), Input("snapped_share")),
-        outputs=(Output("force", "N"),),
-        parameters=(
-            Parameter("stiffness", stiffness, unit="N m/rad", lower=1e-3),
-            Parameter("equal_limit", equal, unit="N m", lower=0.0),
-            Parameter("opposite_limit", opposite, unit="N m", lower=0.0),
-            Parameter("buckled_stiffness", BUCKLED_SHARE * stiffness, unit="N m/rad", lower=0.0),
-            Parameter("damping", DAMPING_N_M_S, unit="N m s/rad", lower=0.0),
-            Parameter("lag", LAG_S, 0.0, unit="s", lower=1e-3),
-            Parameter("lever", lever_m, 0.0, unit="m", lower=1e-3),
-        ),
-        sites=(Site("beam", "joint", "angle", "rate", load="torque", stiffness="stiffness"),),
-        initial={"angle": 0.0},
-        **natives(derivative, output, site_values),
-        source="simulated beam bench",
-    )
-
-
 _SCALE = Scale(coordinate=0.2, rate=0.01, acceleration=0.05, force=0.2, signal=2.0, time_s=10.0)
 _PUSHER_SCALE = Scale(signal=0.02, time_s=10.0)
 _YIELD_RAD = 0.01
@@ -122,7 +48,7 @@ class BeamBenchSettings(BenchSettings):
     Attributes
     ----------
     beam
-        Which, see `beam_model`; a condition ``beam`` changes it.
+        Which of them; a condition ``beam`` changes it.
     lever_mm
         From the beam's clamp to the pusher. The source bends over 50 mm of way and gives no lever; 100 mm keeps the
         long beam's opposite-sense limit out of reach of 25 mm (chosen).
@@ -151,7 +77,7 @@ class BeamBench(Bench):
     """Force on a curved beam over the displacement of a pusher on a linear stage.
 
     The pusher holds the arm on the beam, so that it pushes and pulls. Its displacement is counted from where the beam
-    is at rest; positive is the opposite sense, in which the beam is stiff. Physics and sources: see `beam_model`.
+    is at rest; positive is the opposite sense, in which the beam is stiff. Physics and sources: see ``bench.toml``.
     Loading and unloading differ by a small loop. In opposite sense the beam snaps at its limit, carries less from there
     on, comes back on that path, and is damaged: its limits are lower ever after. With `as_modelled` there is no
     loop, no snap, no damage, and no scatter.
@@ -212,11 +138,17 @@ class BeamBench(Bench):
     def _put(self, beam: Beam, factors: FloatArray) -> None:
         self._beam, self._factors = beam, factors
         self._snapped, self._damaged = False, False
-        model = beam_model(beam, 1e-3 * self._settings.lever_mm)
-        nominal = model.named_values
-        mounted = {name: nominal[name] * factors[0] for name in ("stiffness", "buckled_stiffness")}
-        mounted |= {name: nominal[name] * factors[1] for name in ("equal_limit", "opposite_limit")}
-        self._model = self._with_errors(model.with_values(mounted))
+        stiffness, (equal, opposite) = factors[0] * STIFFNESS_N_M[beam], LIMITS_N_M[beam]
+        model = model_beside(__file__, "bench.toml").with_values(
+            {
+                "stiffness": stiffness,
+                "buckled_stiffness": BUCKLED_SHARE * stiffness,
+                "equal_limit": factors[1] * equal,
+                "opposite_limit": factors[1] * opposite,
+                "lever": 1e-3 * self._settings.lever_mm,
+            }
+        )
+        self._model = self._with_errors(model)
         share = HYSTERESIS[beam] if self._settings.hysteresis is None else self._settings.hysteresis
         share = 0.0 if self._settings.as_modelled else share
         limit = self._model.named_values["equal_limit"]

@@ -10,24 +10,33 @@ from pydantic import PositiveFloat
 from labrun.devices import FloatArray
 from labrun.effects import Scale
 from labrun.models import Stepper, kernel
-from labrun_plugins.rigs.caudal_fin.model import (
-    AMPLITUDE_DEAD_S,
-    ANGLE_DEAD_S,
-    BEST_N,
-    ECHO_S,
-    QUARTER_S,
-    TIP_LAG_S,
-    caudal_model,
-    thrust_n,
-)
+from labrun_plugins.rigs.caudal_fin.fins import BEST_N, thrust_n
 from labrun_plugins.simulated.bench import (
     Bench,
     BenchSettings,
+    model_beside,
     packed,
     require_finite,
     unpacked,
 )
 
+_BEST_HZ = 1.4
+"""Frequency at which the returning wave meets the tail in phase (best gait of section 5.2)."""
+_ECHO_S = 1.0 / _BEST_HZ
+"""Time from a stroke until its wave is back: one period at the best frequency, which makes it the best."""
+_TIP_LAG_S = 0.1
+"""The flexible sheet's tip follows the servo with this lag (chosen)."""
+_SERVO_DELAY_S = 0.05
+"""(5.5) and (5.6) count from the command. An RC servo of 6 Hz that takes 50 commands/s is behind by about this."""
+_ANGLE_DEAD_S = 0.12 - _SERVO_DELAY_S
+"""Dead time of eq. (5.6), less the servo's."""
+_AMPLITUDE_DEAD_S = 0.28 - _TIP_LAG_S
+"""Dead time of eq. (5.5), less the tip's lag, which acts like a part of it.
+
+The servo's does not come on top: a tail at rest is at half its stroke's speed before the servo has caught up.
+"""
+_QUARTER_S = 0.25 / _BEST_HZ
+"""A rate and the one this long before it give the amplitude at any moment of a stroke (best frequency)."""
 _SCALE = Scale(coordinate=1.0, rate=0.5, acceleration=5.0, force=0.3, signal=0.5, time_s=2.0)
 _NOT_IN_THE_STEP_MODELS = ("echo", "left_over", "bend")
 """Parameters of what (5.5) and (5.6) do not have: what walls and saturation do to a tail off its best gait."""
@@ -78,7 +87,7 @@ class DelayLine:
 class CaudalTank(Bench):
     """Thrust of a flapping tail over offset, amplitude and frequency.
 
-    Physics and sources: see `caudal_model`.
+    Physics and sources: see ``tank.toml``.
 
     A gait's mean thrust is 0.00912 N/deg times its amplitude at 1.4 Hz, but somewhat more between
     40 and 60 deg (it saturates); off that frequency the waves
@@ -111,7 +120,7 @@ class CaudalTank(Bench):
 
     def __init__(self, settings: Mapping[str, Any], rng: np.random.Generator) -> None:
         super().__init__(settings, rng)
-        self._model = self._with_errors(caudal_model())
+        self._model = self._with_errors(model_beside(__file__, "tank.toml"))
         if self._settings.as_modelled:
             self._model = self._model.with_values(dict.fromkeys(_NOT_IN_THE_STEP_MODELS, 0.0))
         self._servo, self._sensor = self._passage(self.joints), self._passage(self.sensed)
@@ -121,8 +130,8 @@ class CaudalTank(Bench):
         self._put((self._settings.material, self._settings.thickness_mm, self._settings.fin))
         self._tip_rad = 0.0
         self._servo_rad = 0.0
-        self._late = DelayLine(self._steps(AMPLITUDE_DEAD_S + ECHO_S) + 2)
-        self._angle = DelayLine(self._steps(ANGLE_DEAD_S) + 2)
+        self._late = DelayLine(self._steps(_AMPLITUDE_DEAD_S + _ECHO_S) + 2)
+        self._angle = DelayLine(self._steps(_ANGLE_DEAD_S) + 2)
         self._momentum = np.zeros(2)
         self._inputs_before = np.zeros((1, len(self._model.inputs)))
 
@@ -154,10 +163,10 @@ class CaudalTank(Bench):
     def _advance(self, time_s: FloatArray) -> FloatArray:
         servo = self._servo(self._drives["tail"].angles(time_s))
         tip = self._tip(servo)
-        rate = (servo - tip) / TIP_LAG_S
-        late_s = (0.0, ECHO_S, QUARTER_S)
-        late = self._late.after(rate, *(self._steps(AMPLITUDE_DEAD_S + more_s) for more_s in late_s))
-        (late_angle,) = self._angle.after(servo, self._steps(ANGLE_DEAD_S))
+        rate = (servo - tip) / _TIP_LAG_S
+        late_s = (0.0, _ECHO_S, _QUARTER_S)
+        late = self._late.after(rate, *(self._steps(_AMPLITUDE_DEAD_S + more_s) for more_s in late_s))
+        (late_angle,) = self._angle.after(servo, self._steps(_ANGLE_DEAD_S))
         noise = self._settings.noise / math.sqrt(self.step_s) * self._rng.standard_normal((len(time_s), 2))
         inputs = np.empty((len(time_s) + 1, len(self._model.inputs)))
         inputs[0] = self._inputs_before
@@ -178,7 +187,7 @@ class CaudalTank(Bench):
 
     def _tip(self, servo: FloatArray) -> FloatArray:
         """Return the tip's angle: the servo's, behind by a first-order lag."""
-        tip = _lagged(servo, self._servo_rad, self._tip_rad, self.step_s / TIP_LAG_S)
+        tip = _lagged(servo, self._servo_rad, self._tip_rad, self.step_s / _TIP_LAG_S)
         self._servo_rad, self._tip_rad = float(servo[-1]), float(tip[-1])
         return tip
 
