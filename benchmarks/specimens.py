@@ -28,6 +28,7 @@ from pathlib import Path
 import numpy as np
 from labrun_plugins.rigs.beam.limits import buckling_limit
 from labrun_plugins.rigs.beam.scene import LIMITS_N_M, BeamBench
+from labrun_plugins.rigs.hinge_life.lives import fit_weibull, intervals
 from labrun_plugins.rigs.hinge_life.scene import LifeBench
 from labrun_plugins.rigs.tensile.fit import TensileCurve, tensile_curve
 from labrun_plugins.rigs.tensile.scene import GRIPS_M, THICKNESS_M, WIDTH_M, YIELD_PA, YOUNG_PA, TensileBench
@@ -36,7 +37,6 @@ import labrun
 from labrun.app.diagnose import reveal
 from labrun.devices import Trajectory
 from labrun.fit import student
-from labrun.fit.life import fit_weibull, intervals
 
 POLYESTER = ",".join(f'{{layup="polyester",specimen={n},range=120}}' for n in range(1, 6))
 BEAMS = ",".join(

@@ -15,6 +15,7 @@ from labrun.fit.comparison import (
     told_apart,
 )
 from labrun.fit.dataset import Dataset, FitTrial, OutputsAlone, load_dataset, thinned, until_peak
+from labrun.fit.learning.method import DataTable, TrainingSamples, known_inverse, mean_absolute
 from labrun.fit.levenberg_marquardt import NormalEquations, minimise, search
 from labrun.fit.method import (
     GROUP,
@@ -43,15 +44,17 @@ from labrun.fit.uncertainty import (
     student,
 )
 from labrun.fit.variables import FIRST_SAMPLES, SIMULATED, Deviation, DeviationKind
-from labrun.store import is_recording
+from labrun.spec import condition_text
+from labrun.store import Run, TrialOutcome, is_recording, open_run
 
 __all__ = [
-    "FEWEST_SAMPLES", "FEW_TRIALS", "FIRST_SAMPLES", "GROUP", "LEVEL", "SIMULATED", "ComparedPoint",
-    "Comparison", "Curve", "Dataset", "Deviation", "DeviationKind", "Each", "Estimate", "FigureData", "FitJob",
-    "FitMethod", "FitPlan", "FitPlugin", "FitResult", "FitSummary", "FitTrial", "FittedData", "Jacobian",
-    "NoSettings", "NormalEquations", "Note", "OutputNoise", "OutputsAlone", "Pair", "Panel", "Problem", "Stack",
-    "TextTable", "WithSettings", "by_mounting", "compared", "correlation_length", "divergence_warnings", "fit_model",
-    "is_method", "is_recording", "load_dataset", "make_method", "mean_estimate", "minimise", "one_by_one", "paired",
+    "FEWEST_SAMPLES", "FEW_TRIALS", "FIRST_SAMPLES", "GROUP", "LEVEL", "SIMULATED", "ComparedPoint", "Comparison",
+    "Curve", "DataTable", "Dataset", "Deviation", "DeviationKind", "Each", "Estimate", "FigureData", "FitJob",
+    "FitMethod", "FitPlan", "FitPlugin", "FitResult", "FitSummary", "FitTrial", "FittedData", "Jacobian", "NoSettings",
+    "NormalEquations", "Note", "OutputNoise", "OutputsAlone", "Pair", "Panel", "Problem", "Run", "Stack", "TextTable",
+    "TrainingSamples", "TrialOutcome", "WithSettings", "by_mounting", "compared", "condition_text",
+    "correlation_length", "divergence_warnings", "fit_model", "is_method", "is_recording", "known_inverse",
+    "load_dataset", "make_method", "mean_absolute", "mean_estimate", "minimise", "one_by_one", "open_run", "paired",
     "predicted_numbers", "predictions", "resample_trials", "rounded", "search", "silent", "student", "thinned",
     "told_apart", "until_peak", "workers",
 ]  # fmt: skip

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from labrun_plugins.rigs.spherical_mechanism import study
 from typer.testing import CliRunner
 
 from labrun.app.fit import fit
 from labrun.app.run import run
 from labrun.cli.app import app
 from labrun.fit import FigureData
-from labrun.fit.learning import method, study
+from labrun.fit.learning import method
 from labrun.learned import SlidingAffine, read_learned
 from labrun.runner import SilentProgress
 from labrun.store import open_run

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
+from labrun_plugins.rigs.hinge_life.lives import Life, _outlived, falls_per_decade, fit_weibull, intervals
 from scipy.stats import CensoredData, weibull_min
-
-from labrun.fit.life import Life, _outlived, falls_per_decade, fit_weibull, intervals
 
 
 def test_the_fit_is_that_of_scipy_with_and_without_survivors():

@@ -10,11 +10,22 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, Field, PositiveFloat, PositiveInt, field_validator
 
-from labrun.fit.learning.method import DataTable, TrainingSamples, known_inverse, mean_absolute
-from labrun.fit.method import FitJob, WithSettings
-from labrun.fit.result import Curve, FigureData, FitSummary, Panel, Stack, TextTable
+from labrun.fit import (
+    Curve,
+    DataTable,
+    FigureData,
+    FitJob,
+    FitSummary,
+    Panel,
+    Stack,
+    TextTable,
+    TrainingSamples,
+    WithSettings,
+    is_recording,
+    known_inverse,
+    mean_absolute,
+)
 from labrun.learned import ACTIVATIONS, Activation, Network, Solver, Training, exact_affine, train
-from labrun.store import is_recording
 
 _KEPT = "mlp-study.jsonl"
 _WIDTH = 4

@@ -8,13 +8,24 @@ from typing import ClassVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from labrun.arrays import FloatArray
+from labrun.devices import FloatArray
 from labrun.errors import FitError, RequestError
-from labrun.estimate import Estimate
-from labrun.fit.method import FitJob, WithSettings
-from labrun.fit.result import Curve, FigureData, FitSummary, FittedData, Panel, Stack, TextTable
-from labrun.spec import condition_text
-from labrun.store import Run, TrialOutcome, open_run
+from labrun.fit import (
+    Curve,
+    Estimate,
+    FigureData,
+    FitJob,
+    FitSummary,
+    FittedData,
+    Panel,
+    Run,
+    Stack,
+    TextTable,
+    TrialOutcome,
+    WithSettings,
+    condition_text,
+    open_run,
+)
 from labrun.toml import nearest
 
 CYCLES = "cycles"
