@@ -78,7 +78,7 @@ def _sizes(given: Sequence[str]) -> dict[str, float]:
 
 
 def diagnose(
-    target: options.Target,
+    target: options.TargetOrRobot,
     model: Model = None,
     log: Annotated[
         Path | None,

@@ -23,6 +23,12 @@ Name = Annotated[
 ]
 _TARGET = "An experiment's name (its latest run), a run folder or run.h5, or a recording folder"
 Target = Annotated[str, typer.Argument(help=f"{_TARGET}.", autocompletion=complete_experiment)]
+TargetOrRobot = Annotated[
+    str,
+    typer.Argument(
+        help=f"{_TARGET}; with --log, a robot's MJCF or URDF file.", autocompletion=complete_experiment
+    ),
+]
 LatestTarget = Annotated[
     str | None,
     typer.Argument(help=f"{_TARGET}; the latest run if not given.", autocompletion=complete_experiment),

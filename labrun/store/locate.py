@@ -5,6 +5,7 @@ from pathlib import Path
 
 from labrun.errors import RequestError
 from labrun.store.journal import Journal
+from labrun.store.recording import is_recording
 from labrun.toml import nearest
 
 SPEC = "spec.toml"
@@ -114,7 +115,9 @@ def _unknown(target: str, results: Path) -> RequestError:
             hint=f"labrun {_command(files[target])} {target} --dry-run makes one",
         )
     with_runs = sorted({run.parent.name for run in all_runs(results)})
-    near = nearest(target, [*with_runs, *files])
+    beside = Path(target).expanduser().parent
+    folders = [str(one) for one in beside.glob("*/") if is_run(one) or is_recording(one) or runs_of(one)]
+    near = nearest(target, [*with_runs, *files, *folders])
     if near:
         hint = f"did you mean {near!r}?"
     elif with_runs:

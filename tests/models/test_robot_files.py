@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labrun.errors import ModelError
-from labrun.models import load_model, read_robot, simulate
+from labrun.models import load_model, parse_model, read_robot, simulate
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -85,6 +85,13 @@ def test_a_joint_without_an_actuator_gets_the_one_that_is_asked_for(arm, drive, 
     robot = read_robot(arm, {"shoulder": drive})
     assert [(one.command, one.unit) for one in robot.actuators] == [(drive, unit)]
     assert "shoulder: the file has no actuator there" in " ".join(robot.remarks)
+
+
+def test_of_a_servo_that_the_file_lacks_gain_braking_and_rotor_are_free(arm):
+    parameters = parse_model(read_robot(arm, {"shoulder": "position"}).table(), "arm").parameters
+    assert {one.name for one in parameters if one.tolerance == "free"} == {
+        "shoulder_kp", "shoulder_damping", "shoulder_armature",
+    }  # fmt: skip
 
 
 def test_a_mass_that_only_a_missing_mesh_would_tell_is_refused(tmp_path):

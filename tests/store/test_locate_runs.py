@@ -51,6 +51,14 @@ def test_a_misspelt_name_gets_the_nearest(tmp_path, monkeypatch):
         find_run("zzz", tmp_path / "none")
 
 
+def test_a_misspelt_folder_gets_the_nearest_beside_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "recordings" / "arm").mkdir(parents=True)
+    (tmp_path / "recordings" / "arm" / "recording.toml").touch()
+    with pytest.raises(RequestError, match="did you mean 'recordings/arm'"):
+        find_run("recordings/armm", tmp_path / "results")
+
+
 def test_the_latest_run_that_did_not_finish_is_the_one_to_resume(tmp_path):
     first, second, third = (stored_runs.new_run(tmp_path) for _ in range(3))
     for number, run in enumerate((first, second, third)):

@@ -25,7 +25,9 @@ Drive = Literal["position", "torque"]
 SERVO_HZ = 5.0
 SERVO_DAMPING = 0.8
 """A servo of which nothing is known starts as a second-order follower of this bandwidth and damping ratio (chosen)."""
-_DAMPING_TOLERANCE = '"free"'
+SERVO_ROTOR = 1.0
+"""Its rotor behind the gear, in units of the inertia that the joint carries: the ratio of a matched gear."""
+_FREE = '"free"'
 _MASS_TOLERANCE = 0.05
 _GAIN_TOLERANCE = 0.1
 """What a description of a robot says of masses and gains is good to this (chosen); of damping it knows nothing."""
@@ -72,6 +74,8 @@ class RobotActuator:
     command
         What its control means.
     unit
+    added
+        Whether it stands for a servo or motor that the file says nothing of.
     """
 
     name: str
@@ -79,6 +83,7 @@ class RobotActuator:
     joint: str
     command: Command
     unit: str
+    added: bool = False
 
 
 @dataclass(frozen=True)
@@ -209,7 +214,7 @@ def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | N
         name=re.sub(r"[^A-Za-z0-9_-]", "-", spec.modelname or path.stem),
         xml=spec.to_xml(),
         joints=tuple(_joint(mujoco, joint, model) for joint in simple),
-        actuators=tuple(_actuator(mujoco, spec, one) for one in spec.actuators),
+        actuators=tuple(_actuator(mujoco, spec, one, wanted) for one in spec.actuators),
         remarks=tuple(remarks),
         bodies=tuple(
             body.name for body in spec.bodies[1:] if body.name and identifier(body.name) == body.name
@@ -320,20 +325,29 @@ def _compile(spec: Any, path: Path) -> Any:
 
 
 def _add_actuators(spec: Any, model: Any, drives: Mapping[str, Drive]) -> None:
-    """Give joints a torque, or a servo whose gains fit the inertia that each joint sees where the robot begins."""
+    """Give joints a torque, or a servo whose gains fit the inertia that each joint sees where the robot begins.
+
+    What brakes a servo is put into its joint, where it is fitted: the motion shows no more than the sum. The inertia of
+    a rotor of which the file says nothing is fitted as well, from that of a matched gear on.
+    """
     mujoco = imported()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, full, data.qM) if hasattr(data, "qM") else mujoco.mj_fullM(model, data, full)
     for name, kind in drives.items():
-        inertia = float(full[model.joint(name).dofadr[0], model.joint(name).dofadr[0]])
-        omega = 2 * np.pi * SERVO_HZ
         actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         if kind == "torque":
             actuator.set_to_motor()
             continue
-        actuator.set_to_position(kp=inertia * omega**2, kv=2 * SERVO_DAMPING * inertia * omega)
+        joint, place = spec.joint(name), model.joint(name).dofadr[0]
+        inertia = float(full[place, place])
+        if not joint.armature:
+            joint.armature = SERVO_ROTOR * inertia
+            inertia += joint.armature
+        omega = 2 * np.pi * SERVO_HZ
+        actuator.set_to_position(kp=inertia * omega**2)
+        joint.damping = [max(2 * SERVO_DAMPING * inertia * omega, joint.damping[0]), *joint.damping[1:]]
 
 
 def _joint(mujoco: Any, joint: Any, model: Any) -> RobotJoint:
@@ -344,7 +358,7 @@ def _joint(mujoco: Any, joint: Any, model: Any) -> RobotJoint:
     return RobotJoint(joint.name, identifier(joint.name), unit, ends, sprung)  # type: ignore[arg-type]
 
 
-def _actuator(mujoco: Any, spec: Any, actuator: Any) -> RobotActuator:
+def _actuator(mujoco: Any, spec: Any, actuator: Any, added: Collection[str]) -> RobotActuator:
     on_joint = actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT
     joint = next((one for one in spec.joints if on_joint and one.name == actuator.target), None)
     slides = joint is not None and joint.type == mujoco.mjtJoint.mjJNT_SLIDE
@@ -363,6 +377,7 @@ def _actuator(mujoco: Any, spec: Any, actuator: Any) -> RobotActuator:
         "" if joint is None else joint.name,
         command,
         units[command],
+        actuator.name in added,
     )
 
 
@@ -459,15 +474,17 @@ def _effort(robot: Robot, joint: RobotJoint, drive: JointDrive | None) -> str:
 def _parameters(robot: Robot, set_elsewhere: Collection[str]) -> Iterator[str]:
     names = [one.name for one in robot.joints]
     armature = dict(zip(names, robot_terms(robot.xml, names).armature, strict=True))
+    added = {one.joint for one in robot.actuators if one.added and one.command == "position"}
     for joint in robot.joints:
         per = "N m s/rad" if joint.unit == "rad" else "N s/m"
         yield (
-            f'{joint.output}_damping = {{ mjcf = "joint.{joint.name}.damping", tolerance = {_DAMPING_TOLERANCE}, '
+            f'{joint.output}_damping = {{ mjcf = "joint.{joint.name}.damping", tolerance = {_FREE}, '
             f'unit = "{per}", lower = 0.0 }}'
         )
         if armature[joint.name]:
+            tolerance = _FREE if joint.name in added else str(_MASS_TOLERANCE)
             yield (
-                f'{joint.output}_armature = {{ mjcf = "joint.{joint.name}.armature", tolerance = {_MASS_TOLERANCE}, '
+                f'{joint.output}_armature = {{ mjcf = "joint.{joint.name}.armature", tolerance = {tolerance}, '
                 f'unit = "{"kg m^2" if joint.unit == "rad" else "kg"}", lower = 0.0 }}'
             )
         if joint.sprung:
@@ -475,12 +492,10 @@ def _parameters(robot: Robot, set_elsewhere: Collection[str]) -> Iterator[str]:
                 f'{joint.output}_stiffness = {{ mjcf = "joint.{joint.name}.stiffness", tolerance = {_GAIN_TOLERANCE}, '
                 f'unit = "{"N m/rad" if joint.unit == "rad" else "N/m"}", lower = 0.0 }}'
             )
-    added = {one.name for one in robot.actuators} & {one.name for one in robot.joints}
     for actuator in robot.actuators:
         if actuator.command != "position":
             continue
-        unknown = any(actuator.name in remark and "unknown gains" in remark for remark in robot.remarks)
-        tolerance = '"free"' if unknown and actuator.name in added else str(_GAIN_TOLERANCE)
+        tolerance = _FREE if actuator.added else str(_GAIN_TOLERANCE)
         stem, unit = identifier(actuator.name), actuator.unit
         force = "N m" if unit == "rad" else "N"
         yield (

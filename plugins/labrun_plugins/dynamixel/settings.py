@@ -40,8 +40,10 @@ class DynamixelSettings(DeviceSettings):
 
     Attributes
     ----------
-    port, baud
-        Serial port, and bits a second as set in the servos (57 600 when new).
+    port
+        Serial port.
+    baud
+        Bits a second, as set in the servos; 57 600 when new.
     joints
         Joint -> servo.
     operating_mode

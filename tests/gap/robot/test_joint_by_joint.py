@@ -1,6 +1,7 @@
 """Joints looked at one by one, on an arm that MuJoCo steps in short steps."""
 
 import dataclasses
+import re
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,6 +12,7 @@ import pytest
 
 from labrun.effects import AttachedEffect, load_effect
 from labrun.fit import Dataset, FitTrial
+from labrun.fit.output_error import fit_model
 from labrun.gap import Options, diagnose_robot, parameter_ranges, why_not
 from labrun.gap.motion import smoothed
 from labrun.gap.robot.diagnose import (
@@ -23,7 +25,7 @@ from labrun.gap.robot.diagnose import (
 )
 from labrun.gap.robot.one_joint import Prescribed, one_joint, prescribed
 from labrun.gap.robot.ranges import _as_found
-from labrun.models import load_model, read_robot, simulate
+from labrun.models import load_model, parse_model, read_robot, simulate
 from labrun.store import SignalInfo
 
 XML = """
@@ -105,6 +107,21 @@ def test_a_joint_alone_moves_as_it_does_in_the_robot(tmp_path):
             one.model, trial.time_s, trial.inputs, initial_state=[trial.outputs[0, 0], 0.0], substeps=2
         )
         assert np.std(moved.outputs[:, 0] - trial.outputs[:, 0]) < 3 * NOISE
+
+
+def test_of_servos_that_the_file_lacks_gains_and_rotors_come_out_of_the_log(tmp_path):
+    _, _, dataset = arm(tmp_path)
+    bare = re.sub(r"<actuator>.*</actuator>|damping=\S+|armature=\S+(?=/>)", "", XML, flags=re.DOTALL)
+    file = tmp_path / "bare.xml"
+    file.write_text(bare, encoding="utf-8")
+    robot = read_robot(file, "undriven")
+    model = parse_model(robot.table(), "bare")
+    one = one_joint(prescribed(robot, model, dataset), 1)
+    fitted = fit_model(one.model, one.dataset, rng=np.random.default_rng(0), starts=1)
+    found = {name: told.value for name, told in fitted.parameters.items()}
+    # what brakes the joint and its servo is told as one
+    truth = {"elbow_kp": 40.0, "elbow_armature": 0.02, "elbow_damping": 0.2 + 2.0}
+    assert {name: found[name] for name in truth} == pytest.approx(truth, rel=0.1)
 
 
 def test_prescribed_motion_is_no_site(tmp_path):
