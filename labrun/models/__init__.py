@@ -4,12 +4,14 @@ from labrun.arrays import FloatArray
 from labrun.compiled import NativeFunction, Pointer, kernel, native
 from labrun.effects import Site, SiteKind
 from labrun.models.chains.model import ClosedChain
+from labrun.models.correcting import corrected_model_text
 from labrun.models.equations import python_model
-from labrun.models.files import corrected_model_text, load_model, parse_model, shipped_models
+from labrun.models.files import load_model, parse_model
+from labrun.models.finding import is_robot, shipped_models
 from labrun.models.layout import Drive
 from labrun.models.mjcf.exporting import Exported, MjcfRange, mjcf_of, mjcf_ranges
 from labrun.models.mjcf.inverse import Carried, RobotTerms, TipLoad, carried, robot_terms
-from labrun.models.mjcf.robot import Robot, RobotActuator, RobotJoint, identifier, is_robot, read_robot
+from labrun.models.mjcf.robot import Robot, RobotActuator, RobotJoint, identifier, read_robot
 from labrun.models.model import Between, Condition, Input, Model, Origin, Output, Parameter, natives
 from labrun.models.observed import measured_name, observed
 from labrun.models.simulation import (

@@ -1,29 +1,20 @@
-"""Models by name: found, read, and written with corrections."""
+"""Models read: from files with equations or an MJCF file, from robots, from plugins."""
 
 import dataclasses
-import math
-import os
-import re
-import sys
-import tomllib
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import tomli_w
-
 from labrun import registry
-from labrun.effects import AttachedEffect, Effect, effects
 from labrun.errors import LabrunError, ModelError
 from labrun.models.chains.file import chain_model
 from labrun.models.chains.model import AT_REST, ClosedChain
 from labrun.models.equations import equations_model, initial_of, read_effects
+from labrun.models.finding import GROUP, is_robot, model_file, model_files_like, shipped_models
 from labrun.models.mjcf.file import mujoco_model
-from labrun.models.mjcf.robot import is_robot, model_files_like, read_robot
+from labrun.models.mjcf.robot import read_robot
 from labrun.models.model import Model, Origin
 from labrun.models.tables import BasedFile, ModelFile
-from labrun.toml import KeyPath, locate, replaced, suggest
+from labrun.toml import suggest
 
-_GROUP = "labrun.models"
 _PYTHON = "name the model in it, where Python finds the file: --model {}:MODEL, or a function that makes one"
 _DEEPEST = 16
 """Files that refer to files: more is a circle."""
@@ -58,8 +49,8 @@ def load_model(source: str | Path, depth: int = 0) -> Model:
     if path is not None:
         return parse_model(_text(path), str(path), depth)
     name = str(source)
-    if ":" in name or registry.is_installed(_GROUP, name):
-        found = registry.load(_GROUP, name)
+    if ":" in name or registry.is_installed(GROUP, name):
+        found = registry.load(GROUP, name)
         made = found() if callable(found) and not isinstance(found, Model) else found
         if not isinstance(made, Model):
             raise ModelError(f"{name} is no labrun model but {type(made).__name__}")
@@ -68,7 +59,7 @@ def load_model(source: str | Path, depth: int = 0) -> Model:
         raise ModelError(
             f"a file of Python such as {name} holds many things", hint=_PYTHON.format(Path(name).stem)
         )
-    known = [*shipped_models(), *registry.names(_GROUP)]
+    known = [*shipped_models(), *registry.names(GROUP)]
     files = model_files_like(Path(name))
     raise ModelError(f"there is no model {name!r}", hint=suggest(name, files or known))
 
@@ -145,26 +136,6 @@ def _rests(model: Model, state: str, rule: float | str) -> bool:
     return isinstance(model, ClosedChain) and rule == AT_REST and state in model.tree.joints
 
 
-def shipped_models() -> dict[str, Path]:
-    """Return the model files that come with labrun, by name."""
-    package = Path(__file__).parents[1]
-    for folder in (package / "shipped_experiments" / "models", package.parent / "experiments" / "models"):
-        if folder.is_dir():
-            return {path.stem: path for path in sorted(folder.glob("*.toml"))}
-    return {}
-
-
-def model_file(source: str | Path) -> Path | None:
-    """Return the file that `load_model` would read for a source; None where it is no file."""
-    path = Path(source)
-    if path.suffix == ".toml" or is_robot(path) or path.is_file():
-        return path
-    name = str(source)
-    if ":" in name or registry.is_installed(_GROUP, name):
-        return None
-    return shipped_models().get(name)
-
-
 def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
@@ -174,198 +145,3 @@ def _text(path: Path) -> str:
         raise ModelError(f"there is no model file {path}", hint=hint) from None
     except (OSError, UnicodeDecodeError) as error:
         raise ModelError(f"{path} cannot be read: {error}") from None
-
-
-def corrected_model_text(
-    model: Model,
-    text_or_path: str | Path,
-    values: Mapping[str, float],
-    effects: Sequence[AttachedEffect] = (),
-    remarks: str | Sequence[str] = (),
-    *,
-    folder: Path | None = None,
-    heading: str = "Corrected by labrun",
-    data: str = "",
-) -> str:
-    """Return a TOML file of a model with other parameter values, and with these effects behind those it carries.
-
-    A model with equations of its own in a file is returned as that file, values replaced where they stand, everything
-    else as it was. Of any other model (Python, plugin, MuJoCo) a short file refers to it as its ``base``.
-
-    Parameters
-    ----------
-    model
-        The model that is corrected.
-    text_or_path
-        Where it comes from: what `labrun.models.load_model` took, or the text of its file.
-    values : parameter -> value
-        In the parameters' units; those not named stay as they are.
-    effects
-        Physics to add.
-    remarks
-        Sentences for the comment on top: where the numbers come from.
-    folder
-        Where the text will be saved, so that it can refer to a file from there; None refers by the absolute path.
-    heading
-        How the comment on top begins, before "from" and the name of the file that was changed.
-    data
-        The run or recording that corrected it.
-
-    Raises
-    ------
-    ModelError
-        An unknown parameter, a value out of its bounds or not finite, an effect that does not fit its site.
-    """
-    changed = _changed(model, values)
-    model.with_effects(effects)
-    given = str(text_or_path)
-    path = None if "\n" in given else model_file(text_or_path)
-    text = given if "\n" in given else path.read_text(encoding="utf-8") if path is not None else ""
-    table = tomllib.loads(text)
-    if "base" in table:
-        body = _with_values(text, changed)
-        if path is not None and str(table["base"]).endswith(".toml"):
-            base = _from_folder(path.parent / table["base"], folder)
-            body = replaced(body, {("base",): _quoted(base)})
-    elif "mujoco" in table or not text:
-        named = path is None or (path.suffix == ".toml" and Path(given).suffix != ".toml")
-        base = given if named or path is None else _from_folder(path, folder)
-        body = _with_values(f"base = {_quoted(base)}\n", changed)
-    else:
-        for name in changed.keys() - table.get("parameters", {}).keys():
-            raise ModelError(f"the text given for model {model.name} has no parameter {name!r}")
-        body = _with_parameters(text, changed)
-    origin = path.name if path is not None else given if not text else model.source or model.name
-    top = _comment(model, f"{heading} from {origin}", changed, remarks)
-    body = _with_effects(body, effects)
-    if "\n" in given:
-        return top + body
-    source = given if path is None or Path(given) != path else _from_folder(path, folder)
-    entry = f"{{ from = {_quoted(source)}, by = {_quoted(data and _from_folder(Path(data), folder))} }}"
-    if "corrected" in table:
-        return top + replaced(body, {("corrected",): entry})
-    return f"{top}corrected = {entry}\n{body}"
-
-
-def _from_folder(path: Path, folder: Path | None) -> str:
-    """Return a path as a file in that folder would name it."""
-    absolute = path.resolve()
-    return str(absolute) if folder is None else os.path.relpath(absolute, folder.resolve())
-
-
-def _changed(model: Model, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the values that differ from the model's own, checked."""
-    parameters = {one.name: one for one in model.parameters}
-    changed = {}
-    for name, given in values.items():
-        if name not in parameters:
-            raise ModelError(
-                f"model {model.name} has no parameter {name!r}", hint=suggest(name, list(parameters))
-            )
-        one, value = parameters[name], float(given)
-        if not math.isfinite(value) or not one.lower <= value <= one.upper:
-            raise ModelError(
-                f"{name} = {value:g} cannot be written: model {model.name} takes {one.lower:g} to {one.upper:g}"
-            )
-        if value != one.value:
-            changed[name] = value
-    return changed
-
-
-def _comment(model: Model, heading: str, changed: Mapping[str, float], remarks: str | Sequence[str]) -> str:
-    sentences = [remarks] if isinstance(remarks, str) else list(remarks)
-    lines = [heading, *sentences]
-    parameters = {one.name: one for one in model.parameters}
-    for name, value in changed.items():
-        unit = "" if parameters[name].unit == "1" else f" {parameters[name].unit}"
-        lines.append(f"{name}: {parameters[name].value:g}{unit} became {value:g}{unit}")
-    return "".join(f"# {line}\n" for one in lines for line in one.splitlines()) + "\n"
-
-
-def _quoted(text: str) -> str:
-    """Return text as TOML writes it."""
-    return tomli_w.dumps({"a": text}).removeprefix("a = ").strip()
-
-
-def _with_parameters(text: str, values: Mapping[str, float]) -> str:
-    """Replace parameter values of a model with equations, however it writes them."""
-    found = locate(text).spans
-    paths: dict[KeyPath, str] = {}
-    for name, value in values.items():
-        path = ("parameters", name)
-        paths[(*path, "value") if (*path, "value") in found else path] = repr(value)
-    return replaced(text, paths)
-
-
-def _with_values(text: str, values: Mapping[str, float]) -> str:
-    """Replace the values of a model with a base, and add those that are not there yet."""
-    there = {("values", name) for name in values} & locate(text).spans.keys()
-    text = replaced(text, {path: repr(values[str(path[-1])]) for path in there})
-    new = {name: repr(value) for name, value in values.items() if ("values", name) not in there}
-    if not new:
-        return text
-    found = locate(text)
-    rows = text.splitlines()
-    head = found.keys.get(("values",))
-    place = None if head is None else head.line
-    if ("values",) in found.spans:  # values = { ... }
-        inner = [f"{name} = {value}" for name, value in new.items()]
-        names = [path for path in found.spans if path[:1] == ("values",) and len(path) == 2]
-        if not names:
-            return replaced(text, {("values",): f"{{ {', '.join(inner)} }}"})
-        last = max(names, key=lambda path: found.spans[path])
-        return _behind(text, found.spans[last][1], f", {', '.join(inner)}")
-    if place is None:  # before the first table, behind the keys that stand alone
-        place = next((index for index, row in enumerate(rows) if row.lstrip().startswith("[")), len(rows))
-        lines = ["", "[values]", *(f"{name} = {value}" for name, value in new.items())]
-    elif re.match(r"\s*\[", rows[place - 1]):  # [values]
-        lines = [f"{name} = {value}" for name, value in new.items()]
-    else:  # values.name = ...
-        lines = [f"values.{name} = {value}" for name, value in new.items()]
-    return "\n".join([*rows[:place], *lines, *rows[place:]]) + "\n"
-
-
-def _with_effects(text: str, effects: Sequence[AttachedEffect]) -> str:
-    """Add effects behind those the text has."""
-    found = locate(text).spans
-    if ("effects",) not in found:
-        return "\n".join([text.rstrip() + "\n", *(f"[[effects]]\n{_rows(one)}" for one in effects)])
-    if not effects:
-        return text
-    inline = ", ".join("{ " + ", ".join(_rows(one).splitlines()) + " }" for one in effects)
-    last = [span for path, span in found.items() if path[:1] == ("effects",) and len(path) == 2]
-    if not last:
-        return replaced(text, {("effects",): f"[{inline}]"})
-    return _behind(text, max(last)[1], f", {inline}")
-
-
-def _behind(text: str, place: int, more: str) -> str:
-    encoded = text.encode()
-    return (encoded[:place] + more.encode() + encoded[place:]).decode()
-
-
-def _rows(attached: AttachedEffect) -> str:
-    effect = attached.effect
-    values = ", ".join(f"{name} = {value!r}" for name, value in attached.named_values.items())
-    return (
-        f"effect = {_quoted(_name_of(effect))}\n"
-        f"site = {_quoted(attached.site)}\n"
-        f"kind = {_quoted(effect.kind)}\n"
-        f"values = {{ {values} }}\n"
-    )
-
-
-def _name_of(effect: Effect) -> str:
-    """Return what `labrun.effects.load_effect` takes for it: its id, its file, or where its module keeps it."""
-    if any(one.id == effect.id and one.kind == effect.kind for one in effects(without=())):
-        return effect.id
-    if effect.origin:
-        return f"{effect.origin}:{effect.id}"
-    module = sys.modules[effect.function.python.__module__]
-    for name, value in vars(module).items():
-        if value == effect or (isinstance(value, tuple) and effect in value):
-            return f"{module.__name__}:{name}"
-    raise ModelError(
-        f"effect {effect.id} cannot be named in a file",
-        hint="install it as an entry point of the group labrun.effects, or keep it at the top of its module",
-    )

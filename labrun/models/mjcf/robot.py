@@ -9,14 +9,13 @@ from typing import Any, Literal
 import numpy as np
 
 from labrun.errors import ModelError
+from labrun.models.finding import model_files_like
 from labrun.models.mjcf.around import around, heavy_bodies
 from labrun.models.mjcf.inverse import JointDrive, robot_terms
 from labrun.models.mjcf.plant import imported
 from labrun.models.mjcf.refusal import refusal
-from labrun.toml import nearest, suggest
+from labrun.toml import suggest
 
-SUFFIXES = (".xml", ".mjcf", ".urdf")
-"""Files that are read as a robot."""
 EDITS_ROBOTS = (4, 0)
 """The MuJoCo that writes values back into a description (`MjSpec.copy_back`); model files need only 3.2."""
 Command = Literal["position", "velocity", "torque", "geared", "other"]
@@ -135,20 +134,6 @@ class Robot:
         """
         names = [joint.output for joint in self.joints] if measured is None else list(measured)
         return "\n".join(_lines(self, xml_file, start, shown or {}, names)) + "\n"
-
-
-def is_robot(source: str | Path) -> bool:
-    """Tell whether a file is an MJCF or URDF file, by its name."""
-    return Path(source).suffix.lower() in SUFFIXES
-
-
-def model_files_like(path: Path) -> list[str]:
-    """Return the files of models and robots that a misspelled one may be; none if it is not written like a file."""
-    if not path.suffix and len(path.parts) == 1:
-        return []
-    there = path.parent.glob("*") if path.parent.is_dir() else ()
-    files = [str(one) for one in sorted(there) if one.suffix == ".toml" or is_robot(one)]
-    return files if nearest(str(path), files) is not None else []
 
 
 def read_robot(path: Path, drives: Mapping[str, Drive] | Literal["undriven"] | None = None) -> Robot:
