@@ -128,6 +128,23 @@ def test_a_force_law_with_memory_moves_the_joint_as_scipy_says(effect, force, me
     assert result.outputs[:, 0] == pytest.approx(_exact_with_memory(force, memory, states), abs=3e-6)
 
 
+@pytest.mark.parametrize("delay", [0.0005, 0.002, 0.004, 0.006, 0.02])
+def test_a_drive_comes_late_by_delays_of_the_integrators_steps_and_less(delay):
+    """Below 8 ms to (delay (8 ms - delay) omega^2) / 2 of its size, which is at most 8e-4 here."""
+    text = (
+        'name = "probe"\nstates = ["q"]\ninputs = ["u"]\n[equations]\nq = "u + 0*force.knee"\n'
+        '[outputs]\narrived = "u + force.knee"\n'
+        '[sites.knee]\nkind = "joint"\ncoordinate = "q"\nrate = "u"\nload = "u"\ndrive = true\n'
+    )
+    model = parse_model(text, "probe.toml")
+    time_s, omega = np.arange(0, 4, 0.01), 10.0
+    late = named("loop-delay", site="knee", delay=delay)
+    drive = np.sin(omega * time_s)[:, None]
+    result = simulate(model, time_s, drive, initial_state=[0.0], effects=[late], substeps=4)
+    wanted = np.sin(omega * (time_s - delay))
+    assert result.outputs[50:, 0] == pytest.approx(wanted[50:], abs=2e-3)
+
+
 @pytest.mark.parametrize("omega", [0.8, 4.0, 6.0])
 def test_an_echo_comes_back_one_delay_later(omega):
     """Up to an angular frequency of 7 / delay (of the square: 3.5) the Pade approximations are the delay itself."""
