@@ -49,13 +49,22 @@ def test_robots_have_six_to_twelve_joints_and_differ_from_their_file(seed):
     assert 0 < np.std(ratios) < 0.08
 
 
-def test_a_robot_without_anything_hidden_hides_no_error_of_its_integrator(monkeypatch):
+@pytest.mark.parametrize("effect", [None, "elastic-transmission"])
+def test_a_robot_hides_no_error_of_its_integrator(monkeypatch, effect):
+    """Nor does a motor behind a gear that gives way: a quarter of a millisecond of its own hid what the gear does."""
     rng = np.random.default_rng(0)
     body = draw(rng)
+    link = body.links[1]
+
+    def course() -> np.ndarray:
+        sizes, half_step = {"elastic-transmission": 3.0 * link.kp}, 0.5 * case.STEP_S
+        motor = Joint(link.kp, link.kv, link.armature, half_step, 1.0, sizes, draw_shape(np.random.default_rng(0)))
+        return case.run(body, goal, {} if effect is None else {1: motor})[0]
+
     goal = case.goals(rng, len(body.links))[:120]
-    coarse = case.run(body, goal, {})[0]
+    coarse = course()
     monkeypatch.setattr(case, "STEP_S", 0.25 * case.STEP_S)
-    fine = case.run(body, goal, {})[0]
+    fine = course()
     assert np.sqrt(np.mean((coarse - fine) ** 2)) < 0.2 * case.NOISE_RAD[0]
 
 

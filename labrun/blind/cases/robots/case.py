@@ -184,7 +184,7 @@ def _hidden(
 
 def _drives(hidden: dict[int, Joint]) -> dict[int, Joint]:
     return {
-        place: replace(joint, _late={}, _motor=None, _played=None, _bristle=0.0)
+        place: replace(joint, _late={}, _motor=None, _middle=None, _played=None, _bristle=0.0)
         for place, joint in hidden.items()
     }
 

@@ -35,6 +35,7 @@ class Joint:
     shape: dict[str, float]
     _bristle: float = 0.0
     _motor: list[float] | None = None
+    _middle: list[float] | None = None
     _late: dict[str, deque[float]] = field(default_factory=dict)
     _played: float | None = None
 
@@ -94,12 +95,18 @@ class Joint:
     def _elastic(self, goal: float, q: float, rate: float, spring: float) -> float:
         if self._motor is None:
             self._motor = [q, rate]
-        angle, speed = self._motor
+        # the midpoint rule, as the links: it asks at the beginning and in the middle of a step in turn. A motor that
+        # only used where each half began was early by half of it, a quarter of a millisecond
+        angle, speed = self._motor if self._middle is None else self._middle
         damper = self.shape["damper"] * np.sqrt(spring * self.armature)
         through = spring * (angle - q) + damper * (speed - rate)
-        drive = self.kp * (goal - angle) - self.kv * speed
-        speed += self.dt * (drive - through) / self.armature
-        self._motor = [angle + self.dt * speed, speed]
+        pushed = (self.kp * (goal - angle) - self.kv * speed - through) / self.armature
+        begin, ahead = self._motor, self.dt if self._middle is None else 2.0 * self.dt
+        there = [begin[0] + ahead * speed, begin[1] + ahead * pushed]
+        if self._middle is None:
+            self._middle = there
+        else:
+            self._motor, self._middle = there, None
         return float(through)
 
     def measured(self, q: float) -> float:
