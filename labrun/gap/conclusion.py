@@ -173,7 +173,8 @@ def conclude(
     if findings.unproven:
         sizes = replace(sizes, recalibrated=search.recalibrated.gap, after=search.recalibrated.gap)
     learnable = None
-    if (not causes or findings.remains) and not any(one.followed for one in problem.model.outputs):
+    asked = search.candidates and (not causes or findings.remains)
+    if asked and not any(one.followed for one in problem.model.outputs):
         note("asking what any model could learn of what is left")
         learnable = _learnable(final.problem if causes else problem, final.z if causes else z)
     effects = final.problem.attached(final.problem.parameters(final.z))

@@ -39,6 +39,8 @@ class Options:
         Whether to save time where many models of one joint are diagnosed: derivatives by the model's own variables are
         carried over from fit to fit, and what is ruled out is bounded beside no cause. The shape of an effect may be
         missed so, as that of a servo's friction was on a test stand.
+    least_gap
+        What recalibration leaves, in units of the noise, below which no cause is looked for.
     explain_rest
         Whether to propose a law for what the causes leave.
     """
@@ -49,6 +51,7 @@ class Options:
     workers: int = 1
     places: bool = True
     brisk: bool = False
+    least_gap: float = 0.0
     explain_rest: bool = False
 
 
@@ -78,6 +81,7 @@ def diagnose_dataset(
             withhold=options.withhold,
             full_guard=options.full_guard,
             brisk=options.brisk,
+            least_gap=options.least_gap,
             each=each,
             note=note,
         )

@@ -95,6 +95,7 @@ def search_causes(
     withhold: Collection[str] = (),
     full_guard: bool = False,
     brisk: bool = False,
+    least_gap: float = 0.0,
     each: Each = one_by_one,
     note: Note = silent,
 ) -> Search:
@@ -106,7 +107,7 @@ def search_causes(
         Ids of effects that the library is to be without.
     full_guard
         Run the whole search, with all its fits, on noise alone, too.
-    brisk
+    brisk, least_gap
         See `labrun.gap.Options`.
 
     Raises
@@ -125,7 +126,7 @@ def search_causes(
     if model.states:
         data = without_crowding(data)
     first = recalibrate(model, data, rng, note)
-    asked = _Asked(clocks, data, withhold, full_guard, brisk, rng, each, note)
+    asked = _Asked(clocks, data, withhold, full_guard, brisk, least_gap, rng, each, note)
     found = _searched(asked, first)
     if not first.noise.known and not found.selection.chosen:
         # the phase of a free swing drifts, so that nothing is linear but what its own past does not predict
@@ -231,6 +232,7 @@ class _Asked:
     withhold: Collection[str]
     full_guard: bool
     brisk: bool
+    least_gap: float
     rng: np.random.Generator
     each: Each
     note: Note
@@ -239,9 +241,11 @@ class _Asked:
 def _searched(asked: _Asked, recalibration: Recalibrated, zeros: Collection[str] = ()) -> Search:
     """Search beside a recalibration; a bias of outputs whose zeros are set anew in each trial is no cause."""
     problem, noise, z = recalibration.problem, recalibration.noise, recalibration.z
+    recalibrated = fitted_excess(problem, z, noise)
+    scales = site_scales(problem, z) if recalibrated.gap >= asked.least_gap else None
     every = [
         one
-        for one in candidates(problem.model, site_scales(problem, z), asked.withhold)
+        for one in (() if scales is None else candidates(problem.model, scales, asked.withhold))
         if not (one.name.effect == "bias" and one.name.site in zeros)
     ]
     asked.note(f"trying {len(every)} candidates")
@@ -269,7 +273,7 @@ def _searched(asked: _Asked, recalibration: Recalibrated, zeros: Collection[str]
         every,
         null,
         fitted_excess(problem, recalibration.raw, noise),
-        fitted_excess(problem, z, noise),
+        recalibrated,
         held_out,
         selector.select(),
         asked.full_guard,

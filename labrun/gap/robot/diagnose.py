@@ -10,11 +10,12 @@ import numpy as np
 
 from labrun.arrays import FloatArray
 from labrun.effects import AttachedEffect
-from labrun.fit import Dataset, FitTrial, Note, silent
+from labrun.fit import Dataset, Note, silent
 from labrun.gap import criteria
 from labrun.gap.diagnose import Options, diagnose_dataset
 from labrun.gap.diagnosis import Diagnosis, Verdict
 from labrun.gap.robot.clock import common_lead
+from labrun.gap.robot.links import links_that_explain
 from labrun.gap.robot.one_joint import OneJoint, Prescribed, one_joint, prescribed
 from labrun.gap.robot.tip_load import place_of_load
 from labrun.models import Model, Robot, RobotJoint, identifier, simulate, suggest_substeps
@@ -33,8 +34,8 @@ OF_THE_LOG = ("late-clock", "delay")
 """Of all goals at once: stamped late beside all angles, or followed late by them."""
 _CLOCKS = ("early-clock", "late-clock")
 """Of an encoder, and of its goals: beside the other, one is the other."""
+_NOT_LOOKED_FOR = "no cause was looked for"
 _MOST_SUBSTEPS = 16
-_HALF = 0.5
 
 
 @dataclass(frozen=True)
@@ -201,9 +202,18 @@ def diagnose_robot(
     every = range(len(robot.joints))
     # a process a joint: half of a diagnosis is Python, which threads would wait for in turn
     with nullcontext() if options.workers <= 1 else pool(min(options.workers, len(every)), None) as there:
-        answers = _looked(found, every, alone, there, note)
+        note("recalibrating every joint")
+        answers = _looked(found, every, replace(alone, least_gap=np.inf), there, note)
+        lacking = [place for place, (_, answer) in enumerate(answers) if not _quiet(answer)]
+        note("asking all joints together which links are not where their encoders say")
+        links = links_that_explain(found, lacking, options.seed)
+        for at in ([one for one in lacking if one not in links], *([one] for one in links)):
+            around = found.with_links({other: by for other, by in links.items() if other not in at})
+            second = dict(zip(at, _looked(around, at, alone, there, note), strict=True))
+            answers = [second.get(number, one) for number, one in enumerate(answers)]
+        found = found.with_links(links)
         tip, place = found.tip, found.tip.far_end
-        hanging = _where_something_hangs(answers, tip.body)
+        hanging = [one for one in _where_something_hangs(answers, tip.body) if one not in links]
         better = place_of_load(found, tip) if hanging else None
         if better is not None:
             note(
@@ -215,14 +225,10 @@ def diagnose_robot(
                 answers = [second.get(number, one) for number, one in enumerate(answers)]
                 found, place = moved, better
         whole = _of_the_whole(answers, place)
-        beside = beside_encoders(found, [(one, told.effects, told.corrected) for one, told in answers])
-        again = _that_others_may_explain(answers, beside) if whole or beside else []
+        again = _that_others_may_explain(answers, links) if whole else []
         if again:
-            note(
-                "looking again at joints that say something else, with base, load and links as others tell them"
-            )
-            around = among(found.with_links(beside) if beside else found, whole)
-            second = dict(zip(again, _looked(around, again, alone, there, note), strict=True))
+            note("looking again at joints that say something else, with base and load as others tell them")
+            second = dict(zip(again, _looked(among(found, whole), again, alone, there, note), strict=True))
             answers = _explained_by_others(answers, second)
     if found.lead_s:
         driven = [one.joint.name for one, _ in answers if found.drive(one.joint) is not None]
@@ -236,8 +242,12 @@ def _looked(
     found: Prescribed, places: Sequence[int], options: Options, there: Pool | None, note: Note
 ) -> list[tuple[OneJoint, Diagnosis]]:
     """Diagnose joints, on processes if there are some; the answers are the same and come in the joints' order."""
+    if not places:
+        return []
     joints = {place: one_joint(found, place) for place in places}
     drawn = found.redrawn(np.random.default_rng(options.seed))
+    least = {place: _least_gap(one, one_joint(drawn, place)) for place, one in joints.items()}
+    asked = {place: replace(options, least_gap=max(options.least_gap, one)) for place, one in least.items()}
     answers: dict[int, Diagnosis] = {}
 
     def told(text: str) -> None:
@@ -245,20 +255,25 @@ def _looked(
 
     def here() -> Iterator[tuple[int, Diagnosis]]:
         for place, one in joints.items():
-            yield place, diagnose_dataset(one.dataset, one.model, options, note=_about(one, told))
+            yield place, diagnose_dataset(one.dataset, one.model, asked[place], note=_about(one, told))
 
-    jobs = ((place, diagnose_dataset, (one.dataset, one.model, options)) for place, one in joints.items())
+    jobs = (
+        (place, diagnose_dataset, (one.dataset, one.model, asked[place])) for place, one in joints.items()
+    )
     told("")
     for place, answer in here() if there is None else spread(there, jobs):
-        answers[place] = _announced(
-            answer, _smoothing_gap(joints[place], one_joint(drawn, place)), found.own.step_s
-        )
+        answers[place] = _announced(answer, least[place], found.own.step_s)
         told(f": {joints[place].joint.name} {answers[place].verdict}")
     return [(one, answers[place]) for place, one in joints.items()]
 
 
 def _about(one: OneJoint, told: Note) -> Note:
     return lambda text: told(f" done; {one.joint.name}: {text}")
+
+
+def _least_gap(one: OneJoint, drawn: OneJoint) -> float:
+    """Return the gap of a joint, in units of its noise, below which no cause is looked for."""
+    return max(criteria.LEAST_JOINT_GAP, criteria.LINEAR_SLACK * _smoothing_gap(one, drawn))
 
 
 def _smoothing_gap(one: OneJoint, drawn: OneJoint) -> float:
@@ -300,31 +315,32 @@ def _smoothing_gap(one: OneJoint, drawn: OneJoint) -> float:
     return float(ratio) if np.isfinite(ratio) else 0.0
 
 
-def _announced(answer: Diagnosis, smoothing: float, step_s: float) -> Diagnosis:
+def _announced(answer: Diagnosis, least: float, step_s: float) -> Diagnosis:
     """Return a diagnosis without causes where the gap is one that prescribed motion or a simulator makes by itself.
 
     Parameters
     ----------
-    smoothing
-        What smoothing may leave, see `_smoothing_gap`.
+    least
+        Below which no cause was looked for, see `_least_gap`.
     step_s
         The file's own time step. A log that a simulator wrote leads the equations of motion by up to that much: its
         integrator moves on with the rates at the end of each step, not with those on the way.
     """
-    least = max(criteria.LEAST_JOINT_GAP, criteria.LINEAR_SLACK * smoothing)
-    told = answer.causes or answer.verdict == "not-in-library"
-    names = " and ".join(str(cause.name) for cause in answer.causes) or "What is not in the library"
-    if told and answer.gap.recalibrated < least:
+    if answer.gap.recalibrated < least:
         sentence = (
             "Recalibrated, the joint moves as measured, but for less than smoothing of the others may leave."
         )
-        below = f"{answer.gap.recalibrated:.2g} of the noise: not announced below {least:.2g}"
+        below = f"{_NOT_LOOKED_FOR}: {answer.gap.recalibrated:.2g} of the noise is less than {least:.2g}"
+        if not answer.causes and answer.verdict != "not-in-library":
+            return replace(answer, notes=(*answer.notes, below))
     elif answer.causes and all(
         cause.name.effect in _CLOCKS and cause.values["lead"].value < step_s for cause in answer.causes
     ):
         sentence = "Recalibrated, the joint moves as measured, but for less than a time step of the file."
+        names = " and ".join(str(cause.name) for cause in answer.causes)
         below = (
-            f"but leads by less than the {1e3 * step_s:.3g} ms a simulator takes in one step: not announced"
+            f"{names} would explain what is left, but leads by less than the {1e3 * step_s:.3g} ms a simulator takes "
+            "in one step: not announced"
         )
     else:
         return answer
@@ -334,8 +350,13 @@ def _announced(answer: Diagnosis, smoothing: float, step_s: float) -> Diagnosis:
         answer, verdict=verdict, causes=(), effects=(), shrinkage=None, what_next=(), sentence=sentence,
         corrected={name: value for name, (_, _, value) in answer.recalibration.items()},
         gap=replace(answer.gap, after=answer.gap.recalibrated),
-        notes=(*answer.notes, f"{names} would explain what is left, {below}"),
+        notes=(*answer.notes, below),
     )  # fmt: skip
+
+
+def _quiet(answer: Diagnosis) -> bool:
+    """Tell whether recalibration leaves no more of a joint than prescribed motion makes by itself."""
+    return any(note.startswith(_NOT_LOOKED_FOR) for note in answer.notes)
 
 
 def among(found: Prescribed, whole: Sequence[OfTheWhole]) -> Prescribed:
@@ -367,52 +388,15 @@ def _loads(
     return sum([cause.name.effect for cause in answers[place][1].causes] == ["payload"] for place in at)
 
 
-def beside_encoders(
-    prescribed: Prescribed, answers: Sequence[tuple[OneJoint, Sequence[AttachedEffect], Mapping[str, float]]]
-) -> dict[int, list[FloatArray]]:
-    """Return, by place and trial, how far joints are from what was measured of them, as the causes there say.
-
-    Of every joint the causes and the parameters beside them are given.
-
-    A joint whose encoder has play moves while its encoder stands still, and a link behind a gear that gives way is not
-    where its motor is: joints that it carries feel the true motion.
-    """
-    found = {}
-    for place, (one, effects, corrected) in enumerate(answers):
-        soft = [effect for effect in effects if effect.effect.kind == "link"]
-        if soft:
-            each = range(len(one.dataset.trials))
-            found[place] = [-soft[0].values[0] * prescribed.carried(k, place)[0][:, 0] for k in each]
-            continue
-        sensors = [effect for effect in effects if effect.effect.kind == "output"]
-        if not sensors:
-            continue
-        rest = [effect for effect in effects if effect not in sensors]
-        link = one.model.with_values(corrected).with_effects(rest)
-        found[place] = [
-            _alone(link, trial, one.joint) - _alone(link.with_effects(sensors), trial, one.joint)
-            for trial in one.dataset.trials
-        ]
-    return {place: by for place, by in found.items() if np.isfinite(np.concatenate(by)).all()}
-
-
-def _alone(model: Model, trial: FitTrial, joint: RobotJoint) -> FloatArray:
-    """Return the angle that a joint's own model makes of a trial, which begins as it was measured."""
-    names = [one.name for one in model.inputs]
-    begin = [trial.inputs[0, names.index("measured")], trial.inputs[0, names.index("measured_rate")]]
-    made = simulate(model, trial.time_s, trial.inputs, condition=trial.condition, initial_state=begin)
-    return made.outputs[:, [one.name for one in model.outputs].index(joint.output)]
-
-
 def _that_others_may_explain(
-    answers: Sequence[tuple[OneJoint, Diagnosis]], beside: Collection[int]
+    answers: Sequence[tuple[OneJoint, Diagnosis]], links: Collection[int]
 ) -> list[int]:
-    """Return the joints that lack something, none of the robot as a whole and not at their own sensor."""
+    """Return the joints that lack something, none of the robot as a whole and no link of their own."""
     return [
         place
         for place, (_, answer) in enumerate(answers)
         if (answer.causes or answer.verdict == "not-in-library")
-        and place not in beside
+        and place not in links
         and not {cause.name.effect for cause in answer.causes} & set(OF_THE_WHOLE)
     ]
 
@@ -426,7 +410,8 @@ def _explained_by_others(
     """
     return [
         again[place]
-        if place in again and again[place][1].gap.recalibrated < _HALF * one[1].gap.recalibrated
+        if place in again
+        and again[place][1].gap.recalibrated < criteria.EXPLAINED_BY_OTHERS * one[1].gap.recalibrated
         else one
         for place, one in enumerate(answers)
     ]

@@ -62,6 +62,8 @@ class Prescribed:
         Of every trial, (n, joints): what a tilted base and a load ask of the joints more, where these are known.
     lead_s
         By how much all goals are stamped late beside all angles, where that is known; negative if angles follow late.
+    links
+        Of every trial, (n, joints): how far joints are from what was measured of them, where that is known.
     """
 
     robot: Robot
@@ -72,6 +74,7 @@ class Prescribed:
     own: RobotTerms
     around: tuple[FloatArray, ...] = ()
     lead_s: float = 0.0
+    links: tuple[FloatArray, ...] = ()
 
     @property
     def sample_s(self) -> float:
@@ -140,30 +143,40 @@ class Prescribed:
 
     def with_links(self, beside: Mapping[int, Sequence[FloatArray]]) -> "Prescribed":
         """Return the same with joints that stand beside what was measured of them, by place and trial, by so much."""
-        names = [one.name for one in self.dataset.outputs]
-        trials = []
-        for number, trial in enumerate(self.dataset.trials):
-            outputs = trial.outputs.copy()
-            for place, by in beside.items():
-                outputs[:, names.index(self.robot.joints[place].output)] += by[number]
-            trials.append(replace(trial, outputs=outputs))
-        moved = prescribed(self.robot, self.whole, replace(self.dataset, trials=tuple(trials)))
-        return replace(moved, dataset=self.dataset, lead_s=self.lead_s)
+        if not beside:
+            return self
+        links = [np.zeros((len(one.time_s), len(self.robot.joints))) for one in self.dataset.trials]
+        for place, by in beside.items():
+            for of_trial, one in zip(links, by, strict=True):
+                of_trial[:, place] = one
+        pairs = zip(self.dataset.trials, links, strict=True)
+        moved = self._measured([trial.outputs[:, self._columns] + by for trial, by in pairs])
+        return replace(moved, around=(), links=tuple(links))
 
     def redrawn(self, rng: np.random.Generator) -> "Prescribed":
         """Return what would be prescribed if this motion were the true one, measured again with the same noise."""
-        names = [one.name for one in self.dataset.outputs]
-        columns = [names.index(one.output) for one in self.robot.joints]
-        pairs = list(zip(self.dataset.trials, self.motions, strict=True))
-        left = np.concatenate([trial.outputs[:, columns] - q for trial, (q, _, _) in pairs])
+        measured = [trial.outputs[:, self._columns] for trial in self.dataset.trials]
+        if self.links:
+            measured = [one + by for one, by in zip(measured, self.links, strict=True)]
+        smooth = [q for q, _, _ in self.motions]
+        left = np.concatenate(measured) - np.concatenate(smooth)
         noise = np.sqrt(np.mean(np.square(left), axis=0))
+        return self._measured([q + noise * rng.standard_normal(q.shape) for q in smooth])
+
+    @property
+    def _columns(self) -> list[int]:
+        names = [one.name for one in self.dataset.outputs]
+        return [names.index(one.output) for one in self.robot.joints]
+
+    def _measured(self, angles: Sequence[FloatArray]) -> "Prescribed":
+        """Return the same with motion and torques of these angles, (n, joints) of every trial, and the log as it is."""
         trials = []
-        for trial, (q, _, _) in pairs:
+        for trial, one in zip(self.dataset.trials, angles, strict=True):
             outputs = trial.outputs.copy()
-            outputs[:, columns] = q + noise * rng.standard_normal(q.shape)
+            outputs[:, self._columns] = one
             trials.append(replace(trial, outputs=outputs))
-        drawn = prescribed(self.robot, self.whole, replace(self.dataset, trials=tuple(trials)))
-        return replace(drawn, dataset=self.dataset, around=self.around, lead_s=self.lead_s)
+        made = prescribed(self.robot, self.whole, replace(self.dataset, trials=tuple(trials)))
+        return replace(self, motions=made.motions, terms=made.terms)
 
 
 def why_not(robot: Robot, dataset: Dataset) -> str:

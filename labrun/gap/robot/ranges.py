@@ -13,7 +13,8 @@ import numpy as np
 from labrun.effects import AttachedEffect
 from labrun.estimate import Estimate
 from labrun.fit import Dataset, Note, fit_model, silent
-from labrun.gap.robot.diagnose import OF_THE_LOG, OF_THE_WHOLE, among, beside_encoders
+from labrun.gap.robot.diagnose import OF_THE_LOG, OF_THE_WHOLE, among
+from labrun.gap.robot.links import beside_encoders
 from labrun.gap.robot.one_joint import OneJoint, Prescribed, one_joint, prescribed
 from labrun.gap.saving import effects_of
 from labrun.models import Model, Robot
@@ -88,5 +89,4 @@ def _as_found(
     for place, joint in enumerate(known.robot.joints):
         answer = answers[joint.name]
         joints.append((one_joint(known, place), effects_of(answer), answer["corrected"]))
-    beside = beside_encoders(known, joints)
-    return among(known.with_links(beside) if beside else known, whole)
+    return among(known.with_links(beside_encoders(known, joints)), whole)

@@ -58,7 +58,9 @@ def test_a_robot_hides_no_error_of_its_integrator(monkeypatch, effect):
 
     def course() -> np.ndarray:
         sizes, half_step = {"elastic-transmission": 3.0 * link.kp}, 0.5 * case.STEP_S
-        motor = Joint(link.kp, link.kv, link.armature, half_step, 1.0, sizes, draw_shape(np.random.default_rng(0)))
+        motor = Joint(
+            link.kp, link.kv, link.armature, half_step, 1.0, sizes, draw_shape(np.random.default_rng(0))
+        )
         return case.run(body, goal, {} if effect is None else {1: motor})[0]
 
     goal = case.goals(rng, len(body.links))[:120]

@@ -14,6 +14,7 @@ from labrun.effects import AttachedEffect, load_effect
 from labrun.fit import Dataset, FitTrial
 from labrun.fit.output_error import fit_model
 from labrun.gap import Options, diagnose_robot, parameter_ranges, why_not
+from labrun.gap.diagnose import diagnose_dataset
 from labrun.gap.motion import smoothed
 from labrun.gap.robot.diagnose import (
     JointDiagnosis,
@@ -21,8 +22,8 @@ from labrun.gap.robot.diagnose import (
     _announced,
     _into_damping,
     _smoothing_gap,
-    beside_encoders,
 )
+from labrun.gap.robot.links import beside_encoders, links_that_explain
 from labrun.gap.robot.one_joint import Prescribed, one_joint, prescribed
 from labrun.gap.robot.ranges import _as_found
 from labrun.models import load_model, parse_model, read_robot, simulate
@@ -143,26 +144,49 @@ def test_a_joint_may_be_called_as_the_robots_own_places_are(tmp_path, monkeypatc
     assert found == {"joint": name, name: f"robot_{name}", other: other}
 
 
-def test_a_joint_moves_as_in_the_robot_once_the_play_of_the_encoder_before_it_is_known(tmp_path):
+PLAY = 0.02
+
+
+def arm_with_play(tmp_path: Path) -> Prescribed:
+    """Return an arm whose shoulder moves by so much before its encoder does."""
     robot, model, clean = arm(tmp_path)
-    width = 0.02
     trials = []
     for trial in clean.trials:
         outputs, stands = trial.outputs.copy(), trial.outputs[0, 0]
         for row in range(len(outputs)):
-            stands = outputs[row, 0] = np.clip(
-                stands, outputs[row, 0] - width / 2, outputs[row, 0] + width / 2
-            )
+            stands = outputs[row, 0] = np.clip(stands, outputs[row, 0] - PLAY / 2, outputs[row, 0] + PLAY / 2)
         trials.append(dataclasses.replace(trial, outputs=outputs))
-    found = prescribed(robot, model, dataclasses.replace(clean, trials=tuple(trials)))
-    play = AttachedEffect(load_effect("play"), "shoulder", (width,))
+    return prescribed(robot, model, dataclasses.replace(clean, trials=tuple(trials)))
+
+
+def test_a_link_that_is_not_where_its_encoder_says_is_known_by_what_the_others_lack_no_more(tmp_path):
+    """The elbow lacks something, too, as long as the shoulder is taken to be where its encoder says."""
+    found = arm_with_play(tmp_path)
+    links = links_that_explain(found, [0, 1], seed=0)
+    assert list(links) == [0]
+    assert np.abs(np.concatenate(links[0])).max() == pytest.approx(PLAY / 2, rel=0.05)
+    assert links_that_explain(found, [0], seed=0) == {}
+
+
+def test_what_lies_between_link_and_encoder_is_no_noise(tmp_path):
+    """Else whatever hangs on the link would pass for what smoothing leaves of the others' noise."""
+    found = arm_with_play(tmp_path)
+    moved = found.with_links({0: [np.full(SAMPLES, 10 * NOISE)] * len(found.motions)})
+    drawn = moved.redrawn(np.random.default_rng(0))
+    apart = [one[0][:, 0] - other[0][:, 0] for one, other in zip(drawn.motions, moved.motions, strict=True)]
+    assert np.std(np.concatenate(apart)) < NOISE
+
+
+def test_a_joint_moves_as_in_the_robot_once_the_play_of_the_encoder_before_it_is_known(tmp_path):
+    found = arm_with_play(tmp_path)
+    play = AttachedEffect(load_effect("play"), "shoulder", (PLAY,))
     answers = [
         (one_joint(found, 0), (play,), {}),
         (one_joint(found, 1), (), {}),
     ]
     beside = beside_encoders(found, answers)
     assert list(beside) == [0]
-    assert np.abs(np.concatenate(beside[0])).max() == pytest.approx(width / 2, rel=1e-2)
+    assert np.abs(np.concatenate(beside[0])).max() == pytest.approx(PLAY / 2, rel=1e-2)
 
     def differs(given: Prescribed) -> float:
         one = one_joint(given, 1)
@@ -285,11 +309,20 @@ def test_a_mass_is_told_only_where_the_joints_that_carry_it_agree():
     assert elbow(1.02).moved == {}
 
 
+def test_where_recalibration_leaves_less_than_is_asked_for_no_cause_is_looked_for(tmp_path):
+    one = one_joint(prescribed(*arm(tmp_path, friction=0.25)), 1)
+    options = Options(places=False, brisk=True, least_gap=1e3)
+    answer = diagnose_dataset(one.dataset, one.model, options)
+    assert not answer.causes
+    assert not answer.candidates
+    assert 1.0 < answer.gap.recalibrated < 1e3
+
+
 def test_a_gain_that_leaves_no_gap_once_it_is_recalibrated_is_told_all_the_same():
     """The gap it makes is gone with it: nothing is left to announce, but how far it is off."""
     found = examples.parameter()
     answer = _announced(
-        dataclasses.replace(found, gap=dataclasses.replace(found.gap, recalibrated=0.0)), 0.0, 0.002
+        dataclasses.replace(found, gap=dataclasses.replace(found.gap, recalibrated=0.0)), 0.3, 0.002
     )
     assert answer.verdict == "parameter"
     assert not answer.causes
