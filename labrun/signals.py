@@ -38,6 +38,16 @@ class Signal:
         first, end = np.searchsorted(self.time_s, start_s), np.searchsorted(self.time_s, end_s, side="right")
         return Signal(self.time_s[first:end], self.values[first:end], self.unit)
 
+    def known(self) -> "Signal":
+        """Return the samples that are finite numbers."""
+        finite = np.isfinite(self.values)
+        return Signal(self.time_s[finite], self.values[finite], self.unit)
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """Return values at other times, straight between the finite samples; beyond them the first or the last."""
+        known = self.known()
+        return np.asarray(np.interp(time_s, known.time_s, known.values))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signals:

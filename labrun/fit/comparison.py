@@ -429,20 +429,13 @@ def _signals_beside(measured: Sequence[Signal], held: Sequence[Signal]) -> _Besi
     time_s = time_s[(time_s >= start_s) & (time_s <= end_s)]
     if not len(time_s):
         return None
-    return time_s, _mean(measured, time_s), _mean(held, time_s), len(measured)
+    here, there = (np.mean([one.at(time_s) for one in part], axis=0) for part in (measured, held))
+    return time_s, here, there, len(measured)
 
 
 def _some(keys: Iterable[Key], most: int = 3) -> str:
     told = [condition_text(dict(key)) or "one without names" for key in keys]
     return "; ".join(told[:most]) + (f" and {len(told) - most} more" if len(told) > most else "")
-
-
-def _mean(signals: Sequence[Signal], time_s: FloatArray) -> FloatArray:
-    on_base = []
-    for one in signals:
-        known = np.isfinite(one.values)
-        on_base.append(np.interp(time_s, one.time_s[known], one.values[known]))
-    return np.asarray(np.mean(on_base, axis=0))
 
 
 def _rounded(value: float | str) -> float | str:

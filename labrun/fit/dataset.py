@@ -272,7 +272,7 @@ def _run_trials(
         for port in ports:
             device, channel = sources[port.name]
             # the command is stored once: every cycle repeats it
-            columns.append(_on_base(measured[device], channel, at_s - begin_s * (device == COMMAND)))
+            columns.append(measured[device].signal(channel).at(at_s - begin_s * (device == COMMAND)))
         return np.column_stack(columns) if columns else np.empty((len(at_s), 0))
 
     def made(at_s: FloatArray, begin_s: float, condition: Mapping[str, float | str]) -> FitTrial:
@@ -295,12 +295,6 @@ def _run_trials(
         for one in np.unique(numbers)
         if np.count_nonzero(numbers == one) > 1
     ]
-
-
-def _on_base(signals: Signals, channel: str, time_s: FloatArray) -> FloatArray:
-    signal = signals.signal(channel)
-    known = np.isfinite(signal.values)
-    return np.interp(time_s, signal.time_s[known], signal.values[known])
 
 
 def _find(

@@ -282,11 +282,10 @@ class _Channels:
             hint = suggest(name, known, kind="recorded channels")
             raise RequestError(f"no channel {name!r} in {self.target}", hint=hint)
         own, column = known[name]
-        signal = self.measured[own].signal(column)
-        finite = np.isfinite(signal.values)
-        if np.count_nonzero(finite) < 2:
+        signal = self.measured[own].signal(column).known()
+        if len(signal.time_s) < 2:
             raise FitError(
                 f"{name} has fewer than 2 samples in {self.label}",
                 hint="mark the trial rejected, or measure again",
             )
-        return np.interp(time_s, signal.time_s[finite], signal.values[finite]), signal.unit
+        return signal.at(time_s), signal.unit

@@ -64,13 +64,10 @@ def _at(signals: TrialSignals, channel: str, times_s: tuple[float, float]) -> tu
     """Return a channel at two times, between the samples beside each."""
     found: dict[float, float] = {}
     for piece in signals.pieces(channel):
-        known = np.isfinite(piece.values)
-        if not known.any():
-            continue
-        time_s, values = piece.time_s[known], piece.values[known]
-        for at_s in times_s:
-            if at_s >= time_s[0] or at_s not in found:
-                found[at_s] = float(np.interp(at_s, time_s, values))
+        known = piece.known()
+        for at_s in times_s if len(known.time_s) else ():
+            if at_s >= known.time_s[0] or at_s not in found:
+                found[at_s] = float(np.interp(at_s, known.time_s, known.values))
     if not found:
         raise ExperimentError(f"{channel} holds no number")
     return found[times_s[0]], found[times_s[1]]
