@@ -128,6 +128,8 @@ def search_causes(
     first = recalibrate(model, data, rng, note)
     asked = _Asked(clocks, data, withhold, full_guard, brisk, least_gap, rng, each, note)
     found = _searched(asked, first)
+    if not found.candidates:  # what recalibration leaves is no gap here, or nothing moves
+        return found
     if not first.noise.known and not found.selection.chosen:
         # the phase of a free swing drifts, so that nothing is linear but what its own past does not predict
         note("nothing explains the residual: looking at what its own past does not predict")

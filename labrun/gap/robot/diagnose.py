@@ -311,7 +311,10 @@ def _smoothing_gap(one: OneJoint, drawn: OneJoint) -> float:
         ]
         apart.append(courses[1] - courses[0])
         left.append(trial.outputs[:, 0] - trial.inputs[:, own[0]])
-    ratio = np.sqrt(np.mean(np.square(np.concatenate(apart))) / np.mean(np.square(np.concatenate(left))))
+    # a gap is told in units of what is believed of a model: where an encoder is finer than that, not in the encoder's
+    spread = float(np.std(np.concatenate([trial.outputs[:, 0] for trial in one.dataset.trials])))
+    noise = max(float(np.sqrt(np.mean(np.square(np.concatenate(left))))), criteria.MODEL_ROUNDING * spread)
+    ratio = np.sqrt(np.mean(np.square(np.concatenate(apart)))) / noise
     return float(ratio) if np.isfinite(ratio) else 0.0
 
 

@@ -224,6 +224,22 @@ def test_what_smoothing_leaves_of_the_noise_is_felt_by_the_joint_that_hangs_on_t
     assert _smoothing_gap(one_joint(found, 1), one_joint(found, 1)) == 0
 
 
+def test_what_smoothing_leaves_is_told_in_units_of_what_is_believed_of_a_model(tmp_path):
+    """A far finer encoder makes no joint far more doubtful: gaps are not told in units of its noise, either."""
+    robot, model, dataset = arm(tmp_path)
+    found = prescribed(robot, model, dataset)
+    one, drawn = one_joint(found, 1), one_joint(found.redrawn(np.random.default_rng(0)), 1)
+    column = [signal.name for signal in one.model.inputs].index("measured")
+    trials = [
+        dataclasses.replace(
+            trial, outputs=trial.inputs[:, [column]] + 1e-3 * (trial.outputs - trial.inputs[:, [column]])
+        )
+        for trial in one.dataset.trials
+    ]
+    finer = dataclasses.replace(one, dataset=dataclasses.replace(one.dataset, trials=tuple(trials)))
+    assert 0 < _smoothing_gap(finer, drawn) < 5 * _smoothing_gap(one, drawn)
+
+
 @pytest.mark.slow
 def test_friction_is_named_at_its_joint_and_nothing_at_the_other(tmp_path):
     robot, model, dataset = arm(tmp_path, friction=0.25)
